@@ -12,8 +12,6 @@ from evaluation.prediction.scores import (
     ErrorScore,
     ModelPrediction,
     Prediction,
-    load_prediction,
-    save_prediction,
 )
 from evaluation.prediction.scoring import Persistence, assess_model, assess_prediction, score_model
 from sysid_evo.validation.bootstrap import Interval
@@ -38,9 +36,7 @@ __all__ = [
     "analyse",
     "assess_model",
     "assess_prediction",
-    "load_prediction",
     "measured_cases",
-    "save_prediction",
     "score_model",
     "step_errors",
     "worst_region",
