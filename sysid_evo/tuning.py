@@ -263,11 +263,6 @@ class Tuning:
         return found
 
 
-def _short(value: Any) -> Any:
-    """Return a number in four digits, which is what is written down and used."""
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
 def tune(
     spec: str | Spec,
     dataset: Dataset,
@@ -360,3 +355,8 @@ def whole(name: str, key: str) -> bool:
     family: Any = models.get(name)
     options = _options(typing.get_type_hints(family.__init__).get(key, Any))
     return int in options and float not in options
+
+
+def _short(value: Any) -> Any:
+    """Return a number in four digits, which is what is written down and used."""
+    return float(f"{value:.4g}") if isinstance(value, float) else value

@@ -1,4 +1,4 @@
-"""The contract: Controller, View, ControllerLaw; channels by name; make_controller."""
+"""The contract of a controller: a family of control laws, one for each parameter vector; channels by name."""
 
 from __future__ import annotations
 

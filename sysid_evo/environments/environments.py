@@ -1,28 +1,164 @@
-"""Trials as Gymnasium environments, one or many; learned policies as controllers."""
+"""Models, ensembles and robots as environments of Gymnasium, one or many; policies learned there as champions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypeAlias
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
-from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from sysid_evo.carry import clip_state
 from sysid_evo.engine.results import scored
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution.champion import Champion
+from sysid_evo.extras import missing_extra
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, BoolArray, IntArray, Seeds
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.error import ResetNeeded
+    from gymnasium.utils import seeding
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ModuleNotFoundError as error:
+    raise missing_extra("an environment", error.name) from error
+
+SEEDS = 2**63
+
+Actions: TypeAlias = Literal["auto", "continuous", "discrete"]
+"""How a system is controlled: a Box of outputs as controllers have them, or the number of a level for each control."""
+
+
+class ModelEnvironment(gymnasium.Env[Any, Any]):
+    """An episode is one trial of ``task`` on one of ``members``, drawn anew for each episode.
+
+    The observation is what the task shows a controller, the reward by how much its fitness grows, so that the rewards
+    of an episode and the fitness it begins with add up to the fitness. Where the task or a divergence ends the trial it
+    is terminated; at the task's horizon it is truncated. ``metadata`` holds names and units; ``info`` the fitness, the
+    state, and the member by name. ``seed`` is that of the first reset which is given none.
+    """
+
+    def __init__(
+        self, members: Mapping[str, Dynamics], task: Task, *, actions: Actions = "auto", seed: int | None = None
+    ) -> None:
+        self.trials = Trials(members, task, 1)
+        self.observation_space = observation_space(self.trials.task)
+        self.action_space = action_space(self.trials.system, actions)
+        self.metadata = metadata_of(self.trials.task, self.action_space)
+        self._first_seed = seed
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin a trial; ``options`` may name the ``member`` that it is on."""
+        seed, self._first_seed = self._first_seed if seed is None else seed, None
+        super().reset(seed=seed)
+        number, trial = drawn(self.np_random, len(self.trials.members))
+        if options and "member" in options:
+            number = self._number(options["member"])
+        self.trials.begin(np.array([0]), np.array([trial]), np.array([number]))
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        control = control_of(self.trials.system, self.action_space, action)
+        reward, over, late = self.trials.step(control[None])
+        return self._observation(), float(reward[0]), bool(over[0]), bool(late[0]), self._info()
+
+    def _observation(self) -> Any:
+        return self.trials.observe()[0].astype(np.float32)
+
+    def _info(self) -> dict[str, Any]:
+        trials = self.trials
+        return {
+            "fitness": float(trials.fitness[0]),
+            "member": trials.names[trials.member[0]],
+            "state": trials.state[0].copy(),
+        }
+
+    def _number(self, member: str) -> int:
+        if member not in self.trials.names:
+            raise InvalidArgument(f"environment: no member is called {member!r}: {', '.join(self.trials.names)}")
+        return self.trials.names.index(member)
+
+
+class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
+    """``num_envs`` copies of a `ModelEnvironment` that are stepped in one call of the dynamics.
+
+    Number i behaves as a single one that was reset with the seed of number i. One whose episode has ended begins
+    anew at its next step, whose action is not used.
+    """
+
+    def __init__(
+        self,
+        members: Mapping[str, Dynamics],
+        task: Task,
+        num_envs: int,
+        *,
+        actions: Actions = "auto",
+        seed: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.num_envs = num_envs
+        self.trials = Trials(members, task, num_envs)
+        self.single_observation_space = observation_space(self.trials.task)
+        self.single_action_space = action_space(self.trials.system, actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.metadata = {
+            **metadata_of(self.trials.task, self.single_action_space),
+            "autoreset_mode": AutoresetMode.NEXT_STEP,
+        }
+        self._first_seed = seed
+        self._generators: list[np.random.Generator] = []
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin all trials; from the number ``seed`` the copies get ``seed``, ``seed`` + 1, and so on."""
+        seed, self._first_seed = self._first_seed if seed is None else seed, None
+        given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
+        if given is not None and len(given) != self.num_envs:
+            raise InvalidArgument(f"environment: expected {self.num_envs} seeds, got {len(given)}")
+        for i, own in enumerate(given or [None] * self.num_envs):
+            if i >= len(self._generators):
+                self._generators.append(seeding.np_random(own)[0])
+            elif own is not None:
+                self._generators[i] = seeding.np_random(own)[0]
+        self.restart(np.ones(self.num_envs, dtype=bool))
+        return self.observations(), self._info()
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        restarting = self._ended
+        reward, over, late = self.trials.step(self._controls(actions))
+        if restarting.any():
+            self.restart(restarting)
+            reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
+        over, late = over.astype(bool), late.astype(bool)
+        self._ended = over | late
+        return self.observations(), reward, over, late, self._info()
+
+    def _controls(self, actions: Any) -> Array:
+        return control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
+
+    def restart(self, which: BoolArray) -> None:
+        """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
+        rows = np.flatnonzero(which)
+        picks = [drawn(self._generators[row], len(self.trials.members)) for row in rows]
+        self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
+        self._ended = self._ended & ~which
+
+    def observations(self) -> Any:
+        """Return what is to be seen in all copies now, (num_envs, n)."""
+        return self.trials.observe().astype(np.float32)
+
+    def _info(self) -> dict[str, Any]:
+        everyone = np.ones(self.num_envs, dtype=bool)
+        return {"fitness": self.trials.fitness.copy(), "_fitness": everyone}
 
 
 class Trials:
@@ -119,112 +255,9 @@ class Trials:
         return found
 
 
-ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu"}
-
-
-def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, seed: int = 0) -> Champion:
-    """Return what a PPO or SAC ``algorithm`` of Stable-Baselines3 has learned in the environment of ``trials``.
-
-    Its policy must be a plain network (``MlpPolicy``) over the observations as they are, with continuous actions:
-    only its weights are read. ``task`` is the spec of the task. Raises `InvalidArgument` for another policy.
-    """
-    policy = algorithm.policy
-    if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
-        inner, last, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
-    elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):
-        inner, last, output = policy.actor.latent_pi, policy.actor.mu, "tanh"
-    else:
-        raise InvalidArgument(f"policy: expected the MlpPolicy of PPO or SAC, got a {type(policy).__name__}")
-    linear = [layer for layer in inner if hasattr(layer, "weight")]
-    between = {type(layer).__name__ for layer in inner if not hasattr(layer, "weight")}
-    last = last[0] if hasattr(last, "__getitem__") else last
-    if len(between) != 1 or not between <= ACTIVATIONS.keys() or last.weight.shape[0] != trials.system.nu:
-        raise InvalidArgument(
-            f"policy: expected one of {', '.join(ACTIVATIONS)} between the layers and one output for each of "
-            f"{trials.system.nu} controls, got {', '.join(sorted(between)) or 'none'} and {last.weight.shape[0]}; "
-            "make the environment with actions='continuous'"
-        )
-    hidden = [int(layer.weight.shape[0]) for layer in linear]
-    parameters: Array = np.concatenate([_flat(layer) for layer in (*linear, last)])
-    return Champion(
-        name=name,
-        parameters=parameters,
-        against=trials.names,
-        aggregate="mean",
-        seed=seed,
-        history=np.empty((0, 3)),
-        controller=Spec("policy", {"hidden": hidden, "inner": ACTIVATIONS[between.pop()], "output": output}),
-        task=Spec.parse(task) if isinstance(task, str) else task,
-        system=trials.system,
-    )
-
-
-def _flat(layer: Any) -> Array:
-    """Return the weights (n_in, n_out) of a linear layer row by row, and then its biases."""
-    weight, bias = (part.detach().cpu().numpy().astype(np.float64) for part in (layer.weight, layer.bias))
-    return np.concatenate([weight.T.ravel(), bias])
-
-
-SEEDS = 2**63
-
-
-class ModelEnvironment(gymnasium.Env[Any, Any]):
-    """An episode is one trial of ``task`` on one of ``members``, drawn anew for each episode.
-
-    The observation is what the task shows a controller, the reward by how much its fitness grows, so that the rewards
-    of an episode and the fitness it begins with add up to the fitness. Where the task or a divergence ends the trial it
-    is terminated; at the task's horizon it is truncated. ``metadata`` holds names and units; ``info`` the fitness, the
-    state, and the member by name. ``seed`` is that of the first reset which is given none.
-    """
-
-    def __init__(
-        self, members: Mapping[str, Dynamics], task: Task, *, actions: Actions = "auto", seed: int | None = None
-    ) -> None:
-        self.trials = Trials(members, task, 1)
-        self.observation_space = observation_space(self.trials.task)
-        self.action_space = action_space(self.trials.system, actions)
-        self.metadata = metadata_of(self.trials.task, self.action_space)
-        self._first_seed = seed
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a trial; ``options`` may name the ``member`` that it is on."""
-        seed, self._first_seed = self._first_seed if seed is None else seed, None
-        super().reset(seed=seed)
-        number, trial = drawn(self.np_random, len(self.trials.members))
-        if options and "member" in options:
-            number = self._number(options["member"])
-        self.trials.begin(np.array([0]), np.array([trial]), np.array([number]))
-        return self._observation(), self._info()
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        control = control_of(self.trials.system, self.action_space, action)
-        reward, over, late = self.trials.step(control[None])
-        return self._observation(), float(reward[0]), bool(over[0]), bool(late[0]), self._info()
-
-    def _observation(self) -> Any:
-        return self.trials.observe()[0].astype(np.float32)
-
-    def _info(self) -> dict[str, Any]:
-        trials = self.trials
-        return {
-            "fitness": float(trials.fitness[0]),
-            "member": trials.names[trials.member[0]],
-            "state": trials.state[0].copy(),
-        }
-
-    def _number(self, member: str) -> int:
-        if member not in self.trials.names:
-            raise InvalidArgument(f"environment: no member is called {member!r}: {', '.join(self.trials.names)}")
-        return self.trials.names.index(member)
-
-
 def drawn(rng: np.random.Generator, members: int) -> tuple[int, np.uint64]:
     """Return the member of an episode and the seed of its trial."""
     return int(rng.integers(members)), np.uint64(rng.integers(SEEDS))
-
-
-Actions: TypeAlias = Literal["auto", "continuous", "discrete"]
-"""How a system is controlled: a Box of outputs as controllers have them, or the number of a level for each control."""
 
 
 def action_space(system: System, actions: Actions) -> spaces.Space[Any]:
@@ -285,77 +318,47 @@ def _described(channels: tuple[Channel, ...]) -> dict[str, str]:
     return {channel.name: channel.unit for channel in channels}
 
 
-class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
-    """``num_envs`` copies of a `ModelEnvironment` that are stepped in one call of the dynamics.
+ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu"}
 
-    Number i behaves as a single one that was reset with the seed of number i. One whose episode has ended begins
-    anew at its next step, whose action is not used.
+
+def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, seed: int = 0) -> Champion:
+    """Return what a PPO or SAC ``algorithm`` of Stable-Baselines3 has learned in the environment of ``trials``.
+
+    Its policy must be a plain network (``MlpPolicy``) over the observations as they are, with continuous actions:
+    only its weights are read. ``task`` is the spec of the task. Raises `InvalidArgument` for another policy.
     """
+    policy = algorithm.policy
+    if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):
+        inner, last, output = policy.mlp_extractor.policy_net, policy.action_net, "clip"
+    elif hasattr(policy, "actor") and hasattr(policy.actor, "latent_pi"):
+        inner, last, output = policy.actor.latent_pi, policy.actor.mu, "tanh"
+    else:
+        raise InvalidArgument(f"policy: expected the MlpPolicy of PPO or SAC, got a {type(policy).__name__}")
+    linear = [layer for layer in inner if hasattr(layer, "weight")]
+    between = {type(layer).__name__ for layer in inner if not hasattr(layer, "weight")}
+    last = last[0] if hasattr(last, "__getitem__") else last
+    if len(between) != 1 or not between <= ACTIVATIONS.keys() or last.weight.shape[0] != trials.system.nu:
+        raise InvalidArgument(
+            f"policy: expected one of {', '.join(ACTIVATIONS)} between the layers and one output for each of "
+            f"{trials.system.nu} controls, got {', '.join(sorted(between)) or 'none'} and {last.weight.shape[0]}; "
+            "make the environment with actions='continuous'"
+        )
+    hidden = [int(layer.weight.shape[0]) for layer in linear]
+    parameters: Array = np.concatenate([_flat(layer) for layer in (*linear, last)])
+    return Champion(
+        name=name,
+        parameters=parameters,
+        against=trials.names,
+        aggregate="mean",
+        seed=seed,
+        history=np.empty((0, 3)),
+        controller=Spec("policy", {"hidden": hidden, "inner": ACTIVATIONS[between.pop()], "output": output}),
+        task=Spec.parse(task) if isinstance(task, str) else task,
+        system=trials.system,
+    )
 
-    def __init__(
-        self,
-        members: Mapping[str, Dynamics],
-        task: Task,
-        num_envs: int,
-        *,
-        actions: Actions = "auto",
-        seed: int | None = None,
-    ) -> None:
-        super().__init__()
-        self.num_envs = num_envs
-        self.trials = Trials(members, task, num_envs)
-        self.single_observation_space = observation_space(self.trials.task)
-        self.single_action_space = action_space(self.trials.system, actions)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.metadata = {
-            **metadata_of(self.trials.task, self.single_action_space),
-            "autoreset_mode": AutoresetMode.NEXT_STEP,
-        }
-        self._first_seed = seed
-        self._generators: list[np.random.Generator] = []
-        self._ended = np.zeros(num_envs, dtype=bool)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin all trials; from the number ``seed`` the copies get ``seed``, ``seed`` + 1, and so on."""
-        seed, self._first_seed = self._first_seed if seed is None else seed, None
-        given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
-        if given is not None and len(given) != self.num_envs:
-            raise InvalidArgument(f"environment: expected {self.num_envs} seeds, got {len(given)}")
-        for i, own in enumerate(given or [None] * self.num_envs):
-            if i >= len(self._generators):
-                self._generators.append(seeding.np_random(own)[0])
-            elif own is not None:
-                self._generators[i] = seeding.np_random(own)[0]
-        self.restart(np.ones(self.num_envs, dtype=bool))
-        return self.observations(), self._info()
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        restarting = self._ended
-        reward, over, late = self.trials.step(self._controls(actions))
-        if restarting.any():
-            self.restart(restarting)
-            reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
-        over, late = over.astype(bool), late.astype(bool)
-        self._ended = over | late
-        return self.observations(), reward, over, late, self._info()
-
-    def _controls(self, actions: Any) -> Array:
-        return control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
-
-    def restart(self, which: BoolArray) -> None:
-        """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
-        rows = np.flatnonzero(which)
-        picks = [drawn(self._generators[row], len(self.trials.members)) for row in rows]
-        self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
-        self._ended = self._ended & ~which
-
-    def observations(self) -> Any:
-        """Return what is to be seen in all copies now, (num_envs, n)."""
-        return self.trials.observe().astype(np.float32)
-
-    def _info(self) -> dict[str, Any]:
-        everyone = np.ones(self.num_envs, dtype=bool)
-        return {"fitness": self.trials.fitness.copy(), "_fitness": everyone}
+def _flat(layer: Any) -> Array:
+    """Return the weights (n_in, n_out) of a linear layer row by row, and then its biases."""
+    weight, bias = (part.detach().cpu().numpy().astype(np.float64) for part in (layer.weight, layer.bias))
+    return np.concatenate([weight.T.ravel(), bias])

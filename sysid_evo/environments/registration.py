@@ -1,4 +1,4 @@
-"""What an environment can be made of, and the names that Gymnasium knows."""
+"""What an environment can be made of, and the environments that Gymnasium knows by name."""
 
 from __future__ import annotations
 
@@ -12,21 +12,13 @@ from sysid_evo.artefacts import is_stored
 from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.environments.environments import Actions, ModelEnvironment, ModelVectorEnvironment
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.extras import check_installed
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.models.storage import load_model
 from sysid_evo.registry.registry import make_robot
 from sysid_evo.tasks.task import Task, make_task
 
-ENVIRONMENTS: Mapping[str, tuple[str, str]] = {
-    "sysid_evo/PointToPoint-v0": ("emulated_car", "point_to_point"),
-    "sysid_evo/WalledTrack-v0": ("emulated_car", "walled_track"),
-    "sysid_evo/SwingUp-v0": ("pendulum", "swing_up"),
-    "sysid_evo/Balance-v0": ("cart_pole", "balance"),
-    "sysid_evo/SetPoint-v0": ("thermal", "set_point"),
-    "sysid_evo/TrackReference-v0": ("thermal", "track_reference"),
-}
-"""The emulated robot and the task behind each name; both can be given to `gymnasium.make` instead."""
+Source: TypeAlias = Dynamics | str | Path
+"""A model or an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
 
 
 def make_env(
@@ -61,21 +53,6 @@ def _task(task: str | Task) -> Task:
     return make_task(task) if isinstance(task, str) else task
 
 
-for _name, (_robot, _at) in ENVIRONMENTS.items():
-    if _name not in gymnasium.registry:
-        gymnasium.register(
-            _name,
-            entry_point=f"{__name__}:make_env",
-            vector_entry_point=f"{__name__}:make_vector_env",
-            kwargs={"model": _robot, "task": _at},
-        )
-
-check_installed("an environment", ("gymnasium",))
-
-Source: TypeAlias = Dynamics | str | Path
-"""A model or an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
-
-
 def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
     """Return the dynamics by name that ``source`` stands for; several are an ensemble.
 
@@ -89,9 +66,9 @@ def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict
     if isinstance(source, (str, Path)):
         if Path(source).is_dir():
             return _folder(Path(source))
-        return {_making_name(source): _dynamics(source)}
+        return {_name_of(source): _dynamics(source)}
     listed = list(source)
-    return {f"{_making_name(one)}-{i + 1}": _dynamics(one) for i, one in enumerate(listed)}
+    return {f"{_name_of(one)}-{i + 1}": _dynamics(one) for i, one in enumerate(listed)}
 
 
 def _dynamics(source: Source) -> Dynamics:
@@ -115,5 +92,26 @@ def _folder(folder: Path) -> dict[str, Dynamics]:
     return {file.stem: _dynamics(file) for file in files}
 
 
-def _making_name(source: Source) -> str:
+def _name_of(source: Source) -> str:
     return type(source).__name__ if isinstance(source, Dynamics) else Path(source).stem
+
+
+ENVIRONMENTS: Mapping[str, tuple[str, str]] = {
+    "sysid_evo/PointToPoint-v0": ("emulated_car", "point_to_point"),
+    "sysid_evo/WalledTrack-v0": ("emulated_car", "walled_track"),
+    "sysid_evo/SwingUp-v0": ("pendulum", "swing_up"),
+    "sysid_evo/Balance-v0": ("cart_pole", "balance"),
+    "sysid_evo/SetPoint-v0": ("thermal", "set_point"),
+    "sysid_evo/TrackReference-v0": ("thermal", "track_reference"),
+}
+"""The emulated robot and the task behind each name; both can be given to `gymnasium.make` instead."""
+
+
+for _name, (_robot, _at) in ENVIRONMENTS.items():
+    if _name not in gymnasium.registry:
+        gymnasium.register(
+            _name,
+            entry_point=f"{__name__}:make_env",
+            vector_entry_point=f"{__name__}:make_vector_env",
+            kwargs={"model": _robot, "task": _at},
+        )

@@ -1,4 +1,4 @@
-"""Settings, disturbances and feasibility of a controller evolution, and evolve_controller."""
+"""Evolving a controller against a model or an ensemble: settings, what candidates meet there, how far a robot goes."""
 
 from __future__ import annotations
 

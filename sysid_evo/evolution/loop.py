@@ -1,4 +1,7 @@
-"""The ask-tell loop, and stages that come before the task."""
+"""The generation loop, as a generator that belongs to the caller; easier stages that come before the task.
+
+In incremental evolution easier forms of the task come first, the next one as soon as the fitness is there.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choosing a champion without the robot, and refining it on an ensemble (polish)."""
+"""Choosing a champion without the robot, by what it does in other models; polishing it on an ensemble."""
 
 from __future__ import annotations
 

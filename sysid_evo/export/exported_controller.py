@@ -1,4 +1,4 @@
-"""A champion down to legal controls, with its test vectors."""
+"""A champion as what is written into a file: its program down to legal controls, test vectors, what numbers mean."""
 
 from __future__ import annotations
 

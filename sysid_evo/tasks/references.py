@@ -1,4 +1,4 @@
-"""Set_point, track_reference, swing_up, balance."""
+"""Tasks for any system: hold states at a value, follow a reference, swing up an angle, balance it."""
 
 from __future__ import annotations
 

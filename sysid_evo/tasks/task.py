@@ -1,4 +1,4 @@
-"""The contract: Task, TaskState, and what can be drawn of a trial (Scene, Target); make_task."""
+"""The contract of a task: what to achieve, how to observe it, when it is over; what can be drawn of a trial."""
 
 from __future__ import annotations
 

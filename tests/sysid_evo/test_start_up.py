@@ -86,13 +86,6 @@ def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
 
 
-def test_the_core_is_imported_without_a_compiler_and_without_torch() -> None:
-    packages = ("controllers", "engine", "evolution", "models", "predictive_control", "tasks", "testing")
-    imports = ", ".join(f"sysid_evo.{name}" for name in packages)
-    _, imported = answer(f"import json, sys, {imports}\nprint(json.dumps(sorted(sys.modules)))")
-    assert not {"numba", "llvmlite", "torch"} & set(imported)
-
-
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
 def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given: str | None, expected: str) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}

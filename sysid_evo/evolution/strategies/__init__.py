@@ -1,1 +1,17 @@
-"""The public names of the strategies."""
+"""Evolution strategies: what asks for candidates and is told their fitness."""
+
+from sysid_evo.evolution.strategies.cma_es import CmaEs
+from sysid_evo.evolution.strategies.map_elites import MapElites
+from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
+from sysid_evo.evolution.strategies.niches import Niches
+from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState, make_strategy
+
+__all__ = [
+    "CmaEs",
+    "EvolutionStrategy",
+    "MapElites",
+    "MuPlusLambda",
+    "Niches",
+    "StrategyState",
+    "make_strategy",
+]

@@ -9,12 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.evolution.strategies.strategy import ABOVE, BELOW, EvolutionStrategy, StrategyState
 from sysid_evo.extras import check_installed
 from sysid_evo.registry.registry import register_strategy
 from sysid_evo.types import Array, IntArray, check_shape
-
-ABOVE, BELOW = "above", "below"
 
 KEPT = 15
 """Cells that the elite is taken from: the best."""

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState, make_strategy
+from sysid_evo.evolution.strategies.strategy import ABOVE, BELOW, EvolutionStrategy, StrategyState, make_strategy
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import register_strategy, strategies
 from sysid_evo.types import Array, check_shape
-
-ABOVE, BELOW = "above", "below"
 
 ANYTHING = "anything"
 

@@ -1,4 +1,4 @@
-"""The contract of an evolution strategy; make_strategy."""
+"""The contract of an evolution strategy: ask for a population, tell its fitness."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from sysid_evo.progress import State
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import strategies
 from sysid_evo.types import Array, check_shape
+
+ABOVE, BELOW = "above", "below"
+"""How the two descriptors of a channel end, see `sysid_evo.engine.behaviour_names`."""
 
 StrategyState: TypeAlias = State
 """All that changes in a strategy."""

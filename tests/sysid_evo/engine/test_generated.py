@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import sys
 import threading
@@ -13,7 +12,6 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled import compiler
 from sysid_evo.engine.compiled.compiler import imported, name_of
 from sysid_evo.engine.compiled.internals import TRIED, compiler_for
 from sysid_evo.engine.compiled.language import generate
@@ -59,21 +57,6 @@ def test_a_function_within_a_kernel_is_not_made_into_machine_code_of_its_own(tmp
         for made in function.overloads.values()
     }
     assert translated == {"entry": True, "double_1": False}
-
-
-def test_only_what_is_behind_the_fence_imports_numba() -> None:
-    within = Path(compiler.__file__).parent
-    packages = [within.parents[1], *(within.parents[2] / name for name in ("model_zoo", "evaluation", "hardware"))]
-    importing = {
-        file
-        for package in packages
-        for file in package.rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, (ast.Import, ast.ImportFrom))
-        for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [one.name for one in node.names])
-        if name.partition(".")[0] in ("numba", "llvmlite")
-    }
-    assert importing == {within / name for name in compiler.FENCED}
 
 
 def test_a_version_of_numba_that_was_not_tried_compiles_in_its_own_way() -> None:

@@ -212,3 +212,9 @@ def test_models_of_different_systems_are_no_ensemble() -> None:
 def test_nothing_else_imports_gymnasium() -> None:
     program = "import sys, sysid_evo.cli.app, evaluation, sysid_evo.engine; sys.exit('gymnasium' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_without_gymnasium_it_is_said_what_is_missing() -> None:
+    program = "import sys; sys.modules['gymnasium'] = None; import sysid_evo; sysid_evo.make_env"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert "MissingExtra: an environment needs the package 'gymnasium', which is not installed." in ended.stderr
