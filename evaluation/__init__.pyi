@@ -1,26 +1,74 @@
+from .advice.evidence import advice_to_json
+from .coverage import UncoveredBox
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
-from .exploitability.results import ModelExploitability
-from .planning import plan_comparison
+from .exploitability.results import ModelExploitability, exploitability_card, exploitability_to_json
+from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, places
+from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
 from .prediction.cases import PredictionProtocol
-from .prediction.scores import Prediction
+from .prediction.scores import PERSISTENCE, Prediction
 from .prediction.scoring import assess_prediction
-from .report.report import save_report, tables, to_html, to_json
+from .report.report import brief, save_report, story_of, tables, to_html, to_json, transfer_tables, transfer_to_json
+from .report.save import FORMATS, write_format
+from .report.sections.advice import advice_lines
+from .report.sections.summary import tells_nothing
+from .report.study import study_brief, study_document
 from .results import DataSummary, Failure, ModelSummary, Report
-from .running import compare, run_study
+from .run_evolution import (
+    EvolutionPlan,
+    EvolutionResult,
+    ExploitPlan,
+    driven_outside,
+    evolution_result,
+    exploit_result,
+    plan_evolution,
+    plan_exploit,
+)
+from .run_folder import (
+    check_run_folder,
+    latest_run_folder,
+    owner_of,
+    runs_in,
+    seed_of_run,
+    settings_of_run,
+    store_of_run,
+    summary_of_run,
+    unneeded_files,
+)
+from .running import compare, report_again, report_of, run_study, study_folder, write_study
+from .study.planning import PlannedStudy, plan_study, seconds_about
 from .study.results import StudyResults
-from .study.study import Study
+from .study.study import STUDY_FILE, Study
 from .transfer import Cell
-from .transfer.matrix import TransferMatrix, run_cell, transfer, transfer_seeds
+from .transfer.matrix import (
+    MeasuredResult,
+    TransferMatrix,
+    cell_of,
+    load_measured,
+    measured_by_person,
+    run_cell,
+    save_measured,
+    transfer,
+    transfer_seeds,
+)
 from .transfer.summary import TransferSummary, summarise
 
 __all__ = [
+    "FORMATS",
+    "PERSISTENCE",
+    "STUDY_FILE",
     "Cell",
+    "Comparison",
     "DataSummary",
+    "EvolutionPlan",
+    "EvolutionResult",
     "Experiment",
+    "ExploitPlan",
     "Failure",
+    "MeasuredResult",
     "ModelExploitability",
     "ModelSummary",
+    "PlannedStudy",
     "Prediction",
     "PredictionProtocol",
     "Report",
@@ -28,17 +76,64 @@ __all__ = [
     "StudyResults",
     "TransferMatrix",
     "TransferSummary",
+    "UncoveredBox",
+    "advice_lines",
+    "advice_to_json",
     "assess_exploitability",
     "assess_prediction",
+    "brief",
+    "cell_of",
+    "check_experiment",
+    "check_fit",
+    "check_run_folder",
     "compare",
+    "comparison_of",
+    "contenders",
+    "driven_outside",
+    "dynamics_of",
+    "evolution_result",
+    "exploit_result",
+    "exploitability_card",
+    "exploitability_to_json",
+    "find_column",
+    "is_model_of_a_run",
+    "latest_run_folder",
+    "load_measured",
+    "matrix_of",
+    "measured_by_person",
+    "owner_of",
+    "places",
     "plan_comparison",
+    "plan_evolution",
+    "plan_exploit",
+    "plan_study",
+    "report_again",
+    "report_of",
     "run_cell",
     "run_study",
+    "runs_in",
+    "save_measured",
     "save_report",
+    "seconds_about",
+    "seed_of_run",
+    "settings_of_run",
+    "store_of_run",
+    "story_of",
+    "study_brief",
+    "study_document",
+    "study_folder",
     "summarise",
+    "summary_of_run",
     "tables",
+    "tells_nothing",
     "to_html",
     "to_json",
     "transfer",
     "transfer_seeds",
+    "transfer_tables",
+    "transfer_to_json",
+    "unneeded_files",
+    "unsettled",
+    "write_format",
+    "write_study",
 ]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.cells.assessment import RunCell
-from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell
+from evaluation.cells.assessment import RunCell, SearchCell
+from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell, evolution_settings
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import files_of
 from evaluation.cells.plants import Plant
@@ -15,11 +16,19 @@ from evaluation.coverage import UncoveredBox, what_to_record
 from evaluation.experiment import Experiment
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
-from evaluation.members import dynamics_of, find_column, is_file, other_models, record_of_file
+from evaluation.members import (
+    check_evolution,
+    dynamics_of,
+    find_column,
+    has_dynamics,
+    is_file,
+    other_models,
+    record_of_file,
+)
 from evaluation.prediction.scores import error_of
 from evaluation.run_folder import owner_of
 from evaluation.transfer.forecast import Forecast, forecasts
-from evaluation.transfer.matrix import TransferMatrix, transfer, transfer_seeds
+from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
 from sysid_evo.artefacts import stored_file
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
@@ -33,7 +42,166 @@ from sysid_evo.plan import Again, Plan, Store, StoredCell
 from sysid_evo.registry import load_plugin
 from sysid_evo.tasks.task import make_task
 
+AGAIN = "evaluation.run_evolution:plan_again"
+"""What makes the plan of an evolution again in another process."""
+
+CLAIM_TRIALS = 100
+
 TRIALS = 10
+"""Trials in each model that show where a controller drives."""
+
+
+@dataclass(frozen=True)
+class EvolutionPlan:
+    """The cell of a controller against ``columns``, those of its claims there, and on the run's other models.
+
+    ``remarks`` say why its task cannot be done well there, in sentences.
+    """
+
+    columns: tuple[Plant, ...]
+    champion: ChampionCell
+    claims: tuple[RunCell, ...]
+    elsewhere: tuple[RunCell, ...]
+    plan: Plan
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class EvolutionResult:
+    """What became of an evolution: the claims by column, their unit, and the forecast, None where there is none.
+
+    ``chosen`` is from how many finalists the controller was chosen by their forecasts, 0 where it was not. ``regions``
+    are where it drives outside the data.
+    """
+
+    claims: Mapping[str, TransferResult]
+    unit: str
+    forecast: Forecast | None
+    chosen: int
+    regions: tuple[UncoveredBox, ...]
+
+    @property
+    def forecast_sentence(self) -> str:
+        """What is expected on the robot, by how many models, and how many finalists were chosen from by that."""
+        if self.forecast is None:
+            return ""
+        found = self.forecast
+        size = f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f}) {self.unit}".rstrip()
+        among = f"; it was chosen among {self.chosen} finalists by their forecasts" if self.chosen > 1 else ""
+        return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
+
+
+def plan_evolution(
+    experiment: Experiment, store: Store, members: Sequence[str], settings: Mapping[str, Any]
+) -> EvolutionPlan:
+    """Return the cells of a controller against ``members`` of a run, see `find_column`; nothing is computed.
+
+    ``settings`` are those that ``experiment`` was made of, for another process to make it of them again. Raises what
+    `find_column` and `check_evolution` do.
+    """
+    columns = tuple(find_column(store, member) for member in members)
+    remarks = check_evolution(store, columns, evolution_settings(experiment))
+    return _planned(experiment, store, columns, remarks=remarks, again=again_of(store, settings, members))
+
+
+def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
+    """Return the plan of the same evolution again, for another process."""
+    experiment = Experiment.of(made_of["settings"])
+    for plugin in experiment.plugins:
+        load_plugin(plugin)
+    store = Store(run)
+    return _planned(experiment, store, tuple(find_column(store, member) for member in made_of["members"])).plan
+
+
+def _planned(
+    experiment: Experiment,
+    store: Store,
+    columns: tuple[Plant, ...],
+    *,
+    remarks: tuple[str, ...] = (),
+    again: Again | None = None,
+) -> EvolutionPlan:
+    """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere.
+
+    What is evolved on a robot is run nowhere else: there is nothing to forecast.
+    """
+    others = other_models(store, columns)
+    champion = controller_cell(experiment, columns, judges=columns + others)
+
+    def on(column: Plant) -> RunCell:
+        return RunCell(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed)
+
+    labels = {column.label for column in columns}
+    models = [] if any(column.robot is not None for column in columns) else by_label(others)
+    claims = tuple(map(on, columns))
+    elsewhere = tuple(on(column) for column in models if column.label not in labels)
+    judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
+    predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
+    plan = Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
+    return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
+
+
+def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
+    """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
+    records = {record.digest: record for record in store.records() if record.status == "done"}
+    fits = [record for record in records.values() if record.kind == "fit"]
+    data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
+    texts = (*settings.get("plugins", ()), *members)
+    files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
+    names = []
+    for member in members:
+        manifest = stored_file(member, "model") if is_file(member) else None
+        own = None if manifest is None else record_of_file(store, manifest)
+        if manifest is not None and own is None:
+            files[member] = tuple(map(str, files_of(manifest)))
+        names.append(member if own is None else Path(own.artefact).name)
+    after = (*data, *(record.digest for record in fits))
+    return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
+
+
+def by_label(columns: Sequence[Plant]) -> tuple[Plant, ...]:
+    """Return the models among ``columns``, of those with one label the first."""
+    return tuple({column.label: column for column in reversed(columns) if column.robot is None}.values())[::-1]
+
+
+def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
+    """Return what ``store`` has of an evolution whose controller is there."""
+    champion, columns = store.outcome(planned.champion).value, planned.columns
+    claims = {cell.column.label: claim for cell in planned.claims if (claim := store.outcome(cell).value) is not None}
+    on_models = all(column.robot is None for column in columns)
+    models = {column.label: dynamics_of(store, column) for column in columns if has_dynamics(column)}
+    return EvolutionResult(
+        claims=claims,
+        unit=next((claim.unit for claim in reversed(claims.values())), ""),
+        forecast=forecast_from(store, champion, (*planned.claims, *planned.elsewhere) if on_models else ()),
+        chosen=chosen_from(planned.champion, store),
+        regions=regions_of(champion, models),
+    )
+
+
+def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> Forecast | None:
+    """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
+    found = {run.column.label: (run.column, cell) for run in runs if (cell := store.outcome(run).value) is not None}
+    predicted = {
+        label: None if column.prediction is None else store.outcome(column.prediction).value
+        for label, (column, _) in found.items()
+    }
+    matrix = TransferMatrix.of(
+        [champion],
+        tuple(found),
+        [cell for _, cell in found.values()],
+        families={label: column.registered for label, (column, _) in found.items()},
+    )
+    errors = {label: error_of(prediction) for label, prediction in predicted.items()}
+    return forecasts(matrix, errors).get(champion.name)
+
+
+def chosen_from(champion: ChampionCell, store: Store) -> int:
+    """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
+    choice = champion.chosen if isinstance(champion, PolishCell) else champion
+    if not isinstance(choice, ChooseCell):
+        return 0
+    return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
 
 
 def regions_of(
@@ -61,7 +229,7 @@ def regions_of(
     return what_to_record(support, driven)
 
 
-def inspected(controller: Path, support: Support) -> tuple[str, tuple[UncoveredBox, ...]]:
+def driven_outside(controller: Path, support: Support) -> tuple[str, tuple[UncoveredBox, ...]]:
     """Return the name of the controller in a file of a run, and where it drives outside the data in its models.
 
     Raises `InvalidArgument` if the models that it was evolved in are not in its run.
@@ -78,116 +246,41 @@ def inspected(controller: Path, support: Support) -> tuple[str, tuple[UncoveredB
     return champion.name, regions_of(champion, models, support)
 
 
-def by_label(columns: Sequence[Plant]) -> tuple[Plant, ...]:
-    """Return the models among ``columns``, of those with one label the first."""
-    return tuple({column.label: column for column in reversed(columns) if column.robot is None}.values())[::-1]
+@dataclass(frozen=True)
+class ExploitPlan:
+    """The cell of a controller that gains most in the model ``target``, and the models that it is compared with."""
+
+    target: Plant
+    others: tuple[Plant, ...]
+    cell: SearchCell
 
 
-def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> Forecast | None:
-    """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
-    found = {run.column.label: (run.column, cell) for run in runs if (cell := store.outcome(run).value) is not None}
-    predicted = {
-        label: None if column.prediction is None else store.outcome(column.prediction).value
-        for label, (column, _) in found.items()
-    }
-    matrix = TransferMatrix.of(
-        [champion],
-        tuple(found),
-        [cell for _, cell in found.values()],
-        families={label: column.registered for label, (column, _) in found.items()},
-    )
-    errors = {label: error_of(prediction) for label, prediction in predicted.items()}
-    return forecasts(matrix, errors).get(champion.name)
+def plan_exploit(experiment: Experiment, store: Store, model: str) -> ExploitPlan:
+    """Return the search for a controller that gains in ``model`` of a run and in no model of another family."""
+    target = find_column(store, model)
+    others = tuple(one for one in other_models(store, (target,)) if one.registered != target.registered)
+    evolution = evolution_settings(experiment)
+    check_evolution(store, (target,), evolution)
+    return ExploitPlan(target, others, SearchCell(target, others, evolution, experiment.seed))
 
 
-def forecast_sentence(found: Forecast, unit: str, *, chosen: int) -> str:
-    """Say what is expected on the robot, by how many models, and how many finalists were chosen from by that."""
-    size = f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f}) {unit}".rstrip()
-    among = f"; it was chosen among {chosen} finalists by their forecasts" if chosen > 1 else ""
-    return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
-
-
-CLAIM_TRIALS = 100
-
-AGAIN = "evaluation.run_evolution:plan_again"
-"""What makes the plan of a command again in another process."""
-
-
-def cells_of(
-    experiment: Experiment, store: Store, columns: tuple[Plant, ...]
-) -> tuple[ChampionCell, tuple[RunCell, ...], tuple[RunCell, ...]]:
-    """Return the cell of the controller against ``columns``, those of its claims there, and on the run's other models.
-
-    What is evolved on a robot is run nowhere else: there is nothing to forecast.
-    """
-    others = other_models(store, columns)
-    champion = controller_cell(experiment, columns, judges=columns + others)
-    delay = experiment.estimator_delay
-
-    def on(column: Plant) -> RunCell:
-        return RunCell(champion, column, delay, CLAIM_TRIALS, 0, experiment.seed)
-
-    labels = {column.label for column in columns}
-    models = [] if any(column.robot is not None for column in columns) else by_label(others)
-    return champion, tuple(map(on, columns)), tuple(on(column) for column in models if column.label not in labels)
-
-
-def plan_of(
-    champion: ChampionCell, claims: Sequence[RunCell], elsewhere: Sequence[RunCell], again: Again | None = None
-) -> Plan:
-    """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere."""
-    judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
-    predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
-    return Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
-
-
-def chosen_from(champion: ChampionCell, store: Store) -> int:
-    """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
-    choice = champion.chosen if isinstance(champion, PolishCell) else champion
-    if not isinstance(choice, ChooseCell):
-        return 0
-    return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
-
-
-def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
-    """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
-    records = {record.digest: record for record in store.records() if record.status == "done"}
-    fits = [record for record in records.values() if record.kind == "fit"]
-    data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
-    texts = (*settings.get("plugins", ()), *members)
-    files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
-    names = []
-    for member in members:
-        manifest = stored_file(member, "model") if is_file(member) else None
-        own = None if manifest is None else record_of_file(store, manifest)
-        if manifest is not None and own is None:
-            files[member] = tuple(map(str, files_of(manifest)))
-        names.append(member if own is None else Path(own.artefact).name)
-    after = (*data, *(record.digest for record in fits))
-    return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
-
-
-def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
-    """Return the plan of the same command again, for another process."""
-    experiment = Experiment.of(made_of["settings"])
-    for plugin in experiment.plugins:
-        load_plugin(plugin)
-    store = Store(run)
-    return plan_of(*cells_of(experiment, store, tuple(find_column(store, member) for member in made_of["members"])))
-
-
-def _looked_at(
-    champion: Champion, target: Plant, columns: tuple[Plant, ...], store: Store, seed: int, on_robot: bool
+def exploit_result(
+    planned: ExploitPlan, store: Store, *, seed: int, robot: str | None = None
 ) -> tuple[TransferMatrix, ModelExploitability | None]:
-    """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to."""
+    """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to.
+
+    ``robot`` names an emulated one to run it on, too. Of a model whose data are not in the run there is no assessment.
+    """
+    target = planned.target
+    columns = (target, *planned.others, *(() if robot is None else (find_column(store, robot),)))
     models = {column.label: dynamics_of(store, column) for column in columns}
-    robot = columns[-1].label if on_robot else None
+    on_robot = None if robot is None else columns[-1].label
     matrix = transfer(
-        [champion],
+        [store.load(planned.cell)],
         {label: DynamicsRunner(dynamics) for label, dynamics in models.items()},
         seed=seed,
         families={column.label: column.registered for column in columns},
-        robot=robot,
+        robot=on_robot,
     )
     records = store.records()
     own = next((one for one in records if target.model is not None and one.digest == target.model.digest), None)
@@ -195,6 +288,6 @@ def _looked_at(
     if data is None:
         return matrix, None
     parts = store.load(StoredCell(data, GivenData))
-    fitted = {label: dynamics for label, dynamics in models.items() if label != robot}
+    fitted = {label: dynamics for label, dynamics in models.items() if label != on_robot}
     looked = assess_exploitability(matrix, parts.training, parts.test, models=fitted, seed=seed)
     return matrix, next(one for one in looked if one.model == target.label)

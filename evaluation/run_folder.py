@@ -65,6 +65,52 @@ def latest_run_folder(run: Path | None) -> Path:
     return found[-1].parent
 
 
+def runs_in(folder: Path) -> list[Path]:
+    """Return the run folders in ``folder``, the oldest first."""
+    found = [path for path in folder.glob("*") if path.is_dir() and is_run(path)]
+    return sorted(found, key=lambda path: path.stat().st_mtime)
+
+
+def store_of_run(run: Path) -> Store:
+    """Return what is in a run folder. Raises `InvalidArgument` if it is none."""
+    if not is_run(run):
+        raise InvalidArgument(f"expected a run folder, found none at {run}")
+    return Store(run)
+
+
+def settings_of_run(run: Path) -> dict[str, Any]:
+    """Return the settings of the experiment in a run folder, none if it has none. Raises `InvalidArgument`."""
+    store_of_run(run)
+    return Experiment.read(run) if (run / FILE).is_file() else {}
+
+
+def summary_of_run(run: Path) -> dict[str, Any]:
+    """Return how many cells ended how, how long they took, which models were fitted, and whether there is a report."""
+    records = store_of_run(run).records()
+    return {
+        "run": str(run),
+        "done": sum(record.status == "done" for record in records),
+        "failed": sum(record.status == "failed" for record in records),
+        "seconds": round(sum(record.seconds for record in records), 1),
+        "models": sorted({record.name for record in records if record.kind == "fit"}),
+        "report": (run / "report.html").is_file(),
+    }
+
+
+def unneeded_files(run: Path) -> list[Path]:
+    """Return the files in a run folder that no finished cell needs. Raises `InvalidArgument` while one is computed."""
+    store = store_of_run(run)
+    if store.busy():
+        raise InvalidArgument(f"{run}: a process is computing in this run; wait for its end")
+    kept = {name for record in store.records() if record.status == "done" for name in record.files}
+    return [
+        file
+        for place in ("cells", "data", "models", "controllers", "results")
+        for file in sorted((run / place).rglob("*"))
+        if file.is_file() and ".locks" not in file.parts and _is_litter(file, run, kept, store)
+    ]
+
+
 def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
     name = file.relative_to(run)
     if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
@@ -76,31 +122,3 @@ def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
         return name.as_posix() not in kept
     record = store.find(file.stem) if file.suffix == ".json" else None
     return record is None or record.status == "failed"
-
-
-def _runs_in(folder: Path) -> list[Path]:
-    found = [path for path in folder.glob("*") if path.is_dir() and is_run(path)]
-    return sorted(found, key=lambda path: path.stat().st_mtime)
-
-
-def _summary(run: Path) -> dict[str, Any]:
-    records = _store(run).records()
-    return {
-        "run": str(run),
-        "done": sum(record.status == "done" for record in records),
-        "failed": sum(record.status == "failed" for record in records),
-        "seconds": round(sum(record.seconds for record in records), 1),
-        "models": sorted({record.name for record in records if record.kind == "fit"}),
-        "report": (run / "report.html").is_file(),
-    }
-
-
-def _store(run: Path) -> Store:
-    if not is_run(run):
-        raise InvalidArgument(f"expected a run folder, found none at {run}")
-    return Store(run)
-
-
-def _settings(run: Path) -> dict[str, Any]:
-    _store(run)
-    return Experiment.read(run) if (run / FILE).is_file() else {}

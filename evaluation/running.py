@@ -18,8 +18,7 @@ from evaluation.results import DataSummary, Failure, ModelSummary, Report
 from evaluation.run_folder import check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather, save_parquet
-from evaluation.study.study import FILE as STUDY_FILE
-from evaluation.study.study import Study
+from evaluation.study.study import STUDY_FILE, Study
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
@@ -75,7 +74,7 @@ def compare(
     comparison.experiment.write(folder / FILE)
     store = Store(folder)
     execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
-    return finished(comparison, store)
+    return report_of(comparison, store)
 
 
 def _storable(value: Any) -> Any:
@@ -85,7 +84,7 @@ def _storable(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def finished(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
+def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
     """Return the report of what ``store`` holds, and write it into the run folder.
 
     A page that shows just that already is drawn again only if it is wanted ``afresh``.
@@ -106,7 +105,7 @@ def report_again(comparison: Comparison, store: Store) -> Report | None:
             tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}
             if all(needed.digest in tried for needed in assess.needs):
                 execute(Plan.of([assess]), store, only=[assess])
-    return finished(comparison, store, afresh=True)
+    return report_of(comparison, store, afresh=True)
 
 
 def gather_results(comparison: Comparison, store: Store) -> Report:
@@ -223,7 +222,7 @@ def run_study(
     planned = plan_study(found)
     found.write(folder / STUDY_FILE)
     execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
-    return finish(planned, folder)
+    return write_study(planned, folder)
 
 
 def study_folder(out: str | Path | None, file: Path) -> Path:
@@ -231,7 +230,7 @@ def study_folder(out: str | Path | None, file: Path) -> Path:
     return check_run_folder(Path("runs") / file.stem if out is None else out)
 
 
-def finish(planned: PlannedStudy, folder: Path) -> StudyResults:
+def write_study(planned: PlannedStudy, folder: Path) -> StudyResults:
     """Return what stands in ``folder``, and write tables, document and page there."""
     results = gather(planned, folder)
     save_parquet(results, folder)

@@ -33,9 +33,9 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 def commands() -> str:
     """Return the page of the command line: what ``--help`` says of every command, as Markdown."""
-    from sysid_evo.cli.app import app
+    from sysid_evo.cli.app import loaded
 
-    command = typer.main.get_command(app)
+    command = loaded()
     context = typer.Context(command, info_name="sysid-evo")
     written = get_docs_for_click(obj=command, ctx=context, name="sysid-evo", title="Command line")
     for part in _all_of(command):

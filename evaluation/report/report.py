@@ -163,6 +163,13 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     return strict
 
 
+def transfer_tables(matrix: TransferMatrix) -> list[RenderableType]:
+    """Return a transfer matrix without a report as the tables that a report has of it."""
+    manner = behaviour.manner_sheet(manners(matrix), matrix.robot)
+    sheets = (transfer.transfer_sheet(matrix), controllers.standing_sheet(matrix, summary_of(matrix)), manner)
+    return [part for sheet in sheets if sheet is not None for part in to_rich(sheet)]
+
+
 SHOWN_FAILURES = 5
 """Failures whose reasons fit on a screen."""
 

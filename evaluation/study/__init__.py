@@ -16,17 +16,17 @@ from evaluation.study.figures import (
 )
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import ControllerRow, ModelRow, PointRow, StudyResults, gather
-from evaluation.study.study import FILE, Point, Study
+from evaluation.study.study import STUDY_FILE, Point, Study
 
 __all__ = [
     "CHOSEN",
-    "FILE",
     "HINDSIGHT",
     "ControllerFigures",
     "ControllerRow",
     "ExploitFigures",
     "ForecastFigures",
     "ModelRow",
+    "STUDY_FILE",
     "PlannedStudy",
     "Point",
     "PointRow",

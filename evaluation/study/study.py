@@ -14,7 +14,7 @@ from typing import Any
 from evaluation.experiment import Experiment, no_setting, read_toml, write_toml
 from sysid_evo.errors import InvalidArgument
 
-FILE = "study.toml"
+STUDY_FILE = "study.toml"
 
 PARTS = ("title", "experiment", "grid", "reference")
 
@@ -114,7 +114,7 @@ class Study:
     @classmethod
     def read(cls, path: str | Path) -> Study:
         """Return the study in a TOML file, or in that of a study's folder. Raises `InvalidArgument`."""
-        file = Path(path) / FILE if Path(path).is_dir() else Path(path)
+        file = Path(path) / STUDY_FILE if Path(path).is_dir() else Path(path)
         settings = read_toml(file, "a study")
         try:
             return cls.of({"title": file.stem, **settings})

@@ -25,7 +25,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.randomness import as_seed, trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import Target, Task
+from sysid_evo.tasks import Target, Task, TaskState
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
 
@@ -431,6 +431,34 @@ def person(name: str = "human", *, task: str = "point_to_point", system: System 
     return Champion(
         name, np.empty(0), (), "min", 0, np.empty((0, 3)), controller=BY_HAND, task=Spec.parse(task), system=system
     )
+
+
+def measured_by_person(
+    name: str,
+    column: str,
+    trials: Sequence[tuple[float, Trajectory | None, TaskState]],
+    *,
+    task: str,
+    system: System,
+    on_robot: bool,
+    physical: bool = False,
+    traces: int = 10,
+) -> MeasuredResult:
+    """Return the cell of trials that ``name`` drove by hand: the fitness, the course and the end of each."""
+    goal, kept = make_task(task), []
+    for fitness, trajectory, state in trials[:traces]:
+        if trajectory is not None:
+            scene = goal.scene(state, 0)
+            kept.append(Trace(trajectory, fitness, scene.markers, scene.radius))
+    cell = TransferResult(
+        champion=name,
+        column=column,
+        fitness=np.array([fitness for fitness, _, _ in trials]),
+        unit=goal.fitness_unit,
+        engine="by hand",
+        traces=tuple(kept),
+    )
+    return MeasuredResult(person(name, task=task, system=system), cell, on_robot=on_robot, physical=physical)
 
 
 def save_measured(run: Path, measured: MeasuredResult) -> Path:

@@ -13,7 +13,7 @@ import numpy as np
 from hardware.connection import Connectable, Connection, GateLimits
 from hardware.control_loop import ControlLoop, Pilot, check_loop
 from hardware.estimator import NewestPose, StateEstimate
-from hardware.recording.journal import SUFFIX, Recorder, check_journals, read_journal
+from hardware.recording.journal import JOURNALS, SUFFIX, Recorder, check_journals, read_journal
 from hardware.recording.journal_reader import column_names, raw_log
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.run_report import LoopReport, Stops
@@ -183,6 +183,22 @@ def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
     if not episodes:
         raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))
+
+
+def store_journals(folder: Path, runs: Iterable[tuple[str, GateLimits | None]], system: System) -> Dataset | None:
+    """Store what the journals of these runs in ``folder`` hold as CSV (``raw/``) and as a data set, and return that.
+
+    Each run has a name, and limits for another gate than the one its journal names. None if no journal holds a run.
+    Raises `InvalidData` if all are too short.
+    """
+    logs = [log for name, limits in runs for log in logs_of(folder / JOURNALS, [name], limits)]
+    if not logs:
+        return None
+    for log in logs:
+        save_raw(log, system, folder / "raw" / f"{log.name}.csv")
+    dataset = prepared(logs, system)
+    dataset.save(folder)
+    return dataset
 
 
 def save_raw(log: RawLog, system: System, path: str | Path) -> Path:

@@ -1,1 +1,1 @@
-"""The command line, ``sysid-evo``."""
+"""The command line, ``sysid-evo``: an application above the four packages."""

@@ -6,17 +6,28 @@
 from __future__ import annotations
 
 import errno
+import signal
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 from rich.console import Console
 from rich.text import Text
 
-if TYPE_CHECKING:
-    from hardware.run_report import Reason
+WRONG_INPUT = 2
 
+SOME_FAILED = 3
+
+ROBOT = 4
+
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of a command that was stopped with Ctrl-C."""
+
+EXIT_CODES = (
+    "Exit codes: 0 done; 2 wrong usage or input; 3 some parts failed (the rest is done, reasons are told); "
+    "4 robot, link or scheduler; 130 interrupted."
+)
 
 INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)
 """What stops a work that was going on: no space, no quota, a failing disk, too many open files."""
@@ -28,12 +39,22 @@ err = Console(stderr=True)
 problems = Console(stderr=True)
 
 
+class RunLog(Protocol):
+    """A run folder with a log: a `sysid_evo.plan.store.Store`."""
+
+    path: Path
+
+    def log(self, **event: Any) -> None:
+        """Append one line to the log."""
+        ...
+
+
 @dataclass
 class Session:
-    """What this command was asked: to show tracebacks, and where it logs."""
+    """What this command was asked: to show tracebacks, and the run in which it logs errors."""
 
     debug: bool = False
-    run: Path | None = None
+    run: RunLog | None = None
 
 
 session = Session()
@@ -50,11 +71,9 @@ def complain(error: BaseException) -> None:
     if session.debug:
         problems.print(text, markup=False, highlight=False, soft_wrap=True)
     problems.print(Text.assemble(("error: ", "bold red"), sentence_of(error)))
-    if session.run is not None and session.run.is_dir():
-        from sysid_evo.plan.store import Store
-
+    if session.run is not None and session.run.path.is_dir():
         try:
-            Store(session.run).log(error=sentence_of(error), traceback=text)
+            session.run.log(error=sentence_of(error), traceback=text)
         except OSError as failed:
             problems.print(f"the error could not be logged: {failed}", markup=False, highlight=False)
 
@@ -68,25 +87,6 @@ def sentence_of(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-DONE = 0
-
-WRONG_INPUT = 2
-
-SOME_FAILED = 3
-
-ROBOT = 4
-
-EXIT_CODES = (
-    "Exit codes: 0 done; 2 wrong usage or input; 3 some parts failed (the rest is done, reasons are told); "
-    "4 robot, link or scheduler; 130 interrupted."
-)
-
-
-def code_of_loop(reason: Reason) -> int:
-    """Return the exit code of a command that drove a robot until ``reason``: a signal keeps its own."""
-    return reason.exit_code if reason.exit_code == 0 or reason.exit_code >= 128 else ROBOT
-
-
 def code_of(error: BaseException) -> int:
     """Return the exit code of a command that ``error`` ended."""
     if isinstance(error, KeyboardInterrupt):
@@ -94,7 +94,3 @@ def code_of(error: BaseException) -> int:
     if isinstance(error, ConnectionError):
         return ROBOT
     return SOME_FAILED if isinstance(error, OSError) else WRONG_INPUT
-
-
-INTERRUPTED = 130
-"""Exit code of a command that was stopped with Ctrl-C."""

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-import json as json_format
+import json
 import shlex
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
+import evaluation
+import sysid_evo
+from evaluation.experiment import FILE, Experiment
 from sysid_evo.cli.console import SOME_FAILED, complain, err, out, session, tell
 from sysid_evo.cli.options import (
     Aggregate,
@@ -33,22 +39,17 @@ from sysid_evo.cli.options import (
     Task,
     Test,
     Trials,
-    existing,
+    column_map,
     given,
     listed,
     load_plugins,
+    resolved,
     seconds,
 )
 from sysid_evo.cli.progress import Bars, print_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from evaluation.planning import Comparison
-    from evaluation.report import Report
-    from evaluation.study import PlannedStudy, StudyResults
-    from evaluation.transfer.matrix import MeasuredResult
-    from sysid_evo.plan.store import Outcome, Store
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.plan.executors import execute
+from sysid_evo.plan.store import Outcome, Store
 
 
 def compare(
@@ -102,25 +103,21 @@ def compare(
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     dry_run: DryRun = False,
-    json: Json = False,
+    as_json: Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
 ) -> None:
     """Fit models, evolve controllers in them, and compare both: which predict, which transfer.
 
     With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
     """
-    from evaluation.experiment import Experiment
-    from evaluation.planning import unsettled
-    from sysid_evo.errors import InvalidArgument
-
     settings = Experiment.read(config) if config is not None else {}
     if settings.pop("data_digest", None) and not (data or robot or "data" in settings or "robot" in settings):
         raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
     if preset is not None and settings:
-        load_plugins([Path(file) for file in settings.get("plugins", ())])
-        settings = unsettled(settings)
+        load_plugins(settings.get("plugins"))
+        settings = evaluation.unsettled(settings)
     settings |= given(
-        data=None if data is None else tuple(str(path.resolve()) for path in data),
+        data=resolved(data),
         test=None if test is None else tuple(test),
         leave_out=leave_out,
         models=listed("--models", models),
@@ -144,326 +141,16 @@ def compare(
         estimator_delay=seconds(estimator_delay),
         yardstick=yardstick,
         seed=seed,
-        columns=None if columns is None else existing(columns),
-        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
+        columns=column_map(columns),
+        plugins=resolved(plugin),
     )
     try:
         experiment = Experiment.of(settings)
     except InvalidArgument as error:
         raise InvalidArgument(f"{'' if config is None else f'{config}, or an option: '}{error}") from error
-    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=json, verbose=verbose)
-
-
-def run_experiment(
-    experiment: Any,
-    folder: Path | None,
-    *,
-    jobs: int | None,
-    scheduler: str | None,
-    dry_run: bool,
-    json: bool,
-    verbose: bool,
-) -> None:
-    """Plan an experiment, run what is not done yet, and print what it found."""
-    from evaluation.planning import check_experiment, plan_comparison
-    from evaluation.report import tells_nothing
-    from evaluation.run_folder import check_run_folder
-    from evaluation.running import finished
-    from evaluation.transfer import load_measured
-    from sysid_evo.errors import InvalidData
-    from sysid_evo.plan.executors import execute
-    from sysid_evo.plan.store import Store
-
-    load_plugins([Path(plugin) for plugin in experiment.plugins])
-    path = check_run_folder(folder)
-    check_experiment(experiment)
-    dataset = read_data(experiment)
-    measured, damaged = load_measured(path)
-    comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
-    store = Store(path)
-    for remark in (*comparison.plan.remarks, *damaged):
-        tell(remark, label="note: ", style="dim")
-    if dry_run:
-        print_plan(comparison.plan, store, json=json)
-        return
-    session.run = path
-    store_experiment(comparison, path)
-    with Bars(f"--out {shlex.quote(str(path))}", elsewhere=scheduler is not None) as bars:
-        outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
-    failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
-    stopped = outcomes[comparison.data.digest].error
-    if isinstance(stopped, ConnectionError):  # no robot, no data, no report
-        raise stopped
-    empty = False
-    try:
-        if experiment.only == "fit":
-            print_fits(comparison, store, outcomes, json=json)
-        else:
-            report = finished(comparison, store)
-            print_report(report, path, json=json, verbose=verbose)
-            empty = tells_nothing(report)
-    except InvalidData as error:
-        if not failed:
-            raise
-        complain(error)
-    if failed:
-        tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
-    if failed or empty:
-        raise typer.Exit(SOME_FAILED)
-
-
-def read_data(experiment: Any) -> Any:
-    """Read the recordings of an experiment, if it has some, and tell what their preparation noted."""
-    if experiment.data is None:
-        return None
-    from sysid_evo.data.dataset import Dataset
-
-    dataset = Dataset.read(experiment.data, columns=experiment.columns)
-    for note in dataset.notes:
-        tell(note, label="note: ", style="dim")
-    return dataset
-
-
-def store_experiment(comparison: Comparison, path: Path) -> None:
-    """Write ``experiment.toml``; if another one stood there, say in what it differs."""
-    from evaluation.experiment import FILE, Experiment
-
-    file = path / FILE
-    wanted = comparison.experiment.model_dump(mode="json", exclude_none=True)
-    if file.is_file():
-        found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
-        differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
-        if differing:
-            tell(f"{file} had other {', '.join(differing)}; what both need is kept", label="note: ", style="dim")
-    comparison.experiment.write(file)
-
-
-def print_report(report: Report, path: Path, *, json: bool, verbose: bool) -> None:
-    """Print the verdict, the short table, and where the report is."""
-    from evaluation.report import brief, tables, to_json
-
-    if json:
-        out.print_json(json_format.dumps(to_json(report)))
-        return
-    for part in tables(report) if verbose else brief(report, folder=path):
-        out.print(part, crop=False)
-    err.print(where_time_went(report.timings), highlight=False)
-    out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)
-
-
-def print_fits(comparison: Comparison, store: Store, outcomes: Mapping[str, Outcome], *, json: bool) -> None:
-    """Print where each fitted model stands, why one does not, how it learned; then what limits the best of them."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from evaluation.advice import advice_to_json
-    from evaluation.report import advice_lines
-
-    advice = store.outcome(comparison.advice).value
-    rows = []
-    for label, cell in comparison.fits.items():
-        outcome = outcomes[cell.digest]
-        rows.append(
-            {
-                "model": label,
-                "seconds": round(outcome.seconds, 1),
-                "file": None if outcome.failed else f"{store.where(cell)}.json",
-                "reason": outcome.reason,
-                "advice": advice_to_json(advice) if advice is not None and advice.model == label else None,
-                "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
-            }
-        )
-    if json:
-        out.print_json(json_format.dumps(rows))
-        return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("model", "seconds", "stored as"):
-        table.add_column(heading, justify="right" if heading == "seconds" else "left", overflow="fold")
-    for row in rows:
-        table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
-    out.print(table)
-    for row in rows:
-        if row["note"]:
-            out.print(Text(f"{row['model']} {row['note']}"))
-    for part in [] if advice is None else advice_lines(advice):
-        out.print(part)
-    labels = ",".join(str(row["model"]) for row in rows if row["file"])
-    if labels:
-        command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
-        tell(f"evolve against them with: {command}")
-
-
-def where_time_went(timings: Mapping[str, float]) -> str:
-    """Return the seconds that each kind of cell took, whenever that was, the longest first."""
-    kinds: dict[str, float] = {}
-    for cell, taken in timings.items():
-        kind = cell.split(" ", 1)[0]
-        kinds[kind] = kinds.get(kind, 0.0) + taken
-    parts = [f"{kind} {taken:.1f} s" for kind, taken in sorted(kinds.items(), key=lambda item: -item[1])]
-    return f"Computing took {sum(kinds.values()):.1f} s in all: {', '.join(parts)}"
-
-
-def report(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
-    json: Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
-    formats: Annotated[
-        list[str] | None,
-        typer.Option("--format", help="Write it as markdown or svg (figures), too; repeatable."),
-    ] = None,
-) -> None:
-    """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
-    from evaluation.report.report import story_of
-    from evaluation.report.save import FORMATS, write_format
-    from sysid_evo.errors import InvalidArgument, InvalidData
-
-    for name in formats or ():
-        if name not in FORMATS:
-            raise InvalidArgument(f"--format: expected one of {', '.join(FORMATS)}, got {name!r}")
-
-    made = report_again(run)
-    if made is None:
-        raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
-    print_report(made, run, json=json, verbose=verbose)
-    for name in formats or ():
-        if files := write_format(story_of(made), name, run):  # one without figures has none as svg
-            tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
-
-
-def append(folder: Path, *measured: MeasuredResult) -> None:
-    """Store cells in a run, and make its report again if it has one: of robots, and of people on anything."""
-    from evaluation.experiment import FILE
-    from evaluation.transfer.matrix import save_measured
-
-    for item in measured:
-        save_measured(folder, item)
-    if (folder / FILE).is_file() and report_again(folder) is not None:
-        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
-    else:
-        tell(f"stored in {folder}, which has no report (compare makes one)")
-
-
-def report_again(run: Path) -> Report | None:
-    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
-
-    Raises `InvalidArgument` if ``run`` is no comparison's run.
-    """
-    from evaluation import running
-    from evaluation.planning import comparison_of
-    from sysid_evo.plan.store import Store
-
-    comparison, remarks = comparison_of(run)
-    session.run = run
-    for remark in remarks:
-        tell(remark, label="note: ", style="dim")
-    return running.report_again(comparison, Store(run))
-
-
-def study(
-    file: Annotated[Path, typer.Argument(help="The study, STUDY.toml, or the folder of one.")],
-    folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the study (default runs/NAME of the file).")
-    ] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
-    render: Annotated[
-        bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
-    ] = False,
-    json: Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table.")] = False,
-) -> None:
-    """Compare over a grid of robots, seeds and settings: tables with intervals, Parquet, a page.
-
-    What two points share is computed once. Interrupted, it goes on with the same command; a point that is added later
-    computes only what is new.
-    """
-    from evaluation.run_folder import check_run_folder
-    from evaluation.running import finish, study_folder
-    from evaluation.study import FILE, Study, plan_study
-    from sysid_evo.errors import InvalidArgument
-    from sysid_evo.plan.executors import execute
-    from sysid_evo.plan.store import Store
-
-    found = Study.read(file)
-    path = check_run_folder(file) if file.is_dir() and folder is None else study_folder(folder, file)
-    if render and not path.is_dir():
-        raise InvalidArgument(f"--render: expected the folder of a study, found none at {path}")
-    planned = plan_study(found)
-    store = Store(path)
-    for remark in planned.plan.remarks:
-        tell(remark, label="note: ", style="dim")
-    if dry_run:
-        print_points(planned, store, json=json)
-        return
-    session.run = path
-    if not render:
-        found.write(path / FILE)
-        with Bars(f"--out {shlex.quote(str(path))}", where=planned.where, elsewhere=scheduler is not None) as bars:
-            execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
-    results = finish(planned, path)
-    print_study(results, path, json=json, verbose=verbose)
-    if results.failures:
-        tell(f"{len(results.failures)} of {len(planned.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
-        raise typer.Exit(SOME_FAILED)
-
-
-def print_study(results: StudyResults, path: Path, *, json: bool, verbose: bool) -> None:
-    """Print the answers, the short table, and where the rest is."""
-    from evaluation.report.study import study_brief, study_document
-
-    if json:
-        out.print_json(json_format.dumps(study_document(results)))
-        return
-    for part in study_brief(results, verbose=verbose):
-        out.print(part)
-    out.print(f"Tables: {path / 'study.md'}", highlight=False, soft_wrap=True)
-    out.print(f"Page: {path / 'study.html'}", highlight=False, soft_wrap=True)
-
-
-def print_points(planned: PlannedStudy, store: Store, *, json: bool) -> None:
-    """Print the points, how many cells of each are done, and about how long the others take on one processor."""
-    from rich.table import Table
-
-    from evaluation.study.planning import seconds_about
-
-    records = {cell.digest: store.find(cell.digest) for cell in planned.plan}
-    about = seconds_about(planned, records)
-    done = {digest for digest, record in records.items() if record is not None and record.status == "done"}
-    rows: list[dict[str, Any]] = []
-    seen: set[str] = set()
-    for point, comparison in planned.points:
-        own = [cell.digest for cell in comparison.plan]
-        new = [digest for digest in own if digest not in seen and digest not in done]
-        seen |= set(own)
-        rows.append(
-            {
-                "point": point.name,
-                "cells": len(own),
-                "kept": sum(digest in done for digest in own),
-                "seconds": round(sum(about[digest] for digest in new), 1),
-            }
-        )
-    total = sum(about[digest] for digest in about if digest not in done)
-    if json:
-        document = {"points": rows, "cells": len(records), "kept": len(done), "seconds": round(total, 1)}
-        out.print_json(json_format.dumps({**document, "remarks": list(planned.plan.remarks)}))
-        return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("point", "cells", "kept", "about"):
-        table.add_column(heading, justify="left" if heading == "point" else "right", overflow="fold")
-    for row in rows:
-        table.add_row(row["point"], str(row["cells"]), str(row["kept"]), duration(row["seconds"]))
-    out.print(table)
-    sentence = f"{len(rows)} points, {len(records)} cells, {len(done)} kept, about {duration(total)} of one processor"
-    out.print(sentence, highlight=False)
-
-
-def duration(seconds: float) -> str:
-    """Return a time in the unit that fits."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+    run_experiment(
+        experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=verbose
+    )
 
 
 DEFAULT = "auto"
@@ -491,16 +178,288 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
-    from evaluation.experiment import Experiment
-
     settings = given(
-        data=tuple(str(path.resolve()) for path in data),
+        data=resolved(data),
         test=None if test is None else tuple(test),
         models=listed("--models", models),
         preset=preset,
         seed=seed,
-        columns=None if columns is None else existing(columns),
-        plugins=None if plugin is None else tuple(str(path.resolve()) for path in plugin),
+        columns=column_map(columns),
+        plugins=resolved(plugin),
     )
     experiment = Experiment.of({**settings, "only": "fit"})
-    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, json=as_json, verbose=False)
+    run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=False)
+
+
+def run_experiment(
+    experiment: Experiment,
+    folder: Path | None,
+    *,
+    jobs: int | None,
+    scheduler: str | None,
+    dry_run: bool,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    """Plan an experiment, run what is not done yet, and print what it found."""
+    load_plugins(experiment.plugins)
+    path = evaluation.check_run_folder(folder)
+    evaluation.check_experiment(experiment)
+    dataset = read_data(experiment)
+    measured, damaged = evaluation.load_measured(path)
+    comparison = evaluation.plan_comparison(experiment, dataset=dataset, measured=measured)
+    store = Store(path)
+    for remark in (*comparison.plan.remarks, *damaged):
+        tell(remark, label="note: ", style="dim")
+    if dry_run:
+        print_plan(comparison.plan, store, as_json=as_json)
+        return
+    session.run = store
+    store_experiment(comparison, path)
+    with Bars(f"--out {shlex.quote(str(path))}", elsewhere=scheduler is not None) as bars:
+        outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+    failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
+    stopped = outcomes[comparison.data.digest].error
+    if isinstance(stopped, ConnectionError):  # no robot, no data, no report
+        raise stopped
+    empty = False
+    try:
+        if experiment.only == "fit":
+            print_fits(comparison, store, outcomes, as_json=as_json)
+        else:
+            report = evaluation.report_of(comparison, store)
+            print_report(report, path, as_json=as_json, verbose=verbose)
+            empty = evaluation.tells_nothing(report)
+    except InvalidData as error:
+        if not failed:
+            raise
+        complain(error)
+    if failed:
+        tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+    if failed or empty:
+        raise typer.Exit(SOME_FAILED)
+
+
+def read_data(experiment: Experiment) -> sysid_evo.Dataset | None:
+    """Read the recordings of an experiment, if it has some, and tell what their preparation noted."""
+    if experiment.data is None:
+        return None
+    dataset = sysid_evo.Dataset.read(experiment.data, columns=experiment.columns)
+    for note in dataset.notes:
+        tell(note, label="note: ", style="dim")
+    return dataset
+
+
+def store_experiment(comparison: evaluation.Comparison, path: Path) -> None:
+    """Write ``experiment.toml``; if another one stood there, say in what it differs."""
+    file = path / FILE
+    wanted = comparison.experiment.model_dump(mode="json", exclude_none=True)
+    if file.is_file():
+        found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
+        differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
+        if differing:
+            tell(f"{file} had other {', '.join(differing)}; what both need is kept", label="note: ", style="dim")
+    comparison.experiment.write(file)
+
+
+def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbose: bool) -> None:
+    """Print the verdict, the short table, and where the report is."""
+    if as_json:
+        out.print_json(json.dumps(evaluation.to_json(report)))
+        return
+    for part in evaluation.tables(report) if verbose else evaluation.brief(report, folder=path):
+        out.print(part, crop=False)
+    err.print(where_time_went(report.timings), highlight=False)
+    out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)
+
+
+def print_fits(
+    comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, Outcome], *, as_json: bool
+) -> None:
+    """Print where each fitted model stands, why one does not, how it learned; then what limits the best of them."""
+
+    advice = store.outcome(comparison.advice).value
+    rows = []
+    for label, cell in comparison.fits.items():
+        outcome = outcomes[cell.digest]
+        rows.append(
+            {
+                "model": label,
+                "seconds": round(outcome.seconds, 1),
+                "file": None if outcome.failed else f"{store.where(cell)}.json",
+                "reason": outcome.reason,
+                "advice": evaluation.advice_to_json(advice) if advice is not None and advice.model == label else None,
+                "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
+            }
+        )
+    if as_json:
+        out.print_json(json.dumps(rows))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("model", "seconds", "stored as"):
+        table.add_column(heading, justify="right" if heading == "seconds" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
+    out.print(table)
+    for row in rows:
+        if row["note"]:
+            out.print(Text(f"{row['model']} {row['note']}"))
+    for part in [] if advice is None else evaluation.advice_lines(advice):
+        out.print(part)
+    labels = ",".join(str(row["model"]) for row in rows if row["file"])
+    if labels:
+        command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
+        tell(f"evolve against them with: {command}")
+
+
+def where_time_went(timings: Mapping[str, float]) -> str:
+    """Return the seconds that each kind of cell took, whenever that was, the longest first."""
+    kinds: dict[str, float] = {}
+    for cell, taken in timings.items():
+        kind = cell.split(" ", 1)[0]
+        kinds[kind] = kinds.get(kind, 0.0) + taken
+    parts = [f"{kind} {taken:.1f} s" for kind, taken in sorted(kinds.items(), key=lambda item: -item[1])]
+    return f"Computing took {sum(kinds.values()):.1f} s in all: {', '.join(parts)}"
+
+
+def report(
+    run: Annotated[Path, typer.Argument(help="Run folder.")],
+    as_json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--format", help="Write it as markdown or svg (figures), too; repeatable."),
+    ] = None,
+) -> None:
+    """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
+    for name in formats or ():
+        if name not in evaluation.FORMATS:
+            raise InvalidArgument(f"--format: expected one of {', '.join(evaluation.FORMATS)}, got {name!r}")
+
+    made = report_again(run)
+    if made is None:
+        raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
+    print_report(made, run, as_json=as_json, verbose=verbose)
+    for name in formats or ():
+        if files := evaluation.write_format(
+            evaluation.story_of(made), name, run
+        ):  # one without figures has none as svg
+            tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
+
+
+def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
+    """Store a cell of a robot, or of a person on anything, in a run, and make its report again if it has one."""
+    evaluation.save_measured(folder, measured)
+    if (folder / FILE).is_file() and report_again(folder) is not None:
+        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+    else:
+        tell(f"stored in {folder}, which has no report (compare makes one)")
+
+
+def report_again(run: Path) -> evaluation.Report | None:
+    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+
+    Raises `InvalidArgument` if ``run`` is no comparison's run.
+    """
+    comparison, remarks = evaluation.comparison_of(run)
+    store = session.run = Store(run)
+    for remark in remarks:
+        tell(remark, label="note: ", style="dim")
+    return evaluation.report_again(comparison, store)
+
+
+def study(
+    file: Annotated[Path, typer.Argument(help="The study, STUDY.toml, or the folder of one.")],
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the study (default runs/NAME of the file).")
+    ] = None,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    dry_run: DryRun = False,
+    render: Annotated[
+        bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
+    ] = False,
+    as_json: Json = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table.")] = False,
+) -> None:
+    """Compare over a grid of robots, seeds and settings: tables with intervals, Parquet, a page.
+
+    What two points share is computed once. Interrupted, it goes on with the same command; a point that is added later
+    computes only what is new.
+    """
+    found = evaluation.Study.read(file)
+    path = (
+        evaluation.check_run_folder(file) if file.is_dir() and folder is None else evaluation.study_folder(folder, file)
+    )
+    if render and not path.is_dir():
+        raise InvalidArgument(f"--render: expected the folder of a study, found none at {path}")
+    planned = evaluation.plan_study(found)
+    store = Store(path)
+    for remark in planned.plan.remarks:
+        tell(remark, label="note: ", style="dim")
+    if dry_run:
+        print_points(planned, store, as_json=as_json)
+        return
+    session.run = store
+    if not render:
+        found.write(path / evaluation.STUDY_FILE)
+        with Bars(f"--out {shlex.quote(str(path))}", where=planned.where, elsewhere=scheduler is not None) as bars:
+            execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+    results = evaluation.write_study(planned, path)
+    print_study(results, path, as_json=as_json, verbose=verbose)
+    if results.failures:
+        tell(f"{len(results.failures)} of {len(planned.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+        raise typer.Exit(SOME_FAILED)
+
+
+def print_study(results: evaluation.StudyResults, path: Path, *, as_json: bool, verbose: bool) -> None:
+    """Print the answers, the short table, and where the rest is."""
+    if as_json:
+        out.print_json(json.dumps(evaluation.study_document(results)))
+        return
+    for part in evaluation.study_brief(results, verbose=verbose):
+        out.print(part)
+    out.print(f"Tables: {path / 'study.md'}", highlight=False, soft_wrap=True)
+    out.print(f"Page: {path / 'study.html'}", highlight=False, soft_wrap=True)
+
+
+def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: bool) -> None:
+    """Print the points, how many cells of each are done, and about how long the others take on one processor."""
+
+    records = {cell.digest: store.find(cell.digest) for cell in planned.plan}
+    about = evaluation.seconds_about(planned, records)
+    done = {digest for digest, record in records.items() if record is not None and record.status == "done"}
+    rows: list[dict[str, Any]] = []
+    seen: set[str] = set()
+    for point, comparison in planned.points:
+        own = [cell.digest for cell in comparison.plan]
+        new = [digest for digest in own if digest not in seen and digest not in done]
+        seen |= set(own)
+        rows.append(
+            {
+                "point": point.name,
+                "cells": len(own),
+                "kept": sum(digest in done for digest in own),
+                "seconds": round(sum(about[digest] for digest in new), 1),
+            }
+        )
+    total = sum(about[digest] for digest in about if digest not in done)
+    if as_json:
+        document = {"points": rows, "cells": len(records), "kept": len(done), "seconds": round(total, 1)}
+        out.print_json(json.dumps({**document, "remarks": list(planned.plan.remarks)}))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("point", "cells", "kept", "about"):
+        table.add_column(heading, justify="left" if heading == "point" else "right", overflow="fold")
+    for row in rows:
+        table.add_row(row["point"], str(row["cells"]), str(row["kept"]), duration(row["seconds"]))
+    out.print(table)
+    sentence = f"{len(rows)} points, {len(records)} cells, {len(done)} kept, about {duration(total)} of one processor"
+    out.print(sentence, highlight=False)
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that fits."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import inspect
 import json
-import json as json_format
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.table import Table
 from rich.text import Text
 
+import evaluation
+import sysid_evo
+from sysid_evo.artefacts import is_stored, read_artefact
 from sysid_evo.cli.console import INTERRUPTED, out, tell
-from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, existing, listed, load_plugins
-
-if TYPE_CHECKING:
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.models.base import DynamicsModel
-    from sysid_evo.tuning import Tuning
-
+from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, column_map, listed, load_plugins
+from sysid_evo.cli.progress import Bars
+from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.registry.registry import models
+from sysid_evo.tuning import Tuning
 
 app = typer.Typer(help="The model families.", no_args_is_help=True)
 
@@ -29,10 +30,6 @@ app = typer.Typer(help="The model families.", no_args_is_help=True)
 @app.command("list")
 def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     """List every model family that can be loaded, with what it assumes."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from sysid_evo.registry.registry import models
 
     load_plugins(plugin)
     rows: list[dict[str, str | None]] = []
@@ -72,9 +69,6 @@ def show_model(
     as_json: Json = False,
 ) -> None:
     """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
-    from sysid_evo.artefacts import is_stored
-    from sysid_evo.registry.registry import models
-
     load_plugins(plugin)
     stored = name not in models.names() and is_stored(name, "model")
     card = model_card(Path(name), measured=speed) if stored else family_card(name)
@@ -85,97 +79,6 @@ def show_model(
         out.print(part)
 
 
-SHOWN = 12
-"""Ways to adapt that are printed, the best ones."""
-
-
-def adapt(
-    model: Annotated[Path, typer.Argument(help="File of a fitted model, as RUN/models/NAME.", show_default=False)],
-    data: Annotated[
-        list[Path], typer.Option(help="Recordings of the new condition, 10 to 30 s of driving; repeatable.")
-    ],
-    file: Annotated[Path, typer.Option("--out", help="File for the adapted model.", show_default=False)],
-    train: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recordings that the model learned from: a refit with both is tried as well; repeatable."),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(min=1.0, help="Learn from the first so many seconds of each episode only.")
-    ] = None,
-    seed: Seed = None,
-    columns: Columns = None,
-    plugin: Plugins = None,
-    json: Json = False,
-) -> None:
-    """Correct a model for another day, floor or battery, if a gate finds that the correction helps.
-
-    Prints what the gate saw and decided: errors of free runs over blocks that were not learned from.
-    """
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.errors import InvalidArgument
-    from sysid_evo.models.storage import load_model, save_model
-
-    load_plugins(plugin)
-    for suffix in (".json", ".safetensors"):
-        if Path(f"{str(file).removesuffix(suffix)}.json").exists():
-            raise InvalidArgument(f"--out: {file} exists already; remove it, or name another file")
-    base = load_model(model)
-    new = Dataset.read(data, columns=columns)
-    if seconds is not None:
-        new = new.with_episodes([episode[: max(1, round(seconds / new.system.dt))] for episode in new])
-    training = None if train is None else Dataset.read(train, columns=columns)
-    with Bars() as bars:
-        bars.begin("adapt")
-        adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
-        bars.end("adapt", None)
-    path = save_model(adapted, file, seed=seed, data=new.fingerprint)
-    rows = seen(adapted)
-    if json:
-        found = {"decision": adapted.verdict_, "tried": rows, "corrected": adapted.corrects, "file": str(path)}
-        out.print_json(json_format.dumps(found))
-        return
-    print_gate(new, rows, adapted.verdict_)
-    out.print(f"stored as {path}", highlight=False, markup=False, soft_wrap=True)
-    if not adapted.corrects and adapted.chosen_ == "none":
-        tell("the stored model predicts what its base predicts", label="note: ", style="dim")
-
-
-def seen(adapted: Any) -> list[dict[str, Any]]:
-    """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
-
-    They are fewer blocks where it was given up after one that showed it to be no good.
-    """
-    return [
-        {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
-        for name, shares in zip(adapted.tried_, adapted.gate_, strict=True)
-    ]
-
-
-def print_gate(new: Dataset, rows: list[dict[str, Any]], decision: str) -> None:
-    """Print the table of what was tried, the best first, and the decision."""
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    table.add_column("way", no_wrap=True)
-    table.add_column("all", justify="right")
-    table.add_column("in each block", justify="right")
-    count = max((len(row["blocks"]) for row in rows), default=0)
-    for row in sorted(rows, key=lambda row: float(row["error"]))[:SHOWN]:
-        shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))
-        table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(shares))
-    if rows:
-        out.print(
-            f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
-            "errors as a share of that of the model as it was (-: given up before):",
-            highlight=False,
-        )
-        out.print(table)
-        if len(rows) > SHOWN:
-            out.print(f"and {len(rows) - SHOWN} that were worse (--json has them)", highlight=False, style="dim")
-    out.print(decision, highlight=False, markup=False)
-
-
 SPEED_ROLLOUTS = 640
 
 SPEED_STEPS = 100
@@ -183,8 +86,6 @@ SPEED_STEPS = 100
 
 def family_card(name: str) -> dict[str, Any]:
     """Return what there is to say of a family: what it assumes, its hyper-parameters and their presets."""
-    from sysid_evo.registry.registry import models
-
     family: Any = models.get(name)
     signature = inspect.signature(family.__init__)
     hyper_parameters = [
@@ -210,11 +111,8 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
 
     Measuring compiles the model, and with it every member of one that is a mean of others.
     """
-    from sysid_evo.artefacts import read_artefact
-    from sysid_evo.models.storage import load_model
-
     manifest, tensors = read_artefact(path, "model")
-    model = load_model(path)
+    model = sysid_evo.load_model(path)
     state_lags, control_lags = model.lags
     return {
         "family": manifest.name,
@@ -238,26 +136,19 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
     }
 
 
-def speed(model: DynamicsModel) -> dict[str, Any]:
+def speed(model: sysid_evo.DynamicsModel) -> dict[str, Any]:
     """Return million steps a second under random controllers, and the form of the engine that ran them."""
-    import numpy as np
-
-    from sysid_evo.controllers.networks import RecurrentNetwork
-    from sysid_evo.engine.rollout import rollout
-    from sysid_evo.errors import IncompatibleTask
-    from sysid_evo.randomness import trial_seeds
-    from sysid_evo.tasks.point_to_point import PointToPoint
-
-    task, controller = PointToPoint(horizon=SPEED_STEPS), RecurrentNetwork()
+    task, controller = sysid_evo.PointToPoint(horizon=SPEED_STEPS), sysid_evo.RecurrentNetwork()
     try:
         bound = task.bind(model.system)
     except IncompatibleTask:
         return {}
     n = controller.bind_to(bound).n_parameters
-    candidates, seeds = np.random.default_rng(0).standard_normal((SPEED_ROLLOUTS // 10, n)), trial_seeds(0, 10)
-    rollout(model, controller, candidates, task, seeds, threads=1)
+    candidates = np.random.default_rng(0).standard_normal((SPEED_ROLLOUTS // 10, n))
+    seeds = sysid_evo.trial_seeds(0, 10)
+    sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
     began = time.perf_counter()
-    run = rollout(model, controller, candidates, task, seeds, threads=1)
+    run = sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
     rate = SPEED_ROLLOUTS * SPEED_STEPS / (time.perf_counter() - began) / 1e6
     return {"million_steps_per_second": round(rate, 2), "engine": run.engine}
 
@@ -333,9 +224,10 @@ def _hyper_parameters(values: Any) -> Table:
     return table
 
 
-FILE = "tune.journal"
+JOURNAL = "tune.journal"
 
-TUNING_SHOWN = 8
+TRIALS_SHOWN = 8
+"""Trials of a search that are printed, the best ones."""
 
 UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
 
@@ -360,16 +252,11 @@ def tune(
 
     Every trial is kept in the run folder; the same command with the same --out goes on.
     """
-    from evaluation.run_folder import check_run_folder
-    from sysid_evo.cli.progress import Bars
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.tuning import Tuning
-
     load_plugins(plugin)
     seconds = None if trials is not None else seconds_of(budget)
-    dataset = Dataset.read(data, columns=None if columns is None else existing(columns))
-    path = folder if folder is not None and (folder / FILE).is_file() else check_run_folder(folder)
-    search = Tuning(family, dataset, horizons=horizon, only=listed("--only", only), seed=seed or 0, file=path / FILE)
+    dataset = sysid_evo.Dataset.read(data, columns=column_map(columns))
+    path = folder if folder is not None and (folder / JOURNAL).is_file() else evaluation.check_run_folder(folder)
+    search = Tuning(family, dataset, horizons=horizon, only=listed("--only", only), seed=seed or 0, file=path / JOURNAL)
     interrupted = False
     with Bars() as bars:
         bars.begin(f"tune {search.spec.name}")
@@ -390,8 +277,6 @@ def tune(
 
 def seconds_of(text: str) -> float:
     """Return a time such as ``5m`` in seconds. Raises `InvalidArgument`."""
-    from sysid_evo.errors import InvalidArgument
-
     found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh]?)", text.strip())
     if found is None or float(found[1]) <= 0.0:
         raise InvalidArgument(f"--budget: expected a time such as 90s, 5m or 1h, got {text!r}")
@@ -414,14 +299,11 @@ def document(search: Tuning) -> dict[str, Any]:
 
 def print_search(search: Tuning) -> None:
     """Print the best trials, what decides, and the line to use."""
-    from rich.table import Table
-    from rich.text import Text
-
     best, tried = search.best, search.tried
     table = Table(box=None, pad_edge=False)
     for heading in ("error", "seconds", "parameters"):
         table.add_column(heading, justify="left" if heading == "parameters" else "right", overflow="fold")
-    for one in tried[:TUNING_SHOWN]:
+    for one in tried[:TRIALS_SHOWN]:
         if one.error is not None:
             settings = ", ".join(f"{key}={value}" for key, value in one.spec.parameters.items())
             table.add_row(f"{one.error:.4f}", f"{one.seconds:.1f}", Text(settings))
@@ -434,3 +316,87 @@ def print_search(search: Tuning) -> None:
     for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "broken off"):
         tell(f"a trial failed: {reason}", label="note: ", style="dim")
     out.print(best.spec.text, highlight=False, markup=False, soft_wrap=True)
+
+
+WAYS_SHOWN = 12
+"""Ways to adapt that are printed, the best ones."""
+
+
+def adapt(
+    model: Annotated[Path, typer.Argument(help="File of a fitted model, as RUN/models/NAME.", show_default=False)],
+    data: Annotated[
+        list[Path], typer.Option(help="Recordings of the new condition, 10 to 30 s of driving; repeatable.")
+    ],
+    file: Annotated[Path, typer.Option("--out", help="File for the adapted model.", show_default=False)],
+    train: Annotated[
+        list[Path] | None,
+        typer.Option(help="Recordings that the model learned from: a refit with both is tried as well; repeatable."),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=1.0, help="Learn from the first so many seconds of each episode only.")
+    ] = None,
+    seed: Seed = None,
+    columns: Columns = None,
+    plugin: Plugins = None,
+    as_json: Json = False,
+) -> None:
+    """Correct a model for another day, floor or battery, if a gate finds that the correction helps.
+
+    Prints what the gate saw and decided: errors of free runs over blocks that were not learned from.
+    """
+    load_plugins(plugin)
+    for suffix in (".json", ".safetensors"):
+        if Path(f"{str(file).removesuffix(suffix)}.json").exists():
+            raise InvalidArgument(f"--out: {file} exists already; remove it, or name another file")
+    base = sysid_evo.load_model(model)
+    new = sysid_evo.Dataset.read(data, columns=columns)
+    if seconds is not None:
+        new = new.with_episodes([episode[: max(1, round(seconds / new.system.dt))] for episode in new])
+    training = None if train is None else sysid_evo.Dataset.read(train, columns=columns)
+    with Bars() as bars:
+        bars.begin("adapt")
+        adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
+        bars.end("adapt", None)
+    path = sysid_evo.save_model(adapted, file, seed=seed, data=new.fingerprint)
+    rows = seen(adapted)
+    if as_json:
+        found = {"decision": adapted.verdict_, "tried": rows, "corrected": adapted.corrects, "file": str(path)}
+        out.print_json(json.dumps(found))
+        return
+    print_gate(new, rows, adapted.verdict_)
+    out.print(f"stored as {path}", highlight=False, markup=False, soft_wrap=True)
+    if not adapted.corrects and adapted.chosen_ == "none":
+        tell("the stored model predicts what its base predicts", label="note: ", style="dim")
+
+
+def seen(adapted: Any) -> list[dict[str, Any]]:
+    """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
+
+    They are fewer blocks where it was given up after one that showed it to be no good.
+    """
+    return [
+        {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
+        for name, shares in zip(adapted.tried_, adapted.gate_, strict=True)
+    ]
+
+
+def print_gate(new: sysid_evo.Dataset, rows: list[dict[str, Any]], decision: str) -> None:
+    """Print the table of what was tried, the best first, and the decision."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("way", no_wrap=True)
+    table.add_column("all", justify="right")
+    table.add_column("in each block", justify="right")
+    count = max((len(row["blocks"]) for row in rows), default=0)
+    for row in sorted(rows, key=lambda row: float(row["error"]))[:WAYS_SHOWN]:
+        shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))
+        table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(shares))
+    if rows:
+        out.print(
+            f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
+            "errors as a share of that of the model as it was (-: given up before):",
+            highlight=False,
+        )
+        out.print(table)
+        if len(rows) > WAYS_SHOWN:
+            out.print(f"and {len(rows) - WAYS_SHOWN} that were worse (--json has them)", highlight=False, style="dim")
+    out.print(decision, highlight=False, markup=False)

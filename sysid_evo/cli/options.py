@@ -1,15 +1,17 @@
-"""Options generated from settings classes, and the few that commands share."""
+"""Options that several commands have, and what their values become."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.registry.grammar import split
+from sysid_evo.registry.plugins import load_plugin
 
 Seed: TypeAlias = Annotated[int | None, typer.Option(help="Everything random follows from it (0).", min=0)]
 
@@ -89,18 +91,19 @@ EstimatorDelay: TypeAlias = Annotated[
 ]
 
 
-def load_plugins(paths: list[Path] | None) -> None:
+def load_plugins(paths: Iterable[str | Path] | None) -> None:
     """Import every plugin file."""
-    from sysid_evo.registry.plugins import load_plugin
-
-    for path in paths or []:
+    for path in paths or ():
         load_plugin(path)
+
+
+def given(**settings: Any) -> dict[str, Any]:
+    """Return the settings that stand on the command line: those that are not None."""
+    return {name: value for name, value in settings.items() if value is not None}
 
 
 def listed(option: str, text: str | None) -> tuple[str, ...] | None:
     """Split ``a, b(c=1, d=2)`` at the commas outside brackets. Raises `InvalidArgument` that names the option."""
-    from sysid_evo.registry.grammar import split
-
     if text is None:
         return None
     try:
@@ -109,14 +112,19 @@ def listed(option: str, text: str | None) -> tuple[str, ...] | None:
         raise InvalidArgument(f"{option}: {error}") from error
 
 
-def given(**settings: Any) -> dict[str, Any]:
-    """Return the settings that stand on the command line: those that are not None."""
-    return {name: value for name, value in settings.items() if value is not None}
-
-
 def seconds(milliseconds: float | None) -> float | None:
     """Return milliseconds as seconds."""
     return None if milliseconds is None else milliseconds / 1000.0
+
+
+def resolved(paths: Sequence[Path] | None) -> tuple[str, ...] | None:
+    """Return paths as absolute ones, which hold in any folder."""
+    return None if paths is None else tuple(str(path.resolve()) for path in paths)
+
+
+def column_map(columns: Path | None) -> str | None:
+    """Return the absolute path of a column map, or the name of a shipped one."""
+    return None if columns is None else str(columns.resolve() if columns.exists() else columns)
 
 
 def check_new_folder(folder: Path) -> None:
@@ -128,30 +136,3 @@ def check_new_folder(folder: Path) -> None:
         raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}")
     if standing == folder and any(folder.iterdir()):
         raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")
-
-
-def split_members(text: str) -> tuple[str, ...]:
-    """Split ``a,b,c`` at the commas outside brackets. Raises `InvalidArgument`."""
-    members = listed("--against", text) or ()
-    repeated = sorted({member for member in members if members.count(member) > 1})
-    if repeated:
-        raise InvalidArgument(f"--against: {', '.join(repeated)} is named twice")
-    return members
-
-
-def existing(columns: Path) -> str:
-    """Return the path of a column map, or the name of a shipped one."""
-    return str(columns.resolve()) if columns.exists() else str(columns)
-
-
-def parsed(option: str, given: Sequence[str]) -> dict[str, str]:
-    """Return patterns by condition from texts ``NAME=PATTERN``. Raises `InvalidArgument` that names the option."""
-    patterns = {}
-    for text in given:
-        name, equals, pattern = text.partition("=")
-        if not (name and equals and pattern):
-            raise InvalidArgument(f"{option}: expected NAME=PATTERN, such as wet='rain_*', got {text!r}")
-        if name in patterns:
-            raise InvalidArgument(f"{option}: {name!r} is given twice")
-        patterns[name] = pattern
-    return patterns

@@ -1,4 +1,4 @@
-"""Names, plugin new, plugin check: the twelve registries and their contracts."""
+"""Names, plugin new, plugin check: what has a name, and the contracts of one's own things."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
+import hardware
+import sysid_evo.testing
 from sysid_evo.cli.console import err, out
 from sysid_evo.cli.options import Json, Plugins, load_plugins
-
-if TYPE_CHECKING:
-    from sysid_evo.registry.grammar import Spec
-    from sysid_evo.testing.contract import CheckResult
-
+from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.registry import KINDS
+from sysid_evo.testing.contract import CheckResult
+from sysid_evo.testing.template import PLUGINS, write_plugin
 
 app = typer.Typer(
     help="Models, tasks, controllers, strategies, robots and readers of your own.",
@@ -34,8 +38,6 @@ def new(
     folder: Annotated[Path | None, typer.Option("--out", help="Folder (default: one of that name).")] = None,
 ) -> None:
     """Write a working package: one file, one entry-point line, one test."""
-    from sysid_evo.testing.template import PLUGINS, write_plugin
-
     where = folder or Path(name)
     for path in write_plugin(name, where, kind):
         out.print(str(path), highlight=False, soft_wrap=True)
@@ -58,9 +60,6 @@ def check(
     plugin: Plugins = None,
 ) -> None:
     """Run the contract of a thing's kind and print every sentence with its verdict."""
-    from rich.text import Text
-
-    from sysid_evo.registry.grammar import Spec
 
     load_plugins(plugin)
     spec = Spec.parse(name)
@@ -79,10 +78,6 @@ def check(
 
 def _kind_of(name: str) -> str:
     """Return the kind of which one is called ``name``. Raises `UnknownName`, or `InvalidArgument` if several are."""
-    from sysid_evo.errors import InvalidArgument, UnknownName
-    from sysid_evo.registry.registry import KINDS
-    from sysid_evo.testing.template import PLUGINS
-
     found = [kind for kind in PLUGINS if name in KINDS[kind].names()]
     if not found:
         raise UnknownName(f"no {', '.join(list(PLUGINS)[:-1])} or {list(PLUGINS)[-1]} is called {name!r}")
@@ -93,8 +88,6 @@ def _kind_of(name: str) -> str:
 
 def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
     """Yield the verdicts of the kit of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
-    from sysid_evo.errors import InvalidArgument
-
     run = _kit(kind)
     if kind == "reader" and data is None:
         raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
@@ -106,36 +99,23 @@ def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
 
 
 def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
-    from sysid_evo.errors import InvalidArgument
-    from sysid_evo.testing.template import PLUGINS
-
+    """Return the kit of a kind of thing. Raises `InvalidArgument` if there is none."""
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
-    if kind == "robot":
-        from hardware.testing import run_robot_checks
-
-        return run_robot_checks
-    from sysid_evo import testing
-
     kits: Mapping[str, Callable[..., Iterator[CheckResult]]] = {
-        "model": testing.run_checks,
-        "task": testing.run_task_checks,
-        "controller": testing.run_controller_checks,
-        "strategy": testing.run_strategy_checks,
-        "reader": testing.run_reader_checks,
+        "model": sysid_evo.testing.run_checks,
+        "task": sysid_evo.testing.run_task_checks,
+        "controller": sysid_evo.testing.run_controller_checks,
+        "strategy": sysid_evo.testing.run_strategy_checks,
+        "robot": hardware.run_robot_checks,
+        "reader": sysid_evo.testing.run_reader_checks,
     }
     return kits[kind]
 
 
-def _dataset(path: Path) -> Any:
-    from sysid_evo.data.dataset import Dataset
-
-    return Dataset.read(path)
-
-
 FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
-    "model": _dataset,
-    "task": lambda path: _dataset(path).system,
+    "model": lambda path: sysid_evo.Dataset.read(path),
+    "task": lambda path: sysid_evo.Dataset.read(path).system,
     "reader": lambda path: path,
 }
 """What a kit takes besides the name, made of the path that was given."""
@@ -147,11 +127,6 @@ def list_names(
     as_json: Json = False,
 ) -> None:
     """List what can be named, NAME(parameter=value, ...), with its parameters and their defaults."""
-    from rich.table import Table
-    from rich.text import Text
-
-    from sysid_evo.errors import UnknownName
-    from sysid_evo.registry.registry import KINDS
 
     load_plugins(plugin)
     if kind is not None and kind not in KINDS:

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import json as json_format
+import json
 import shlex
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
 from rich.text import Text
 
 from sysid_evo.cli.console import err, out, session, tell
-
-if TYPE_CHECKING:
-    from sysid_evo.plan.cell import Cell
-    from sysid_evo.plan.plan import Plan
-    from sysid_evo.plan.store import Outcome, Store
-
+from sysid_evo.plan.cell import Cell
+from sysid_evo.plan.executors import execute
+from sysid_evo.plan.plan import Plan
+from sysid_evo.plan.store import Outcome, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 
@@ -31,6 +30,40 @@ SHOWN = 10
 
 NAMED = 4
 """Cells that an interruption names."""
+
+
+def carry_out(
+    plan: Plan, store: Store, *, dry_run: bool, as_json: bool, jobs: int | None = None, scheduler: str | None = None
+) -> Mapping[str, Outcome] | None:
+    """Compute what is missing of ``plan`` and return the outcome of every cell by its digest.
+
+    With ``dry_run`` print what would be computed instead, and return None.
+    """
+    if dry_run:
+        print_plan(plan, store, as_json=as_json)
+        return None
+    session.run = store
+    with Bars(f"--run {shlex.quote(str(store.path))}", elsewhere=scheduler is not None) as bars:
+        return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+
+
+def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
+    """Print the cells, about how long they take, and which are done."""
+    done = {cell.digest for cell in plan if store.done(cell)}
+    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
+    total = sum(seconds for _, seconds, _ in rows)
+    if as_json:
+        cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
+        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
+        out.print_json(json.dumps(document))
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("cell", overflow="fold")
+    table.add_column("about", justify="right", no_wrap=True)
+    for title, about, kept in rows:
+        table.add_row(title, "kept" if kept else f"{about:.1f} s")
+    out.print(table)
+    out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)
 
 
 class Bars:
@@ -237,41 +270,3 @@ def _duration(seconds: float) -> str:
 def _short(title: str, width: int = 30) -> str:
     width = max(SHORTEST, min(width, err.width - 45))
     return title if len(title) <= width else title[: width - 1] + "…"
-
-
-def carry_out(
-    plan: Plan, store: Store, *, dry_run: bool, json: bool, jobs: int | None = None, scheduler: str | None = None
-) -> Mapping[str, Outcome] | None:
-    """Compute what is missing of ``plan`` and return the outcome of every cell by its digest.
-
-    With ``dry_run`` print what would be computed instead, and return None.
-    """
-    from sysid_evo.plan.executors import execute
-
-    if dry_run:
-        print_plan(plan, store, json=json)
-        return None
-    session.run = store.path
-    with Bars(f"--run {shlex.quote(str(store.path))}", elsewhere=scheduler is not None) as bars:
-        return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
-
-
-def print_plan(plan: Plan, store: Store, *, json: bool) -> None:
-    """Print the cells, about how long they take, and which are done."""
-    from rich.table import Table
-
-    done = {cell.digest for cell in plan if store.done(cell)}
-    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
-    total = sum(seconds for _, seconds, _ in rows)
-    if json:
-        cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
-        document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
-        out.print_json(json_format.dumps(document))
-        return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("cell", overflow="fold")
-    table.add_column("about", justify="right", no_wrap=True)
-    for title, about, kept in rows:
-        table.add_row(title, "kept" if kept else f"{about:.1f} s")
-    out.print(table)
-    out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)

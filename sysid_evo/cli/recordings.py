@@ -1,12 +1,12 @@
-"""Import, inspect: log files become data sets; tables of their quality."""
+"""Import, inspect: log files become data sets; tables of what these are good for."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeAlias
+from typing import Annotated, TypeAlias
 
 import typer
 from rich import box
@@ -15,17 +15,16 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+import evaluation
 from sysid_evo.cli.console import out, tell
-from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins, parsed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from evaluation.exploitability import UncoveredBox
-    from sysid_evo.data.advice import Advice
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.data.preparation import RawLog
-
+from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins
+from sysid_evo.data.advice import Advice, advise
+from sysid_evo.data.dataset import Dataset
+from sysid_evo.data.frames import is_stored_dataset
+from sysid_evo.data.preparation import RawLog
+from sysid_evo.data.reading import read_recording
+from sysid_evo.data.support import Support, recorded_pairs, split_pairs
+from sysid_evo.errors import InvalidArgument
 
 Logs: TypeAlias = Annotated[list[Path], typer.Argument(help="Log files, or folders of them.", show_default=False)]
 
@@ -49,15 +48,12 @@ def import_(
     Logs of poses, three times as fast as the control rate or faster, are differentiated and filtered;
     logs that carry velocities at the control rate are taken row by row.
     """
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.data.reading import read_recording
-
     load_plugins(plugin)
-    patterns = parsed("--condition", condition or [])
+    patterns = patterns_of(condition or ())
     recording = read_recording(logs, columns=columns, condition_column=condition_column)
     dataset = Dataset.of_recording(recording).labelled(patterns)
     dataset.save(folder)
-    _tell(dataset.notes, recording.doubts)
+    tell_notes(dataset.notes, recording.doubts)
     out.print(episode_table(dataset))
     out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
 
@@ -71,40 +67,45 @@ def inspect(
         Path | None,
         typer.Option(help="Controller of a run: also say where it drives that the recording does not cover."),
     ] = None,
-    json: Json = False,
+    as_json: Json = False,
     plugin: Plugins = None,
 ) -> None:
     """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
-    from evaluation.run_evolution import inspected
-    from sysid_evo.data.advice import advise
-    from sysid_evo.data.support import Support, recorded_pairs, split_pairs
-
     load_plugins(plugin)
     dataset, raw, doubts = _open(logs, columns)
     advice = advise(dataset, raw)
-    _tell(dataset.notes, doubts)
-    if json:
+    tell_notes(dataset.notes, doubts)
+    if as_json:
         out.print_json(advice_as_json(dataset, advice))
     else:
         out.print(advice_tables(dataset, advice))
-    if controller is not None and not json:
+    if controller is not None and not as_json:
         support = Support.of(dataset.system, *split_pairs(dataset.system, recorded_pairs(dataset)))
-        print_regions(*inspected(controller, support))
+        print_regions(*evaluation.driven_outside(controller, support))
+
+
+def patterns_of(conditions: Sequence[str]) -> dict[str, str]:
+    """Return patterns by condition from texts ``NAME=PATTERN``. Raises `InvalidArgument`."""
+    patterns: dict[str, str] = {}
+    for text in conditions:
+        name, equals, pattern = text.partition("=")
+        if not (name and equals and pattern):
+            raise InvalidArgument(f"--condition: expected NAME=PATTERN, such as wet='rain_*', got {text!r}")
+        if name in patterns:
+            raise InvalidArgument(f"--condition: {name!r} is given twice")
+        patterns[name] = pattern
+    return patterns
 
 
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:
     """Return a data set, the logs it was made of (none if it was stored), and what looks wrong in them."""
-    from sysid_evo.data.dataset import Dataset
-    from sysid_evo.data.frames import is_stored_dataset
-    from sysid_evo.data.reading import read_recording
-
     if len(paths) == 1 and is_stored_dataset(paths[0]):
         return Dataset.read(paths[0], columns=columns), (), ()
     recording = read_recording(paths, columns=columns)
     return Dataset.of_recording(recording), recording.logs, recording.doubts
 
 
-def _tell(notes: Iterable[str], doubts: Iterable[str]) -> None:
+def tell_notes(notes: Iterable[str], doubts: Iterable[str] = ()) -> None:
     """Print notes on standard error, and what looks wrong as a warning."""
     doubtful = set(doubts)
     for note in notes:
@@ -224,7 +225,7 @@ def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, 
     return table
 
 
-def print_regions(name: str, regions: tuple[UncoveredBox, ...]) -> None:
+def print_regions(name: str, regions: tuple[evaluation.UncoveredBox, ...]) -> None:
     """Print them, one a line; nothing if there are none."""
     if not regions:
         return

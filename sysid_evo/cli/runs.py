@@ -1,14 +1,17 @@
-"""`sysid-evo runs`: which there are, what is in one, in what two differ, and what can go."""
+"""Runs list, runs show, runs diff, runs clean: run folders."""
 
 from __future__ import annotations
 
-import json as json_format
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
+from rich.text import Text
 
+import evaluation
 from sysid_evo.cli.console import out, tell
 from sysid_evo.cli.options import Json
 
@@ -22,13 +25,10 @@ def list_runs(
     folder: Annotated[Path, typer.Argument(help="Folder of run folders.")] = RUNS, as_json: Json = False
 ) -> None:
     """List the runs in a folder, the oldest first."""
-    from rich.table import Table
 
-    from evaluation.run_folder import _runs_in, _summary
-
-    rows = [_summary(run) for run in _runs_in(folder)]
+    rows = [evaluation.summary_of_run(run) for run in evaluation.runs_in(folder)]
     if as_json:
-        out.print_json(json_format.dumps(rows))
+        out.print_json(json.dumps(rows))
         return
     if not rows:
         tell(f"no runs in {folder}")
@@ -45,15 +45,11 @@ def list_runs(
 @app.command("show")
 def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json = False) -> None:
     """Show the cells of a run: how each ended, how long it took, where its result is."""
-    from rich.table import Table
-    from rich.text import Text
 
-    from evaluation.run_folder import _store
-
-    store = _store(run)
+    store = evaluation.store_of_run(run)
     records = store.records()
     if as_json:
-        out.print_json(json_format.dumps([record.model_dump(mode="json") for record in records]))
+        out.print_json(json.dumps([record.model_dump(mode="json") for record in records]))
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("cell", "s", "result"):
@@ -73,19 +69,16 @@ def diff(
     as_json: Json = False,
 ) -> None:
     """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
-    from rich.table import Table
-
-    from evaluation.run_folder import _settings
 
     settings, cells, figures = zip(
-        *((_settings(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
+        *((evaluation.settings_of_run(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
     )
     changed = _beside(settings, only_changed=True)
     alone = [[title for digest, title in here.items() if digest not in there] for here, there in (cells, cells[::-1])]
     known = _beside(figures)
     if as_json:
         document = {"settings": changed, "only_first": alone[0], "only_second": alone[1], "figures": known}
-        out.print_json(json_format.dumps(document))
+        out.print_json(json.dumps(document))
         return
     for run, found in zip((first, second), figures, strict=True):
         if not found:
@@ -110,19 +103,7 @@ def clean(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
 ) -> None:
     """Remove what no finished cell needs: failed cells, damaged records, files that nobody names any more."""
-    from evaluation.run_folder import _is_litter, _store
-    from sysid_evo.errors import InvalidArgument
-
-    store = _store(run)
-    if store.busy():
-        raise InvalidArgument(f"{run}: a process is computing in this run; wait for its end")
-    kept = {name for record in store.records() if record.status == "done" for name in record.files}
-    unneeded = [
-        file
-        for place in ("cells", "data", "models", "controllers", "results")
-        for file in sorted((run / place).rglob("*"))
-        if file.is_file() and ".locks" not in file.parts and _is_litter(file, run, kept, store)
-    ]
+    unneeded = evaluation.unneeded_files(run)
     size = sum(file.stat().st_size for file in unneeded)
     for file in unneeded:
         if dry_run:
@@ -134,22 +115,19 @@ def clean(
 
 
 def _cells(run: Path) -> dict[str, str]:
-    from evaluation.run_folder import _store
-
-    return {record.digest: record.title for record in _store(run).records()}
+    """Return the title of each cell of a run by its digest."""
+    return {record.digest: record.title for record in evaluation.store_of_run(run).records()}
 
 
 def _figures(run: Path) -> dict[str, float | None]:
     """Return the error N of every model, and what every controller claims and achieves, from a run's report."""
-    from evaluation.prediction import PERSISTENCE
-
     if not (run / "report.json").is_file():
         return {}
-    report = json_format.loads((run / "report.json").read_text(encoding="utf-8"))
+    report = json.loads((run / "report.json").read_text(encoding="utf-8"))
     found: dict[str, float | None] = {}
     for model in (report["prediction"] or {"models": []})["models"]:
         near = [score for score in model["horizons"] if score["seconds"] <= 1.0 + 1e-9] or model["horizons"][:1]
-        if near and model["name"] != PERSISTENCE:
+        if near and model["name"] != evaluation.PERSISTENCE:
             found[f"N at {near[-1]['seconds']:g} s, {model['name']}"] = near[-1]["n"]
     controllers = (report["controllers"] or {"controllers": []})["controllers"]
     for one in controllers:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-import scipy
 
 from sysid_evo.data.dataset import Dataset, check_usable
 from sysid_evo.data.preparation import RawLog
@@ -208,6 +207,8 @@ def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
 
 def _bandwidth(series: Sequence[Array], rate: float) -> float:
     """Return the frequency below which 95 % of the power lies (Welch, segments of the same length), in Hz."""
+    import scipy
+
     segment = min(256, max(len(s) for s in series))
     power = np.zeros(segment // 2 + 1)
     frequency = np.fft.rfftfreq(segment, 1.0 / rate)

@@ -5,27 +5,6 @@ yields each sentence with its verdict (for models it is called `run_checks`). Th
 what it checks: `hardware.testing`.
 """
 
-from sysid_evo.testing.closed_loop import check_controller, check_task, run_controller_checks, run_task_checks
-from sysid_evo.testing.contract import CheckResult
-from sysid_evo.testing.evolution import check_strategy, run_strategy_checks
-from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
-from sysid_evo.testing.models import CHECKS, check_model, run_checks
-from sysid_evo.testing.readers import check_reader, run_reader_checks
+import lazy_loader
 
-__all__ = [
-    "CHECKS",
-    "CheckResult",
-    "ExampleDynamics",
-    "check_controller",
-    "check_model",
-    "check_reader",
-    "check_strategy",
-    "check_task",
-    "example_dataset",
-    "example_systems",
-    "run_checks",
-    "run_controller_checks",
-    "run_reader_checks",
-    "run_strategy_checks",
-    "run_task_checks",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid_evo import ConditionFold, Dataset
-from sysid_evo.cli.options import parsed
+from sysid_evo.cli.recordings import patterns_of
 from sysid_evo.data import prepare
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.testing import example_dataset
@@ -60,9 +60,9 @@ def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days: Datas
         days.labelled({"wet": "rain_*", "first": "*_1"})
     with pytest.raises(InvalidArgument, match="there are ''"):
         days.of_condition("wet")
-    assert parsed("--condition", ["wet=rain_*"]) == {"wet": "rain_*"}
+    assert patterns_of(["wet=rain_*"]) == {"wet": "rain_*"}
     with pytest.raises(InvalidArgument, match="--condition: expected NAME=PATTERN"):
-        parsed("--condition", ["wet"])
+        patterns_of(["wet"])
 
 
 FLOORS = np.array(["tiles"] * 80 + ["carpet"] * 120 + [""])

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 from typer.testing import CliRunner
 
-from sysid_evo.cli.app import app
+from sysid_evo.cli.app import app, loaded
 from sysid_evo.data import Dataset, load_columns
 from sysid_evo.data.columns import parse_columns, shipped_names
 
@@ -104,7 +103,7 @@ def test_the_python_of_the_readme_on_data_runs(mine):
 
 
 def test_the_commands_of_the_page_exist_with_these_options(workplace):
-    group = typer.main.get_command(app)
+    group = loaded()
     lines = [line.partition("#")[0] for block in blocks(PAGE, "sh") for line in block.splitlines()]
     assert len(lines) == 3
     for line in lines:

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 
-from sysid_evo.cli.app import app
+from sysid_evo.cli.app import loaded
 from sysid_evo.data import Dataset
 from sysid_evo.registry import KINDS, Registry
 from sysid_evo.testing import example_dataset
@@ -129,7 +128,7 @@ def test_the_python_of_a_page_runs(
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
 def test_the_commands_of_a_page_exist_with_these_options(page: str) -> None:
-    group = typer.main.get_command(app)
+    group = loaded()
     for line in commands(page):
         program, *arguments = shlex.split(line)
         assert program in {"sysid-evo", *OTHER_PROGRAMS}, line

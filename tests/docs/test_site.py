@@ -6,16 +6,14 @@ import html
 import re
 from pathlib import Path
 
-import typer
-
 import sysid_evo
-from sysid_evo.cli.app import app
+from sysid_evo.cli.app import loaded
 from tests.docs.blocks import ROOT
 
 
 def test_every_command_has_its_place_in_the_reference(site: Path) -> None:
     page = html.unescape(re.sub(r"<[^>]+>", "", (site / "reference" / "commands.html").read_text()))
-    group = typer.main.get_command(app)
+    group = loaded()
     for name in group.commands:  # type: ignore[attr-defined]  # an application of several commands is a group
         assert f"sysid-evo {name}" in page
     assert "--leave-out" in page

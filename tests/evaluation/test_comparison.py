@@ -15,7 +15,7 @@ from evaluation.cells.controllers import EvolveCell, HandWrittenCell
 from evaluation.experiment import Experiment
 from evaluation.planning import Comparison, plan_comparison
 from evaluation.report import Report, save_report, to_json
-from evaluation.running import compare, finished
+from evaluation.running import compare, report_of
 from evaluation.transfer import summarise
 from hardware.connection import Connection
 from hardware.robot import Robot
@@ -298,7 +298,7 @@ def test_what_is_the_same_under_two_labels_is_computed_once(tmp_path: Path) -> N
 
 def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
     report = run_in(tmp_path, "linear")
-    again = finished(planned("linear"), Store(tmp_path))
+    again = report_of(planned("linear"), Store(tmp_path))
     assert without_timings(again) == without_timings(report)
 
 
@@ -384,12 +384,12 @@ def test_what_was_assessed_without_a_cell_is_assessed_again_when_the_cell_is_the
 
     monkeypatch.setattr(RunCell, "compute", fails_once)
     execute(comparison.plan, Store(tmp_path))
-    first = finished(comparison, Store(tmp_path))
+    first = report_of(comparison, Store(tmp_path))
     monkeypatch.undo()
     watching = Watching()
     execute(comparison.plan, Store(tmp_path), observer=watching)
     assert watching.computed == {"run linear on nearest_neighbour", "assess exploitability", "advise on the models"}
-    assert without_timings(finished(comparison, Store(tmp_path))) != without_timings(first)
+    assert without_timings(report_of(comparison, Store(tmp_path))) != without_timings(first)
     fresh = Store(tmp_path / "fresh")
     execute(comparison.plan, fresh)
-    assert without_timings(finished(comparison, Store(tmp_path))) == without_timings(finished(comparison, fresh))
+    assert without_timings(report_of(comparison, Store(tmp_path))) == without_timings(report_of(comparison, fresh))

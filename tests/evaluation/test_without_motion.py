@@ -18,7 +18,7 @@ from evaluation.report.render.svg import drawn
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import measure_sheet
-from evaluation.running import finished
+from evaluation.running import report_of
 from evaluation.transfer import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.plan import Store, execute
@@ -40,7 +40,7 @@ def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     comparison = plan_comparison(Experiment(robot=robot, task=task, **SHORT))
     store = Store(folder)
     execute(comparison.plan, store)
-    return finished(comparison, store), folder
+    return report_of(comparison, store), folder
 
 
 def test_every_part_of_the_report_is_there(report: tuple[Report, Path]) -> None:
@@ -70,7 +70,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tupl
 def test_what_was_computed_is_found_again_as_it_was(report: tuple[Report, Path]) -> None:
     found, folder = report
     comparison = plan_comparison(Experiment.of(found.settings))
-    again = finished(comparison, Store(folder))
+    again = report_of(comparison, Store(folder))
     assert json.dumps(to_json(again)["transfer"]) == json.dumps(to_json(found)["transfer"])
     assert again.matrix is not None
     trace = again.matrix.cell("linear", "linear").traces[0]

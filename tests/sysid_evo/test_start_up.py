@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from sysid_evo.cli.app import COMMANDS, load
 from sysid_evo.testing import example_dataset
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
@@ -19,8 +20,7 @@ SECONDS = 0.5
 
 ASK_FOR_HELP = """
 import json, sys
-import typer
-from sysid_evo.cli.app import app, main
+from sysid_evo.cli.app import COMMANDS, main
 
 def ask(*arguments):
     sys.argv = ["sysid-evo", *arguments, "--help"]
@@ -29,8 +29,7 @@ def ask(*arguments):
     except SystemExit as end:
         return [end.code, sorted({name.partition(".")[0] for name in sys.modules})]
 
-commands = sorted(typer.main.get_command(app).commands)
-print(json.dumps({"": ask(), **{command: ask(command) for command in commands}}))
+print(json.dumps({"": ask(), **{command: ask(command) for command in sorted(COMMANDS)}}))
 """
 
 ASK_FOR_NAMES = """
@@ -70,6 +69,12 @@ def test_help_imports_nothing_heavy() -> None:
         assert "typer" in imported
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name: str) -> None:
+    first, *_ = load(name).help.split("\n\n")
+    assert COMMANDS[name].summary == " ".join(first.split())
+
+
 def test_help_takes_less_than_half_a_second() -> None:
     taken = []
     for _ in range(3):
@@ -92,7 +97,7 @@ def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given
     if given is not None:
         environment["OMP_NUM_THREADS"] = given
     code = (
-        "import os, sys\nfrom sysid_evo.cli import main\nassert 'numpy' not in sys.modules\n"
+        "import os, sys\nfrom sysid_evo.__main__ import main\nassert 'numpy' not in sys.modules\n"
         "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n"
         "    print(os.environ['OMP_NUM_THREADS'])"
     )

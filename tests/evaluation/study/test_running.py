@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from evaluation.running import finish, run_study
+from evaluation.running import run_study, write_study
 from evaluation.study import PlannedStudy, Study, StudyResults, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Again, Cell, Silent, Store, execute
@@ -113,7 +113,7 @@ def test_a_point_that_is_added_computes_only_what_is_new(folder: Path, tmp_path:
 
 
 def test_a_study_without_results_says_what_is_missing(planned: PlannedStudy, tmp_path: Path) -> None:
-    results = finish(planned, tmp_path)
+    results = write_study(planned, tmp_path)
     assert not results.finished
     assert sum(point.missing for point in results.points) == len(planned.plan)
     assert not controller_figures(results)

@@ -27,7 +27,7 @@ from hardware.driving.server import check_page
 from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.recording.journal import read_journal
 from hardware.run_report import LoopReport, Reason
-from sysid_evo.cli.robots import Driven, append_row
+from sysid_evo.cli.robots import Driven, add_row
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
@@ -131,9 +131,9 @@ def trial(number: int, fitness: float | None) -> HandTrial:
 def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path: Path) -> None:
     robot = ModelledRobot("linear", make_robot("emulated_car").dynamics)
     driven = Driven(robot, "linear", tmp_path, on_robot=False)
-    append_row(driven, "humFc", [trial(1, None)])
+    add_row(driven, tmp_path, "humFc", [trial(1, None)])
     assert load_measured(tmp_path) == ((), ())
-    append_row(driven, "humFc", [trial(1, 7.0), trial(2, None), trial(3, 9.0)])
+    add_row(driven, tmp_path, "humFc", [trial(1, 7.0), trial(2, None), trial(3, 9.0)])
     ((measured,), _) = load_measured(tmp_path)
     assert measured.cell.fitness.tolist() == [7.0, 9.0]
     assert (measured.cell.champion, measured.cell.column, measured.cell.unit) == ("humFc", "linear", "waypoints")

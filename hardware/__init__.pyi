@@ -1,0 +1,42 @@
+from .connection import GateLimits
+from .driving.controller_driving import play_back, shown_live
+from .driving.hand_driving import HandTrial, check_driving_by_hand, driven_by_hand
+from .driving.server import PageAddress, check_page
+from .driving.trials import RobotRunner
+from .emulation.simulated_robot import in_real_time
+from .emulation.tracked_robots import ModelledRobot
+from .preflight import check_driving, check_recording
+from .recording.journal import JOURNALS, Recorder, recorder_of
+from .recording.manoeuvres import measuring
+from .recording.record import save_raw, store_journals
+from .robot import Robot, find_robot
+from .run_report import LoopReport, Reason, Stops
+from .testing import run_robot_checks
+
+__all__ = [
+    "JOURNALS",
+    "GateLimits",
+    "HandTrial",
+    "LoopReport",
+    "ModelledRobot",
+    "PageAddress",
+    "Reason",
+    "Recorder",
+    "Robot",
+    "RobotRunner",
+    "Stops",
+    "check_driving",
+    "check_driving_by_hand",
+    "check_page",
+    "check_recording",
+    "driven_by_hand",
+    "find_robot",
+    "in_real_time",
+    "measuring",
+    "play_back",
+    "recorder_of",
+    "run_robot_checks",
+    "save_raw",
+    "shown_live",
+    "store_journals",
+]
