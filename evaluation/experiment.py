@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.errors import InvalidArgument, UnknownName, closest
 from sysid_evo.files import write_atomically
 
 FILE = "experiment.toml"
@@ -159,8 +158,8 @@ def _sentence(error: Any) -> str:
 
 def no_setting(name: str) -> str:
     """Return that ``name`` is no setting of an experiment, and which one may be meant."""
-    close = difflib.get_close_matches(name, Experiment.model_fields, n=1)
-    return "is no setting of an experiment" + (f"; did you mean {close[0]}?" if close else "")
+    close = closest(name, Experiment.model_fields)
+    return "is no setting of an experiment" + (f"; did you mean {close}?" if close else "")
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:

@@ -38,13 +38,13 @@ from sysid_evo.errors import (
     UnknownName,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
+from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
 from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import Again, Cell, Plan, Store, StoredCell
 from sysid_evo.registry import (
     Registry,
     Spec,
-    aggregates,
     controllers,
     distinct,
     load_plugin,
@@ -228,7 +228,7 @@ def _constructible(evolution: ControllerEvolution) -> None:
     """Make what can be made without a system, so that wrong values are found now."""
     for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
         made(registry, spec)
-    made(aggregates, Spec.parse(evolution.aggregate))
+    make_aggregate(evolution.aggregate)
 
 
 def _check_control(evolution: ControllerEvolution, system: System) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, did_you_mean
 
 LARGEST_SEED = 2**64 - 1
 
@@ -55,8 +54,7 @@ def table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
         raise InvalidArgument(f"{what}: expected a table with some of {', '.join(known)}, got {value!r}")
     for key in value:
         if key not in known:
-            close = difflib.get_close_matches(str(key), known, n=1)
-            hint = f" Did you mean {close[0]!r}?" if close else ""
+            hint = did_you_mean(str(key), known)
             raise InvalidArgument(f"{what}: no key is called {key!r}.{hint} Known: {', '.join(known)}.")
     return dict(value)
 

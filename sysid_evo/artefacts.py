@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import math
@@ -17,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save
 
-from sysid_evo.errors import ArtefactError, CheckpointWarning, InvalidArgument
+from sysid_evo.errors import ArtefactError, CheckpointWarning, InvalidArgument, closest
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import State
 from sysid_evo.version import versions
@@ -130,8 +129,8 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     source, target = _with(path, ".json"), _with(path, ".safetensors")
     if not source.exists() and not target.exists():
         there = {re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in source.parent.glob("*.safetensors")}
-        close = difflib.get_close_matches(source.stem, sorted(there), n=1, cutoff=0.5)
-        hint = f". Did you mean {close[0]}?" if close else ""
+        close = closest(source.stem, sorted(there), cutoff=0.5)
+        hint = f". Did you mean {close}?" if close else ""
         raise ArtefactError(f"{source}: no {kind} is stored there{hint}")
     for file in (source, target):
         if not file.is_file():

@@ -1,6 +1,12 @@
-"""Every error this library raises: each is a `SysidEvoError` and a builtin exception."""
+"""Every error and warning of the library, and the "Did you mean" part of a message.
+
+Each error is a `SysidEvoError` and a builtin exception.
+"""
 
 from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
 
 
 class SysidEvoError(Exception):
@@ -96,3 +102,14 @@ class CheckpointWarning(UserWarning):
 
 class EvolutionWarning(UserWarning):
     """An evolution did not do all that was asked for."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return ``" Did you mean 'that'?"`` for a name that is none of the ``known``; nothing if none of them is near."""
+    close = closest(name, known)
+    return f" Did you mean {close!r}?" if close else ""
+
+
+def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
+    """Return which of the ``known`` names ``name`` may stand for, the more alike the higher ``cutoff``; else ""."""
+    return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)), "")

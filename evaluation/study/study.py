@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment import Experiment, no_setting, read_toml, write_toml
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, closest
 
 STUDY_FILE = "study.toml"
 
@@ -86,8 +85,8 @@ class Study:
         settings = _plain(settings)
         for name in settings:
             if name not in PARTS:
-                close = difflib.get_close_matches(name, PARTS, n=1)
-                hint = f"; did you mean {close[0]}?" if close else f"; a study has {', '.join(PARTS)}"
+                close = closest(name, PARTS)
+                hint = f"; did you mean {close}?" if close else f"; a study has {', '.join(PARTS)}"
                 raise InvalidArgument(f"{name} is no part of a study{hint}")
         title = settings.get("title", "Study")
         if not isinstance(title, str):

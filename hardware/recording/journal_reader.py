@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from hardware.gate import PoseGate
 from hardware.recording.journal import SUFFIX, Journal, TimedCommand, read_journal
 from sysid_evo.data.preparation import MAX_GAP, RawLog
 from sysid_evo.data.readers import Reader, Table
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidData, did_you_mean
 from sysid_evo.registry import register_reader
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
@@ -36,8 +35,7 @@ class JournalReader(Reader):
         names = column_names(journal.system)
         for name in columns:
             if name not in names:
-                close = difflib.get_close_matches(name, names, n=1)
-                hint = f" Did you mean {close[0]!r}?" if close else ""
+                hint = did_you_mean(name, names)
                 raise InvalidData(
                     f"{path.name}: column {name!r} is missing.{hint} The journal has: {', '.join(names)}."
                 )

@@ -5,7 +5,6 @@ A map is a TOML file (``docs/data.md`` describes it); some are shipped beside th
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from pydantic_core import ErrorDetails
 
 from sysid_evo.angles import TURN
 from sysid_evo.data.units import to_si, units_of
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, closest
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -291,5 +290,5 @@ def _explain(error: ErrorDetails) -> str:
     if error["type"] != "extra_forbidden":
         return error["msg"].removeprefix("Value error, ")
     known = sorted({key for part in (ColumnMap, ControlColumn, StateColumn, MotionRoles) for key in part.model_fields})
-    close = difflib.get_close_matches(str(error["loc"][-1]), known, n=1)
-    return f"unknown key; did you mean {close[0]!r}?" if close else "unknown key"
+    close = closest(str(error["loc"][-1]), known)
+    return f"unknown key; did you mean {close!r}?" if close else "unknown key"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 from abc import ABC, abstractmethod
 from array import array
@@ -14,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from sysid_evo.errors import InvalidData
+from sysid_evo.errors import InvalidData, closest
 from sysid_evo.registry.registry import readers, register_reader
 from sysid_evo.types import Array, IntArray
 
@@ -264,8 +263,8 @@ def _place(name: str, header: Sequence[str], path: Path) -> int:
     if found:
         raise InvalidData(f"{path.name}, row 1: the header names the column {name!r} {len(found)} times")
     lower = {column.lower(): column for column in header}
-    close = difflib.get_close_matches(name.lower(), lower, n=1)
-    hint = f" Did you mean {lower[close[0]]!r}?" if close else ""
+    close = closest(name.lower(), lower)
+    hint = f" Did you mean {lower[close]!r}?" if close else ""
     raise InvalidData(f"{path.name}, row 1: column {name!r} is missing.{hint} The header has: {', '.join(header)}.")
 
 

@@ -7,11 +7,10 @@ and is kept as it is. Empty means without unit.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, closest
 
 SYMBOLS: dict[str, tuple[dict[str, int], float]] = {
     "m": ({"m": 1}, 1.0),
@@ -97,8 +96,8 @@ def _symbol(text: str, unit: str) -> tuple[str, int]:
     if match is not None and match[1] in SYMBOLS:
         return match[1], int(match[2] or 1)
     named = text if match is None else match[1]
-    close = difflib.get_close_matches(named, SYMBOLS, n=1, cutoff=0.5)
-    hint = f" Did you mean {unit.replace(named, close[0])!r}?" if close else ""
+    close = closest(named, SYMBOLS, cutoff=0.5)
+    hint = f" Did you mean {unit.replace(named, close)!r}?" if close else ""
     raise InvalidArgument(
         f"expected a unit made of known symbols, got {unit!r}: {named!r} is not one.{hint} "
         f'Known: {", ".join(SYMBOLS)}. A unit of your own stands in brackets: "[{unit.strip("[]")}]"'

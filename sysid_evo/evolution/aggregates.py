@@ -8,11 +8,12 @@ of its spec.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, SysidEvoError
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, register_aggregate
 from sysid_evo.types import Array
@@ -55,6 +56,16 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
 
 
 def make_aggregate(spec: str | Spec, /, **parameters: Any) -> Aggregate:
-    """Return the aggregate that ``spec`` names, with its parameters. Raises what it does with their values."""
-    made: Aggregate = aggregates.make(spec, **parameters)
-    return made
+    """Return the aggregate that ``spec`` names, with its parameters; it is tried once, to find a wrong value.
+
+    Raises what `Registry.check` raises, and `InvalidArgument` where the function fails.
+    """
+    found = aggregates.check(spec, **parameters)
+    aggregate = partial(aggregates.get(found.name), **found.parameters)
+    try:
+        aggregate(np.zeros((1, 1, 1)))
+    except SysidEvoError:
+        raise
+    except Exception as error:  # a function may fail in any way when its values are wrong
+        raise InvalidArgument(f"aggregate {found}: {type(error).__name__}: {error}") from error
+    return aggregate

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import difflib
 import functools
 import inspect
 import numbers
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, Union
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument, UnknownParameter
+from sysid_evo.errors import InvalidArgument, UnknownParameter, did_you_mean
 
 if TYPE_CHECKING:
     from sklearn.utils import Tags
@@ -96,10 +95,9 @@ def check_names(family: type, names: Collection[str]) -> None:
     known = list(inspect.signature(family).parameters)
     for name in names:
         if name not in known:
-            close = difflib.get_close_matches(name, known, n=1)
-            hint = f" Did you mean {close[0]!r}?" if close else ""
             raise UnknownParameter(
-                f"{family.__name__}: there is no parameter {name!r}.{hint} It has: {', '.join(known) or 'none'}."
+                f"{family.__name__}: there is no parameter {name!r}.{did_you_mean(name, known)} "
+                f"It has: {', '.join(known) or 'none'}."
             )
 
 

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import inspect
 import math
 import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, TypeVar
 
-from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.errors import (
+    InvalidArgument,
+    MissingExtra,
+    PluginError,
+    PluginWarning,
+    RegistrationError,
+    UnknownName,
+    did_you_mean,
+)
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import source_digest
@@ -197,7 +204,7 @@ class Registry(Generic[T]):
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(self.names()) or "none"
-        return f"no {self.kind} is called {name!r}.{_did_you_mean(name, self.names())} Known: {known}."
+        return f"no {self.kind} is called {name!r}.{did_you_mean(name, self.names())} Known: {known}."
 
     def _no_parameter(self, name: str, wrong: str, known: Mapping[str | None, Any]) -> str:
         usable = {str(key): value for key, value in known.items() if key not in self.given}
@@ -205,8 +212,7 @@ class Registry(Generic[T]):
             key if value is inspect.Parameter.empty else f"{key} ({value!r})" for key, value in usable.items()
         )
         return (
-            f"{self.kind} {name!r} has no parameter {wrong!r}.{_did_you_mean(wrong, list(usable))} "
-            f"It takes {takes or 'none'}."
+            f"{self.kind} {name!r} has no parameter {wrong!r}.{did_you_mean(wrong, usable)} It takes {takes or 'none'}."
         )
 
 
@@ -227,11 +233,6 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, (bool, int, str)) or (isinstance(value, float) and math.isfinite(value)):
         return value
     return repr(value)
-
-
-def _did_you_mean(wrong: str, known: tuple[str, ...] | list[str]) -> str:
-    close = difflib.get_close_matches(wrong, known, n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
 
 
 def _identity(thing: Any) -> str:
@@ -257,19 +258,6 @@ def _distribution(point: EntryPoint) -> str | Distribution:
     return DISTRIBUTION if point.dist is None else point.dist
 
 
-class AggregateRegistry(Registry[Any]):
-    """Functions of the fitness (models, candidates, trials); their further arguments are the parameters of a spec."""
-
-    def make(self, spec: str | Spec, /, **parameters: Any) -> Callable[..., Any]:
-        """Return the function that ``spec`` names, with its parameters. Raises what it does with their values."""
-        import numpy as np
-
-        found = self.check(spec, **parameters)
-        aggregate = partial(self.get(found.name), **found.parameters)
-        aggregate(np.zeros((1, 1, 1)))  # a wrong value is found before anything is run
-        return aggregate
-
-
 # A contract imports the registry to register what keeps it, so that the registry knows no classes: functions that make
 # a thing of its own type, `sysid_evo.models.base.make_model` and the like, stand with the contracts.
 
@@ -277,7 +265,7 @@ models: Registry[Any] = Registry("model", "sysid_evo.models")
 tasks: Registry[Any] = Registry("task", "sysid_evo.tasks")
 controllers: Registry[Any] = Registry("controller", "sysid_evo.controllers")
 strategies: Registry[Any] = Registry("strategy", "sysid_evo.strategies", given=frozenset({"n_parameters", "seed"}))
-aggregates = AggregateRegistry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
+aggregates: Registry[Any] = Registry("aggregate", "sysid_evo.aggregates", given=frozenset({"fitness"}))
 robots: Registry[Any] = Registry("robot", "sysid_evo.robots")
 trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
