@@ -56,16 +56,10 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
             ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
     if matrix.robot is not None and columns > 1:
         ax.axvline(columns - 1.5, color=MEASURED, linewidth=2.0)
-    ax.set_xticks(range(columns), [folded(c) for c in matrix.columns])
-    ax.set_yticks(range(rows), [folded(name, 26) for name in matrix.rows])
-    ax.xaxis.tick_top()
+    _as_table(ax, [folded(c) for c in matrix.columns], [folded(name, 26) for name in matrix.rows])
     ax.xaxis.set_label_position("top")
     ax.set_xlabel("run on", labelpad=8, fontweight="bold")
     ax.set_ylabel("controller", fontweight="bold")
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
     unit = f" ({matrix.unit})" if matrix.unit else ""
     ax.figure.colorbar(image, ax=ax, label=f"mean fitness{unit}", fraction=0.05, pad=0.02)
     return ax
@@ -392,14 +386,19 @@ def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -
     ax.axhline(len(models) - 0.5, color=MEASURED, linewidth=1.5)
     ax.axvline(0.5, color=MEASURED, linewidth=1.5)
     labels = ["outside\nthe data", *(name.replace("_", "\n", 1).replace("_", " ") for name in names)]
-    ax.set_xticks(range(len(labels)), labels)
+    _as_table(ax, labels, rows)
+    return ax
+
+
+def _as_table(ax: Axes, columns: Sequence[str], rows: Sequence[str]) -> None:
+    """Name columns above and rows beside a heat map, without ticks, grid and frame."""
+    ax.set_xticks(range(len(columns)), columns)
     ax.set_yticks(range(len(rows)), rows)
     ax.xaxis.tick_top()
     ax.tick_params(length=0)
     ax.grid(visible=False)
     for spine in ax.spines.values():
         spine.set_visible(False)
-    return ax
 
 
 def _percent(share: float | None) -> float:

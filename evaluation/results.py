@@ -1,4 +1,4 @@
-"""What a report holds; everything else in this package only renders it."""
+"""All that a comparison found, as plain data; `evaluation.report` shows it."""
 
 from __future__ import annotations
 
@@ -17,57 +17,6 @@ from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
-
-
-@dataclass(frozen=True)
-class EpisodeSummary:
-    """One episode: ``duration`` in s, ``moving`` is the share of its samples that do not stand still."""
-
-    name: str
-    steps: int
-    duration: float
-    moving: float
-
-
-@dataclass(frozen=True)
-class DataSummary:
-    """The data set that models were fitted to and tested on, and what its preparation noted."""
-
-    name: str
-    system: System
-    training: tuple[EpisodeSummary, ...]
-    test: tuple[EpisodeSummary, ...]
-    notes: tuple[str, ...]
-    fingerprint: str
-
-    @classmethod
-    def of(cls, training: Dataset, test: Dataset, *, name: str = "") -> DataSummary:
-        """Summarise both parts of a data set; ``fingerprint`` is that of the training set."""
-        notes = tuple(dict.fromkeys((*training.notes, *test.notes)))
-        return cls(name, training.system, _episodes(training), _episodes(test), notes, training.fingerprint)
-
-
-@dataclass(frozen=True)
-class ModelSummary:
-    """One model: its family, how much prior ``knowledge`` it holds, and its hyper-parameters."""
-
-    name: str
-    family: str
-    knowledge: str
-    parameters: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
-        """Summarise ``model``; ``family`` is its registered name (default: its class)."""
-        return cls(name, family or type(model).__name__, model.knowledge, model.get_params(deep=False))
-
-
-@dataclass(frozen=True)
-class Failure:
-    """Something that could not be computed, and why; the rest of the report does without it."""
-
-    what: str
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -139,8 +88,59 @@ class Report:
         return tuple(dict.fromkeys(found))
 
 
+@dataclass(frozen=True)
+class DataSummary:
+    """The data set that models were fitted to and tested on, and what its preparation noted."""
+
+    name: str
+    system: System
+    training: tuple[EpisodeSummary, ...]
+    test: tuple[EpisodeSummary, ...]
+    notes: tuple[str, ...]
+    fingerprint: str
+
+    @classmethod
+    def of(cls, training: Dataset, test: Dataset, *, name: str = "") -> DataSummary:
+        """Summarise both parts of a data set; ``fingerprint`` is that of the training set."""
+        notes = tuple(dict.fromkeys((*training.notes, *test.notes)))
+        return cls(name, training.system, _episodes(training), _episodes(test), notes, training.fingerprint)
+
+
 def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
     return tuple(
         EpisodeSummary(episode.name, len(episode), episode.duration, float(moving.mean()))
         for episode, moving in zip(dataset.episodes, dataset.moving, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """One episode: ``duration`` in s, ``moving`` is the share of its samples that do not stand still."""
+
+    name: str
+    steps: int
+    duration: float
+    moving: float
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """One model: its family, how much prior ``knowledge`` it holds, and its hyper-parameters."""
+
+    name: str
+    family: str
+    knowledge: str
+    parameters: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
+        """Summarise ``model``; ``family`` is its registered name (default: its class)."""
+        return cls(name, family or type(model).__name__, model.knowledge, model.get_params(deep=False))
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Something that could not be computed, and why; the rest of the report does without it."""
+
+    what: str
+    reason: str

@@ -155,7 +155,8 @@ def _forecasting(results: StudyResults) -> Headline:
     claim = next((other for other in figures if other.group == one.group and other.figure == "claim"), None)
     assert one.correlation is not None
     answer = f"Rank correlation {one.correlation.mean:.2f}"
-    told = f"Within a point, of the forecast with what is achieved{_in_group(results, one.group)}."
+    group = group_name(results.study.group_axes, one.group)
+    told = f"Within a point, of the forecast with what is achieved{group and f' ({group})'}."
     if one.loss is not None and claim is not None and claim.loss is not None:
         told += (
             f" Choosing by it loses {percent(one.loss.mean)} of the yardstick, choosing by the claim "
@@ -164,11 +165,6 @@ def _forecasting(results: StudyResults) -> Headline:
     if one.inside is not None:
         told += f" {percent(one.inside.mean)} of the 90 % intervals hold."
     return Headline(question, answer, told, "good" if one.correlation.mean > 0.5 else "bad")
-
-
-def _in_group(results: StudyResults, group: tuple[str, ...]) -> str:
-    name = group_name(results.study.group_axes, group)
-    return f" ({name})" if name else ""
 
 
 def _predicting(results: StudyResults) -> Headline:
@@ -245,7 +241,8 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
         ]
         row += [number(None if one.share is None else one.share.lowest, 2), _spread(one.gap, 1, sign=True)]
         row += [_spread(one.difference, 2, sign=True)] if compared else []
-        rows.append((*row, _points(one)))
+        points = 0 if one.share is None else one.share.points
+        rows.append((*row, f"{points}, {one.failed} failed" if one.failed else str(points)))
     if not rows:
         return None
     paired = f" Reference: {reference}, paired by robot and seed." if compared else ""
@@ -256,11 +253,6 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
         f"what it would have picked knowing the outcome.{paired} {_basis(results)}"
     )
     return Sheet("Controllers", (*heads, "points"), tuple(rows), note=note)
-
-
-def _points(one: ControllerFigures) -> str:
-    count = 0 if one.share is None else one.share.points
-    return f"{count}, {one.failed} failed" if one.failed else str(count)
 
 
 def prediction_sheet(results: StudyResults) -> Sheet | None:
@@ -275,16 +267,12 @@ def prediction_sheet(results: StudyResults) -> Sheet | None:
             *one.group,
             *(_spread(one.n[h], 3) for h in HORIZONS),
             number(None if one.seconds is None else one.seconds.mean, 1),
-            _fits(one.fits, one.failed),
+            f"{one.fits - one.failed}, {one.failed} failed" if one.failed else str(one.fits),
         )
         for one in figures
     ]
     note = "N: mean over channels of RMSE / standard deviation on held-out data (0 is perfect). fit: mean duration."
     return Sheet("Prediction", heads, tuple(rows), note=f"{note} {_basis(results)}")
-
-
-def _fits(fits: int, failed: int) -> str:
-    return f"{fits - failed}, {failed} failed" if failed else str(fits)
 
 
 def exploit_sheet(results: StudyResults) -> Sheet | None:

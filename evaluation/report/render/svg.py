@@ -259,7 +259,8 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     text = FONT.sub("", text)
     text = PAINT.sub(lambda found: f"{found[1]}: {VARIABLES.get(found[2], found[2])}", text)
     mentioned = set(MENTIONED.findall(text))
-    text = MARKED.sub(lambda found: _numbered(int(found[1]), off), text)
+    hidden = {str(number) for number in off}
+    text = MARKED.sub(lambda m: f' data-series="{m[1]}"' + (' class="off"' if m[1] in hidden else ""), text)
     text = NAMED.sub(lambda found: f' id="{key}-{found[1]}"' if found[1] in mentioned else "", text)
     text = MENTIONED.sub(lambda found: found[0].replace("#", f"#{key}-"), text)
     text = PATH.sub(lambda found: f' d="{_short(found[1])}"', text)
@@ -268,10 +269,6 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     assert box is not None
     start = f'<svg {box[0]} role="img" aria-label="{html.escape(label)}">'
     return start + text[text.index(">") + 1 :]
-
-
-def _numbered(series: int, off: Collection[int]) -> str:
-    return f' data-series="{series}"' + (' class="off"' if series in off else "")
 
 
 def _short(path: str) -> str:

@@ -494,15 +494,11 @@ def seeds_unknown(summary: TransferSummary) -> str:
 def summary_to_json(summary: TransferSummary) -> dict[str, Any]:
     """Return what the document holds under ``controllers``."""
     return {
-        "controllers": [_controller_to_json(controller) for controller in summary.controllers],
+        "controllers": [{**asdict(c), "kept": c.kept, "exploited": c.exploited} for c in summary.controllers],
         "pick": summary.pick,
         "best_on": summary.best_on,
         "correlations": [asdict(correlation) for correlation in summary.correlations],
     }
-
-
-def _controller_to_json(controller: ControllerSummary) -> dict[str, Any]:
-    return {**asdict(controller), "kept": controller.kept, "exploited": controller.exploited}
 
 
 def forecast_to_json(report: Report) -> dict[str, Any]:

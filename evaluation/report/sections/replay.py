@@ -89,11 +89,10 @@ def replay(
     numbers = left_out = 0
     for champion, trial in _trials(matrix, watched or {}):
         row = trial_name(champion.name, trial)
-        traces = {column: _kept(matrix, champion.name, column, trial) for column in _ordered(matrix, champion)}
+        cells = {column: matrix.cell(champion.name, column).traces for column in _ordered(matrix, champion)}
+        traces = {column: kept[trial] for column, kept in cells.items() if trial < len(kept)}
         robot = traces.get(matrix.robot or "")
         for column, trace in traces.items():
-            if trace is None:
-                continue
             own, on_robot = column in champion.against, column == matrix.robot
             if numbers > MOST_NUMBERS and not (own or on_robot):
                 left_out += 1
@@ -131,11 +130,6 @@ def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:
     """Return the columns, the robot first, then those that a controller was evolved on."""
     robots = [column for column in matrix.columns if column == matrix.robot]
     return tuple(dict.fromkeys((*robots, *(c for c in matrix.columns if c in champion.against), *matrix.columns)))
-
-
-def _kept(matrix: TransferMatrix, row: str, column: str, trial: int) -> Trace | None:
-    traces = matrix.cell(row, column).traces
-    return traces[trial] if trial < len(traces) else None
 
 
 def is_planar(trace: Trace) -> bool:

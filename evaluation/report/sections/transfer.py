@@ -19,7 +19,7 @@ from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
 from evaluation.results import Report
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import Figures, judges_of
-from evaluation.transfer.uncertainty import SHARE, PairedEstimate
+from evaluation.transfer.uncertainty import SHARE
 from sysid_evo.evolution import Champion
 
 
@@ -78,6 +78,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
     )
     figures = Figures(matrix)
     medians = {champion.name: figures.consensus(champion) for champion in matrix.champions}
+    median = {name: np.nan if found is None else found.value for name, found in medians.items()}
     rows = [
         (
             champion.name,
@@ -91,9 +92,8 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         for champion in matrix.champions
     ]
     unit = matrix.unit or "fitness"
-    means = np.array(
-        [[_value(medians[row]) if c is None else matrix.cell(row, c).mean for c in places] for row in matrix.rows]
-    ).reshape(len(matrix.rows), len(places))
+    means = np.array([median[row] if c is None else matrix.cell(row, c).mean for row in matrix.rows for c in places])
+    means = means.reshape(len(matrix.rows), len(places))
     known = means[np.isfinite(means)]
     low, top = min(0.0, known.min(initial=0.0)), known.max(initial=0.0)
     shades = tuple(
@@ -124,10 +124,6 @@ def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
     families = {matrix.families[column] for column in matrix.models}
     robots = tuple(column for column in matrix.columns if column not in matrix.models)
     return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
-
-
-def _value(figure: PairedEstimate | None) -> float:
-    return float("nan") if figure is None else figure.value
 
 
 def _fitness_cell(cell: TransferResult, own: bool) -> str:
@@ -201,8 +197,8 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
             name, published = known
             cells = [matrix.cell(champion.name, place) for place in places]
             rows.append((name, *(_paper_cell(cell, there) for cell, there in zip(cells, published, strict=False))))
-    driven = [champion for champion in matrix.champions if champion.controller == BY_HAND]
-    rows += [(champion.name, *_by_hand(matrix, champion, places)) for champion in driven]
+    driven = [champion.name for champion in matrix.champions if champion.controller == BY_HAND]
+    rows += [(name, *(number(matrix.cell(name, place).mean) for place in places)) for name in driven]
     return Sheet(
         title="Table 2 of the paper, here and there: fitness (standard deviation)",
         columns=("controller", *FAMILIES.values(), *([] if matrix.robot is None else ["real"])),
@@ -221,10 +217,6 @@ def _paper_cell(cell: TransferResult, published: float) -> str:
         return lines("–", there)
     spread = f" ({number(cell.std)})" if np.isfinite(cell.std) else ""
     return lines(f"{number(cell.mean)}{spread}", there)
-
-
-def _by_hand(matrix: TransferMatrix, champion: Champion, places: list[str]) -> list[str]:
-    return [number(matrix.cell(champion.name, place).mean) for place in places]
 
 
 def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
