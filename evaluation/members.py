@@ -29,7 +29,7 @@ from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
-KINDS = ("by_hand", "evolve", "choose", "polish")
+CONTROLLER_KINDS = ("by_hand", "evolve", "choose", "polish")
 """Kinds of cells whose result is a controller; of the same name the later kind counts."""
 
 
@@ -160,7 +160,7 @@ def _of_run(run: Path) -> list[Champion]:
     store = Store(run)
     matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
     rows = [] if matrix is None else [cell for cell in matrix.champions if store.done(cell)]
-    made: list[Any] = [record for record in store.records() if record.kind in KINDS and record.status == "done"]
+    made: list[Any] = [record for record in store.records() if record.kind in CONTROLLER_KINDS and record.status == "done"]
     needed = {digest for record in made for digest in record.needs} | {cell.digest for cell in rows}
     others = [record for record in made if record.digest not in needed]
     found = [store.load(cell) for cell in rows]
@@ -171,7 +171,7 @@ def _of_run(run: Path) -> list[Champion]:
 
 
 def _rank(record: Record) -> int:
-    return KINDS.index(record.kind)
+    return CONTROLLER_KINDS.index(record.kind)
 
 
 def _told_apart(names: Sequence[tuple[str, str]]) -> list[str]:

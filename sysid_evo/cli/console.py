@@ -8,11 +8,13 @@ from __future__ import annotations
 import errno
 import signal
 import traceback
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from rich.console import Console
+from rich.table import Table
 from rich.text import Text
 
 WRONG_INPUT = 2
@@ -60,9 +62,27 @@ class Session:
 session = Session()
 
 
+def say(text: str) -> None:
+    """Print a line on standard output as it is: without colours, and in one piece however long it is."""
+    out.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
 def tell(text: str, *, label: str = "", style: str = "") -> None:
     """Print a sentence on standard error, behind a coloured label."""
     err.print(Text.assemble((label, style), text), soft_wrap=True)
+
+
+def note(text: str) -> None:
+    """Print a remark on standard error."""
+    tell(text, label="note: ", style="dim")
+
+
+def table_of(*headings: str, numbers: Collection[str] = ()) -> Table:
+    """Return a table without lines that has these columns; those of ``numbers`` stand on the right."""
+    table = Table(box=None, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in numbers else "left", overflow="fold")
+    return table
 
 
 def complain(error: BaseException) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +12,7 @@ from rich.text import Text
 import evaluation
 import sysid_evo.export
 from evaluation.experiment import Experiment
-from sysid_evo.cli.console import SOME_FAILED, out, session, tell
+from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
 from sysid_evo.cli.options import (
     Aggregate,
     Caution,
@@ -102,7 +101,7 @@ def evolve(
     store = Store(evaluation.check_run_folder(None) if alone else evaluation.latest_run_folder(run))
     planned = evaluation.plan_evolution(experiment, store, members, settings)
     for remark in planned.remarks:
-        tell(remark, label="note: ", style="dim")
+        note(remark)
     outcomes = carry_out(planned.plan, store, dry_run=dry_run, as_json=as_json, jobs=jobs, scheduler=scheduler)
     if outcomes is None:
         return
@@ -138,7 +137,7 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
             "unit": result.unit,
             "record_next": [region.sentence for region in result.regions],
         }
-        out.print_json(json.dumps(document))
+        out.print_json(data=document)
         return
     for label, claim in result.claims.items():
         fresh = f"{claim.trials} fresh trials, whose standard deviation is {claim.std:.1f}"
@@ -146,7 +145,7 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
     if result.forecast is not None:
         out.print(result.forecast_sentence, highlight=False, markup=False)
     print_regions(name, result.regions)
-    out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
+    say(f"stored as {file}")
 
 
 GENERATIONS = 200
@@ -205,14 +204,14 @@ def exploit(
             "card": list(card),
             "exploitability": None if found is None else evaluation.exploitability_to_json(found),
         }
-        out.print_json(json.dumps(document))
+        out.print_json(data=document)
         return
     (target, here), *others = shown.items()
     elsewhere = ", ".join(f"{label} {value:.1f}" for label, value in others)
     out.print(Text(f"{name}: {here:.1f} {matrix.unit} in {target}; {elsewhere}"))
     for sentence in card[1:]:
         out.print(Text(f"  {sentence}"))
-    out.print(f"stored as {file}", highlight=False, markup=False, soft_wrap=True)
+    say(f"stored as {file}")
 
 
 TRIALS = 100
@@ -246,7 +245,7 @@ def transfer(
         matrix = evaluation.matrix_of(drivers, systems, seed=seed or 0, trials=trials, progress=bars.advance)
         bars.end(title, None)
     if as_json:
-        out.print_json(json.dumps(evaluation.transfer_to_json(matrix)))
+        out.print_json(data=evaluation.transfer_to_json(matrix))
     else:
         for part in evaluation.transfer_tables(matrix):
             out.print(part)
@@ -291,7 +290,7 @@ def export(
         ).encode()
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
     for line in (f"{law.champion.name} written to {path}", *how_to_use(law, to, path)):
-        out.print(line, highlight=False, markup=False, soft_wrap=True)
+        say(line)
 
 
 def how_to_use(law: sysid_evo.export.Law, to: str, path: Path) -> tuple[str, ...]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 import evaluation
 import sysid_evo
 from evaluation.experiment import FILE, Experiment
-from sysid_evo.cli.console import SOME_FAILED, complain, err, out, session, tell
+from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
 from sysid_evo.cli.options import (
     Aggregate,
     Caution,
@@ -210,7 +208,7 @@ def run_experiment(
     comparison = evaluation.plan_comparison(experiment, dataset=dataset, measured=measured)
     store = Store(path)
     for remark in (*comparison.plan.remarks, *damaged):
-        tell(remark, label="note: ", style="dim")
+        note(remark)
     if dry_run:
         print_plan(comparison.plan, store, as_json=as_json)
         return
@@ -245,8 +243,8 @@ def read_data(experiment: Experiment) -> sysid_evo.Dataset | None:
     if experiment.data is None:
         return None
     dataset = sysid_evo.Dataset.read(experiment.data, columns=experiment.columns)
-    for note in dataset.notes:
-        tell(note, label="note: ", style="dim")
+    for remark in dataset.notes:
+        note(remark)
     return dataset
 
 
@@ -258,26 +256,25 @@ def store_experiment(comparison: evaluation.Comparison, path: Path) -> None:
         found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
         differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
         if differing:
-            tell(f"{file} had other {', '.join(differing)}; what both need is kept", label="note: ", style="dim")
+            note(f"{file} had other {', '.join(differing)}; what both need is kept")
     comparison.experiment.write(file)
 
 
 def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbose: bool) -> None:
     """Print the verdict, the short table, and where the report is."""
     if as_json:
-        out.print_json(json.dumps(evaluation.to_json(report)))
+        out.print_json(data=evaluation.to_json(report))
         return
     for part in evaluation.tables(report) if verbose else evaluation.brief(report, folder=path):
         out.print(part, crop=False)
     err.print(where_time_went(report.timings), highlight=False)
-    out.print(f"Report: {path / 'report.html'}", highlight=False, soft_wrap=True)
+    say(f"Report: {path / 'report.html'}")
 
 
 def print_fits(
     comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, Outcome], *, as_json: bool
 ) -> None:
     """Print where each fitted model stands, why one does not, how it learned; then what limits the best of them."""
-
     advice = store.outcome(comparison.advice).value
     rows = []
     for label, cell in comparison.fits.items():
@@ -293,11 +290,9 @@ def print_fits(
             }
         )
     if as_json:
-        out.print_json(json.dumps(rows))
+        out.print_json(data=rows)
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("model", "seconds", "stored as"):
-        table.add_column(heading, justify="right" if heading == "seconds" else "left", overflow="fold")
+    table = table_of("model", "seconds", "stored as", numbers=("seconds",))
     for row in rows:
         table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
     out.print(table)
@@ -351,7 +346,7 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
     """Store a cell of a robot, or of a person on anything, in a run, and make its report again if it has one."""
     evaluation.save_measured(folder, measured)
     if (folder / FILE).is_file() and report_again(folder) is not None:
-        out.print(f"Report: {folder / 'report.html'}", highlight=False, markup=False, soft_wrap=True)
+        say(f"Report: {folder / 'report.html'}")
     else:
         tell(f"stored in {folder}, which has no report (compare makes one)")
 
@@ -364,7 +359,7 @@ def report_again(run: Path) -> evaluation.Report | None:
     comparison, remarks = evaluation.comparison_of(run)
     store = session.run = Store(run)
     for remark in remarks:
-        tell(remark, label="note: ", style="dim")
+        note(remark)
     return evaluation.report_again(comparison, store)
 
 
@@ -396,7 +391,7 @@ def study(
     planned = evaluation.plan_study(found)
     store = Store(path)
     for remark in planned.plan.remarks:
-        tell(remark, label="note: ", style="dim")
+        note(remark)
     if dry_run:
         print_points(planned, store, as_json=as_json)
         return
@@ -415,17 +410,16 @@ def study(
 def print_study(results: evaluation.StudyResults, path: Path, *, as_json: bool, verbose: bool) -> None:
     """Print the answers, the short table, and where the rest is."""
     if as_json:
-        out.print_json(json.dumps(evaluation.study_document(results)))
+        out.print_json(data=evaluation.study_document(results))
         return
     for part in evaluation.study_brief(results, verbose=verbose):
         out.print(part)
-    out.print(f"Tables: {path / 'study.md'}", highlight=False, soft_wrap=True)
-    out.print(f"Page: {path / 'study.html'}", highlight=False, soft_wrap=True)
+    say(f"Tables: {path / 'study.md'}")
+    say(f"Page: {path / 'study.html'}")
 
 
 def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: bool) -> None:
     """Print the points, how many cells of each are done, and about how long the others take on one processor."""
-
     records = {cell.digest: store.find(cell.digest) for cell in planned.plan}
     about = evaluation.seconds_about(planned, records)
     done = {digest for digest, record in records.items() if record is not None and record.status == "done"}
@@ -446,11 +440,9 @@ def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: boo
     total = sum(about[digest] for digest in about if digest not in done)
     if as_json:
         document = {"points": rows, "cells": len(records), "kept": len(done), "seconds": round(total, 1)}
-        out.print_json(json.dumps({**document, "remarks": list(planned.plan.remarks)}))
+        out.print_json(data={**document, "remarks": list(planned.plan.remarks)})
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("point", "cells", "kept", "about"):
-        table.add_column(heading, justify="left" if heading == "point" else "right", overflow="fold")
+    table = table_of("point", "cells", "kept", "about", numbers=("cells", "kept", "about"))
     for row in rows:
         table.add_row(row["point"], str(row["cells"]), str(row["kept"]), duration(row["seconds"]))
     out.print(table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import re
 import time
 from pathlib import Path
@@ -17,7 +16,7 @@ from rich.text import Text
 import evaluation
 import sysid_evo
 from sysid_evo.artefacts import is_stored, read_artefact
-from sysid_evo.cli.console import INTERRUPTED, out, tell
+from sysid_evo.cli.console import INTERRUPTED, note, out, say, table_of, tell
 from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, column_map, listed, load_plugins
 from sysid_evo.cli.progress import Bars
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
@@ -30,22 +29,20 @@ app = typer.Typer(help="The model families.", no_args_is_help=True)
 @app.command("list")
 def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     """List every model family that can be loaded, with what it assumes."""
-
     load_plugins(plugin)
     rows: list[dict[str, str | None]] = []
     for name, family in models.load_all():
-        summary = (family.__doc__ or "").strip().splitlines() or [""]
         lacking = models.lacking(name)
         rows.append(
             {
                 "name": name,
                 "knowledge": getattr(family, "knowledge", ""),
-                "summary": summary[0],
+                "summary": models.summary(name),
                 "lacking": None if lacking is None else str(lacking),
             }
         )
     if as_json:
-        out.print_json(json.dumps(rows))
+        out.print_json(data=rows)
         return
     table = Table(box=None, pad_edge=False)
     table.add_column("family", no_wrap=True)
@@ -73,7 +70,7 @@ def show_model(
     stored = name not in models.names() and is_stored(name, "model")
     card = model_card(Path(name), measured=speed) if stored else family_card(name)
     if as_json:
-        out.print_json(json.dumps(card))
+        out.print_json(data=card)
         return
     for part in card_table(card):
         out.print(part)
@@ -268,7 +265,7 @@ def tune(
     if interrupted:
         tell(f"interrupted: the trials that had ended are kept; go on with --out {path}")
     if as_json:
-        out.print_json(json.dumps(document(search)))
+        out.print_json(data=search_to_json(search))
     else:
         print_search(search)
     if interrupted:
@@ -283,7 +280,7 @@ def seconds_of(text: str) -> float:
     return float(found[1]) * UNITS[found[2]]
 
 
-def document(search: Tuning) -> dict[str, Any]:
+def search_to_json(search: Tuning) -> dict[str, Any]:
     """Return what was found as strict JSON."""
     return {
         "best": search.best.spec.text,
@@ -300,9 +297,7 @@ def document(search: Tuning) -> dict[str, Any]:
 def print_search(search: Tuning) -> None:
     """Print the best trials, what decides, and the line to use."""
     best, tried = search.best, search.tried
-    table = Table(box=None, pad_edge=False)
-    for heading in ("error", "seconds", "parameters"):
-        table.add_column(heading, justify="left" if heading == "parameters" else "right", overflow="fold")
+    table = table_of("error", "seconds", "parameters", numbers=("error", "seconds"))
     for one in tried[:TRIALS_SHOWN]:
         if one.error is not None:
             settings = ", ".join(f"{key}={value}" for key, value in one.spec.parameters.items())
@@ -314,8 +309,8 @@ def print_search(search: Tuning) -> None:
         shares = ", ".join(f"{key} {100.0 * share:.0f} %" for key, share in search.importance.items())
         out.print(Text(f"What decides: {shares}"))
     for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "broken off"):
-        tell(f"a trial failed: {reason}", label="note: ", style="dim")
-    out.print(best.spec.text, highlight=False, markup=False, soft_wrap=True)
+        note(f"a trial failed: {reason}")
+    say(best.spec.text)
 
 
 WAYS_SHOWN = 12
@@ -358,18 +353,18 @@ def adapt(
         adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
         bars.end("adapt", None)
     path = sysid_evo.save_model(adapted, file, seed=seed, data=new.fingerprint)
-    rows = seen(adapted)
+    rows = tried_ways(adapted)
     if as_json:
         found = {"decision": adapted.verdict_, "tried": rows, "corrected": adapted.corrects, "file": str(path)}
-        out.print_json(json.dumps(found))
+        out.print_json(data=found)
         return
     print_gate(new, rows, adapted.verdict_)
-    out.print(f"stored as {path}", highlight=False, markup=False, soft_wrap=True)
+    say(f"stored as {path}")
     if not adapted.corrects and adapted.chosen_ == "none":
-        tell("the stored model predicts what its base predicts", label="note: ", style="dim")
+        note("the stored model predicts what its base predicts")
 
 
-def seen(adapted: Any) -> list[dict[str, Any]]:
+def tried_ways(adapted: Any) -> list[dict[str, Any]]:
     """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
 
     They are fewer blocks where it was given up after one that showed it to be no good.

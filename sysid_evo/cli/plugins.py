@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich.text import Text
 
 import hardware
 import sysid_evo.testing
-from sysid_evo.cli.console import err, out
+from sysid_evo.cli.console import err, out, say
 from sysid_evo.cli.options import Json, Plugins, load_plugins
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.registry.grammar import Spec
@@ -40,7 +39,7 @@ def new(
     """Write a working package: one file, one entry-point line, one test."""
     where = folder or Path(name)
     for path in write_plugin(name, where, kind):
-        out.print(str(path), highlight=False, soft_wrap=True)
+        say(str(path))
     options = PLUGINS[kind].check.replace("tests/", f"{shlex.quote(str(where))}/tests/")
     err.print(
         f"check it with: sysid-evo plugin check {name} --plugin {shlex.quote(str(where / name) + '.py')}{options}",
@@ -60,7 +59,6 @@ def check(
     plugin: Plugins = None,
 ) -> None:
     """Run the contract of a thing's kind and print every sentence with its verdict."""
-
     load_plugins(plugin)
     spec = Spec.parse(name)
     kind = kind or _kind_of(spec.name)
@@ -127,13 +125,12 @@ def list_names(
     as_json: Json = False,
 ) -> None:
     """List what can be named, NAME(parameter=value, ...), with its parameters and their defaults."""
-
     load_plugins(plugin)
     if kind is not None and kind not in KINDS:
         raise UnknownName(f"no kind of thing is called {kind!r}; there are {', '.join(KINDS)}")
     rows = [row for name, registry in KINDS.items() if kind in (None, name) for row in names_of(registry)]
     if as_json:
-        out.print_json(json.dumps(rows))
+        out.print_json(data=rows)
         return
     table = Table(box=None, pad_edge=False)
     for heading in ("kind", "name", "what it is"):
@@ -148,13 +145,12 @@ def list_names(
 def names_of(registry: Any) -> list[dict[str, str]]:
     """Return a row for each name of a registry that can be loaded."""
     rows = []
-    for name, factory in registry.load_all():
-        summary = (factory.__doc__ or "").strip().splitlines() or [""]
+    for name, _ in registry.load_all():
         known = registry.parameters(name)
         parameters = ", ".join(
             f"{key}={value!r}" if isinstance(value, (bool, int, float, str, tuple, type(None))) else f"{key}"
             for key, value in known.items()
             if key is not None and key not in registry.given
         )
-        rows.append({"kind": registry.kind, "name": name, "summary": summary[0], "parameters": parameters})
+        rows.append({"kind": registry.kind, "name": name, "summary": registry.summary(name), "parameters": parameters})
     return rows

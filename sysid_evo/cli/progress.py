@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -15,7 +14,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColum
 from rich.table import Table
 from rich.text import Text
 
-from sysid_evo.cli.console import err, out, session, tell
+from sysid_evo.cli.console import err, note, out, session, tell
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
@@ -55,7 +54,7 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     if as_json:
         cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
         document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
-        out.print_json(json.dumps(document))
+        out.print_json(data=document)
         return
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
@@ -198,7 +197,7 @@ class Bars:
             tell(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
-        tell(sentence, label="note: ", style="dim")
+        note(sentence)
 
     def _title(self, cell: Cell) -> str:
         return cell.title if self._where is None else f"{self._where(cell)}{cell.title}"

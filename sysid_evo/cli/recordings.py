@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 import evaluation
-from sysid_evo.cli.console import out, tell
+from sysid_evo.cli.console import out, say, tell
 from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins
 from sysid_evo.data.advice import Advice, advise
 from sysid_evo.data.dataset import Dataset
@@ -55,7 +55,7 @@ def import_(
     dataset.save(folder)
     tell_notes(dataset.notes, recording.doubts)
     out.print(episode_table(dataset))
-    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+    say(f"data set stored in {folder}")
 
 
 def inspect(

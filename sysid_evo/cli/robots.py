@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,7 @@ import evaluation
 import hardware
 import sysid_evo
 from sysid_evo.artefacts import is_stored
-from sysid_evo.cli.console import ROBOT, err, out
+from sysid_evo.cli.console import ROBOT, err, out, say, tell
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.cli.options import Json, Plugins, Seed, Task, check_new_folder, load_plugins
 from sysid_evo.cli.progress import Bars
@@ -37,14 +36,10 @@ app = typer.Typer(help="Robots, physical and emulated.", no_args_is_help=True)
 @app.command("list")
 def list_robots(plugin: Plugins = None, as_json: Json = False) -> None:
     """List every robot driver that can be loaded; a TOML file with `driver = "NAME"` describes a robot of your own."""
-
     load_plugins(plugin)
-    rows = []
-    for name, factory in robots.load_all():
-        summary = (factory.__doc__ or "").strip().splitlines() or [""]
-        rows.append({"name": name, "summary": summary[0]})
+    rows = [{"name": name, "summary": robots.summary(name)} for name, _ in robots.load_all()]
     if as_json:
-        out.print_json(json.dumps(rows))
+        out.print_json(data=rows)
         return
     table = Table(box=None, pad_edge=False)
     table.add_column("robot", no_wrap=True)
@@ -66,13 +61,12 @@ def check_robot(
     Of one that has no pose, such as equations of your own or an environment, sensors and answers are looked at.
     Exit code 4 if something is not as it should be.
     """
-
     load_plugins(plugin)
     machine = hardware.find_robot(robot)
     with hardware.Stops() as stops:
         findings = machine.look_at(seconds=seconds, stops=stops)
     if as_json:
-        out.print_json(json.dumps([asdict(finding) for finding in findings]))
+        out.print_json(data=[asdict(finding) for finding in findings])
     else:
         for finding in findings:
             word = ("ok    ", "green") if finding.ok else ("wrong ", "red")
@@ -126,10 +120,10 @@ def record(
     tell_notes(dataset.notes)
     out.print(episode_table(dataset))
     for one in measured(dataset):
-        out.print(str(one), highlight=False, markup=False, soft_wrap=True)
-    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+        say(str(one))
+    say(f"data set stored in {folder}")
     if ended is not None:
-        err.print(f"the recording was cut short: {ended}", highlight=False, markup=False, soft_wrap=True)
+        tell(f"the recording was cut short: {ended}")
         raise typer.Exit(exit_code_of(recorded.report.reason))
 
 
@@ -327,7 +321,7 @@ def _step(
     if folder is not None:
         named = [replace(one, name=f"trial-{number}") for number, one in enumerate(rollouts.trajectories, 1)]
         sysid_evo.Dataset(robot.system, tuple(named)).save(folder)
-        out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+        say(f"data set stored in {folder}")
     if page is None:
         return 0
     stopped = hardware.play_back(champion, robot, seeds, rollouts, page, announce=_watch_at)
@@ -335,7 +329,7 @@ def _step(
 
 
 def _watch_at(url: str) -> None:
-    out.print(f"Watch it at {url}", highlight=False, markup=False, soft_wrap=True)
+    say(f"Watch it at {url}")
 
 
 def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
@@ -408,7 +402,7 @@ def drive_by_hand(
         return recorders[-1]
 
     def announce(url: str) -> None:
-        out.print(f"Drive {robot.name} at {url}", highlight=False, markup=False, soft_wrap=True)
+        say(f"Drive {robot.name} at {url}")
 
     with (
         hardware.Stops() as stops,
@@ -430,11 +424,11 @@ def drive_by_hand(
                 if sum(each.fitness is not None for each in ended) == trials:
                     stops.request(hardware.Reason.SAMPLES)
         except LinkLost as error:
-            err.print(f"{robot.name}: {error}", highlight=False, markup=False, soft_wrap=True)
+            tell(f"{robot.name}: {error}")
             stops.request(hardware.Reason.LINK_LOST)
     for made in recorders:
         if made.problem is not None:
-            err.print(f"{made.lost} records are lost: {made.problem}", highlight=False, markup=False, soft_wrap=True)
+            tell(f"{made.lost} records are lost: {made.problem}")
     reason = stops.reason or hardware.Reason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
     return ended, 0 if reason is hardware.Reason.SIGINT and not under_way else exit_code_of(reason)
@@ -444,7 +438,7 @@ def _tell(trial: hardware.HandTrial, unit: str) -> None:
     if trial.fitness is not None:
         out.print(f"trial {trial.number}: {trial.fitness:g} {unit}", highlight=False)
     elif trial.report.reason.is_fault:
-        err.print(f"trial {trial.number}: {trial.report.sentence}", highlight=False, markup=False, soft_wrap=True)
+        tell(f"trial {trial.number}: {trial.report.sentence}")
     elif trial.trajectory is not None:
         err.print(f"trial {trial.number}: given up after {trial.trajectory.duration:.1f} s", highlight=False)
 
@@ -473,15 +467,15 @@ def _store(folder: Path, runs: Sequence[tuple[str, hardware.GateLimits | None]],
     try:
         dataset = hardware.store_journals(folder, runs, system)
     except InvalidData as error:
-        err.print(f"{error}", highlight=False, markup=False, soft_wrap=True)
+        tell(str(error))
         return
     if dataset is None:
         err.print(f"nothing was driven, so there is no data set in {folder}", highlight=False, markup=False)
         return
     for note in dataset.notes:
-        err.print(f"note: {note}", highlight=False, markup=False, soft_wrap=True)
+        tell(f"note: {note}")
     out.print(episode_table(dataset))
-    out.print(f"data set stored in {folder}", highlight=False, markup=False, soft_wrap=True)
+    say(f"data set stored in {folder}")
 
 
 def exit_code_of(reason: hardware.Reason) -> int:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 from rich.text import Text
 
 import evaluation
-from sysid_evo.cli.console import out, tell
+from sysid_evo.cli.console import note, out, say, table_of, tell
 from sysid_evo.cli.options import Json
 
 app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
@@ -25,17 +24,14 @@ def list_runs(
     folder: Annotated[Path, typer.Argument(help="Folder of run folders.")] = RUNS, as_json: Json = False
 ) -> None:
     """List the runs in a folder, the oldest first."""
-
     rows = [evaluation.summary_of_run(run) for run in evaluation.runs_in(folder)]
     if as_json:
-        out.print_json(json.dumps(rows))
+        out.print_json(data=rows)
         return
     if not rows:
         tell(f"no runs in {folder}")
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("run", "done", "failed", "s", "models"):
-        table.add_column(heading, justify="right" if heading in ("done", "failed", "s") else "left", overflow="fold")
+    table = table_of("run", "done", "failed", "s", "models", numbers=("done", "failed", "s"))
     for row in rows:
         seconds = f"{row['seconds']:.0f}"
         table.add_row(row["run"], str(row["done"]), str(row["failed"]), seconds, ", ".join(row["models"]))
@@ -45,21 +41,18 @@ def list_runs(
 @app.command("show")
 def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json = False) -> None:
     """Show the cells of a run: how each ended, how long it took, where its result is."""
-
     store = evaluation.store_of_run(run)
     records = store.records()
     if as_json:
-        out.print_json(json.dumps([record.model_dump(mode="json") for record in records]))
+        out.print_json(data=[record.model_dump(mode="json") for record in records])
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("cell", "s", "result"):
-        table.add_column(heading, justify="right" if heading == "s" else "left", overflow="fold")
+    table = table_of("cell", "s", "result", numbers=("s",))
     for record in records:
         where = Text(record.artefact) if record.status == "done" else Text(f"failed: {record.reason}", style="red")
         table.add_row(record.title, f"{record.seconds:.1f}", where)
     out.print(table)
     for remark in store.remarks:
-        tell(remark, label="note: ", style="dim")
+        note(remark)
 
 
 @app.command("diff")
@@ -69,7 +62,6 @@ def diff(
     as_json: Json = False,
 ) -> None:
     """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
-
     settings, cells, figures = zip(
         *((evaluation.settings_of_run(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
     )
@@ -78,17 +70,15 @@ def diff(
     known = _beside(figures)
     if as_json:
         document = {"settings": changed, "only_first": alone[0], "only_second": alone[1], "figures": known}
-        out.print_json(json.dumps(document))
+        out.print_json(data=document)
         return
     for run, found in zip((first, second), figures, strict=True):
         if not found:
-            tell(f"{run} has no report yet, so it has no figures", label="note: ", style="dim")
+            note(f"{run} has no report yet, so it has no figures")
     if not changed and not any(alone) and figures[0] == figures[1]:
         out.print("no difference")
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("", str(first), str(second)):
-        table.add_column(heading, overflow="fold")
+    table = table_of("", str(first), str(second))
     for key, values in changed.items():
         table.add_row(key, *("-" if value is None else str(value) for value in values))
     for key, values in known.items():
@@ -107,7 +97,7 @@ def clean(
     size = sum(file.stat().st_size for file in unneeded)
     for file in unneeded:
         if dry_run:
-            out.print(str(file.relative_to(run)), highlight=False, markup=False, soft_wrap=True)
+            say(str(file.relative_to(run)))
         else:
             file.unlink(missing_ok=True)
     verb = "would go" if dry_run else "removed"

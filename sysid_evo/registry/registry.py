@@ -188,6 +188,10 @@ class Registry(Generic[T]):
             except (PluginError, RegistrationError) as error:
                 warnings.warn(f"{self.kind} {name!r} left out: {error}", PluginWarning, stacklevel=2)
 
+    def summary(self, name: str) -> str:
+        """Return the first line of what the class or factory called ``name`` says of itself."""
+        return ((self.get(name).__doc__ or "").strip().splitlines() or [""])[0]
+
     def _points(self, name: str | None = None) -> list[EntryPoint]:
         found = entry_points(group=self.group) if name is None else entry_points(group=self.group, name=name)
         return list(found)
