@@ -160,7 +160,9 @@ def _of_run(run: Path) -> list[Champion]:
     store = Store(run)
     matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
     rows = [] if matrix is None else [cell for cell in matrix.champions if store.done(cell)]
-    made: list[Any] = [record for record in store.records() if record.kind in CONTROLLER_KINDS and record.status == "done"]
+    made: list[Any] = [
+        record for record in store.records() if record.kind in CONTROLLER_KINDS and record.status == "done"
+    ]
     needed = {digest for record in made for digest in record.needs} | {cell.digest for cell in rows}
     others = [record for record in made if record.digest not in needed]
     found = [store.load(cell) for cell in rows]
