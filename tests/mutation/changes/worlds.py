@@ -2,7 +2,7 @@
 
 from tests.mutation.change import Change
 
-PLANAR = "sysid_evo/motion/planar_body.py"
+PLANAR = "sysid_evo/motion.py"
 LOOPS = "sysid_evo/engine/compiled/loops.py"
 REFERENCE = "sysid_evo/engine/reference.py"
 TEST_MOTION = ("tests/sysid_evo/test_motion.py",)
@@ -44,7 +44,7 @@ CHANGES = (
     ),
     Change(
         "the compiled form takes out one turn of an angle at most",
-        "sysid_evo/motion/planar_body_kernel.py",
+        "sysid_evo/motion_kernels.py",
         "angle = angle - TURN * nearest(angle * PER_TURN)",
         "angle = angle - TURN if angle > math.pi else angle",
         TEST_WAYPOINTS,
