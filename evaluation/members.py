@@ -34,7 +34,7 @@ CONTROLLER_KINDS = ("by_hand", "evolve", "choose", "polish")
 
 
 @dataclass(frozen=True)
-class Place:
+class TransferTarget:
     """A system to run controllers on: its label in the matrix, and the run folder whose models it is one of."""
 
     label: str
@@ -61,23 +61,23 @@ class Contender:
     run: Path | None = None
 
 
-def places(names: Sequence[str], run: Path | None) -> tuple[Place, ...]:
+def places(names: Sequence[str], run: Path | None) -> tuple[TransferTarget, ...]:
     """Return the systems that ``names`` stand for: run folders, files of models, robots, models of ``run``.
 
     A run folder stands for all its models. Raises `InvalidArgument` for what there is not.
     """
-    found: list[Place] = []
+    found: list[TransferTarget] = []
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
             store = Store(Path(name))
             fitted = [one for one in store.records() if one.kind == "fit" and one.status == "done"]
             if not fitted:
                 raise InvalidArgument(f"--on: the run {name} holds no fitted model")
-            found += [Place(one.name, column_of(store, one), store) for one in fitted]
+            found += [TransferTarget(one.name, column_of(store, one), store) for one in fitted]
         else:
             store = Store(latest_run_folder(run) if is_model_of_a_run(name) else run or Path())
             column = find_column(store, name)
-            found.append(Place(column.label, column, store))
+            found.append(TransferTarget(column.label, column, store))
     labels = _told_apart([(place.label, place.store.path.name) for place in found])
     return tuple(replace(place, label=label) for place, label in zip(found, labels, strict=True))
 
@@ -113,7 +113,7 @@ def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[
     )
 
 
-def check_fit(controllers: Sequence[Contender], systems: Sequence[Place]) -> None:
+def check_fit(controllers: Sequence[Contender], systems: Sequence[TransferTarget]) -> None:
     """Raise for the first controller that does not fit: `IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`."""
     for place in systems:
         system, runner = place.system, place.runner
@@ -132,7 +132,7 @@ def check_fit(controllers: Sequence[Contender], systems: Sequence[Place]) -> Non
                 )
 
 
-def with_models(one: Contender, systems: Sequence[Place]) -> tuple[Champion, dict[str, str]]:
+def with_models(one: Contender, systems: Sequence[TransferTarget]) -> tuple[Champion, dict[str, str]]:
     """Return the controller with what it was evolved against named as in ``systems``, and the families of the rest.
 
     A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
@@ -316,7 +316,7 @@ TRACES = 10
 
 def matrix_of(
     drivers: Sequence[Contender],
-    systems: Sequence[Place],
+    systems: Sequence[TransferTarget],
     *,
     seed: int,
     trials: int,
