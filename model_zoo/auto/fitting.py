@@ -52,7 +52,7 @@ class FitTask:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FitOutcome:
     """What became of a `FitTask`: the fitted model, what it simulated in the trial, and why there is none."""
 
     model: DynamicsModel | None = None
@@ -69,7 +69,7 @@ class Stopped(BaseException):
         self.cause = cause
 
 
-def fitted(task: FitTask, progress: Progress | None = None) -> Outcome:
+def fitted(task: FitTask, progress: Progress | None = None) -> FitOutcome:
     """Return what becomes of ``task``. Raises only `Stopped`, and what stops a program."""
     try:
         with warnings.catch_warnings(), threadpool_limits(1, user_api="blas"):
@@ -77,27 +77,27 @@ def fitted(task: FitTask, progress: Progress | None = None) -> Outcome:
             model = make_model(task.name, **task.parameters)
             model.fit(task.dataset, rng=np.random.default_rng(task.seed), progress=progress)
             if task.trial is None:
-                return Outcome(model)
+                return FitOutcome(model)
             simulated = task.trial.run(model)
-            return Outcome(model, simulated, task.trial.diverged(model, simulated))
+            return FitOutcome(model, simulated, task.trial.diverged(model, simulated))
     except Exception as error:  # a plugin may fail in any way; the other candidates go on
-        return Outcome(reason=f"{type(error).__name__}: {error}".splitlines()[0])
+        return FitOutcome(reason=f"{type(error).__name__}: {error}".splitlines()[0])
 
 
-class Work:
+class FitWork:
     """Computes tasks and tells how far it is, in parts of ``seconds`` of expected work."""
 
     def __init__(self, progress: Progress | None, seconds: float) -> None:
         self._progress = progress
         self._total, self._done = max(1, round(PARTS * seconds)), 0.0
 
-    def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], Outcome]:
+    def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], FitOutcome]:
         """Return the outcome of each task by its key: the same ones for any number of processes."""
         seconds = sum(task.cost for task in tasks)
         processes = min(available_processors(), int(seconds / WORTH), len(tasks))
         ordered = sorted(tasks, key=lambda task: -task.cost)
         elsewhere = [task for task in ordered if processes > 1 and _importable(task)]
-        found: dict[tuple[int, int], Outcome] = {}
+        found: dict[tuple[int, int], FitOutcome] = {}
         try:
             for task in ordered:
                 if task not in elsewhere:
@@ -139,7 +139,7 @@ def _importable(task: FitTask) -> bool:
     return models.module(task.name).partition(".")[0] == __name__.partition(".")[0]
 
 
-def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, Outcome], None, None]:
+def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, FitOutcome], None, None]:
     """Yield the outcomes of ``tasks`` as they come; closed before the last, it ends what is still computed."""
     if not tasks:
         return
@@ -173,5 +173,5 @@ def load(libraries: Sequence[str]) -> None:
             importlib.import_module(name)
 
 
-def _numbered(number: int, task: FitTask) -> tuple[int, Outcome]:
+def _numbered(number: int, task: FitTask) -> tuple[int, FitOutcome]:
     return number, fitted(task)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from model_zoo.auto.candidates import PROCESSORS, SHARE, Candidate, named, offered, plugins, structure_of, unusable
-from model_zoo.auto.fitting import Work
+from model_zoo.auto.fitting import FitWork
 from model_zoo.auto.selection import CandidateChoice, Choosing, weights_of
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import IncompatibleSystem
@@ -87,7 +87,7 @@ class Auto(MeanOfMembers):
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
-        work = Work(progress, min(budget, costs))
+        work = FitWork(progress, min(budget, costs))
         choice = Choosing(dataset, pairs, judge, tried, seeds, budget, work).choice(self.gate, self._mean)
         shares = weights_of([structure_of(own[0]) for own in choice.models])
         each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 
 from model_zoo.auto.candidates import Candidate, affordable
-from model_zoo.auto.fitting import FitTask, Outcome, Work
+from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
@@ -67,7 +67,7 @@ class Choosing:
     candidates: Sequence[Candidate]
     seeds: IntArray
     budget: float
-    work: Work
+    work: FitWork
 
     def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
         """Return what is kept within ``gate``, whose mean is what ``mean`` makes of them.
@@ -114,7 +114,7 @@ class Choosing:
             errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
         )
 
-    def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], Outcome]:
+    def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], FitOutcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
 
     def _committee(self, models: Sequence[DynamicsModel], gate: float) -> list[DynamicsModel]:
@@ -127,7 +127,7 @@ class Choosing:
         errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
         return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
 
-    def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], Outcome], list[Errors | None], list[str]]:
+    def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
         What is saved with those that are dropped, see `_thinned`, is spent on the next ones. What refines another
@@ -137,7 +137,7 @@ class Choosing:
         costs = {number: self._cost(number) for number in range(len(self.candidates))}
         errors: list[Errors | None] = [None for _ in costs]
         reasons = [UNPROMISING if number in self._refined else UNTRIED for number in costs]
-        outcomes: dict[tuple[int, int], Outcome] = {}
+        outcomes: dict[tuple[int, int], FitOutcome] = {}
         batch = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
         while batch:
             outcomes |= self._fits(batch, [0])
@@ -165,7 +165,7 @@ class Choosing:
         found = errors[self._refined[number]]
         return found is not None and found.mean <= PROMISING * min(one.mean for one in errors if one is not None)
 
-    def _thinned(self, outcomes: Sequence[Outcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+    def _thinned(self, outcomes: Sequence[FitOutcome], gate: float) -> tuple[list[Errors | None], list[str]]:
         """Return the errors of candidates in the first fold, and why they are not worth the others; empty if they are.
 
         They are worth it if they are at most ``gate`` times as far off as the best, or not surely worse (paired
@@ -208,7 +208,7 @@ class Choosing:
             )
 
 
-def judged(rough: Sequence[Sequence[Outcome]], judge: Judge) -> tuple[list[Errors | None], list[str]]:
+def judged(rough: Sequence[Sequence[FitOutcome]], judge: Judge) -> tuple[list[Errors | None], list[str]]:
     """Return the errors of every candidate (None if a fit failed), and why it is not to be used (empty if it is).
 
     Where all diverge, the least bad are used all the same.

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from model_zoo.state_space.recordings import Record, Scales, Segments, records
+from model_zoo.state_space.recordings import ScaledEpisode, Scales, Segments, scaled_episodes
 from model_zoo.state_space.shooting import FAR, Spaces, Trained, train
 from model_zoo.state_space.subspace import Subspace, flowing, linear_space
 from sysid_evo.data import Dataset, Trajectory
@@ -44,7 +44,7 @@ class Lesson:
     """
 
     scales: Scales
-    parts: list[Record]
+    parts: list[ScaledEpisode]
     horizon: int
     flow: bool = False
 
@@ -52,7 +52,7 @@ class Lesson:
     def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
         """Prepare ``dataset`` in its own units of deviation."""
         scales = Scales.of(dataset)
-        return cls(scales, records(dataset, scales), horizon, flow)
+        return cls(scales, scaled_episodes(dataset, scales), horizon, flow)
 
     @cached_property
     def subspace(self) -> Subspace:
@@ -134,17 +134,17 @@ class Lesson:
         """Return a training on short free runs with the initial states of long ones."""
         return replace(trained, starts=self.states(trained, self.short)[:, self.long.begins])
 
-    def observers(self, trained: Trained) -> list[Observer]:
+    def observers(self, trained: Trained) -> list[StateObserver]:
         """Return an observer of every space of a training on long free runs."""
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
 
-    def judged(self, trained: Trained) -> tuple[list[Observer], Array]:
+    def judged(self, trained: Trained) -> tuple[list[StateObserver], Array]:
         """Return the observers of a training on long free runs, and the errors (S,) of runs that begin with them."""
         found = self.observers(trained)
         return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])
 
-    def from_history(self, space: Spaces, own: Observer) -> float:
+    def from_history(self, space: Spaces, own: StateObserver) -> float:
         """Return the mean square error of one space on long free runs that begin where its observer finds it.
 
         In training the initial states are free, which hides a slow or unstable state that no history tells.
@@ -160,7 +160,7 @@ class Lesson:
         off = (runs - outputs[:, history + 1 :]) ** 2 * counts
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
-    def escapes(self, spaces: Spaces, observers: list[Observer]) -> BoolArray:
+    def escapes(self, spaces: Spaces, observers: list[StateObserver]) -> BoolArray:
         """Return which spaces (S,) go astray under controls that the system might meet as well.
 
         Backwards in time, and in blocks that change places, no output goes far beyond the recorded ones: what is
@@ -247,7 +247,7 @@ RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class Observer:
+class StateObserver:
     """What corrects the states of one space by the output: ``gain`` (n, ny); the first guess is ``first`` (n, ny + 1).
 
     ``history`` samples are enough to forget the first guess.
@@ -258,7 +258,7 @@ class Observer:
     history: int
 
 
-def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) -> Observer:
+def observer(space: Spaces, runs: Array, outputs: Array, parts: list[ScaledEpisode]) -> StateObserver:
     """Return the observer of one space, with the ratio of noises that makes free runs best.
 
     ``runs`` (N, n) are states of the training runs and ``outputs`` (N, ny) what was measured then.
@@ -281,7 +281,7 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[Record]) ->
     closed[:, :ny] -= gains[best]
     kept = float(np.abs(np.linalg.eigvals(closed)).max())  # of an error, from sample to sample
     memory = LONGEST if kept >= 1.0 else np.log(FORGOTTEN) / np.log(max(kept, 1e-3))
-    return Observer(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
+    return StateObserver(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
 
 
 def _riccati(slope: Array, pace: Array, ny: int) -> Array:
@@ -313,7 +313,7 @@ def _errors(space: Spaces, gains: Array, first: Array, windows: Windows) -> Arra
     return np.asarray(((runs - windows.states) ** 2).mean(axis=(1, 2, 3)))
 
 
-def _windows(parts: list[Record], history: int) -> Windows:
+def _windows(parts: list[ScaledEpisode], history: int) -> Windows:
     """Return some windows of the records, in their units, each with ``history`` samples before it."""
     episodes = [Trajectory(part.outputs, part.controls, 1.0) for part in parts]
     ahead = max(1, min(HORIZON, max(len(part) for part in parts) - history))

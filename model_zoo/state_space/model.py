@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from model_zoo.state_space.estimation import Observer
+from model_zoo.state_space.estimation import StateObserver
 from model_zoo.state_space.kernel import state_space_kernel
 from model_zoo.state_space.recordings import Scales
 from model_zoo.state_space.shooting import FAR, Spaces
@@ -52,7 +52,7 @@ class StateSpaceModel(DynamicsModel):
         """Whether what was learned is a differential equation."""
         return bool(getattr(self, "flow_", False))
 
-    def adopt(self, scales: Scales, members: list[Spaces], observers: list[Observer], weights: Array) -> None:
+    def adopt(self, scales: Scales, members: list[Spaces], observers: list[StateObserver], weights: Array) -> None:
         """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
         ny = len(scales.output_scale)
         if members[0].flow:

@@ -38,7 +38,7 @@ class Scales:
 
 
 @dataclass(frozen=True)
-class Record:
+class ScaledEpisode:
     """One episode in units of deviation: outputs (T + 1, ny) and controls (T, nu)."""
 
     outputs: Array
@@ -48,9 +48,9 @@ class Record:
         return len(self.controls)
 
 
-def records(dataset: Dataset, scales: Scales) -> list[Record]:
+def scaled_episodes(dataset: Dataset, scales: Scales) -> list[ScaledEpisode]:
     """Return every episode in the units of ``scales``."""
-    return [Record(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
+    return [ScaledEpisode(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Segments:
         return values[self.counts > 0.0]
 
     @classmethod
-    def of(cls, parts: list[Record], longest: int) -> Self:
+    def of(cls, parts: list[ScaledEpisode], longest: int) -> Self:
         """Cut every record into pieces of equal length, ``longest`` steps at most, and pad them to the longest."""
         pieces: list[tuple[Array, Array, bool]] = []
         for record in parts:

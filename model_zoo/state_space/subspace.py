@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from model_zoo.state_space.recordings import Record
+from model_zoo.state_space.recordings import ScaledEpisode
 from sysid_evo.types import Array
 
 MOST_PAST = 20
@@ -36,7 +36,7 @@ class Subspace:
     follows: Array
 
     @classmethod
-    def of(cls, parts: list[Record]) -> Self:
+    def of(cls, parts: list[ScaledEpisode]) -> Self:
         """Find the states by the predictor-based subspace method (Chiuso 2007, PBSID).
 
         Outputs are regressed on ``past`` samples of outputs and controls; the coefficients, shifted one sample a
@@ -97,7 +97,7 @@ def flowing(rates: Array) -> Array:
     return np.concatenate([drift.real, drive.real], axis=1)
 
 
-def _with_past(part: Record, past: int) -> tuple[Array, Array, Array]:
+def _with_past(part: ScaledEpisode, past: int) -> tuple[Array, Array, Array]:
     """Return controls and outputs of the ``past`` samples, newest first, the output and the control now."""
     both = np.concatenate([part.controls, part.outputs[:-1]], axis=1)
     windows = np.lib.stride_tricks.sliding_window_view(both, past, axis=0)[..., ::-1]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto.candidates import offered, structure_of
-from model_zoo.auto.fitting import LARGE, FitTask, Work, fitted, load
+from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import Auto
 from model_zoo.auto.selection import chosen, weights_of
 from model_zoo.linear import Linear
@@ -281,7 +281,7 @@ def test_the_model_is_the_same_for_any_number_of_processes() -> None:
     tasks = [FitTask((number, 0), "neural_ode", spec.get_params(), data, number, 20.0) for number in range(2)]
     try:
         use_processors(2)
-        side_by_side = Work(None, 40.0).outcomes(tasks)
+        side_by_side = FitWork(None, 40.0).outcomes(tasks)
     finally:
         use_processors(0)
     for task in tasks:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto.candidates import NUMBERS, PROCESSORS, SHARE, SHIPPED, STEPS, Candidate, affordable, named, offered
-from model_zoo.auto.fitting import Work
+from model_zoo.auto.fitting import FitWork
 from model_zoo.auto.model import Auto
 from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, CandidateChoice, Choosing
 from model_zoo.average import Average
@@ -70,7 +70,7 @@ def choice_among(candidates: list[Candidate], budget: float = 100.0) -> Candidat
     pairs = folds_of(data, 3)
     judge = Judge.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
     seeds = np.zeros((len(candidates), 4), dtype=np.int64)
-    choosing = Choosing(data, pairs, judge, candidates, seeds, budget, Work(None, budget))
+    choosing = Choosing(data, pairs, judge, candidates, seeds, budget, FitWork(None, budget))
     return choosing.choice(1.25, Average.made_of)
 
 

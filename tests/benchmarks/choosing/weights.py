@@ -22,7 +22,7 @@ import numpy as np
 
 from evaluation.planning import with_preset
 from evaluation.prediction import ModelPrediction, assess_model
-from model_zoo.auto.fitting import FitTask, Outcome, Work
+from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
@@ -37,10 +37,10 @@ ALONE = "best alone"
 
 def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
     """Return what `auto` becomes by every rule."""
-    memory: dict[tuple[int, int], Outcome] = {}
+    memory: dict[tuple[int, int], FitOutcome] = {}
 
-    class Remembering(Work):
-        def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], Outcome]:
+    class Remembering(FitWork):
+        def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], FitOutcome]:
             memory.update(super().outcomes([task for task in tasks if task.key not in memory]))
             return {task.key: memory[task.key] for task in tasks}
 
@@ -52,7 +52,7 @@ def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
 
         spec = with_preset(Spec("auto"), preset)
         model = make_model(Spec(spec.name, {**spec.parameters, **changed}))
-        with patch("model_zoo.auto.model.Work", Remembering), patch("model_zoo.auto.model.weights_of", weights):
+        with patch("model_zoo.auto.model.FitWork", Remembering), patch("model_zoo.auto.model.weights_of", weights):
             return model.fit(fits.training, rng=np.random.default_rng(seed))
 
     return {**{f"{power:g}": become(power) for power in POWERS}, ALONE: become(POWERS[0], gate=1.0)}

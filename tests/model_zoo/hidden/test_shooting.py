@@ -10,7 +10,7 @@ import pytest
 from model_zoo.state_space import estimation
 from model_zoo.state_space.estimation import Lesson, radius, stabilised
 from model_zoo.state_space.nonlinear_state_space import networks
-from model_zoo.state_space.recordings import Record, Segments
+from model_zoo.state_space.recordings import ScaledEpisode, Segments
 from model_zoo.state_space.shooting import FAR, Spaces, train
 from model_zoo.state_space.subspace import flowing
 from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
@@ -85,7 +85,7 @@ def test_training_finds_the_space_that_made_the_data() -> None:
     true = Spaces.linear(outer, np.array([0.3, 0.2]))
     controls = rng.standard_normal((1, 200, 1))
     outputs = true.run(np.zeros((1, 1, 2)), controls)[0, :, :, :1]
-    segments = Segments.of([Record(outputs[0], controls[0])], 50)
+    segments = Segments.of([ScaledEpisode(outputs[0], controls[0])], 50)
     off = true.with_flat(true.flat + 0.05 * rng.standard_normal(true.flat.shape))
     starts = np.zeros((1, len(segments), 2))
     starts[..., 0] = segments.outputs[:, 0, 0]
@@ -130,8 +130,8 @@ def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
 
 def test_a_sample_counts_once_whatever_the_segments() -> None:
     parts = [
-        Record(np.arange(11.0)[:, None], np.zeros((10, 1))),
-        Record(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
+        ScaledEpisode(np.arange(11.0)[:, None], np.zeros((10, 1))),
+        ScaledEpisode(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
     ]
     segments = Segments.of(parts, 4)
     assert segments.rows(segments.outputs)[:, 0].tolist() == [*range(11), *range(20, 25)]
