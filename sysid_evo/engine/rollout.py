@@ -69,6 +69,27 @@ class DynamicsRunner:
         )
 
 
+@dataclass(frozen=True)
+class Discounted:
+    """A runner whose fitness is that of ``runner`` less the doubt: its mean over the steps of the task.
+
+    A trial that diverges is in doubt from beginning to end and loses ``most``, so that it stays below all others.
+    """
+
+    runner: Runner
+    most: float
+
+    def run(
+        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    ) -> Rollouts:
+        """Run every candidate, see `Runner`."""
+        run = self.runner.run(controller, parameters, task, seeds, record=record)
+        if run.doubt.shape != run.fitness.shape:
+            return run
+        lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
+        return replace(run, fitness=run.fitness - lost)
+
+
 def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
     """Return runners by name; a bare model or emulated robot is run by a `DynamicsRunner`. Raises `InvalidArgument`."""
     if not isinstance(given, Mapping):
@@ -184,24 +205,3 @@ def _compiled(
         engine=f"compiled {precision}",
         trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
     )
-
-
-@dataclass(frozen=True)
-class Discounted:
-    """A runner whose fitness is that of ``runner`` less the doubt: its mean over the steps of the task.
-
-    A trial that diverges is in doubt from beginning to end and loses ``most``, so that it stays below all others.
-    """
-
-    runner: Runner
-    most: float
-
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        """Run every candidate, see `Runner`."""
-        run = self.runner.run(controller, parameters, task, seeds, record=record)
-        if run.doubt.shape != run.fitness.shape:
-            return run
-        lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
-        return replace(run, fitness=run.fitness - lost)

@@ -17,6 +17,8 @@ from sysid_evo.system import Channel, System, level_boundaries
 from sysid_evo.tasks.task import Task, TaskState, make_task
 from sysid_evo.types import Array
 
+Real: TypeAlias = Literal["float", "double"]
+
 VECTORS = 20
 """Samples in the test vectors of a file."""
 
@@ -171,6 +173,3 @@ def _legal(channel: Channel) -> str:
     elif channel.name == "bias":
         parts.append(f"always {channel.neutral:g}")
     return ", ".join(parts)
-
-
-Real: TypeAlias = Literal["float", "double"]

@@ -289,13 +289,7 @@ def observe_lanes(task, state, observation, parameters):
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
     """Let the motion move the pose, and pass the waypoints within reach."""
     reach = parameters[HEAD.radius_squared]
-    move(
-        view(task, ROWS.x * LANES),
-        before,
-        after,
-        parameters[HEAD.dt],
-        view(parameters, HEAD.size),
-    )
+    move(view(task, ROWS.x * LANES), before, after, parameters[HEAD.dt], view(parameters, HEAD.size))
     dx = load(task, ROWS.next_x * LANES) - load(task, ROWS.x * LANES)
     dy = load(task, ROWS.next_y * LANES) - load(task, ROWS.y * LANES)
     passing = lanes_at_most(dx * dx + dy * dy, splat(reach))

@@ -328,11 +328,7 @@ def _state(task_state: TaskState, rows: Array) -> TaskState:
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
     """Move the pose and add the reward of the state in which the control was given."""
-    nx, nu, n_pose = (
-        int(parameters[HEAD.nx]),
-        int(parameters[HEAD.nu]),
-        int(parameters[HEAD.n_pose]),
-    )
+    nx, nu, n_pose = int(parameters[HEAD.nx]), int(parameters[HEAD.nu]), int(parameters[HEAD.n_pose])
     own = view(parameters, int(parameters[HEAD.of_nu]))
     pose = view(task, ROWS.pose * LANES)
     x = view(pose, n_pose * LANES)

@@ -524,20 +524,12 @@ def observe_lanes(task, state, observation, parameters):
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
     """Take the next target, and score how near the state is to it."""
-    nu, goals, n_pose = (
-        int(parameters[HEAD.nu]),
-        int(parameters[HEAD.goals]),
-        int(parameters[HEAD.n_pose]),
-    )
+    nu, goals, n_pose = int(parameters[HEAD.nu]), int(parameters[HEAD.goals]), int(parameters[HEAD.n_pose])
     gain, effort = parameters[HEAD.gain], parameters[HEAD.effort]
     pose, per_dt = view(task, ROWS.pose * LANES), 1.0 / parameters[HEAD.dt]
     targets, firsts = view(pose, n_pose * LANES), view(pose, (n_pose + goals) * LANES)
     move(pose, before, after, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.of_motion])))
-    step, stride, n_data = (
-        view(task, ROWS.step * LANES),
-        int(parameters[HEAD.stride]),
-        int(parameters[HEAD.n_data]),
-    )
+    step, stride, n_data = view(task, ROWS.step * LANES), int(parameters[HEAD.stride]), int(parameters[HEAD.n_data])
     late, reached, beyond = (
         view(task, ROWS.late * LANES),
         view(task, ROWS.reached * LANES),
