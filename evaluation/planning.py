@@ -136,7 +136,8 @@ def plan_comparison(
             ensembles,
             tuple(measured),
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
-            recorded=isinstance(data, RecordedData) or "robot" in data.inputs(),  # here, or when the run was made,
+            # here, or when the run was made
+            recorded=isinstance(data, RecordedData) or "robot" in data.inputs(),
         )
         exploitability = ExploitCell(matrix, data, experiment.seed)
     several = _conditions(experiment, dataset)
@@ -155,12 +156,13 @@ def plan_comparison(
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
+    named = (*settled.plugins, *((settled.robot,) if settled.robot else ()))
     again = Again(
         AGAIN,
         settled.model_dump(mode="json", exclude_none=True),
         after=(data.digest,),
         inside=(FOLDER.as_posix(),),
-        files=files_beside(settled),
+        files={text: (text,) for text in named if Path(text).is_file()},
     )
     plan = Plan.of(wanted, remarks=remarks, again=again)
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
@@ -516,9 +518,3 @@ def without_preset(spec: Spec, preset: str) -> Spec:
     brought = family.presets.get(preset, {})
     own = {key: value for key, value in spec.parameters.items() if key not in brought or value != brought[key]}
     return Spec(spec.name, own, spec.label)
-
-
-def files_beside(experiment: Experiment) -> dict[str, tuple[str, ...]]:
-    """Return the texts of an experiment that name plugins and robots in files, with their files."""
-    found = (*experiment.plugins, *((experiment.robot,) if experiment.robot else ()))
-    return {text: (text,) for text in found if Path(text).is_file()}

@@ -76,11 +76,14 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
-    horizon = cases.near_horizon
+    horizon, states = cases.near_horizon, cases.windows.states
     return ModelPrediction(
         name=name,
         family=family,
-        at=tuple(_at_horizon(forecasts, cases, horizon) for horizon in cases.horizons),
+        at=tuple(
+            _score(h, states[:, h - 1], forecasts.windows[:, h - 1], cases.moving[:, h - 1], cases.window_block, cases)
+            for h in cases.horizons
+        ),
         free_run=_free_run(forecasts, cases),
         curve=curve,
         curve_interval=curve_interval,
@@ -158,11 +161,6 @@ def _at_limit(states: Array, limits: Array) -> BoolArray:
     with np.errstate(invalid="ignore"):
         reached = ((states <= low + slack) | (states >= high - slack)) & (high - low > 1e-12)
     return np.asarray(reached.any(axis=-1))
-
-
-def _at_horizon(forecasts: Forecasts, cases: MeasuredCases, horizon: int) -> ErrorScore:
-    true, predicted = cases.windows.states[:, horizon - 1], forecasts.windows[:, horizon - 1]
-    return _score(horizon, true, predicted, cases.moving[:, horizon - 1], cases.window_block, cases)
 
 
 def _free_run(forecasts: Forecasts, cases: MeasuredCases) -> ErrorScore | None:

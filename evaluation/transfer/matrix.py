@@ -111,15 +111,15 @@ class TransferMatrix:
 
     def means(self) -> Array:
         """Mean fitness (rows, columns), nan for a failed cell."""
-        return np.array([[self.cell(row, column).mean for column in self.columns] for row in self.rows]).reshape(
-            len(self.rows), len(self.columns)
-        )
+        return self._table("mean")
 
     def stds(self) -> Array:
         """Standard deviation over trials (rows, columns), nan for a failed cell."""
-        return np.array([[self.cell(row, column).std for column in self.columns] for row in self.rows]).reshape(
-            len(self.rows), len(self.columns)
-        )
+        return self._table("std")
+
+    def _table(self, figure: str) -> Array:
+        found = [getattr(self.cell(row, column), figure) for row in self.rows for column in self.columns]
+        return np.array(found, dtype=np.float64).reshape(len(self.rows), len(self.columns))
 
     def best(self, column: str) -> str | None:
         """Return the evolved controller with the highest mean fitness on ``column``."""

@@ -134,8 +134,8 @@ CHANGES = (
     Change(
         "the yardstick of a recorded run is not planned again",
         "evaluation/planning.py",
-        'return isinstance(data, RecordedData) or "robot" in data.inputs()',
-        "return isinstance(data, RecordedData)",
+        'isinstance(data, RecordedData) or "robot" in data.inputs()',
+        "isinstance(data, RecordedData)",
         ("tests/evaluation/test_side_by_side.py",),
     ),
     Change(
