@@ -21,15 +21,11 @@ from sysid_evo.files import write_atomically
 from sysid_evo.progress import State
 from sysid_evo.version import versions
 
-SUFFIXES = (".json", ".safetensors")
-
 SCHEMA: Literal["sysid-evo/artefact/3"] = "sysid-evo/artefact/3"
 
-MAX_MANIFEST_BYTES = 4 * 2**20
+SUFFIXES = (".json", ".safetensors")
 
-MAX_HEADER_BYTES = 2**20
-
-MAX_TENSOR_BYTES = 2**31
+MAX_MANIFEST_BYTES, MAX_HEADER_BYTES, MAX_TENSOR_BYTES = 4 * 2**20, 2**20, 2**31
 
 
 def strict_json(value: Any) -> Any:
@@ -53,7 +49,10 @@ StrictJson: TypeAlias = Annotated[dict[str, Any], AfterValidator(strict_json)]
 
 
 class Manifest(BaseModel):
-    """What stands in ``<artefact>.json``. Unknown keys are refused."""
+    """What stands in ``<artefact>.json``: what it is, what made it, and the digest of its tensors.
+
+    Unknown keys are refused.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -174,11 +173,11 @@ def _older(error: ValidationError) -> str:
 
 def _with(path: Path, suffix: str) -> Path:
     """Replace the suffix of an artefact; a dot elsewhere in its name stays."""
-    stem = path.with_suffix("") if path.suffix in (".json", ".safetensors") else path
+    stem = path.with_suffix("") if path.suffix in SUFFIXES else path
     return stem.with_name(stem.name + suffix)
 
 
-CHECKPOINTS_SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
+CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
 
 CONTENT = "sysid-evo"
 
@@ -194,7 +193,7 @@ class _Content(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/checkpoint/2"] = CHECKPOINTS_SCHEMA
+    schema_: Literal["sysid-evo/checkpoint/2"] = CHECKPOINT_SCHEMA
     identity: str
     numbers: list[str]
     others: dict[str, int | str]
@@ -204,6 +203,7 @@ class _Content(BaseModel):
 class CheckpointFile:
     """Keeps the state of long work in the file ``path``: a `Checkpoint` for `evolve_controller` and for models.
 
+    It is one safetensors file, which is the old one or the new one after a crash, never half of one.
     It is due every ``every`` s, less often where saving takes long: never more than a hundredth of the time.
     A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none.
     """

@@ -1,7 +1,4 @@
-"""The carry: where states, lags and controls stand in it, clipping, and what holds a body at rest.
-
-The functions only cut and list parts; whoever calls joins them along the last axis, with its own library.
-"""
+"""The carry: where states, lags and controls stand in it, clipping, and what holds a body at rest."""
 
 from __future__ import annotations
 
@@ -19,7 +16,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class CarryLayout:
-    """The state (nx), ``state_lags`` earlier states, ``control_lags`` earlier controls (nu), newest first."""
+    """The state (nx), ``state_lags`` earlier states, ``control_lags`` earlier controls (nu), newest first.
+
+    Its methods only cut and list parts; whoever calls joins them along the last axis, with its own library.
+    """
 
     nx: int
     nu: int
@@ -88,15 +88,17 @@ def band_of(system: System, envelope: Array, multiple: float) -> Array:
     return np.asarray(REST_BAND * ranges)
 
 
-def held_at_rest(system: System, layout: CarryLayout, band: Array, carry: Array, control: Array, after: Array) -> Array:
+def held_at_rest(
+    system: System, earlier: slice | Sequence[int], band: Array, carry: Array, control: Array, after: Array
+) -> Array:
     """Return ``after`` (B, nx), neutral where the body rests within ``band`` (nx,) and all controls are neutral.
 
-    Earlier controls in the carry count too: with dead time, a short pulse acts after it has ended.
+    The ``earlier`` controls in the carry count too: with dead time, a short pulse acts after it has ended.
     """
     neutral, idle_control = system.neutral_state, system.neutral_control
-    still = (np.abs(carry[..., : layout.nx] - neutral) <= band).all(axis=-1)
-    past = carry[..., layout.earlier_controls]
-    idle = (control == idle_control).all(axis=-1) & (past == np.tile(idle_control, layout.control_lags)).all(axis=-1)
+    still = (np.abs(carry[..., : system.nx] - neutral) <= band).all(axis=-1)
+    past = carry[..., earlier]
+    idle = (control == idle_control).all(axis=-1) & (past == np.resize(idle_control, past.shape[-1])).all(axis=-1)
     return np.where((still & idle)[..., None], neutral, after)
 
 

@@ -61,9 +61,6 @@ LANES = 64
 
 QUARTER = LANES // 4
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Words
-
 
 def view(array, first):
     """Return ``array`` from element ``first`` on, without length or ownership: never keep it.
@@ -173,9 +170,6 @@ def nearest(x):
     """The whole number nearest to x, for |x| up to 2^51; an ordinary kernel function, of float32 another one."""
     return (x + 6755399441055744.0) - 6755399441055744.0
 
-
-# ---------------------------------------------------------------------------------------------------------------------
-# Parameters and arguments
 
 CACHE_LINE = 16
 """Numbers of float32 in a cache line: what begins at a multiple of it stays aligned."""
@@ -304,10 +298,6 @@ class Signature:
 Argument: TypeAlias = Kind | Signature
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Sources
-
-
 @dataclass(frozen=True)
 class KernelSource:
     """A kernel function, and what stands for the free names in it (functions or further sources)."""
@@ -386,9 +376,6 @@ class Picked:
 
 Source: TypeAlias = KernelSource | Wrapped
 
-
-# ---------------------------------------------------------------------------------------------------------------------
-# Records: what an author hands over
 
 DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
 """Overwrite ``carry`` with the next one."""

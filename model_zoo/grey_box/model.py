@@ -389,7 +389,7 @@ class GreyBox(DynamicsModel):
         with np.errstate(all="ignore"):
             states, past = (part.T for part in structure.step(self.parameters_[:, None], carry.T, control.T, extra))
         if (band := self._extended_band) is not None:
-            states = held_at_rest(structure.extended, structure.layout, band, carry, control, states)
+            states = held_at_rest(structure.extended, structure.layout.earlier_controls, band, carry, control, states)
         return np.concatenate([states, past], axis=1)
 
     @property

@@ -1,4 +1,7 @@
-"""What is wrong, or looks wrong, with a log: limits, rate, units, frozen poses."""
+"""What is wrong, or looks wrong, with a log: limits, rate, units, frozen poses.
+
+A log that cannot be used is an error; what only looks wrong is a sentence.
+"""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ from sysid_evo.data.frames import (
     write_samples,
     xarray_of,
 )
-from sysid_evo.data.reading import Recording, listed, read_recording
-from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows
+from sysid_evo.data.reading import Recording, paths_of, read_recording
+from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows, recording
 from sysid_evo.errors import (
     ArtefactError,
     DataWarning,
@@ -193,7 +193,7 @@ class Dataset:
 
         Each doubt about a log is also one `DataWarning`.
         """
-        files = listed(paths)
+        files = paths_of(paths)
         if len(files) == 1 and is_stored_dataset(files[0]):
             if columns is not None:
                 raise InvalidArgument(f"{files[0]}: this is a stored data set, which takes no column map")
@@ -202,10 +202,10 @@ class Dataset:
                     f"{files[0]}: this is a stored data set; name its conditions when the logs are imported"
                 )
             return cls.load(files[0])
-        recording = read_recording(files, columns=columns, condition_column=condition_column)
-        for doubt in recording.doubts:
+        read = read_recording(files, columns=columns, condition_column=condition_column)
+        for doubt in read.doubts:
             warnings.warn(doubt, DataWarning, stacklevel=2)
-        return cls.of_recording(recording)
+        return cls.of_recording(read)
 
     @classmethod
     def of_recording(cls, recording: Recording) -> Dataset:
@@ -260,7 +260,20 @@ class Dataset:
         ``{"wet": "*rain*", "dry": "2024-05-*"}``; a piece such as ``log[0:400]`` goes by the name of its log. Raises
         `InvalidArgument` if a pattern fits nothing, or two fit one episode.
         """
-        return labelled(self, patterns)
+        found: dict[str, str] = {}
+        for name, pattern in patterns.items():
+            fitting = [episode for episode in self.names if fnmatchcase(recording(episode), pattern)]
+            if not fitting:
+                raise InvalidArgument(
+                    f"condition {name!r}: no episode fits {pattern!r}; there are {', '.join(self.names)}"
+                )
+            twice = [episode for episode in fitting if found.get(episode, name) != name]
+            if twice:
+                raise InvalidArgument(
+                    f"condition {name!r}: {twice[0]!r} fits the pattern of {found[twice[0]]!r} as well"
+                )
+            found.update(dict.fromkeys(fitting, name))
+        return self.with_episodes([replace(e, condition=found.get(e.name, e.condition)) for e in self])
 
     @cached_property
     def moving(self) -> tuple[BoolArray, ...]:
@@ -382,22 +395,6 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> 
 def _owners(episode: str) -> list[str]:
     """Return the names by which an episode goes: its own, and those of which it is a piece."""
     return [episode, *(episode[:place] for place, letter in enumerate(episode) if letter == "[")]
-
-
-def labelled(dataset: Dataset, patterns: Mapping[str, str]) -> Dataset:
-    """Do what `Dataset.labelled` says."""
-    found: dict[str, str] = {}
-    for name, pattern in patterns.items():
-        fitting = [e.name for e in dataset if fnmatchcase(e.name.split("[")[0], pattern)]
-        if not fitting:
-            raise InvalidArgument(
-                f"condition {name!r}: no episode fits {pattern!r}; there are {', '.join(dataset.names)}"
-            )
-        twice = [episode for episode in fitting if found.get(episode, name) != name]
-        if twice:
-            raise InvalidArgument(f"condition {name!r}: {twice[0]!r} fits the pattern of {found[twice[0]]!r} as well")
-        found.update(dict.fromkeys(fitting, name))
-    return dataset.with_episodes([replace(e, condition=found.get(e.name, e.condition)) for e in dataset])
 
 
 SHORTEST, LONGEST = 100, 1000

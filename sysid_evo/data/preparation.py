@@ -1,9 +1,4 @@
-"""A raw log becomes episodes: clock, differentiation, filter, decimation, or row by row.
-
-The order matters. Turning before filtering keeps every steady turn exact, whatever the cut-off,
-because its velocities are constant only in the body frame; a filter in the world frame would slow
-down a turning body. Source: paper, section 3 (200 Hz, FIR with its delay taken out, 20 Hz).
-"""
+"""A raw log becomes episodes: row by row, or by clock, differentiation, filter and decimation."""
 
 from __future__ import annotations
 
@@ -19,6 +14,128 @@ from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray, check_shape
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """N rows of one recording, before preparation.
+
+    ``time`` (N,) in s; ``pose`` (N, n_pose) in the units of the system's motion; ``controls``
+    (N, nu): the command in force from this row on; ``extra``: other columns (N,), by name; ``condition``: the name of
+    the condition in which each row was recorded (N,), or None.
+    """
+
+    name: str
+    time: Array
+    pose: Array
+    controls: Array
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    condition: npt.NDArray[np.str_] | None = None
+
+    def __post_init__(self) -> None:
+        time = check_shape(f"time of {self.name!r}", self.time, (None,))
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "pose", check_shape(f"pose of {self.name!r}", self.pose, (len(time), None)))
+        object.__setattr__(
+            self, "controls", check_shape(f"controls of {self.name!r}", self.controls, (len(time), None))
+        )
+        for name, column in self.extra.items():
+            check_shape(f"{name} of {self.name!r}", column, (len(time),))
+        if self.condition is not None and self.condition.shape != time.shape:
+            raise ShapeError(f"condition of {self.name!r}: expected shape {time.shape}, got {self.condition.shape}")
+
+    @property
+    def changes(self) -> BoolArray:
+        """Where the next row is of another condition, (N - 1,)."""
+        if self.condition is None:
+            return np.zeros(len(self.time) - 1, dtype=bool)
+        found: BoolArray = self.condition[1:] != self.condition[:-1]
+        return found
+
+    def condition_at(self, row: int) -> str:
+        """Return the condition of a row, "" if none is known."""
+        return "" if self.condition is None else str(self.condition[row])
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The episodes of the log ``name``, and what was done to it, in sentences that do not name it."""
+
+    name: str
+    episodes: tuple[Trajectory, ...]
+    notes: tuple[str, ...]
+
+
+def episodes_of(log: RawLog, system: System) -> Prepared:
+    """Return the episodes of ``log``: row by row if it is at the control rate, else filtered, see `prepare`."""
+    return take_rows(log, system) if at_control_rate(log, system) else prepare(log, system)
+
+
+RATE_TOLERANCE = 0.2
+"""How far the rows of a log may be from ``dt``, as a share of it, to be taken one by one."""
+
+SHORTEST, LONGEST = 0.5, 1.5
+"""Steps that may stand for one ``dt``, in units of it. A lost row makes 2: taken as one step it would
+teach two steps as one."""
+
+TOLD = 1e-3
+"""Steps off by less than this share of ``dt`` are not worth a word."""
+
+
+def at_control_rate(log: RawLog, system: System) -> bool:
+    """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
+    has_states = all(name in log.extra for name in system.state_names)
+    return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
+
+
+def take_rows(log: RawLog, system: System) -> Prepared:
+    """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
+
+    ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
+    log into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
+    `InvalidData`.
+    """
+    missing = [name for name in system.state_names if name not in log.extra]
+    if missing:
+        raise InvalidData(f"{log.name}: states {', '.join(missing)} are not among the columns of the log")
+    pose = checked_pose(log, system)
+    states = np.stack([log.extra[name] for name in system.state_names], axis=1)
+    steps = np.diff(log.time)
+    broken = (steps < SHORTEST * system.dt) | (steps > LONGEST * system.dt)
+    runs = pieces(broken | log.changes)
+    episodes = [
+        Trajectory(
+            states=states[rows],
+            controls=log.controls[rows][:-1],
+            dt=system.dt,
+            pose=pose[rows] if pose.size else None,
+            name=log.name if len(runs) == 1 else f"{log.name}[{rows.start}:{rows.stop - 1}]",
+            condition=log.condition_at(rows.start),
+        )
+        for rows in runs
+        if rows.stop - rows.start > 1
+    ]
+    if not episodes:
+        raise InvalidData(
+            f"{log.name}: expected rows {system.dt:g} s apart, but no two of them are within 0.5 to 1.5 of that; "
+            f"the steps are {steps.min():.3g} to {steps.max():.3g} s"
+        )
+    kept = 1e3 * steps[~broken]
+    measured = (
+        f"; their stamps are {kept.min():.1f} to {kept.max():.1f} ms apart (mean {kept.mean():.2f} ms)"
+        if np.abs(kept - 1e3 * system.dt).max() > TOLD * 1e3 * system.dt
+        else ""
+    )
+    notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
+    if len(runs) > 1:
+        changes = f" and {int(log.changes.sum())} changes of condition" if log.changes.any() else ""
+        notes.append(
+            f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
+            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
+            f"{len(runs) - len(episodes)} single rows left out"
+        )
+    return Prepared(log.name, tuple(episodes), tuple(notes))
+
 
 CUTOFF = 0.3
 """Default cut-off (half amplitude), in units of the control rate: 6 Hz at 20 Hz.
@@ -47,37 +164,13 @@ STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 
 REACH = len(STENCIL) // 2
 
-LISTED = 4
-"""Logs that a note names."""
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """The episodes of the log ``name``, and what was done to it, in sentences that do not name it."""
-
-    name: str
-    episodes: tuple[Trajectory, ...]
-    notes: tuple[str, ...]
-
-
-def said_once(prepared: Sequence[Prepared]) -> list[str]:
-    """Return the notes of all logs, each once and with the names of its logs before it."""
-    logs: dict[str, list[str]] = {}
-    for one in prepared:
-        for note in one.notes:
-            logs.setdefault(note, []).append(one.name)
-    return [f"{_listed(names, len(prepared))}: {note}" for note, names in logs.items()]
-
-
-def _listed(names: Sequence[str], logs: int) -> str:
-    if len(names) == logs > 1:
-        return "both logs" if logs == 2 else f"all {logs} logs"
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
-
 
 def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap: float | None = None) -> Prepared:
     """Make episodes of ``system`` from a log with at least three rows for each ``system.dt``.
+
+    The order matters. Turning before filtering keeps every steady turn exact, whatever the cut-off, because its
+    velocities are constant only in the body frame; a filter in the world frame would slow down a turning body. Source:
+    paper, section 3 (200 Hz, FIR with its delay taken out, 20 Hz).
 
     The pose is put on a uniform clock (linear interpolation), differentiated over five points,
     turned into the body frame and low-pass filtered with linear phase and no delay left; ``cutoff``
@@ -290,113 +383,21 @@ def _roughness(positions: Array, times: Array) -> float:
     return float(np.sum(np.diff(velocities, axis=0) ** 2))
 
 
-@dataclass(frozen=True)
-class RawLog:
-    """N rows of one recording, before preparation.
-
-    ``time`` (N,) in s; ``pose`` (N, n_pose) in the units of the system's motion; ``controls``
-    (N, nu): the command in force from this row on; ``extra``: other columns (N,), by name; ``condition``: the name of
-    the condition in which each row was recorded (N,), or None.
-    """
-
-    name: str
-    time: Array
-    pose: Array
-    controls: Array
-    extra: Mapping[str, Array] = field(default_factory=dict)
-    condition: npt.NDArray[np.str_] | None = None
-
-    def __post_init__(self) -> None:
-        time = check_shape(f"time of {self.name!r}", self.time, (None,))
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "pose", check_shape(f"pose of {self.name!r}", self.pose, (len(time), None)))
-        object.__setattr__(
-            self, "controls", check_shape(f"controls of {self.name!r}", self.controls, (len(time), None))
-        )
-        for name, column in self.extra.items():
-            check_shape(f"{name} of {self.name!r}", column, (len(time),))
-        if self.condition is not None and self.condition.shape != time.shape:
-            raise ShapeError(f"condition of {self.name!r}: expected shape {time.shape}, got {self.condition.shape}")
-
-    @property
-    def changes(self) -> BoolArray:
-        """Where the next row is of another condition, (N - 1,)."""
-        if self.condition is None:
-            return np.zeros(len(self.time) - 1, dtype=bool)
-        found: BoolArray = self.condition[1:] != self.condition[:-1]
-        return found
-
-    def condition_at(self, row: int) -> str:
-        """Return the condition of a row, "" if none is known."""
-        return "" if self.condition is None else str(self.condition[row])
+LISTED = 4
+"""Logs that a note names."""
 
 
-RATE_TOLERANCE = 0.2
-"""How far the rows of a log may be from ``dt``, as a share of it, to be taken one by one."""
-
-SHORTEST, LONGEST = 0.5, 1.5
-"""Steps that may stand for one ``dt``, in units of it. A lost row makes 2: taken as one step it would
-teach two steps as one."""
-
-TOLD = 1e-3
-"""Steps off by less than this share of ``dt`` are not worth a word."""
+def said_once(prepared: Sequence[Prepared]) -> list[str]:
+    """Return the notes of all logs, each once and with the names of its logs before it."""
+    logs: dict[str, list[str]] = {}
+    for one in prepared:
+        for note in one.notes:
+            logs.setdefault(note, []).append(one.name)
+    return [f"{_listed(names, len(prepared))}: {note}" for note, names in logs.items()]
 
 
-def at_control_rate(log: RawLog, system: System) -> bool:
-    """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
-    has_states = all(name in log.extra for name in system.state_names)
-    return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
-
-
-def episodes_of(log: RawLog, system: System) -> Prepared:
-    """Return the episodes of ``log``: row by row if it is at the control rate, else filtered, see `prepare`."""
-    return take_rows(log, system) if at_control_rate(log, system) else prepare(log, system)
-
-
-def take_rows(log: RawLog, system: System) -> Prepared:
-    """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
-
-    ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
-    log into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
-    `InvalidData`.
-    """
-    missing = [name for name in system.state_names if name not in log.extra]
-    if missing:
-        raise InvalidData(f"{log.name}: states {', '.join(missing)} are not among the columns of the log")
-    pose = checked_pose(log, system)
-    states = np.stack([log.extra[name] for name in system.state_names], axis=1)
-    steps = np.diff(log.time)
-    broken = (steps < SHORTEST * system.dt) | (steps > LONGEST * system.dt)
-    runs = pieces(broken | log.changes)
-    episodes = [
-        Trajectory(
-            states=states[rows],
-            controls=log.controls[rows][:-1],
-            dt=system.dt,
-            pose=pose[rows] if pose.size else None,
-            name=log.name if len(runs) == 1 else f"{log.name}[{rows.start}:{rows.stop - 1}]",
-            condition=log.condition_at(rows.start),
-        )
-        for rows in runs
-        if rows.stop - rows.start > 1
-    ]
-    if not episodes:
-        raise InvalidData(
-            f"{log.name}: expected rows {system.dt:g} s apart, but no two of them are within 0.5 to 1.5 of that; "
-            f"the steps are {steps.min():.3g} to {steps.max():.3g} s"
-        )
-    kept = 1e3 * steps[~broken]
-    measured = (
-        f"; their stamps are {kept.min():.1f} to {kept.max():.1f} ms apart (mean {kept.mean():.2f} ms)"
-        if np.abs(kept - 1e3 * system.dt).max() > TOLD * 1e3 * system.dt
-        else ""
-    )
-    notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
-    if len(runs) > 1:
-        changes = f" and {int(log.changes.sum())} changes of condition" if log.changes.any() else ""
-        notes.append(
-            f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
-            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
-            f"{len(runs) - len(episodes)} single rows left out"
-        )
-    return Prepared(log.name, tuple(episodes), tuple(notes))
+def _listed(names: Sequence[str], logs: int) -> str:
+    if len(names) == logs > 1:
+        return "both logs" if logs == 2 else f"all {logs} logs"
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more

@@ -85,7 +85,7 @@ def read_recording(
 def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return the log files that ``paths`` name: files as they are, of folders every log in them, sorted."""
     files: list[Path] = []
-    for path in listed(paths):
+    for path in paths_of(paths):
         if path.is_dir():
             if is_stored_dataset(path):
                 raise InvalidArgument(
@@ -111,7 +111,7 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     return files
 
 
-def listed(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+def paths_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     """Return one path or several as a list."""
     return [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
 

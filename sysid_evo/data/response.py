@@ -1,21 +1,4 @@
-"""How states respond to controls: linear fit, delays, measured manoeuvres.
-
-Commands are strongly correlated with their own past, so that a plain cross-correlation is smeared
-over many lags. Both series are therefore filtered with the autoregressive model that turns the
-control into white noise; what is left of their correlation is the response to one impulse.
-Source: Box and Jenkins, Time Series Analysis, chapter on transfer functions.
-
-What a state does by itself is taken out of its acceleration first (`fit_linear`), so that the swing
-back of a pendulum, or a position that follows its speed, is no answer to a control. The delay is that
-of the first peak worth mentioning, as a later one may be a backswing, however large.
-
-The change of a state is partly the answer to a control and partly what the state does by itself: a
-pendulum that was pushed swings back. The fit tells the two apart, and its modes are the system's own
-time scales.
-
-They are episodes whose names begin with ``step``, ``coast_down`` or ``circle``, as `sysid-evo record --manoeuvre` makes
-them: first guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in reinforcement learning").
-"""
+"""How states respond to controls: delays, a linear fit, measured manoeuvres."""
 
 from __future__ import annotations
 
@@ -71,6 +54,13 @@ class Delay:
 
 def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
     """Return the delay of every control on every state; a control that is constant has none.
+
+    Commands are strongly correlated with their own past, so that a plain cross-correlation is smeared over many lags.
+    Both series are therefore filtered with the autoregressive model that turns the control into white noise; what is
+    left of their correlation is the response to one impulse (Box and Jenkins, Time Series Analysis, chapter on transfer
+    functions). What a state does by itself is taken out of its acceleration first (`fit_linear`), so that the swing
+    back of a pendulum, or a position that follows its speed, is no answer to a control. The delay is that of the first
+    peak worth mentioning, as a later one may be a backswing, however large.
 
     On a planar body the control and its product with the forward speed are tried, and the stronger
     kept; not on the forward speed itself, whose noise would be on both sides.
@@ -205,6 +195,8 @@ class LinearFit:
 def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
     """Fit changes to the state and the controls of this and ``lags`` earlier steps; None if there are too few rows.
 
+    The change of a state is partly the answer to a control and partly what the state does by itself: a pendulum that
+    was pushed swings back. The fit tells the two apart, and its modes are the system's own time scales.
     On a planar body the controls times the forward speed are regressors too, as a steering wheel works
     in proportion to it.
     """
@@ -318,7 +310,11 @@ class Measured:
 
 
 def measured(dataset: Dataset) -> list[Measured]:
-    """Return what the manoeuvres of a data set say, in their order; nothing if there are none."""
+    """Return what the manoeuvres of a data set say, in their order; nothing if there are none.
+
+    They are episodes whose names begin with ``step``, ``coast_down`` or ``circle``, as `sysid-evo record --manoeuvre`
+    makes them: first guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in reinforcement learning").
+    """
     ways: dict[str, Callable[[System, Trajectory], Iterator[Measured]]] = {
         "step": _step,
         "coast_down": _coast_down,

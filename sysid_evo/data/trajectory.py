@@ -70,6 +70,11 @@ class Trajectory:
         )
 
 
+def recording(name: str) -> str:
+    """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
+    return name.split("[")[0]
+
+
 def as_columns(values: npt.ArrayLike) -> npt.ArrayLike:
     """Return 1-D ``values``, those of a single channel, as one column; anything else as it is."""
     return np.asarray(values)[:, None] if np.ndim(values) == 1 else values
@@ -242,8 +247,3 @@ def _cut(samples: Array, place: IntArray, around: IntArray) -> Array:
         part = slice(begin, begin + at_once)
         np.take(samples, place[part, None] + around, axis=0, out=found[part], mode="clip")
     return found
-
-
-def recording(name: str) -> str:
-    """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
-    return name.split("[")[0]

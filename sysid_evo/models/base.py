@@ -322,7 +322,11 @@ class DynamicsModel(Dynamics, Estimator):
         band = self.rest_band
         if self.system.limited:
             after = np.clip(after, *self.system.limits)
-        return after if band is None else held_at_rest(self.system, self.layout, band, carry, control, after)
+        return (
+            after
+            if band is None
+            else held_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
+        )
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

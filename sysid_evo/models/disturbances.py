@@ -23,6 +23,7 @@ from sysid_evo.types import Array
 class RadicalEnvelope:
     """How far a robot may differ from its model; 0 means that it does not.
 
+    It is Jakobi's radical envelope (paper, section 2.1): noise whose absence a controller must not rely on.
     The *base set* is what is reliable: channels named in ``base`` (states and controls) meet no noise. All
     others do, and how much is drawn anew for every trial, from none to all of what stands here. Most trials
     therefore meet some noise and some hardly any, so that a controller can rely neither on its absence

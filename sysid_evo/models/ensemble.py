@@ -1,4 +1,4 @@
-"""Several models as one: members side by side, their mean, switching between them."""
+"""Several models as one: members side by side, and their mean."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from sysid_evo.carry import held_at_rest
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -157,21 +158,16 @@ class MeanOfMembers(DynamicsModel):
     def held(self, carry: Array, control: Array, after: Array) -> Array:
         system, band = self.system, self.rest_band
         after = np.clip(after, *system.limits) if system.limited else after
-        if band is None:
-            return after
-        rows, neutral = self._earlier_controls
-        still = (np.abs(carry[:, : system.nx] - system.neutral_state) <= band).all(axis=1)
-        idle = (control == system.neutral_control).all(axis=1) & (carry[:, rows] == neutral).all(axis=1)
-        return np.where((still & idle)[:, None], system.neutral_state, after)
+        return after if band is None else held_at_rest(system, self._earlier_controls, band, carry, control, after)
 
     @property
-    def _earlier_controls(self) -> tuple[list[int], Array]:
-        """Where earlier controls stand in the carry, and what is neutral there."""
+    def _earlier_controls(self) -> list[int]:
+        """Where earlier controls stand in the carry."""
         rows: list[int] = []
         for model, place in zip(self.members_, self._together.places, strict=True):
             earlier = range(model.layout.size)[model.layout.earlier_controls]
             rows += [self.system.nx + place + row for row in earlier]
-        return rows, np.resize(self.system.neutral_control, len(rows)) if rows else np.empty(0)
+        return rows
 
     def kernel(self) -> DynamicsKernel | None:
         return self._compiled

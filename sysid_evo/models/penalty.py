@@ -23,7 +23,7 @@ from sysid_evo.types import Array, check_shape
 @cautions.register("doubt")
 @dataclass(frozen=True)
 class Doubt:
-    """What a trial loses where its model cannot be believed, in units of fitness; 0 means nothing.
+    """What a trial loses where its model cannot be believed, in units of fitness; 0 means nothing (as in MOPO, MOReL).
 
     ``outside``: of a trial that is outside the training data from beginning to end (`Supported`);
     ``disagreement``: of one in which the models disagree all the time (`Cautious`). What lies between costs its

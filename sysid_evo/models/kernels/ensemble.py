@@ -91,19 +91,18 @@ def mean_kernel(
     noise_places: Sequence[int],
     weights: Array,
     rest_band: Array | None = None,
-    watched: tuple[Sequence[int], Array] = ((), np.empty(0)),
+    watched: Sequence[int] = (),
 ) -> DynamicsKernel:
     """Return the kernel of a weighted mean of next states, which every member takes over.
 
     The carry is the state and the members' carries at ``places``. With ``rest_band`` (nx,) a state that near neutral
-    stays there under neutral control, if what stands in the ``watched`` rows of the carry, earlier controls, has the
-    values beside them, which are neutral, too.
+    stays there under neutral control, if the earlier controls, in the ``watched`` rows of the carry, are neutral too.
     """
     nx, chain = system.nx, chained(members, system.nx, places, noise_places)
-    rows, values = watched if rest_band is not None else ((), np.empty(0))
-    rest = np.empty(0)
+    rest, rows = np.empty(0), watched if rest_band is not None else ()
     if rest_band is not None:
-        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control, rows, values])
+        idle = system.neutral_control
+        rest = np.concatenate([rest_band, system.neutral_state, idle, rows, np.resize(idle, len(rows))])
     numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
     parameters = MEAN.pack(
         numbers,
