@@ -108,16 +108,12 @@ def unit_of(name: str) -> str:
 
 SWITCH = 0.1
 """A control switches where it changes by more than this share of its range within one step."""
-
 LIMIT = 0.01
 """It is at a limit within this share of its range."""
-
 MOVING = 0.1
 """A body moves above this share of its largest speed, and turns above this share of its largest yaw rate."""
-
 STOP = 0.2
 """Seconds at rest that make a stop."""
-
 SETTLED = 0.1
 """A trial has settled if nothing leaves the tolerance in this last share of it."""
 
@@ -221,18 +217,14 @@ def _markers(trace: Trace, place: Array, forward: Array, still: float) -> dict[s
 
 NEAR = 2.5
 """A marker is missed if a body that came towards it passes it this close, in radii of the marker, and goes away."""
-
 CAME = 0.5
 """In radii: how much nearer it must have come before, and how much farther it must be after."""
-
 AFTER = 2.0
 """Seconds after a miss that count as what follows it."""
-
 LONGEST = 10.0
 """Seconds within which a full turn around a marker is an orbit."""
 
 Reaction: TypeAlias = Literal["drives on", "stops", "turns back"]
-
 REACTIONS: tuple[Reaction, ...] = ("drives on", "stops", "turns back")
 
 
@@ -330,10 +322,8 @@ def _orbits(off: Array, longest: int) -> BoolArray:
 
 MOSTLY, HARDLY = 0.5, 0.1
 """Shares from which on, and below which, something is worth its words."""
-
 SIDED = 0.75
 """Share of the turns to one side from which on it is told."""
-
 APART = 0.15
 """Difference of two shares, or of two rates as a share of the larger, that is told between two systems."""
 
@@ -451,7 +441,6 @@ def _told(name: str, value: float) -> str:
 
 
 STILL = "stand still"
-
 QUIET = 0.05
 """A state counts as neutral within this share of the largest size it has in the data."""
 

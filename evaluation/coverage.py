@@ -18,12 +18,9 @@ from sysid_evo.types import Array, BoolArray
 
 MOST = 5
 """Regions that are told."""
-
 LEAST_SHARE = 0.002
 """A region that is visited less than this is not told."""
-
 PERIODIC_BINS, CONTROL_BINS = 12, 3
-
 ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 
 
@@ -112,7 +109,6 @@ def _rounded(width: float) -> float:
 
 ASKED = 0.05
 """Share of the time at one place from which on it matters: a twentieth."""
-
 RARELY = 0.1
 """A place is missing if the data spend less than this part of that share there: a tenth of what uniform data would."""
 

@@ -14,9 +14,7 @@ from sysid_evo.errors import InvalidArgument, UnknownName, closest
 from sysid_evo.files import write_atomically
 
 FILE = "experiment.toml"
-
 DEFAULT_ROBOT = "emulated_car"
-
 NONE = "none"
 """As noise: none, also where the task has a usual one."""
 

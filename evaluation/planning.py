@@ -412,13 +412,10 @@ def _matrix(
 ALL = "all"
 
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
-
 OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
 """What is compared when no family is named; with the preset ``paper`` only the paper's own."""
-
 TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
 """What is compared where a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
-
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
 """The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
 

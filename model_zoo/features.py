@@ -215,13 +215,10 @@ class FunctionOf(NamedTuple):
 
 OWN = 0.005
 """Share of the deviation of a state's change up to which its own value does not count in it."""
-
 RATE = 0.95
 """Share of the variance of a state's change that another state must explain to be its rate."""
-
 AT_LIMIT = 1e-6
 """Share of the range of a channel within which a state is at its limit."""
-
 FEWEST = 0.5
 """Share of the samples that must be left without those at a limit; else all are taken."""
 

@@ -28,7 +28,6 @@ JITTER = 1e-6
 """What the covariance of the inducing points has more on its diagonal, as a share of the amplitude's square."""
 
 LINEAR_RIDGE = 1e-3
-
 TRIAL_INDUCING = 120
 """Inducing points, at most, where lags are chosen."""
 
@@ -196,7 +195,6 @@ def _geometric_mean(values: Sequence[Array | float]) -> Array:
 
 POOL = 3000
 """Random steps among which is chosen."""
-
 LEAST = 1e-10
 """Variance, as a share of the prior's, up to which a step is as good as known: what is left of it is rounding."""
 

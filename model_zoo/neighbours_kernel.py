@@ -29,11 +29,8 @@ from sysid_evo.models.kernels.neighbours import BUCKET, FAR, boxes_around, packe
 from sysid_evo.types import Array
 
 HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "around", "ridge")
-
 UNREACHED = FAR**2
-
 FIRST = 2
-
 MANY = 30_000
 """Points from which on the boxes of groups are asked first."""
 

@@ -180,7 +180,6 @@ def _with(path: Path, suffix: str) -> Path:
 CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
 
 CONTENT = "sysid-evo"
-
 SHARE = 0.01
 """The most that saving takes of the time."""
 

@@ -13,10 +13,8 @@ from packaging.utils import canonicalize_name
 from sysid_evo.errors import MissingExtra
 
 DISTRIBUTION = "sysid-evo"
-
 PACKAGES = {"serial": "pyserial", "sklearn": "scikit-learn", "yaml": "pyyaml", "cv2": "opencv-python"}
 """Packages of modules that have another name, for what is not installed cannot be asked."""
-
 EXTRA = re.compile(r"""extra == ['"]([^'"]+)['"]""")
 
 

@@ -58,7 +58,6 @@ from sysid_evo.types import Array
 Precision: TypeAlias = Literal["float32", "float64"]
 
 LANES = 64
-
 QUARTER = LANES // 4
 
 
@@ -379,13 +378,10 @@ Source: TypeAlias = KernelSource | Wrapped
 
 DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
 """Overwrite ``carry`` with the next one."""
-
 CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, parameters=REALS, scratch=REALS)
 """Write ``raw``, overwrite ``memory``."""
-
 OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
 """Write ``observation``."""
-
 ADVANCE = Signature(
     task=REALS, before=REALS, after=REALS, control=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS
 )

@@ -26,7 +26,6 @@ RENAMED = {
     "atanh": "arctanh", "pow": "power",
 }  # fmt: skip
 """Functions of `math` that NumPy calls otherwise."""
-
 LOGICAL = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 
 

@@ -20,7 +20,6 @@ from sysid_evo.types import Array
 
 Numbers: TypeAlias = npt.NDArray[Any]
 """Of single or double precision."""
-
 SMALL_STEP = 1e-6
 """By which `CentralDifferences` moves each column."""
 

@@ -20,7 +20,6 @@ from sysid_evo.kernels import (
 )
 
 ROLES = Layout("forward", "lateral", "yaw_rate")
-
 PER_TURN = 1.0 / TURN
 
 

@@ -18,7 +18,6 @@ from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, check_shape
 
 LEVELS = np.array([1.0, 0.0, -1.0])
-
 SETS = 8
 """Sets of random sequences, of which every step uses the next."""
 

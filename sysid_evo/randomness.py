@@ -12,11 +12,8 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.types import Array, Seeds
 
 TASK_STREAM = 0
-
 NOISE_STREAM = 1
-
 DRAW_STREAM = 2
-
 CONTROLLER_STREAM = 3
 
 

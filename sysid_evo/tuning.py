@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 WORST = 1e6
 """The error of what does not stay finite."""
-
 PARTS = 1000
 """Parts in which a budget of time is told."""
 
@@ -284,12 +283,9 @@ def tune(
 
 NEVER = frozenset({"stochastic", "rest_hold", "most_steps", "folds", "lag_search", "state_lags", "control_lags"})
 """What has little to do with how well a model predicts, or has ranges of its own."""
-
 LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
-
 FACTOR = 8.0
 """How far a positive number is searched from its default, both ways."""
-
 SMALLEST, LARGEST = 1e-6, 1.0
 """Where a number is searched that is 0 by default."""
 

@@ -10,11 +10,8 @@ import numpy.typing as npt
 from sysid_evo.errors import ShapeError
 
 Array: TypeAlias = npt.NDArray[np.float64]
-
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
-
 IntArray: TypeAlias = npt.NDArray[np.int64]
-
 Seeds: TypeAlias = npt.NDArray[np.uint64]
 
 

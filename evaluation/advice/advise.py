@@ -21,16 +21,12 @@ MOST = 5
 
 FEWEST = 20
 """Windows of the part held back below which there is nothing to judge on."""
-
 HELD_BACK = 0.25
 """Share of the end of each episode that a copy is judged on where there is no test part."""
-
 NEGLIGIBLE = 0.05
 """N at the main horizon up to which a model is not limited by anything that is worth a word."""
-
 EVEN_THEN = ("noise", "excitation", "test part", "dead command")
 """What is said of such a model all the same: that little is left to gain, and where the data do not lie."""
-
 EXPLAINS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
@@ -40,7 +36,6 @@ EXPLAINS = {
 }
 """What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
 to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
-
 LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,

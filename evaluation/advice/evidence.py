@@ -101,9 +101,7 @@ class WindowErrors:
 
 MOST_WINDOWS = 1200
 """Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
-
 STRIDE, FIRST = 4, 5
-
 BLOCK_WINDOWS = 15
 
 

@@ -16,16 +16,12 @@ from sysid_evo.validation.bootstrap import BlockErrors, interval
 
 WORSE = 1.25
 """Test error over training error that must be exceeded for sure: two recordings of one kind differ by less."""
-
 REMEMBERED = 0.02
 """A training error below this N is that of a model that looks its data up: it says nothing."""
-
 HELPS = 1.05
 """Error with half the data over that with all, that must be exceeded for sure: a twentieth."""
-
 PIECE = 200
 """Steps of each piece, of which every other one is left out."""
-
 CONFIDENCE = 0.95
 
 
@@ -88,16 +84,11 @@ def _ahead(evidence: Evidence) -> str:
 
 BETTER = 0.1
 """Share of the error that a correction must take off, the gate at which adaptation pays at all."""
-
 FEWEST, FEWEST_BLOCKS = 40, 4
 """Windows from which a correction is learned, and on which and on how many blocks of which it is judged."""
-
 RIDGE = 3.0
-
 NEIGHBOURS = 10
-
 RESAMPLES = 500
-
 LUCK = 0.05
 """How often one of all recordings may be called different by luck."""
 

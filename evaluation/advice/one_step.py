@@ -21,11 +21,9 @@ FEWEST = 250
 LITTLE = 1.25
 """A one-step error within this many times the noise cannot be lowered by a quarter: differences between families that
 people act on are larger."""
-
 FORM = 0.2
 """Share of what a model leaves that a plain regression on the model's own inputs explains, from which on its form
 limits it: a tenth of the error."""
-
 NEIGHBOURS, APART = 4, 20
 """A pair is a step and the nearest of so many that is more than so many steps away: noise that lasts is in both."""
 
@@ -107,16 +105,12 @@ def _nearest(points: Array, places: IntArray) -> IntArray:
 SHARE = 0.1
 """Share of what a model leaves that the past must explain: a twentieth of the error, the least that a paired comparison
 of a few minutes can tell apart."""
-
 LOOKED_BACK = (1, 2, 3, 4, 6, 8, 12, LAGS)
 """Lags beyond the memory of a model that are tried together."""
-
 NEARLY = 0.9
 """Of what all lags explain, the part after which the rest is not waited for."""
-
 COUNTS = 0.1
 """A channel whose squared error in standard deviations is less than this share of the largest does not count."""
-
 EARLIER = 4
 """Earlier errors, from which whoever keeps track of a hidden state would know it."""
 
@@ -226,7 +220,6 @@ def _gain(before: Array, after: Array, left: Array) -> tuple[float, int]:
 
 FOLDS, STRETCH = 5, 50
 """Every fifth stretch of so many rows is held out in turn."""
-
 RIDGES = (1.0, 30.0, 1000.0)
 
 

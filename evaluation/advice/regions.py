@@ -85,7 +85,6 @@ def _share(share: float) -> str:
 
 DEAD = 0.25
 """An effect that is surely below a quarter of that elsewhere: lag and noise alone do not shrink it so far."""
-
 SURE = 3.0
 """Standard errors of an effect; those of a regression on neighbouring samples are too small by about a half."""
 

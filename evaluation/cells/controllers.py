@@ -22,7 +22,6 @@ from sysid_evo.registry.registry import cautions, noises
 from sysid_evo.system import System
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
-
 RECOMMENDED = "recommended"
 """What the controller of the recommended recipe is called."""
 
@@ -360,10 +359,8 @@ def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:
 
 ALONE = "min"
 """The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
-
 MEAN_OF_ONE = ("min", "mean", "median")
 """Rules that give, where there is one model, the mean over its trials."""
-
 POLISHED = 2
 """Finalists that the recommended recipe polishes."""
 

@@ -12,10 +12,8 @@ from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, make_robot, robots
 
 TRAINING, TEST = "training", "test"
-
 MANY = 8
 """Fewest episodes of which whole ones can be held back."""
-
 PREDICTABLE = 65
 """Samples that are enough for the longest prediction, and the history before it."""
 

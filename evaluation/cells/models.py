@@ -32,7 +32,6 @@ from sysid_evo.registry import Spec, models
 
 DIGEST = re.compile(r"-[0-9a-f]{8}$")
 """What a store puts behind the name of a file."""
-
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
 

@@ -91,7 +91,6 @@ def emulated(spec: Spec) -> Dynamics:
 
 BELIEVED = 1.5
 """How many times the error of the best model a model may have to be believed."""
-
 FAMILIES = 2
 """The best of this many families are always believed, so that there is one to judge what comes from the other."""
 

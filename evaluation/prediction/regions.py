@@ -14,13 +14,10 @@ from sysid_evo.validation.bootstrap import Interval, block_sums, draw_blocks, in
 
 LOW, HIGH = 20.0, 80.0
 """Percentiles that bound the regions of a continuous channel."""
-
 LEVELS = 5
 """A channel with no more values than that is cut by value."""
-
 NOTABLE = 1.3
 """A region is worth a word from this many times the N of all windows on, if its interval is above 1, too."""
-
 FEWEST_BLOCKS = 4
 """Blocks in which a region must occur, so that there is an interval to speak of."""
 

@@ -20,18 +20,13 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 LAGS = 20
 """Lags of the autocorrelation, and of controls before the step."""
-
 AHEAD = 5
 """Lags of controls after the step: whoever drives by what is measured reacts there, and no model is at fault."""
-
 BLOCK = 2 * LAGS
 """Steps whose products are summed into one for the bands of cross-correlations."""
-
 FEWEST_BLOCKS = 4
-
 LEVEL = 0.05
 """Share of white, unrelated residuals that are called something else."""
-
 MOST_STEPS, PIECE = 20_000, 2_000
 """Of longer data so many steps are looked at, in pieces that lie evenly over them."""
 

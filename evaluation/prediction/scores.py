@@ -235,7 +235,6 @@ FORM = 4
 """Raised whenever stored scores hold something else than before."""
 
 ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
-
 RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
 
 

@@ -222,11 +222,8 @@ def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:
 
 SHARE = 0.9
 """What the intervals are to hold."""
-
 SAMPLES = 100
-
 MOST_WINDOWS = 400
-
 PIECE = 50
 """Windows that are simulated together."""
 

@@ -22,9 +22,7 @@ from evaluation.transfer.summary import rank_correlation
 from sysid_evo.types import Array
 
 RESAMPLES = 4000
-
 SHARE = 0.95
-
 FEWEST = 3
 """Robots, or seeds of a single one, below which there is no interval."""
 
@@ -313,7 +311,6 @@ FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {
     "prediction error": lambda row: None if row.error is None else -row.error,
 }
 """By what a controller could be chosen without the robot; more is better."""
-
 FITNESS = ("forecast", "claim")
 """Those that are a fitness, so that one can say by how much they miss."""
 

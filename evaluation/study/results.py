@@ -384,7 +384,6 @@ POINT_COLUMNS = {
     "unit": "unit of fitness",
     "chosen": "controller that the program picks by its forecast; empty for none",
 }
-
 MODEL_COLUMNS = {
     "point": "name of the point",
     "model": "label of the model",
@@ -396,13 +395,11 @@ MODEL_COLUMNS = {
     "seconds": "duration of the fit, s",
     "reason": "why there is no model; empty for none",
 }
-
 N_COLUMNS = {
     "n_{}": "N after {} steps: mean over channels of RMSE / standard deviation, on held-out data",
     "n_{}_low": "lower end of its 95 % interval (block bootstrap)",
     "n_{}_high": "upper end of its 95 % interval (block bootstrap)",
 }
-
 CONTROLLER_COLUMNS = {
     "point": "name of the point",
     "controller": "name of the controller",
@@ -427,7 +424,6 @@ CONTROLLER_COLUMNS = {
     "file": "its file in the folder of the study",
     "reason": "why there is none; empty for none",
 }
-
 CELL_COLUMNS = {
     "kind": "kind of work",
     "seconds": "how long it took, s",

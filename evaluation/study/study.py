@@ -16,13 +16,10 @@ from sysid_evo.errors import InvalidArgument, closest
 STUDY_FILE = "study.toml"
 
 PARTS = ("title", "experiment", "grid", "reference")
-
 CONTROLLER = "controller"
 """Under ``reference``: the controller that others are compared with."""
-
 REPEATED = ("robot", "data", "seed")
 """Axes over which means and intervals are taken; the others tell rows of a table apart."""
-
 USUAL = "usual"
 """The label of an axis in a grid that leaves it open."""
 
@@ -188,10 +185,8 @@ def _plain(value: Any) -> Any:
 
 
 RANGE = re.compile(r"(?P<before>[^.]*?)(?P<first>\d+)\.\.(?P<last>\d+)(?P<after>[^.]*)")
-
 RANGED = ("seed", "robot")
 """Settings whose values may be ranges."""
-
 LEFT_OUT = ("title", "data_digest", "plugins")
 """Settings that are no axis: they change nothing, are written by the program, or concern all points."""
 

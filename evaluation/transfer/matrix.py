@@ -388,7 +388,6 @@ def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
 
 
 FOLDER = Path("results") / "measured"
-
 BY_HAND = Spec("by_hand")
 """What stands for a controller where a person drives."""
 

@@ -211,10 +211,8 @@ def _correlation(
 
 
 RESAMPLES = 1000
-
 LEAST_GAP = 0.1
 """A claim is exploited only if the gap is more than this share of it."""
-
 SURE = 2.0
 """A claim is exploited only if the gap is more than this many standard errors."""
 

@@ -14,18 +14,13 @@ from sysid_evo.system import System
 
 PROCESSORS = 2
 """Of the machine whose seconds a budget is counted in."""
-
 SHARE = 0.85
 """Of its time that is spent in fits: the rest is starting processes, waiting for the last one, and the mean."""
-
 STEPS = 7200.0
-
 NUMBERS = 5.0
 """Steps of six minutes at 20 Hz, and states and controls of a car: what `Candidate.seconds` were measured with."""
-
 ALONE = 0.25
 """Share of the time of four networks side by side that none of them needs by itself."""
-
 OF_A_PLUGIN = 5.0
 """Seconds that a family counts that is not listed here."""
 
@@ -95,9 +90,7 @@ SHORT = Candidate(
 """Hidden states with little training, which tells where more of it may be worth its time."""
 
 PROCESS = _one("gaussian_process", 7.7, 0.5)
-
 THREE = 3
-
 PROCESSES = Candidate(
     Spec("average", {"families": [PROCESS.name] * THREE}, f"average of {THREE} {PROCESS.name}"),
     THREE * PROCESS.seconds,

@@ -23,14 +23,11 @@ from sysid_evo.validation.simulation_error import HeldOutTest
 
 WORTH = 10.0
 """Seconds of work for which one more process is worth its start."""
-
 IDLE = 60
 """Seconds after which processes end that have nothing to do."""
-
 LARGE = ("numba", "pysindy")
 """Libraries of candidates that take 60 and 170 MB. A process that loads them after its first task looks to joblib as if
 it leaked (300 MB): it is ended with a warning, and the next one loads them again."""
-
 PARTS = 10
 """Parts in which a second of work is told."""
 

@@ -22,7 +22,6 @@ from sysid_evo.validation.simulation_error import Judge
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""
-
 HOPELESS = 1.25
 """Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
 
@@ -30,9 +29,7 @@ PROMISING = 2.0
 """Times the error of the best in the first fold, up to which a candidate may be refined."""
 
 UNTRIED = "not tried, the budget is spent on others"
-
 UNPROMISING = "not tried, what it refines is far behind or not tried itself"
-
 REFINED = "it is no better than what refines it"
 
 
@@ -233,7 +230,6 @@ def judged(rough: Sequence[Sequence[FitOutcome]], judge: Judge) -> tuple[list[Er
 
 NARROWER = (1.0, 0.5, 0.25, 0.0)
 """The gates that are compared, as shares of how far the widest reaches beyond the best."""
-
 AS_GOOD = 0.01
 """Share of the lowest error by which the mean of more candidates may be worse than that of fewer."""
 

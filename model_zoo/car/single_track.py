@@ -19,7 +19,6 @@ from sysid_evo.kernels import Layout
 
 AT_REST = 0.05
 """Speed in m/s at which three quarters of the rolling resistance act."""
-
 LEAST_LOAD = 0.1
 """Share of its load at rest that an axle keeps."""
 
@@ -46,7 +45,6 @@ PARAMETERS = (
     Parameter("slip_floor", 1.0, 0.2, 4.0, "m/s"),
 )
 """What both tyres share. Forces are per mass, so that they read as accelerations."""
-
 MAGIC = (Parameter("tyre_shape", 1.4, 0.5, 2.5, "1"), Parameter("tyre_curvature", 0.0, -5.0, 1.0, "1"))
 """Pacejka's C and E."""
 

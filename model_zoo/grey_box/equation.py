@@ -27,7 +27,6 @@ from sysid_evo.types import Array
 
 SHORTEST_LAG = 0.5
 """Of a step of the integration: a faster actuator is none."""
-
 LONGEST_LAG = 1.0  # s
 
 

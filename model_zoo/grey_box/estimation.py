@@ -21,19 +21,14 @@ from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
 """Of the width of the bounds: the step of a difference quotient, far above the rounding of float32."""
-
 LOOSE = 0.02
 """Weight of the prior of a hidden start, whose deviation is a quarter of its range, against one error."""
-
 VAGUE = 0.5
 """Standard deviation of a guess in the cube: what the data leave open stays near it, and the search converges."""
-
 NOISE = 0.1
 """What an error is taken for until it is known, in spreads of the state."""
-
 WORST = 1e3
 """An error, in spreads of the state, beyond which none counts."""
-
 ROBUST_AT = 1.5
 """Deviations from which on an error counts linearly, in a robust fit (Huber's rule of thumb, rounded up)."""
 
@@ -333,9 +328,7 @@ class FitWindows:
 
 SCREENED = 48
 """Places of the cube that are looked at, the best of which are starts."""
-
 FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
-
 KEPT = 2
 """Starts of the last fit: the best ends of the first one."""
 
@@ -373,12 +366,9 @@ def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
 
 
 ROUNDS = 6
-
 FIRST_SPREAD = 0.05
 """Standard deviation of the offsets in the cube that is assumed at first."""
-
 EVALUATIONS = 12
-
 LEAST = 1e-4
 """Of the width of the bounds: a standard deviation that is none."""
 

@@ -48,16 +48,13 @@ from sysid_evo.validation.simulation_error import judging_windows, simulation_er
 
 SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""
-
 PAST = 20
 """Samples before a window from which its actuators and hidden states begin in a fit, if the episodes are so long."""
 
 SHARES = (0.0, 0.5, 1.0)
 """Of a residual, that may be kept."""
-
 BETTER = 0.98
 """None of it is kept unless free runs are better by this factor."""
-
 HIDDEN_SHARE = 0.3
 """Share of the windows, if each has hidden states of its own to be estimated, which takes longer."""
 

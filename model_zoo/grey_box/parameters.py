@@ -119,14 +119,10 @@ class Box:
 
 BLOCKS = 40
 """Blocks of time that count as independent, at most."""
-
 FEWEST_BLOCKS = 8
-
 OPEN = 0.5
 """Share of what the bounds alone say beyond which the data do not determine a direction."""
-
 AT_BOUND = 0.01
-
 NAMED = 0.3
 """Share of a direction from which on a parameter is named with it."""
 

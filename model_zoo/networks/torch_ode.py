@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from model_zoo.networks.torch_training import Equation
 
 ACTIVATIONS = {"tanh": "Tanh", "silu": "SiLU", "gelu": "GELU", "elu": "ELU", "softplus": "Softplus", "relu": "ReLU"}
-
 TRAINED, STEPPED = 1e-5, 1e-12
 """Tolerances of adaptive solvers: to step, so small that no row of a batch depends on the others."""
 

@@ -31,16 +31,13 @@ from sysid_evo.validation.simulation_error import judging_windows, relative_erro
 
 ADAPTIVE = ("dopri5", "dopri8")
 """Methods that choose their own steps; those of lower order would need too many to be as exact as a step must be."""
-
 MOST_STEPS = 10_000
 """Steps of their own that they may take within dt."""
-
 SOLVER_FAILED = AssertionError
 """What torchdiffeq raises where they would take more, or meet what is no number."""
 
 ON_SINGLE_STEPS = 2 / 3
 """Share of the updates, which take little time each."""
-
 CHECKS = 12
 """Times that the running mean of the weights is judged."""
 

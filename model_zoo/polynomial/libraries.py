@@ -128,7 +128,6 @@ class Custom:
 
 
 OF_X = re.compile(r"(?P<function>\w+)(?:\((?:(?P<factor>[-+.\deE]+)\s*\*\s*)?x\))?")
-
 ALIASES = {"x*abs(x)": "x_abs", "abs(x)*x": "x_abs", "sqrt(abs(x))": "sqrt_abs"}
 
 
@@ -198,20 +197,17 @@ def basis_of(text: str, features: Features) -> Basis:
 
 
 EXAMPLE = "expected NAME(parameter=value, ...), or several joined by + and *, such as 'polynomial(degree=2) + fourier'"
-
 KINDS: Mapping[str, type[Polynomial] | type[Fourier] | type[Custom]] = {
     "polynomial": Polynomial,
     "fourier": Fourier,
     "custom": Custom,
 }
-
 REFUSED: Mapping[str, str] = {
     "pde": "there is no space here to differentiate in",
     "sindypi": "an implicit equation cannot be stepped",
     "parameterized": "write the product of two libraries with inputs=[...] instead",
     "generalized": "write sums and products of libraries with inputs=[...] instead",
 }
-
 Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 
 

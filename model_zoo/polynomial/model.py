@@ -142,7 +142,6 @@ class PolynomialFamily(Uncertain):
 
 DEGREES = (2, 3)
 """What is tried where the degree is left open."""
-
 MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
 """Terms of the largest library that is tried, by how many lags are."""
 
@@ -200,23 +199,16 @@ def equation(
 
 TRIAL = 25.0
 """Seconds of a free run."""
-
 MOST_STEPS = 1000
-
 RUNS = 32
-
 HELD = 10
 """Steps for which a free run holds each control."""
-
 STATES = 64
 """Visited states at which the equation is linearised."""
-
 GROWS = 0.1
 """Growth per second that is worth a sentence."""
-
 MOST = 0.5
 """Share of recorded states with such growth that is worth one."""
-
 STEP = 1e-4
 
 

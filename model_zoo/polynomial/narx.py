@@ -25,11 +25,8 @@ from sysid_evo.validation.folds import FOLDS
 from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
 
 COUNTS = (8, 12, 16, 24, 32, 48)
-
 OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
-
 INDEPENDENT = 1e-10
-
 ROWS = 8192
 """Rows of monomials in memory at a time."""
 

@@ -17,21 +17,16 @@ from sysid_evo.types import Array
 NAMES = (
     "STLSQ", "SR3", "ConstrainedSR3", "FROLS", "SSR", "MIOSR", "SBR", "EnsembleOptimizer", "WrappedOptimizer",
 )  # fmt: skip
-
 NEEDS: Mapping[str, str] = {"ConstrainedSR3": "cvxpy", "MIOSR": "gurobipy", "SBR": "numpyro"}
 """What must be installed beside pysindy."""
-
 REFUSED: Mapping[str, str] = {
     "StableLinearSR3": "what it guarantees is lost where states have units of their own and controls act",
     "TrappingSR3": "what it guarantees holds for quadratic systems without controls",
     "SINDyPI": "an implicit equation cannot be stepped",
 }
-
 ROWS_COUNT = ("EnsembleOptimizer", "SBR", "WrappedOptimizer")
 """Those that draw single samples, or whose penalty depends on how many there are."""
-
 AGGREGATORS = {"mean": lambda fits: np.mean(fits, axis=0), "median": lambda fits: np.median(fits, axis=0)}
-
 NEGLIGIBLE = 1e-6
 """What a solver leaves of a coefficient that is zero, of quantities divided by their root mean squares."""
 

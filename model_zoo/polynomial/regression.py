@@ -41,7 +41,6 @@ THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
 """Degree (0 with a library of its own), threshold, lags."""
-
 SEED = 0
 """Of optimisers that draw, while settings are tried."""
 
@@ -335,7 +334,6 @@ def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
 
 
 SENTENCE = re.compile(r"\s*(?P<what>.+?)\s*(?P<sign><=|>=|==|=)\s*(?P<number>[-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*")
-
 WHAT = "'TERM in STATE <= 0', 'damping of STATE <= 0' or 'terms with INPUT in STATE = 0', also with >= and ="
 
 

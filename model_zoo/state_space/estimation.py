@@ -18,20 +18,15 @@ from sysid_evo.types import Array, BoolArray
 
 SHORT, MIDDLE = 100, 300
 """Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
-
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius from which a linear space is unstable, and what it is then brought to."""
-
 MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
 """Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
 largest recorded output is too far."""
-
 SLOWER, LOUDER = 2, 1.25
 """How many times longer controls are held, and how many times farther from their mean they are, within their range."""
-
 ALONE, APART = 5.0, 0.1
 """A space that is so many times as far from the median of three or more as is usual, and so many deviations."""
-
 LOST = 1.0
 """A root mean square residual, in deviations, from which a training begins anew at the linear start."""
 
@@ -229,20 +224,14 @@ def stabilised(space: Spaces) -> Spaces:
 
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Noise of the state in one step, in units of its usual change, to noise of the output in units of its deviation."""
-
 RICCATI_STEPS, SETTLED = 400, 1e-6
-
 HORIZON, MOST_WINDOWS = 30, 300
-
 FORGOTTEN = 0.02
 """Share of a wrong first guess that may be left after the history."""
-
 SHORTEST, LONGEST = 4, 64
 """Samples of history."""
-
 EPISODE_SHARE = 12
 """A history takes at most one part in so many of the longest episode."""
-
 RIDGE = 1e-6
 
 

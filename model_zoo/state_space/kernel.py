@@ -26,7 +26,6 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 
 HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)
-
 MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
 UNBOUNDED = 1e30

@@ -20,7 +20,6 @@ MOST = 8
 
 STEPS = 60
 """Of the free runs that choose the order."""
-
 TRIAL_SHARE = 0.4
 """Of the iterations, for a trial of an order."""
 

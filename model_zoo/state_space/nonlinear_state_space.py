@@ -23,22 +23,16 @@ from sysid_evo.validation.simulation_error import judging_windows, simulation_er
 
 FEWEST_STATES, MOST_STATES, ORDERS = 2, 6, 3
 """Orders that are tried, so many in any case."""
-
 FINALISTS, FURTHER = 2, 3
 """Orders whose networks are trained further, and how many of them go on to long runs."""
-
 WIDER = 3
 """How often networks may become wider."""
-
 LIKELY = 4
 """Mixtures of units of which more networks are begun, and networks of an order that are judged."""
-
 SHARPNESS = 40.0
 """How fast a member counts less as its criterion, for each sample, is higher."""
-
 ASTRAY = 10.0
 """What the criterion of a member that goes astray is higher."""
-
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
 
@@ -281,7 +275,6 @@ def criterion(errors: Array, spaces: Spaces, lesson: Lesson) -> Array:
 
 SPREAD = 0.7
 """Deviation of the weights into the units at the start."""
-
 STEEPER = 2.0
 """Times as much into units that see the controls alone, which are few."""
 

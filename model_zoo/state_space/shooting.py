@@ -22,19 +22,13 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 FAR = 30.0
 """Deviations from the centre at which a run has diverged."""
-
 START_PRIOR = 0.05
 """Weight of the squares of initial states beside the residuals' in units of the noise."""
-
 LINEAR_PRIOR = 1e-4
-
 MOST_MEMORY = 3.0
 """Residuals that are alike for so long count once, at most."""
-
 EASIER, HARDER = 0.3, 5.0
-
 STIFFEST = 1e8
-
 SAME, LOOSE = 1e-5, 1e-2
 """A share of the objective that is not worth another step, unless steps are damped more than that."""
 

@@ -12,12 +12,9 @@ from sysid_evo.types import Array
 
 MOST_PAST = 20
 """Samples of the past that tell the state."""
-
 SHARE = 4
 """Samples for each coefficient of the predictor, at least."""
-
 RIDGE = 1e-8
-
 FASTEST = 0.1
 """What is left of the fastest mode of a differential equation after a sample, at least."""
 

@@ -13,7 +13,6 @@ UNITS = ("smooth", "kinked", "sharp", "cubic", "gate")
 
 SHARP_WIDTH = 0.1
 """How wide the kink of a sharp unit is, where that of a kinked one is 1."""
-
 BOUND = 3.0
 """A cube stands still beyond it, so that nothing runs away."""
 
@@ -70,9 +69,7 @@ class Unit:
 SMOOTH, KINKED, SHARP, CUBIC, GATE = (Unit(kind) for kind in UNITS)
 
 SHARP_INPUT = Unit("sharp", controls=True)
-
 Mixture: TypeAlias = tuple[Unit | None, ...]
-
 MIXTURES: tuple[Mixture, ...] = (
     (SMOOTH,),
     (SHARP_INPUT, GATE, SHARP_INPUT, GATE, None, None),

@@ -18,9 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 WRONG_INPUT = 2
-
 SOME_FAILED = 3
-
 ROBOT = 4
 
 INTERRUPTED = 128 + signal.SIGINT
@@ -35,9 +33,7 @@ INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)
 """What stops a work that was going on: no space, no quota, a failing disk, too many open files."""
 
 out = Console()
-
 err = Console(stderr=True)
-
 problems = Console(stderr=True)
 
 

@@ -256,7 +256,6 @@ def transfer(
 
 
 SUFFIXES = {"python": ".py", "c": ".c", "onnx": ".onnx"}
-
 REALS = ("double", "float")
 
 

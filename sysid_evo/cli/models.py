@@ -77,7 +77,6 @@ def show_model(
 
 
 SPEED_ROLLOUTS = 640
-
 SPEED_STEPS = 100
 
 

@@ -14,46 +14,32 @@ from sysid_evo.registry.grammar import split
 from sysid_evo.registry.plugins import load_plugin
 
 Seed: TypeAlias = Annotated[int | None, typer.Option(help="Everything random follows from it (0).", min=0)]
-
 Preset: TypeAlias = Annotated[str | None, typer.Option(help="Budget: quick, standard or paper.")]
-
 Plugins: TypeAlias = Annotated[
     list[Path] | None, typer.Option("--plugin", help="Python file with further models, tasks, ...; repeatable.")
 ]
-
 Columns: TypeAlias = Annotated[Path | None, typer.Option("--columns", help="TOML file: which column is which channel.")]
-
 Test: TypeAlias = Annotated[
     list[str] | None, typer.Option("--test", help="Episode (file name without suffix) held back; repeatable.")
 ]
-
 Json: TypeAlias = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
-
 DryRun: TypeAlias = Annotated[bool, typer.Option("--dry-run", help="Print what would be computed, and stop.")]
-
 Out: TypeAlias = Annotated[Path | None, typer.Option("--out", help="Run folder (default runs/TIME).")]
-
 Jobs: TypeAlias = Annotated[
     int | None, typer.Option(min=1, help="Cells computed side by side (default: one a processor).")
 ]
-
 Scheduler: TypeAlias = Annotated[
     str | None,
     typer.Option(
         help="Compute the cells on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, or the scheduler's .json file."
     ),
 ]
-
 Task: TypeAlias = Annotated[str | None, typer.Option(help="What to achieve, NAME(parameter=value, ...).")]
-
 Controller: TypeAlias = Annotated[str | None, typer.Option(help="What is evolved, NAME(parameter=value, ...).")]
-
 Strategy: TypeAlias = Annotated[str | None, typer.Option(help="How it is evolved, NAME(parameter=value, ...).")]
-
 Aggregate: TypeAlias = Annotated[
     str | None, typer.Option(help="How the fitnesses on several models become one: min, mean, median or a plugin's.")
 ]
-
 Noise: TypeAlias = Annotated[
     str | None,
     typer.Option(
@@ -61,26 +47,20 @@ Noise: TypeAlias = Annotated[
         "what is usual for the task); see the docs."
     ),
 ]
-
 Caution: TypeAlias = Annotated[
     str | None,
     typer.Option(help="What a trial loses in evolution where models cannot be believed, such as doubt(outside=5)."),
 ]
-
 Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
-
 Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
-
 Recipe: TypeAlias = Annotated[
     str | None,
     typer.Option(help="recommended (search in each model, choice by others, polish on all) or plain (all at once)."),
 ]
-
 Schedule: TypeAlias = Annotated[
     str | None,
     typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
 ]
-
 Runs: TypeAlias = Annotated[
     int | None, typer.Option(min=1, help="From different seeds; the best counts, all are listed.")
 ]

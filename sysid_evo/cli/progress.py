@@ -21,12 +21,9 @@ from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
-
 SHORTEST = 20  # characters of a title
-
 SHOWN = 10
 """Cells that have a bar of their own at the same time: a cluster may run hundreds."""
-
 NAMED = 4
 """Cells that an interruption names."""
 

@@ -128,7 +128,6 @@ def record(
 
 
 DEFAULT_ROBOT = "emulated_car"
-
 DEFAULT_TASK = "point_to_point"
 
 CONTROLLER_TRIALS = 10

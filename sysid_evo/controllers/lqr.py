@@ -24,10 +24,8 @@ from sysid_evo.tasks.tracking import SHOWN, Following, FollowingState
 from sysid_evo.types import Array, check_shape
 
 SAMPLES = 200
-
 NEAR = 0.01
 """How far around targets the feedback is said in observations, in sizes of the states."""
-
 MISFIT = 0.05
 """The largest share of the feedback that observations may fail to say."""
 

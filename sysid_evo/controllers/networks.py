@@ -256,7 +256,6 @@ def clipped(values: Array) -> Array:
 
 
 INNER: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": rectified}
-
 OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.tanh}
 
 

@@ -197,7 +197,6 @@ def _all_loops(task: Task) -> dict[str, list[str]]:
 
 
 HEAD = Layout("n_loops", "n_outputs", "dt", "time")
-
 LOOP = Layout("observation", "control", "per_scale", "period", "per_period")
 
 

@@ -116,7 +116,6 @@ class Choice(Expression):
 FUNCTIONS: dict[str, Callable[[Any], Any]] = {
     "tanh": np.tanh, "abs": np.abs, "round": np.rint, "sqrt": np.sqrt, "sin": np.sin,
 }  # fmt: skip
-
 OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "min": np.minimum, "max": np.maximum,
     ">": np.greater, ">=": np.greater_equal,

@@ -30,13 +30,10 @@ from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, check_shape
 
 SHOWN = ("forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
-
 DAMPING = 0.1
 """What a damping parameter of 1 means, in s."""
-
 CLOSEST = 0.05
 """A waypoint nearer than this (m) is steered for as if it were this far."""
-
 STRAIGHTEST = 1e-3
 """Arcs straighter than this (1/m) count as this."""
 
@@ -165,7 +162,6 @@ def _max(of: Expression, least: float) -> Binary:
 HEAD = Layout(
     "look", "acceleration", "gain", "ahead", "n_outputs", "drive", "steer", "speed", "yaw_rate", "angle", "distance"
 )
-
 HALF = math.pi / 2.0
 
 

@@ -270,21 +270,13 @@ SETTLED = 5.0
 """A control held for this many time scales lets the states settle, and more of the same teaches nothing."""
 
 FEW_SWITCHES = 10  # in all, where no time scale is known
-
 RARE = 0.02  # share of time
-
 RARE_TOGETHER = 0.01  # share of time
-
 IDLE = 0.3  # share of time
-
 NOISY_BAND = 0.6  # share of half the control rate
-
 EXPLAINED = 0.5  # share of the variance of the next state
-
 JITTER = 0.1  # share of a step
-
 NEAR = 0.2  # share of dt by which the rows of a log may be off to be taken one by one
-
 NAMED = 4
 
 

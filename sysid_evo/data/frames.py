@@ -171,7 +171,6 @@ def _attributes(system: System) -> list[dict[str, str]]:
 
 
 SCHEMA = "sysid-evo/dataset/1"
-
 HEADER, SAMPLES = "dataset.json", "samples.parquet"
 
 

@@ -145,7 +145,6 @@ the amplitude is right to 0.5 % up to 2 Hz, 4 % low at 3 Hz, 13 % low at 4 Hz an
 10 Hz on. A toy car (motor and steering lags of 60-80 ms) moves below 3 Hz; above 5 Hz a
 differentiated marker position is mostly noise.
 """
-
 ATTENUATION = 50.0
 """Of all that lies above half the control rate, in dB."""
 
@@ -155,13 +154,11 @@ MAX_GAP = 0.025
 A line over a hole g under an acceleration a is off by at most a g^2 / 8: 0.4 mm at 5 m/s2. In a
 log slower than 100 Hz, 2.5 periods are bridged, so that it may miss one row.
 """
-
 MIN_RATIO = 3
 """Rows that a log needs for each control period, so that there is something to filter."""
 
 STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 """Five-point central difference, to convolve with: amplitude error (omega h)^4 / 30, no delay."""
-
 REACH = len(STENCIL) // 2
 
 

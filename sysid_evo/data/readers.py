@@ -20,7 +20,6 @@ from sysid_evo.types import Array, IntArray
 LEAVE_OUT = (
     "Leave such rows out before importing (where a file has time stamps it is then split there), or fill them yourself."
 )
-
 WORDS = "A command in words needs the number of each in the column map: words = {stop = 0.0, go = 1.0} (docs/data.md)."
 
 

@@ -18,7 +18,6 @@ ORDER = 8
 """Order of the autoregressive model of a control."""
 
 LATEST, LATEST_STEPS, MOST_STEPS = 0.5, 10, 50
-
 EARLIEST = -0.1
 """Lags looked at: from -0.1 s to 0.5 s, but to 10 steps at least and to 50 at most.
 
@@ -286,12 +285,9 @@ def _scales(rate: Array, dt: float, slowest: float) -> tuple[float, ...]:
 
 STEADY = 0.3
 """Share of the command's time, at its end, that counts as steady."""
-
 RISEN = 1.0 - np.exp(-1.0)
-
 SLOW = 0.15
 """Share of the speed at its beginning below which a coast-down is over."""
-
 LEAST = 1e-9
 
 

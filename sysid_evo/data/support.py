@@ -15,7 +15,6 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, check_shape
 
 QUANTILE = 0.99
-
 KEPT_PAIRS = 2048
 """Pairs of state and control that a fitted model keeps of its training data, evenly spread over them."""
 

@@ -81,11 +81,8 @@ def as_columns(values: npt.ArrayLike) -> npt.ArrayLike:
 
 
 STANDSTILL_SPEED = 0.05  # m/s
-
 STANDSTILL_YAW_RATE = 0.1  # rad/s
-
 STANDSTILL_TIME = 0.5  # s
-
 MARGIN_TIME = 0.25  # s, kept on either side, so that launches and stops stay in
 
 

@@ -256,9 +256,7 @@ def observed_late(name: str, runner: Runner, delay: float) -> Runner:
 
 SECONDS = 5.0
 """For how long every extreme command is held to see how far the states go."""
-
 MOST_COMMANDS = 243
-
 SHARE = 0.99
 """Of the recorded samples that stay below what is called the farthest."""
 

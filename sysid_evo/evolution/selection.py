@@ -90,7 +90,6 @@ def worth(finalist: Finalist) -> float:
 
 
 POLISHED = "polished"
-
 CREDIBLE = 0.7
 """Share of its median fitness over all models that a controller must have on one for that one to be believed."""
 

@@ -95,7 +95,6 @@ int main(void)
 }}
 #endif
 """
-
 DOT = """\
 /* The sum of products of a row of weights and a vector. */
 static {name}_real dot(const {name}_real *weights, const {name}_real *vector, size_t n)

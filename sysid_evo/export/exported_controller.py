@@ -21,7 +21,6 @@ Real: TypeAlias = Literal["float", "double"]
 
 VECTORS = 20
 """Samples in the test vectors of a file."""
-
 ATTEMPTS = 50
 
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 OPSET, IR_VERSION = 17, 8
 """Versions that runtimes have understood since 2022."""
-
 OPERATORS = {
     "+": "Add", "-": "Sub", "*": "Mul", "/": "Div", "min": "Min", "max": "Max", ">": "Greater",
     ">=": "GreaterOrEqual", "tanh": "Tanh", "abs": "Abs", "round": "Round", "sqrt": "Sqrt", "sin": "Sin",

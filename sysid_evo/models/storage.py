@@ -15,7 +15,6 @@ from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 
 ENVELOPE = "envelope_"
-
 NESTED = ("name", "module", "parameters", "learned", "system")
 
 

@@ -32,15 +32,11 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 LOOK = 1.0  # s, between two looks at who is there
-
 ALONE = 5.0  # s without workers, after which that is told
-
 LOST = 20
 """How often a cell is handed out whose data are lost on the way."""
-
 AHEAD = 2
 """Cells that are handed out for every thread of the workers, so that none waits for this process."""
-
 FIRST = 16
 """Cells that are handed out beside, also while there are no workers: a cluster that grows with its work sees some."""
 
@@ -275,9 +271,7 @@ class Cluster:
 
 
 RUNNING = "running"
-
 PATIENT = 5.0  # s, to wait for a worker that takes data
-
 BEFORE, FILES = "before", "files"
 
 
@@ -428,11 +422,8 @@ def _packed_files(files: Mapping[str, tuple[str, ...]]) -> tuple[dict[str, str],
 
 Scheduler: TypeAlias = Union[str, Path, "Client"]
 """``tcp://HOST:PORT``, ``tls://HOST:PORT``, the file that a scheduler wrote, or a client of it."""
-
 FILE_ENDS = ".json"
-
 SCHEMES = ("tcp://", "tls://", "ws://", "wss://")
-
 GO_ON = (
     "what was finished until then is kept, and the same command goes on from there, with another scheduler or without"
 )

@@ -20,12 +20,9 @@ from sysid_evo.plan.store import Parcel, Store, unpack
 from sysid_evo.version import versions
 
 IDLE = 60.0  # s, after which a process that nobody asks for anything ends
-
 WATCH = 0.5  # s, between two looks at whether the result is still wanted
-
 KEPT = 1000
 """Parcels that a process keeps unpacked; those not used for longest go first."""
-
 LACKS, DONE, FAILED, BLOCKED, ENDED = "lacks", "done", "failed", "blocked", "ended"
 """How an order ends: the plan here has no such cell, the three ends of a cell, or the process of the cell ended."""
 

@@ -58,13 +58,10 @@ def execute(
 
 VARIABLE = "SYSID_EVO_JOBS"
 """The environment variable with the number of jobs where none is asked for."""
-
 WORTH = 5.0
 """Seconds of work for which one more process is worth its start."""
-
 MEMORY = 2**30
 """Bytes that one process may need: most is the code of the libraries; cells take far less."""
-
 LIMITS = tuple(Path("/sys/fs/cgroup") / name for name in ("memory.max", "memory.current"))
 """What a container may use in all, and what it does use."""
 

@@ -188,7 +188,6 @@ class SideBySide:
 PROGRAM = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from sysid_evo.plan.processes import main; main()"
 
 GRACE = 10.0  # s, in which a process may write down what it has so far
-
 Inbox: TypeAlias = "SimpleQueue[tuple[Worker, dict[str, Any] | None]]"
 """What workers say; None is the last of each."""
 
@@ -254,7 +253,6 @@ def _uninterrupted() -> Iterator[None]:
 
 
 OFTEN = 0.1  # s, between two reports of progress
-
 INTERRUPTED = 130
 
 

@@ -23,18 +23,12 @@ from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.version import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
-
 CHECKPOINT = ".checkpoint"
-
 SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
-
 MAX_BYTES = 2**22
-
 NAME_LENGTH = 60
-
 IN_MEMORY = 512
 """Values that a store keeps in memory; those not used for longest go first."""
-
 WAITING = "not computed yet"
 
 

@@ -12,11 +12,8 @@ from typing import Any
 from sysid_evo.errors import InvalidArgument
 
 PIECE = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w*)\s*(?P<arguments>\(.*\))?", re.DOTALL)
-
 SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d+)")
-
 WORDS: dict[str, Any] = {"true": True, "false": False, "none": None}
-
 OPEN, CLOSE, QUOTES = "([{", ")]}", "'\""
 
 

@@ -12,7 +12,6 @@ from typing import Any
 from sysid_evo.errors import PluginError, RegistrationError
 
 SHIPPED = ("sysid_evo", "model_zoo", "evaluation", "hardware")
-
 PREFIX = "sysid_evo_plugin_"
 
 

@@ -28,7 +28,6 @@ from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import source_digest
 
 T = TypeVar("T")
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 

@@ -35,10 +35,8 @@ from sysid_evo.tasks.task import Scene, Task, TaskState
 from sysid_evo.types import Array, IntArray, Seeds
 
 POSE = ("x", "y", "heading")
-
 APART = 128.0 / (45.0 * np.pi)
 """Mean distance of two random points of a disc, in its radii."""
-
 FEW, ENOUGH = 3.0, 10.0
 """So few waypoints at full speed are told, and so many are what is proposed."""
 
@@ -245,7 +243,6 @@ def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
 
 
 ROWS = Layout("passed", "alive", "x", "y", "heading", "next_x", "next_y")
-
 HEAD = Layout("forward", "yaw_rate", "dt", "radius_squared", "n_data")
 
 

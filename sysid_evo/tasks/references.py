@@ -62,7 +62,6 @@ class SetPoint(Following):
 
 
 KINDS = ("sine", "steps", "random_walk")
-
 PERIODS = 4.0
 """Periods of the reference that fit into a trial, where no period is given."""
 

@@ -119,7 +119,6 @@ class Reward(Task):
 
 
 F = TypeVar("F", bound=Callable[..., Any])
-
 RESERVED = "horizon"
 
 
@@ -264,7 +263,6 @@ def register_reward(
 
 ROWS = Layout("score", "alive", "pose")
 """After the pose comes one row in which the state and control of a lane stand side by side."""
-
 OWN = Layout("lowest", "share")
 
 

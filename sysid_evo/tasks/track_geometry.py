@@ -22,22 +22,16 @@ from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.types import Array
 
 HARMONICS = (2, 3, 4, 5)
-
 NUMBERS = 5 + 2 * len(HARMONICS)
 """Of a track: centre x and y (m), R (m), a_k and b_k in turn, least and greatest curvature of the centre line (1/m)."""
-
 WALK = 16
 """Steps that are taken along a ray, at most."""
-
 STILL = 5e-3
 """A step (m) so short that it is the last: by the order of convergence it ends within about 0.1 mm of the wall."""
-
 NOWHERE = 1e-9
 """How near zero (m) nothing is divided by."""
-
 DRAWN = 181
 """Points of a wall that is drawn."""
-
 SAMPLED = 96
 """Directions in which the curvature of a centre line is looked at."""
 

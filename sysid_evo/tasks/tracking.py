@@ -20,7 +20,6 @@ from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 
 SETTLED = 0.9
 """A state has settled if it stays within its tolerance from this share of the trial on."""
-
 SHOWN = 10.0
 """An error of so many tolerances is observed as 1."""
 
@@ -321,10 +320,8 @@ def full_controls(system: System) -> Array:
 
 
 Names: TypeAlias = str | Sequence[str]
-
 Numbers: TypeAlias = float | Sequence[float] | None
 """One number for all channels, or one for each; None for the task's own choice."""
-
 TOLERANCES = 20.0
 """The range of the targets in tolerances, where no tolerance is given."""
 
@@ -422,17 +419,12 @@ def middle_half(channel: Channel) -> tuple[float, float]:
 
 ROWS = Layout("score", "alive", "step", "squared", "late", "reached", "beyond", "pose")
 """The pose is followed by the target of each channel now, and its first error."""
-
 HEAD = Layout(
     "nx", "nu", "goals", "dt", "n_pose", "gain", "effort", "stride", "n_data", "of_goals", "of_nu", "of_motion"
 )
-
 STATE = Layout("turn", "centre", "scale")
-
 GOAL = Layout("place", "period", "per_tolerance", "per_still", "turn", "scale", "end")
-
 CONTROL = Layout("neutral", "full")
-
 NEVER = 1e30
 
 

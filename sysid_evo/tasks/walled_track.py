@@ -29,7 +29,6 @@ from sysid_evo.tasks.track_geometry import (
 from sysid_evo.types import Array, IntArray, Seeds
 
 POSE = ("x", "y", "heading")
-
 COLLISIONS = ("slow", "end")
 
 AHEAD = 0.1
@@ -37,7 +36,6 @@ AHEAD = 0.1
 
 KEPT = 0.5
 """Share of its speed that a body keeps in each step at a wall."""
-
 PRESSED = 1e-6
 """How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
 
@@ -261,7 +259,6 @@ ROWS = Layout(
     "furthest", "alive", "x", "y", "heading", "progress", "turned", "touches",
     "first_x", "first_y", "way_x", "way_y", "offset", "rise_x", "rise_y", "moving", "track",
 )  # fmt: skip
-
 HEAD = Layout("forward", "lateral", "yaw_rate", "dt", "half", "room", "ends", "reach", "rays")
 
 

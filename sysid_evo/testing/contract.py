@@ -20,12 +20,10 @@ from sysid_evo.errors import ContractViolation, SysidEvoError
 from sysid_evo.types import Array, BoolArray
 
 Subject = TypeVar("Subject")
-
 Check: TypeAlias = Callable[[Subject], None]
 
 NOT_THE_PLUGINS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib")))
 """Folders whose files are nobody's plugin: this package, Python and what is installed beside it."""
-
 MADE = "It is made from its name and parameters"
 
 

@@ -17,9 +17,7 @@ from sysid_evo.testing.contract import Check, CheckResult, copied, expect, expec
 from sysid_evo.types import Array
 
 N_PARAMETERS = 4
-
 GENERATIONS = 60
-
 PEAK = 1.5
 """Where the fitness of the checks is highest, in every parameter."""
 

@@ -13,7 +13,6 @@ from sysid_evo.types import Array
 
 DECAY = 0.9
 """Of the distance of a state of `ExampleDynamics` from neutral, per step."""
-
 PUSH = 0.3
 """Of a control on every state of `ExampleDynamics`, per step, at most."""
 

@@ -29,7 +29,6 @@ from sysid_evo.testing.examples import example_dataset
 from sysid_evo.types import Array, IntArray
 
 CHAINED_STEPS = 10
-
 COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
 """Of a number and of the largest in its column."""
 

@@ -31,9 +31,7 @@ class PluginTemplate:
 
 
 TEST = "tests/test_{name}.py"
-
 COMMON = {"pyproject.toml.txt": "pyproject.toml", "README.md.txt": "README.md"}
-
 PLUGINS = {
     "model": PluginTemplate("sysid-evo compare --models $name,parametrised"),
     "task": PluginTemplate("sysid-evo compare --task $name"),

@@ -13,13 +13,10 @@ from sysid_evo.validation.simulation_error import error_of
 
 BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
-
 IN_EACH = 0.05
 """that by which it must be lower in every block,"""
-
 CONFIDENCE = 0.975
 """and the probability that it is lower at all, from the differences second by second (Student's t);"""
-
 BETTER_OF_TRAINING, CONFIDENCE_OF_TRAINING = 1.0, 0.99
 """those of more training and of means, of which many are tried and each can learn much from little: this share is
 divided by the root of the seconds that are compared (19 % of 28, 38 % of 7), and is `BETTER` at least."""
@@ -29,7 +26,6 @@ LEAST = 1e-12
 
 AND = " and "
 """Between the two of a mean."""
-
 Kind: TypeAlias = Literal["alone", "further", "mean", "beside"]
 """Whether a trial is a correction or another fit, more training of the model that there was, the mean of such training
 and a correction, or the mean of another fit and a correction."""

@@ -19,10 +19,8 @@ DIVERGED = 1e6
 
 AS_GOOD = 0.05
 """Share of the lowest error by which a smaller model may be worse."""
-
 GOOD = 0.02
 """A simulation error, in standard deviations, that is as good as none."""
-
 Choice = TypeVar("Choice")
 
 

@@ -26,7 +26,6 @@ from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, jud
 
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
-
 SHARE = 0.9
 """Of the truths, to lie within an interval."""
 
@@ -37,10 +36,8 @@ SAMPLES, ROUNDS = 16, 2
 
 POOLED = 0.5
 """How far the spread of a window is drawn to that of all windows: few samples tell its own roughly."""
-
 SMALLEST, LARGEST = 0.02, 20.0
 """By how much a round may change a scale."""
-
 LAGS = range(2, 6)
 """Steps after which measurement noise is forgotten and what is wrong with a model is not."""
 

@@ -186,7 +186,6 @@ def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list
 
 
 LONGEST_HISTORY = 64
-
 HISTORY_SHARE = 3
 """A history takes one part in so many of what the longest horizon leaves of what is held out."""
 

@@ -9,7 +9,6 @@ from evaluation.report.elements import Cards, Picture, Replay, Story
 from evaluation.report.render.svg import drawn
 
 TEMPLATE = "page.html.j2"
-
 JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 """Where a long name may break."""
 

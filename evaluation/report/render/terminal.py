@@ -13,12 +13,9 @@ from evaluation.formatting import folded
 from evaluation.report.elements import Finding, Sheet
 
 WIDTH = 80
-
 GAP = 2
-
 NAMES = (28, 20, 13)
 """Widths to which the names of rows are folded: the first that saves dividing the table."""
-
 DIVIDED = 20
 """And the width in a table that is divided all the same."""
 

@@ -354,7 +354,6 @@ def _better(pick: ControllerSummary, report: Report) -> str:
 
 KEPT = 0.9
 """A claim is kept from this share of it on."""
-
 LOST = 0.5
 """A claim is lost below this share of it."""
 
@@ -466,7 +465,6 @@ def why_chosen(report: Report) -> str | None:
 
 
 ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
-
 POLISHED = (
     "{} was polished once, from the best of all searches and seeds together: how far another polish would end from it "
     "is unknown."

@@ -59,12 +59,10 @@ ON_A_PLANE = (
     "Blue: forwards, orange: backwards; positions from above. The outline is the robot at the same time, the cross "
     "where the model has left its path by a tenth of its extent."
 )
-
 OVER_TIME = (
     "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
     "model has left the robot by a tenth of the range of a state."
 )
-
 CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named."
 
 MOST_NUMBERS = 1_200_000

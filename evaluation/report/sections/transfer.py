@@ -167,7 +167,6 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
 
 FAMILIES = {"backprop27": "bp27", "parametrised": "param", "evolved3": "evo3", "nearest_neighbour": "nn"}
 """The columns, and what the paper calls them; the last one is the car."""
-
 CONTROLLERS = {
     ("backprop27",): ("bp27c", (18.6, 9.0, 1.3, 14.0, 9.33)),
     ("parametrised",): ("paramc", (18.1, 15.1, 1.3, 15.5, 14.0)),
@@ -177,7 +176,6 @@ CONTROLLERS = {
     ("backprop27", "nearest_neighbour", "parametrised"): ("mm2c", (13.6, 10.0, 10.2, 11.7, 9.33)),
 }
 """What each controller was evolved against (the paper does not say which three models mm2c met), and its row there."""
-
 HUMANS = "People in the paper: 8.33 waypoints forwards (humFc), 6.0 backwards (humBc)."
 
 

@@ -26,9 +26,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, WORDS, KernelSource, Layout, Precision, Signature, Source
 
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
-
 REAL = "_real"
-
 FASTMATH = "{'contract', 'arcp', 'nsz'}"
 
 INNER = (

@@ -150,7 +150,6 @@ CLOSED_LOOP = Signature.of(
     sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
     survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
 )  # fmt: skip
-
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 
 

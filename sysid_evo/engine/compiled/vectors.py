@@ -160,7 +160,6 @@ def _choice(comparison: str) -> Any:
 
 where_less = _choice("<")
 """Return x in the lanes where a < b, else y."""
-
 where_at_most = _choice("<=")
 """Return x in the lanes where a <= b, else y."""
 
@@ -192,7 +191,6 @@ def _marks(comparison: str) -> Any:
 
 lanes_less = _marks("<")
 """Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
-
 lanes_at_most = _marks("<=")
 """Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
 

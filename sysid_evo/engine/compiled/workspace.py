@@ -18,7 +18,6 @@ from sysid_evo.types import Array
 
 CACHE_LINE = 64
 """Bytes."""
-
 SMALL = 1 << 14
 """Numbers of an array that is copied beside a thread's own ones."""
 

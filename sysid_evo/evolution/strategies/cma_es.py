@@ -14,14 +14,11 @@ from sysid_evo.types import Array, IntArray, check_shape
 
 ELITE = 15
 """Candidates of the last generation that stand for the champion, beside the mean."""
-
 CONDITION = 1e14
 """Largest condition number of C: beyond it small eigenvalues are rounding errors, and some are negative."""
-
 SHRINKAGE = 0.01
 """Least share of the smallest eigenvalue that is left of it. With few candidates in one or two dimensions, those drawn
 from axes that are some generations old may take more than all."""
-
 SMALLEST, LARGEST = 1e-100, 1e100
 """Bounds of sigma and of the eigenvalues of C, within which all candidates are finite."""
 

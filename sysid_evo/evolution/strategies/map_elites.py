@@ -16,10 +16,8 @@ from sysid_evo.types import Array, IntArray, check_shape
 
 KEPT = 15
 """Cells that the elite is taken from: the best."""
-
 LARGEST = 1e300
 """Fitness beyond this counts as this, since the archive takes finite numbers only."""
-
 ARRAYS = ("candidates", "scores", "leans", "times")
 
 

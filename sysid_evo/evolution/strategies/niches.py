@@ -14,34 +14,23 @@ from sysid_evo.registry.registry import register_strategy, strategies
 from sysid_evo.types import Array, check_shape
 
 ANYTHING = "anything"
-
 QUANTILE = 0.8
-
 LAST = 20
 """Generations of an island over which its promise is taken."""
-
 KEPT = 15
 """Candidates of an island from which its finalist is chosen."""
-
 USUAL_GENERATIONS = 300
-
 SURVEY_SHARE = 0.2
-
 LONGEST_SURVEY = 75
 """Generations of an island after which its kind of behaviour shows, at the latest."""
-
 PATIENCE = 150
 """Generations without a rise after which a start may be over, and another begins."""
-
 PATIENCE_SHARE = 0.125
 """The same as a share of all generations: the longer a search may take, the longer a start may stand still."""
-
 RISE = 0.01
 """Share of the promise that counts as a rise."""
-
 ALIKE = 0.03
 """Share of what was reached within which several starts of a kind are taken to have reached the same."""
-
 LAST_SHARE = 0.2
 """Share of the generations after the survey in which the best starts go on."""
 

@@ -22,7 +22,6 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 FAR = 1.0
 """Time in s within which a coefficient of 1 moves a state by its standard deviation."""
-
 OF_PRODUCTS = 10.0
 """How much stronger a ridge is for products."""
 
@@ -193,12 +192,9 @@ def state_scale(system: System, states: Array) -> Array:
 
 
 SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
-
 STRIDE = 3
-
 FARTHEST = 10.0
 """Standard deviations that an error counts at most."""
-
 ROWS = 2**14
 """Free runs side by side."""
 
@@ -287,9 +283,7 @@ def _beside(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) ->
 
 ROUNDS = 2
 """Linearisations for each ridge; the first starts where that of the stronger one ended."""
-
 SHORTENINGS = (1.0, 0.3, 0.1)
-
 TOLERATED = 1.5
 """Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
 
@@ -345,7 +339,6 @@ def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> f
 
 STEP = 1e-4
 """Of a difference, in spreads of what is changed."""
-
 STEEPEST = 1e6
 """Largest derivative that is believed: a run that diverges has larger ones."""
 

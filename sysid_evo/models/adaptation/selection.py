@@ -28,7 +28,6 @@ from sysid_evo.validation.simulation_error import error_of
 
 KINDS = ("linear", "gains", "products")
 """What a correction may be linear in, the simplest first."""
-
 RIDGES = (3.0, 0.3, 0.03, 0.003)
 """The strongest first, which leaves the simplest correction."""
 
@@ -37,13 +36,10 @@ NONE = "none"
 
 ANEW, REFIT = "fit anew", "refit"
 """What a fit of the family to the new seconds alone is called, and one to the training data as well."""
-
 FURTHER = {f"trained further, {updates} updates": updates for updates in (50, 200, 800)}
 """More training of a model that learns in updates, on the new seconds from where it had ended."""
-
 _KINDS: tuple[tuple[Kind, Kind], tuple[Kind, Kind]] = ("alone", "beside"), ("further", "mean")
 """Of another fit and of more training: what its trial is, and that of its mean with a correction."""
-
 Way: TypeAlias = Callable[[Dataset], DynamicsModel | None]
 """How a model of new seconds is made, other than by a correction; None where that cannot be."""
 
@@ -316,7 +312,6 @@ def decided(trials: Sequence[Trial]) -> str:
 
 AS_AT_HOME = 1.5
 """Times the error at home, of the state that is worst, up to which nothing much has shifted."""
-
 MOST_PIECES = 800
 """Free runs of one case: they overlap, and more of them take longer and say the same."""
 

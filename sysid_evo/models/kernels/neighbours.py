@@ -37,20 +37,14 @@ from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.types import Array, IntArray
 
 BUCKET = 16
-
 GROUPS_AT_ONCE = 4
-
 ALL_BOXES = 2**BUCKET - 1
-
 MANY = 4_000
 """Points in one table from which on the boxes of groups are asked first."""
-
 FAR = 1e15
-
 EXACT_INTEGERS = 2**24
 
 HEAD = Layout("n_states", "n_exact", "n_out", "n_controls", "cells", "most_groups")
-
 TABLE = Layout("groups", "place")
 
 

@@ -247,7 +247,6 @@ def seen_as_angles(x, u, p, y, scratch):
 FUNCTIONS = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
 
 NUMBERS = 5
-
 PLAIN, ABS, SIGN, SIN, COS, TANH, EXP, SQRT_ABS, X_ABS = range(9)
 
 CODES = {
