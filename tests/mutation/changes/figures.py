@@ -172,8 +172,8 @@ CHANGES = (
     Change(
         "models are sorted at ten steps",
         MODELS,
-        "_mean(one.n[20])",
-        "_mean(one.n[10])",
+        "n := one.n[20]",
+        "n := one.n[10]",
         (
             TEST_FIGURES,
             TEST_ROWS,
@@ -252,8 +252,8 @@ CHANGES = (
     Change(
         "a model without errors is best",
         MODELS,
-        'return float("inf") if spread is None',
-        'return float("-inf") if spread is None',
+        "np.inf if (n := one.n[20]) is None",
+        "-np.inf if (n := one.n[20]) is None",
         (
             TEST_FIGURES,
             TEST_ROWS,
