@@ -3,7 +3,7 @@ from .coverage import UncoveredBox
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
 from .exploitability.results import ModelExploitability, exploitability_card, exploitability_to_json
-from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, places
+from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
 from .prediction.cases import PredictionProtocol
 from .prediction.scores import PERSISTENCE, Prediction
@@ -102,7 +102,7 @@ __all__ = [
     "matrix_of",
     "measured_by_person",
     "owner_of",
-    "places",
+    "transfer_targets",
     "plan_comparison",
     "plan_evolution",
     "plan_exploit",

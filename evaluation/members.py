@@ -61,7 +61,7 @@ class Contender:
     run: Path | None = None
 
 
-def places(names: Sequence[str], run: Path | None) -> tuple[TransferTarget, ...]:
+def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTarget, ...]:
     """Return the systems that ``names`` stand for: run folders, files of models, robots, models of ``run``.
 
     A run folder stands for all its models. Raises `InvalidArgument` for what there is not.

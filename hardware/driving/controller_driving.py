@@ -29,25 +29,50 @@ LONGEST = 20.0
 PAUSE = 1.0
 """Seconds between two trials played back, to see how one ended."""
 POLL = 0.02  # s
+LAST_LOOK = 0.3
+"""Seconds for which the page still hears how the last trial ended."""
+
 SETTLING, CONTROLLED, FINISHED = "settling", "controlled", "finished"
 
 
-@dataclass(frozen=True)
-class Moment:
-    """Where the trial ``number`` stands at ``step``: ``state`` (nx,), ``pose`` in the arena, ``control`` in force.
+@contextmanager
+def shown_live(
+    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+) -> Iterator[Callable[[TrialSeries], None]]:
+    """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
+    panel = ControllerPanel(robot.name, task.bind(robot.system), name)
+    with watched(panel, address, stops=stops, announce=announce):
+        yield lambda series: panel.show(moment_of(series))
 
-    ``scores`` are those of the trials that are over.
-    """
 
-    number: int = 0
-    phase: str = SETTLING
-    step: int = 0
-    score: float = 0.0
-    scores: tuple[float, ...] = ()
-    state: Array | None = None
-    pose: Array | None = None
-    control: Array | None = None
-    scene: Scene = field(default_factory=Scene)
+def play_back(
+    champion: Champion,
+    robot: Robot,
+    seeds: Seeds,
+    rollouts: Rollouts,
+    address: PageAddress,
+    *,
+    announce: Callable[[str], None],
+) -> Reason | None:
+    """Show trials that were simulated on the page, as fast as they went or faster; return what stopped that, if any."""
+    task = make_task(champion.task).bind(robot.system)
+    panel = ControllerPanel(robot.name, task, champion.name, faster=pace(task))
+    with Stops() as stops, watched(panel, address, stops=stops, announce=announce):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
+    return stops.reason
+
+
+@contextmanager
+def watched(
+    panel: ControllerPanel, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+) -> Iterator[None]:
+    """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
+    with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
+        while page.seats.driver is None and stops.reason is None:
+            time.sleep(POLL)
+        yield
+        if stops.reason is None:
+            time.sleep(LAST_LOOK)
 
 
 class ControllerPanel:
@@ -95,6 +120,24 @@ class ControllerPanel:
         }
 
 
+@dataclass(frozen=True)
+class Moment:
+    """Where the trial ``number`` stands at ``step``: ``state`` (nx,), ``pose`` in the arena, ``control`` in force.
+
+    ``scores`` are those of the trials that are over.
+    """
+
+    number: int = 0
+    phase: str = SETTLING
+    step: int = 0
+    score: float = 0.0
+    scores: tuple[float, ...] = ()
+    state: Array | None = None
+    pose: Array | None = None
+    control: Array | None = None
+    scene: Scene = field(default_factory=Scene)
+
+
 def moment_of(series: TrialSeries) -> Moment:
     """Return where a robot's trial stands, after a decision of ``series``; its first candidate is shown."""
     trial = min(series.finished // len(series.parameters), len(series.seeds) - 1)
@@ -115,11 +158,6 @@ def moment_of(series: TrialSeries) -> Moment:
         pose=tape.poses[-1],
         control=control,
     )
-
-
-def pace(task: Task) -> float:
-    """Return how many times as fast as in the world the trials of a bound ``task`` are played back."""
-    return max(1.0, task.horizon * task.system.dt / LONGEST)
 
 
 def play(
@@ -158,6 +196,11 @@ def play(
             sleep(POLL)
 
 
+def pace(task: Task) -> float:
+    """Return how many times as fast as in the world the trials of a bound ``task`` are played back."""
+    return max(1.0, task.horizon * task.system.dt / LONGEST)
+
+
 def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> list[Moment]:
     """Return where the trial of one ``seed`` stood at every sample of its ``trajectory``."""
     task_state = task.begin(seed)
@@ -179,47 +222,3 @@ def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> lis
         shown = Moment(number, CONTROLLED, step, float(task.fitness(task_state)[0]), scene=scene)
         found.append(replace(shown, state=state, pose=poses[step], control=control))
     return found
-
-
-LAST_LOOK = 0.3
-"""Seconds for which the page still hears how the last trial ended."""
-
-
-@contextmanager
-def watched(
-    panel: ControllerPanel, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
-) -> Iterator[None]:
-    """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
-    with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
-        while page.seats.driver is None and stops.reason is None:
-            time.sleep(POLL)
-        yield
-        if stops.reason is None:
-            time.sleep(LAST_LOOK)
-
-
-@contextmanager
-def shown_live(
-    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
-) -> Iterator[Callable[[TrialSeries], None]]:
-    """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
-    panel = ControllerPanel(robot.name, task.bind(robot.system), name)
-    with watched(panel, address, stops=stops, announce=announce):
-        yield lambda series: panel.show(moment_of(series))
-
-
-def play_back(
-    champion: Champion,
-    robot: Robot,
-    seeds: Seeds,
-    rollouts: Rollouts,
-    address: PageAddress,
-    *,
-    announce: Callable[[str], None],
-) -> Reason | None:
-    """Show trials that were simulated on the page, as fast as they went or faster; return what stopped that, if any."""
-    task = make_task(champion.task).bind(robot.system)
-    panel = ControllerPanel(robot.name, task, champion.name, faster=pace(task))
-    with Stops() as stops, watched(panel, address, stops=stops, announce=announce):
-        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
-    return stops.reason

@@ -12,33 +12,9 @@ from rich.text import Text
 import evaluation
 import sysid_evo.export
 from evaluation.experiment import Experiment
+from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
-from sysid_evo.cli.options import (
-    Aggregate,
-    Caution,
-    Controller,
-    DryRun,
-    EstimatorDelay,
-    Generations,
-    Jobs,
-    Json,
-    Noise,
-    Plugins,
-    Preset,
-    Recipe,
-    Runs,
-    Schedule,
-    Scheduler,
-    Seed,
-    Strategy,
-    Task,
-    Trials,
-    given,
-    listed,
-    load_plugins,
-    resolved,
-    seconds,
-)
+from sysid_evo.cli.options import given, listed, load_plugins, resolved, seconds
 from sysid_evo.cli.progress import Bars, carry_out
 from sysid_evo.cli.recordings import print_regions
 from sysid_evo.errors import InvalidArgument
@@ -49,26 +25,26 @@ from sysid_evo.plan.store import Store
 
 def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
-    aggregate: Aggregate = None,
-    noise: Noise = None,
-    caution: Caution = None,
-    task: Task = None,
-    controller: Controller = None,
-    strategy: Strategy = None,
-    recipe: Recipe = None,
+    aggregate: options.Aggregate = None,
+    noise: options.Noise = None,
+    caution: options.Caution = None,
+    task: options.Task = None,
+    controller: options.Controller = None,
+    strategy: options.Strategy = None,
+    recipe: options.Recipe = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    preset: Preset = "standard",
-    generations: Generations = None,
-    trials: Trials = None,
-    runs: Runs = None,
-    estimator_delay: EstimatorDelay = None,
-    schedule: Schedule = None,
-    seed: Seed = None,
-    plugin: Plugins = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
-    as_json: Json = False,
+    preset: options.Preset = "standard",
+    generations: options.Generations = None,
+    trials: options.Trials = None,
+    runs: options.Runs = None,
+    estimator_delay: options.EstimatorDelay = None,
+    schedule: options.Schedule = None,
+    seed: options.Seed = None,
+    plugin: options.Plugins = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
 ) -> None:
     """Evolve a controller against one model or against an ensemble of them at once.
 
@@ -156,16 +132,16 @@ def exploit(
     model: Annotated[str, typer.Argument(help="A fitted model of the run, by its name or its file.")],
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
     robot: Annotated[str | None, typer.Option(help="Emulated robot to show what it is worth there.")] = None,
-    task: Task = None,
-    controller: Controller = None,
-    strategy: Strategy = None,
-    preset: Preset = "quick",
-    generations: Generations = None,
-    trials: Trials = None,
-    seed: Seed = None,
-    plugin: Plugins = None,
-    dry_run: DryRun = False,
-    as_json: Json = False,
+    task: options.Task = None,
+    controller: options.Controller = None,
+    strategy: options.Strategy = None,
+    preset: options.Preset = "quick",
+    generations: options.Generations = None,
+    trials: options.Trials = None,
+    seed: options.Seed = None,
+    plugin: options.Plugins = None,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
 ) -> None:
     """Search the controller that gains most in one model and in no other, and say how it cheats.
 
@@ -224,11 +200,11 @@ def transfer(
     ],
     on: Annotated[str, typer.Option(help="Fitted models, their files, run folders, robots; separated by commas.")],
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    task: Task = None,
+    task: options.Task = None,
     trials: Annotated[int, typer.Option(min=1, help="Fresh trials, the same for all.")] = TRIALS,
-    seed: Seed = None,
-    plugin: Plugins = None,
-    as_json: Json = False,
+    seed: options.Seed = None,
+    plugin: options.Plugins = None,
+    as_json: options.Json = False,
 ) -> None:
     """Run stored controllers on models and robots, and tell what each claims, achieves, has at worst and costs.
 
@@ -236,7 +212,7 @@ def transfer(
     """
     load_plugins(plugin)
     session.run = None if run is None else Store(run)
-    systems = evaluation.places(listed("--on", on) or (), run)
+    systems = evaluation.transfer_targets(listed("--on", on) or (), run)
     drivers = evaluation.contenders(controllers, systems[0].system, task)
     evaluation.check_fit(drivers, systems)
     title = f"run {len(drivers)} controllers on {len(systems)} systems"
@@ -265,7 +241,7 @@ def export(
     file: Annotated[Path | None, typer.Option("--out", help="New file (default: NAME with its suffix, here).")] = None,
     name: Annotated[str | None, typer.Option(help="What it is called in the file (default: its own name).")] = None,
     real: Annotated[str, typer.Option(help="Precision of C and ONNX: double or float.")] = "double",
-    plugin: Plugins = None,
+    plugin: options.Plugins = None,
 ) -> None:
     """Write an evolved controller as one file: from its observations, in order, to legal controls.
 

@@ -13,37 +13,9 @@ from rich.text import Text
 import evaluation
 import sysid_evo
 from evaluation.experiment import FILE, Experiment
+from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
-from sysid_evo.cli.options import (
-    Aggregate,
-    Caution,
-    Columns,
-    Controller,
-    DryRun,
-    EstimatorDelay,
-    Generations,
-    Jobs,
-    Json,
-    Noise,
-    Out,
-    Plugins,
-    Preset,
-    Recipe,
-    Runs,
-    Schedule,
-    Scheduler,
-    Seed,
-    Strategy,
-    Task,
-    Test,
-    Trials,
-    column_map,
-    given,
-    listed,
-    load_plugins,
-    resolved,
-    seconds,
-)
+from sysid_evo.cli.options import column_map, given, listed, load_plugins, resolved, seconds
 from sysid_evo.cli.progress import Bars, print_plan
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.plan.executors import execute
@@ -54,7 +26,7 @@ def compare(
     data: Annotated[
         list[Path] | None, typer.Option(help="Recordings of a robot (default: record an emulated one); repeatable.")
     ] = None,
-    test: Test = None,
+    test: options.Test = None,
     leave_out: Annotated[
         str | None,
         typer.Option(help="'condition': fit every family also without each condition of the data, and test it there."),
@@ -67,41 +39,41 @@ def compare(
         str | None, typer.Option(help="Robot for the last column (default without --data: emulated_car).")
     ] = None,
     minutes: Annotated[float | None, typer.Option(min=0.1, help="Length of the recording of a robot (6).")] = None,
-    preset: Preset = None,
+    preset: options.Preset = None,
     only: Annotated[
         str | None, typer.Option(help="'prediction' leaves the controllers out, 'fit' prediction errors, too.")
     ] = None,
-    task: Task = None,
-    controller: Controller = None,
+    task: options.Task = None,
+    controller: options.Controller = None,
     by_hand: Annotated[
         str | None,
         typer.Option(help="Controllers that need no evolution, such as pursuit, separated by commas: further rows."),
     ] = None,
-    strategy: Strategy = None,
-    recipe: Recipe = None,
-    aggregate: Aggregate = None,
-    noise: Noise = None,
-    caution: Caution = None,
-    generations: Generations = None,
-    trials: Trials = None,
-    runs: Runs = None,
-    schedule: Schedule = None,
-    estimator_delay: EstimatorDelay = None,
+    strategy: options.Strategy = None,
+    recipe: options.Recipe = None,
+    aggregate: options.Aggregate = None,
+    noise: options.Noise = None,
+    caution: options.Caution = None,
+    generations: options.Generations = None,
+    trials: options.Trials = None,
+    runs: options.Runs = None,
+    schedule: options.Schedule = None,
+    estimator_delay: options.EstimatorDelay = None,
     yardstick: Annotated[
         bool | None,
         typer.Option("--yardstick/--no-yardstick", help="Also evolve on the emulated robot itself."),
     ] = None,
-    seed: Seed = None,
-    folder: Out = None,
-    columns: Columns = None,
-    plugin: Plugins = None,
+    seed: options.Seed = None,
+    folder: options.Out = None,
+    columns: options.Columns = None,
+    plugin: options.Plugins = None,
     config: Annotated[
         Path | None, typer.Option(help="experiment.toml, or a run folder with one; other options win over it.")
     ] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
-    as_json: Json = False,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
 ) -> None:
     """Fit models, evolve controllers in them, and compare both: which predict, which transfer.
@@ -164,16 +136,16 @@ def fit(
             "held out and becomes the mean of what runs free best there."
         ),
     ] = DEFAULT,
-    test: Test = None,
-    preset: Preset = "standard",
-    seed: Seed = None,
-    folder: Out = None,
-    columns: Columns = None,
-    plugin: Plugins = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
-    as_json: Json = False,
+    test: options.Test = None,
+    preset: options.Preset = "standard",
+    seed: options.Seed = None,
+    folder: options.Out = None,
+    columns: options.Columns = None,
+    plugin: options.Plugins = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False,
+    as_json: options.Json = False,
 ) -> None:
     """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
     settings = given(
@@ -319,7 +291,7 @@ def where_time_went(timings: Mapping[str, float]) -> str:
 
 def report(
     run: Annotated[Path, typer.Argument(help="Run folder.")],
-    as_json: Json = False,
+    as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
     formats: Annotated[
         list[str] | None,
@@ -368,13 +340,13 @@ def study(
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder of the study (default runs/NAME of the file).")
     ] = None,
-    jobs: Jobs = None,
-    scheduler: Scheduler = None,
-    dry_run: DryRun = False,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False,
     render: Annotated[
         bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
     ] = False,
-    as_json: Json = False,
+    as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table.")] = False,
 ) -> None:
     """Compare over a grid of robots, seeds and settings: tables with intervals, Parquet, a page.

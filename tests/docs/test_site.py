@@ -23,7 +23,7 @@ def test_every_command_has_its_place_in_the_reference(site: Path) -> None:
 
 def test_the_reference_of_python_describes_what_is_imported_from_the_package(site: Path) -> None:
     page = (site / "reference" / "python.html").read_text()
-    for name in ("dataset.Dataset", "model.DynamicsModel", "comparing.compare"):
+    for name in ("dataset.Dataset", "base.DynamicsModel", "running.compare"):
         assert re.search(rf'id="[\w.]*{re.escape(name)}"', page), name
     assert "Return minus the simulation error" in page
 
