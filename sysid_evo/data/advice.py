@@ -82,6 +82,13 @@ class Sampling:
     longest: float
     scatter: float
 
+    @classmethod
+    def of(cls, log: RawLog) -> Sampling:
+        steps = np.diff(log.time)
+        median = float(np.median(steps))
+        scatter = float(steps[steps < 1.5 * median].std())
+        return cls(log.name, len(log.time), float(steps.min()), median, float(steps.max()), scatter)
+
 
 @dataclass(frozen=True)
 class Advice:
@@ -118,12 +125,16 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
     states = np.concatenate([episode.states[:-1] for episode in dataset])
     moving = float(np.mean(np.concatenate(dataset.moving)))
     levels = [_levels(channel, controls[:, i]) for i, channel in enumerate(system.controls)]
-    level = [_nearest(values, controls[:, i]) for i, values in enumerate(levels)]
+    level = [np.abs(controls[:, [i]] - np.asarray(values)).argmin(axis=1) for i, values in enumerate(levels)]
     starts = np.cumsum([0, *(len(episode) for episode in dataset)])[1:-1]
-    uses = tuple(
-        _control_use(channel, values, index, starts, dataset.duration)
-        for channel, values, index in zip(system.controls, levels, level, strict=True)
-    )
+    uses = []
+    for channel, values, index in zip(system.controls, levels, level, strict=True):
+        changes = np.diff(index) != 0
+        changes[starts - 1] = False
+        shares = np.bincount(index, minlength=len(values)) / len(index)
+        switches = int(changes.sum())
+        per_minute = 60.0 * switches / dataset.duration
+        uses.append(ControlUse(channel.name, channel.unit, values, tuple(shares.tolist()), switches, per_minute))
     cell = _cells(system.wrapped(states))
     visited = int(cell.max()) + 1
     fit = fit_linear(dataset, LATEST_STEPS)
@@ -136,13 +147,13 @@ def advise(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Advice:
         idle=_idle(dataset),
         scales=() if fit is None else fit.scales,
         unusable=_unusable(dataset),
-        controls=uses,
+        controls=tuple(uses),
         states=tuple(_state_use(dataset, i, float(explained[i])) for i in range(system.nx)),
         cells=visited,
         grid=CELLS**system.nx,
         commands=tuple(_command_uses(levels, level, cell)),
         delays=find_delays(dataset),
-        sampling=tuple(_sampling(log) for log in logs),
+        sampling=tuple(map(Sampling.of, logs)),
         suggestions=(),
     )
     return replace(advice, suggestions=tuple(suggestions(advice)))
@@ -175,20 +186,6 @@ def _levels(channel: Channel, values: Array) -> tuple[float, ...]:
     low = channel.low if np.isfinite(channel.low) else values.min()
     high = channel.high if np.isfinite(channel.high) else values.max()
     return tuple(float(value) for value in np.linspace(low, high, LEVELS)) if low < high else (float(low),)
-
-
-def _nearest(levels: Sequence[float], values: Array) -> IntArray:
-    return np.abs(values[:, None] - np.asarray(levels)).argmin(axis=1)
-
-
-def _control_use(
-    channel: Channel, levels: tuple[float, ...], index: IntArray, starts: IntArray, duration: float
-) -> ControlUse:
-    changes = np.diff(index) != 0
-    changes[starts - 1] = False
-    shares = np.bincount(index, minlength=len(levels)) / len(index)
-    switches = int(changes.sum())
-    return ControlUse(channel.name, channel.unit, levels, tuple(shares.tolist()), switches, 60.0 * switches / duration)
 
 
 def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
@@ -253,15 +250,6 @@ def _command_uses(
         yield CommandUse(values, share, cells / visited)
 
 
-def _sampling(log: RawLog) -> Sampling:
-    steps = np.diff(log.time)
-    median = float(np.median(steps))
-    regular = steps[steps < 1.5 * median]
-    return Sampling(
-        log.name, len(log.time), float(steps.min()), median, float(steps.max()), scatter=float(regular.std())
-    )
-
-
 TIMES_PER_CHANNEL, NEARLY = 30.0, 0.9
 """How often a recording should last the slowest time scale, for each state and control: a rule of thumb, so
 that nine tenths of it pass."""
@@ -286,14 +274,22 @@ def suggestions(advice: Advice) -> Iterator[str]:
     yield from _about_standstill(advice)
     for use in advice.controls:
         yield from _about_control(use, advice)
-    yield from _about_combinations(advice)
+    never = [command.levels for command in advice.commands if command.share < RARE_TOGETHER]
+    if never and len(advice.controls) > 1:
+        names = ", ".join(use.name for use in advice.controls)
+        listed = "; ".join(", ".join(f"{level:.3g}" for level in levels) for levels in never)
+        yield f"Less than {RARE_TOGETHER:.0%} of the time at ({names}) near: {listed}."
     for use in advice.controls:
         clear = [delay for delay in advice.delays if delay.control == use.name and delay.clear]
         if clear:
             yield from _about_delay(max(clear, key=lambda delay: abs(delay.strength)))
-    if not advice.unusable:
-        for state in advice.states:
-            yield from _about_band(state, 0.5 / advice.dt)
+    half = 0.5 / advice.dt
+    for state in () if advice.unusable else advice.states:
+        if state.bandwidth > NOISY_BAND * half:
+            close = f"{state.bandwidth:.2g} Hz, close to half the control rate ({half:g} Hz)"
+            noisy = ", and the sample before tells little of it: it is noisy, or dt is too long."
+            quick = ": it changes within few samples, so a shorter dt would show more of it."
+            yield f"95 % of {state.name} lies below {close}{noisy if state.explained < EXPLAINED else quick}"
     yield from _about_stamps(advice)
 
 
@@ -350,14 +346,6 @@ def _about_control(use: ControlUse, advice: Advice) -> Iterator[str]:
         )
 
 
-def _about_combinations(advice: Advice) -> Iterator[str]:
-    never = [command.levels for command in advice.commands if command.share < RARE_TOGETHER]
-    if never and len(advice.controls) > 1:
-        names = ", ".join(use.name for use in advice.controls)
-        listed = "; ".join(", ".join(f"{level:.3g}" for level in levels) for levels in never)
-        yield f"Less than {RARE_TOGETHER:.0%} of the time at ({names}) near: {listed}."
-
-
 def _about_delay(delay: Delay) -> Iterator[str]:
     if delay.steps < 0:
         yield (
@@ -369,16 +357,6 @@ def _about_delay(delay: Delay) -> Iterator[str]:
             f"{delay.state} answers {delay.control} {spell(delay.seconds)} later: "
             f"give the models control_lags of {delay.steps} or more."
         )
-
-
-def _about_band(use: StateUse, half: float) -> Iterator[str]:
-    if use.bandwidth <= NOISY_BAND * half:
-        return
-    so_far = f"95 % of {use.name} lies below {use.bandwidth:.2g} Hz, close to half the control rate ({half:g} Hz)"
-    if use.explained < EXPLAINED:
-        yield f"{so_far}, and the sample before tells little of it: it is noisy, or dt is too long."
-    else:
-        yield f"{so_far}: it changes within few samples, so a shorter dt would show more of it."
 
 
 def _about_stamps(advice: Advice) -> Iterator[str]:

@@ -58,7 +58,13 @@ def check_control(table: Table, name: str, control: ControlColumn, values: Array
 
 def findings(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
     """Return sentences on what looks wrong in ``log``, which came from ``table``; raise what is certainly wrong."""
-    found = [*_beyond_limits(log, table, columns), *_constant(log, table, columns)]
+    found = _beyond_limits(log, table, columns)
+    found += [
+        f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {state.column!r}: "
+        f"state {name!r} is constant at {log.extra[name][0]:g}; is the sensor alive?"
+        for name, state in columns.states.items()
+        if state.column is not None and np.ptp(log.extra[name]) == 0.0
+    ]
     if columns.pose:
         found += [*_frozen(log, table), *_heading_jumps(log, table, columns)]
         found += _course(log, table, columns)
@@ -94,15 +100,6 @@ def constant_controls(logs: Sequence[RawLog], tables: Sequence[Table], columns: 
                 "nothing can be learned about it"
             )
     return found
-
-
-def _constant(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    return [
-        f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {state.column!r}: "
-        f"state {name!r} is constant at {log.extra[name][0]:g}; is the sensor alive?"
-        for name, state in columns.states.items()
-        if state.column is not None and np.ptp(log.extra[name]) == 0.0
-    ]
 
 
 def _frozen(log: RawLog, table: Table) -> list[str]:

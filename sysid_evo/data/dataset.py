@@ -19,7 +19,6 @@ import numpy.typing as npt
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data.frames import (
     HEADER,
-    StoredSamples,
     episodes_of_frame,
     frame_of,
     is_stored_dataset,
@@ -308,7 +307,8 @@ class Dataset:
                 raise InvalidData(f"split: every episode is too short to split at {test}")
             return self.with_episodes([a for a, _ in pairs]), self.with_episodes([b for _, b in pairs])
         test = [test] if isinstance(test, str) else list(test)
-        owners = [_owners(episode.name) for episode in self.episodes]
+        names = self.names  # an episode also goes by the names of those of which it is a piece
+        owners = [[name, *(name[:place] for place, letter in enumerate(name) if letter == "[")] for name in names]
         known = {name for of_episode in owners for name in of_episode}
         unknown = [name for name in test if name not in known]
         if unknown:
@@ -361,17 +361,17 @@ class Dataset:
 
     def save(self, path: str | Path) -> Path:
         """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
-        return write_samples(Path(path), StoredSamples(self.system, self.episodes, self.notes, self.fingerprint))
+        return write_samples(Path(path), self.system, self.episodes, self.notes, self.fingerprint)
 
     @classmethod
     def load(cls, path: str | Path) -> Dataset:
         """Read what `save` wrote. Raises `ArtefactError`."""
-        stored = read_samples(Path(path))
+        system, episodes, notes, fingerprint = read_samples(Path(path))
         try:
-            dataset = cls(stored.system, stored.episodes, stored.notes)
+            dataset = cls(system, episodes, notes)
         except ValueError as error:
             raise unreadable(Path(path), error) from error
-        if dataset.fingerprint != stored.fingerprint:
+        if dataset.fingerprint != fingerprint:
             raise ArtefactError(f"{path}: the samples do not match the fingerprint in {HEADER}; the files were changed")
         return dataset
 
@@ -390,11 +390,6 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> 
         return [np.asarray(arrays)] if arrays and all(np.shape(row) == (width,) for row in arrays) else arrays
     rows = np.asarray(arrays)
     return [rows] if rows.ndim < 3 else list(rows)
-
-
-def _owners(episode: str) -> list[str]:
-    """Return the names by which an episode goes: its own, and those of which it is a piece."""
-    return [episode, *(episode[:place] for place, letter in enumerate(episode) if letter == "[")]
 
 
 SHORTEST, LONGEST = 100, 1000

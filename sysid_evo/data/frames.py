@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData
 from sysid_evo.extras import check_installed
 from sysid_evo.files import write_atomically
-from sysid_evo.system import Channel, System
+from sysid_evo.system import System
 from sysid_evo.types import Array
 
 if TYPE_CHECKING:
@@ -113,9 +112,13 @@ def xarray_of(system: System, episodes: Sequence[Trajectory]) -> xr.Dataset:
     values = np.full((len(episodes), len(longest) + 1, len(names)), np.nan)
     for i, episode in enumerate(episodes):
         values[i, : len(episode) + 1] = sample_table(system, episode)
+    units = () if system.motion is None else system.motion.pose_units
+    columns = [("state", channel.unit) for channel in system.states]
+    columns += [("control", channel.unit) for channel in system.controls]
+    columns += [("pose", unit) for unit in units]
     variables = {
-        name: (("episode", "time"), values[:, :, i], attributes)
-        for i, (name, attributes) in enumerate(zip(names, _attributes(system), strict=True))
+        name: (("episode", "time"), values[:, :, i], {"role": role} | ({"units": unit} if unit else {}))
+        for i, (name, (role, unit)) in enumerate(zip(names, columns, strict=True))
     }
     coordinates = {
         "episode": [episode.name for episode in episodes],
@@ -158,44 +161,23 @@ def times(episode: Trajectory) -> Array:
     return episode.dt * np.arange(len(episode) + 1, dtype=np.float64)
 
 
-def _attributes(system: System) -> list[dict[str, str]]:
-    """Return role and unit of each column of `sample_table`, as xarray's plots read them."""
-
-    def of(channel: Channel, role: str) -> dict[str, str]:
-        return {"role": role} | ({"units": channel.unit} if channel.unit else {})
-
-    states = [of(channel, "state") for channel in system.states]
-    controls = [of(channel, "control") for channel in system.controls]
-    units = () if system.motion is None else system.motion.pose_units
-    return states + controls + [{"role": "pose", "units": unit} for unit in units]
-
-
 SCHEMA = "sysid-evo/dataset/1"
 HEADER, SAMPLES = "dataset.json", "samples.parquet"
 
 
-@dataclass(frozen=True)
-class StoredSamples:
-    """What a data set is made of, and the ``fingerprint`` that it then has."""
-
-    system: System
-    episodes: tuple[Trajectory, ...]
-    notes: tuple[str, ...]
-    fingerprint: str
-
-
-def write_samples(folder: Path, samples: StoredSamples) -> Path:
-    """Write ``samples`` into ``folder``: one row a sample; the last controls of an episode are null.
+def write_samples(
+    folder: Path, system: System, episodes: Sequence[Trajectory], notes: Sequence[str], fingerprint: str
+) -> Path:
+    """Write a data set into ``folder``: one row a sample; the last controls of an episode are null.
 
     Raises `InvalidData` if two columns would have the same name.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    system = samples.system
     names = channel_names(system, "episode", "step")
     columns: dict[str, list[Any]] = {"episode": [], "step": []} | {name: [] for name in names}
-    for episode in samples.episodes:
+    for episode in episodes:
         rows = sample_table(system, episode)
         columns["episode"].append(pa.repeat(episode.name, len(rows)))
         columns["step"].append(pa.array(np.arange(len(rows))))
@@ -205,9 +187,13 @@ def write_samples(folder: Path, samples: StoredSamples) -> Path:
     header = {
         "schema": SCHEMA,
         "system": system.to_dict(),
-        "episodes": [_described(episode) for episode in samples.episodes],
-        "notes": list(samples.notes),
-        "fingerprint": samples.fingerprint,
+        "episodes": [
+            {"name": episode.name, "steps": len(episode), "pose": episode.pose is not None}
+            | ({"condition": episode.condition} if episode.condition else {})
+            for episode in episodes
+        ],
+        "notes": list(notes),
+        "fingerprint": fingerprint,
     }
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / SAMPLES, lambda path: pq.write_table(table, path))
@@ -215,8 +201,8 @@ def write_samples(folder: Path, samples: StoredSamples) -> Path:
     return folder
 
 
-def read_samples(folder: Path) -> StoredSamples:
-    """Read what `write_samples` wrote. Raises `ArtefactError` if it is damaged or of another version."""
+def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[str, ...], str]:
+    """Return what `write_samples` was given. Raises `ArtefactError` if it is damaged or of another version."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -239,7 +225,7 @@ def read_samples(folder: Path) -> StoredSamples:
             episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"], entry.get("condition", "")))
         del table, data
         pa.default_memory_pool().release_unused()
-        return StoredSamples(system, tuple(episodes), tuple(header["notes"]), header["fingerprint"])
+        return system, tuple(episodes), tuple(header["notes"]), header["fingerprint"]
     except FileNotFoundError as error:
         raise ArtefactError(
             f"{folder}: expected a data set ({HEADER} and {SAMPLES}), {error.filename} is missing"
@@ -258,12 +244,6 @@ def unreadable(folder: Path, error: Exception) -> ArtefactError:
 def is_stored_dataset(path: str | Path) -> bool:
     """Return whether ``path`` is a folder that `write_samples` wrote."""
     return (Path(path) / HEADER).is_file()
-
-
-def _described(episode: Trajectory) -> dict[str, Any]:
-    """Return what the header says of an episode; without a condition there is no such key."""
-    told = {"condition": episode.condition} if episode.condition else {}
-    return {"name": episode.name, "steps": len(episode), "pose": episode.pose is not None, **told}
 
 
 def _columns(data: Mapping[str, Array], names: Sequence[str], rows: slice) -> Array:

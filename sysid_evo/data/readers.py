@@ -7,6 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -210,18 +211,12 @@ def _lines(path: Path) -> Iterator[str]:
 def _no_text(path: Path, error: UnicodeDecodeError) -> InvalidData:
     """Return what is wrong with a text; its ``error`` counts from the part that was read last, so the row is told."""
     bad = error.object[error.start]
-    with path.open("rb") as file:
-        rows = enumerate(file, start=1)
-        row = next((number for number, line in rows if not _is_text(line)), 1)
+    row = 0
+    with path.open("rb") as file, suppress(UnicodeDecodeError):
+        for line in file:
+            row += 1
+            line.decode()
     return InvalidData(f"{path.name}: expected text (UTF-8), got the byte {bad:#04x} in row {row}")
-
-
-def _is_text(line: bytes) -> bool:
-    try:
-        line.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _parsed(path: Path, delimiter: str, width: int, places: Sequence[int]) -> list[Array] | None:
@@ -271,15 +266,11 @@ def _mended(text: str) -> str:
     """Return what to do about an entry that is no number: nothing stands there, a comma for the point, or a word."""
     if not text.strip():
         return LEAVE_OUT
-    return "Write numbers with a point, not a comma." if _decimal_comma(text) else WORDS
-
-
-def _decimal_comma(text: str) -> bool:
     try:
         float(text.replace(",", ".", 1))
     except ValueError:
-        return False
-    return True
+        return WORDS
+    return "Write numbers with a point, not a comma."
 
 
 def _expect_rows(count: int, path: Path) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from sysid_evo.data.checks import check_control, check_rate, check_time, constant_controls, findings
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
@@ -67,7 +66,7 @@ def read_recording(
         chosen = load_columns(columns)
     tables = [reader_for(file).read(file, chosen.number_columns) for file in files]
     named = condition_column or chosen.condition
-    logs = [_log(table, chosen, _conditions(table, named), notes) for table in tables]
+    logs = [_log(table, chosen, named, notes) for table in tables]
     envelope = _envelope(logs, chosen, notes)
     doubts = constant_controls(logs, tables, chosen)
     doubts += [doubt for log, table in zip(logs, tables, strict=True) for doubt in findings(log, table, chosen)]
@@ -116,9 +115,13 @@ def paths_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
 
 
-def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | None, notes: list[str]) -> RawLog:
-    """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits."""
+def _log(table: Table, columns: ColumnMap, condition: str | None, notes: list[str]) -> RawLog:
+    """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits.
+
+    ``condition`` is the column that names the condition of each row.
+    """
     data = table.columns
+    labels = None if condition is None else np.array(reader_for(table.path).labels(table.path, condition), np.str_)
     if columns.time is None:
         time = columns.dt * np.arange(len(table), dtype=np.float64)
     else:
@@ -140,14 +143,15 @@ def _log(table: Table, columns: ColumnMap, condition: npt.NDArray[np.str_] | Non
         controls[:, i] = check_control(table, name, control, values)
     states = {n: data[s.column] * s.scale for n, s in columns.states.items() if s.column is not None}
     extra = {name: data[column.column] * column.scale for name, column in columns.extra.items()}
-    pose = [data[columns.pose[name].column] * columns.pose[name].scale for name in _pose_names(columns)]
+    pose_names = columns.motion_of_states.pose_names if columns.pose else ()
+    pose = [data[columns.pose[name].column] * columns.pose[name].scale for name in pose_names]
     return RawLog(
         name=table.path.stem,
         time=time,
         pose=np.stack(pose, axis=1) if pose else np.empty((len(table), 0)),
         controls=controls,
         extra={**states, **extra},
-        condition=condition,
+        condition=labels,
     )
 
 
@@ -163,15 +167,6 @@ def _commands(table: Table, name: str, control: ControlColumn) -> Array:
             f"{', '.join(map(repr, control.words))}{such_rows(len(unknown))}. Add it to words in the column map."
         )
     return np.array([control.words[label] for label in labels])
-
-
-def _conditions(table: Table, column: str | None) -> npt.NDArray[np.str_] | None:
-    """Return what ``column`` calls the condition of each row of ``table``, (N,); None without such a column."""
-    return None if column is None else np.array(reader_for(table.path).labels(table.path, column), dtype=np.str_)
-
-
-def _pose_names(columns: ColumnMap) -> tuple[str, ...]:
-    return columns.motion_of_states.pose_names if columns.pose else ()
 
 
 def _envelope(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> Mapping[str, tuple[float, float]]:

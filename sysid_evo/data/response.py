@@ -72,10 +72,8 @@ def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
     fit = fit_linear(dataset, latest)
     if fit is not None:
         changes = [a - state_terms(system, e.states[:-1]) @ fit.rate for a, e in zip(changes, episodes, strict=True)]
-    forward, speeds = -1, None
-    if isinstance(system.motion, PlanarBody):
-        forward = system.motion.indices(system.state_names)[0]
-        speeds = [episode.states[:-1, forward] for episode in episodes]
+    forward = _forward(system)
+    speeds = None if forward is None else [episode.states[:-1, forward] for episode in episodes]
     delays = []
     for i, control in enumerate(system.control_names):
         if not episodes or np.ptp(np.concatenate([episode.controls[:, i] for episode in episodes])) == 0.0:
@@ -120,23 +118,18 @@ class _Whitened:
 
     @classmethod
     def of(cls, series: list[Array]) -> _Whitened:
-        whitening = _whitening(series)
+        now = np.concatenate([s[ORDER:] for s in series])
+        regressors = np.ones((len(now), ORDER + 1))
+        for lag in range(1, ORDER + 1):
+            np.concatenate([s[ORDER - lag : len(s) - lag] for s in series], out=regressors[:, lag - 1])
+        weights = np.linalg.lstsq(regressors, now, rcond=None)[0][:ORDER]
+        whitening = np.concatenate([[1.0], -weights])
         return cls(whitening, [np.convolve(one, whitening, mode="valid") for one in series])
 
     def response(self, outputs: list[Array], lags: range) -> Array:
         """Return the correlation with ``outputs``, filtered alike, at each lag."""
         answers = [np.convolve(one, self.filter, mode="valid") for one in outputs]
         return np.array([_correlation(self.series, answers, lag) for lag in lags])
-
-
-def _whitening(series: list[Array]) -> Array:
-    """Return the filter (ORDER + 1,) whose output is white."""
-    now = np.concatenate([s[ORDER:] for s in series])
-    regressors = np.ones((len(now), ORDER + 1))
-    for lag in range(1, ORDER + 1):
-        np.concatenate([s[ORDER - lag : len(s) - lag] for s in series], out=regressors[:, lag - 1])
-    weights = np.linalg.lstsq(regressors, now, rcond=None)[0][:ORDER]
-    return np.concatenate([[1.0], -weights])
 
 
 def _correlation(commands: list[Array], responses: list[Array], lag: int) -> float:
@@ -212,9 +205,11 @@ def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
     left = system.dt**2 * _variance(y - x @ weights for x, y in _blocks(system, episodes, lags))
     total = _variance(episode.states[lags:-1] for episode in episodes)
     explained = 1.0 - np.divide(left, total, out=np.zeros_like(left), where=total > 0.0)
-    longest = max(episode.duration for episode in episodes)
-    scales = _scales(weights[: system.nx], system.dt, INTEGRATES * longest)
-    return LinearFit(weights[:n_terms], np.clip(explained, 0.0, 1.0), scales)
+    modes = np.linalg.eigvals(np.eye(system.nx) + system.dt * weights[: system.nx].T)
+    decaying = modes[(np.abs(modes) < 1.0) & (np.abs(modes) > 0.0)]
+    slowest = INTEGRATES * max(episode.duration for episode in episodes)
+    scales = sorted(float(s) for s in system.dt / np.abs(np.log(decaying.astype(complex))) if s < slowest)
+    return LinearFit(weights[:n_terms], np.clip(explained, 0.0, 1.0), tuple(scales))
 
 
 def state_terms(system: System, states: Array) -> Array:
@@ -269,18 +264,10 @@ def _variance(blocks: Iterator[Array]) -> Array:
 
 def acting_controls(system: System, states: Array, controls: Array) -> Array:
     """Return the controls (T, nu), on a planar body followed by their products with the forward speed."""
-    if not isinstance(system.motion, PlanarBody):
+    forward = _forward(system)
+    if forward is None:
         return controls
-    forward = system.motion.indices(system.state_names)[0]
     return np.concatenate([controls, controls * states[:, [forward]]], axis=1)
-
-
-def _scales(rate: Array, dt: float, slowest: float) -> tuple[float, ...]:
-    """Return the time scales in s of the modes that decay and are faster than ``slowest``."""
-    modes = np.linalg.eigvals(np.eye(len(rate)) + dt * rate.T)
-    decaying = modes[(np.abs(modes) < 1.0) & (np.abs(modes) > 0.0)]
-    scales = dt / np.abs(np.log(decaying.astype(complex)))
-    return tuple(sorted(float(scale) for scale in scales if scale < slowest))
 
 
 STEADY = 0.3
