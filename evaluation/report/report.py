@@ -32,12 +32,7 @@ from evaluation.report.sections import (
 )
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.behaviour import behaviour_to_json
-from evaluation.report.sections.controllers import (
-    drive_command,
-    forecast_to_json,
-    overview_sheet,
-    summary_to_json,
-)
+from evaluation.report.sections.controllers import drive_command, forecast_to_json, overview_sheet, summary_to_json
 from evaluation.report.sections.evolution import champion_to_json
 from evaluation.report.sections.exploitability import exploitability_to_json
 from evaluation.report.sections.prediction import condition_sheet, prediction_to_json
