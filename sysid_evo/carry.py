@@ -76,6 +76,11 @@ def pad_history(states: Array, controls: Array, lags: int, neutral: Array) -> tu
     return states, np.concatenate([idle, controls], axis=-2)
 
 
+def recent(states: Array, controls: Array, lags: int) -> tuple[Array, Array]:
+    """Return the end of a history (B, L + 1, nx), (B, L, nu): its last ``lags`` samples, and the present state."""
+    return states[:, states.shape[1] - 1 - lags :], controls[:, controls.shape[1] - lags :]
+
+
 REST_BAND = 0.005
 """Share of the range of the training states, around neutral, that counts as rest."""
 

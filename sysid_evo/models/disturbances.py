@@ -8,10 +8,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sysid_evo.carry import clip_state
+from sysid_evo.carry import clip_state, recent
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.dynamics import Dynamics, PlainDynamics
+from sysid_evo.models.dynamics import Around, Dynamics
 from sysid_evo.models.kernels.disturbances import delayed_kernel, perturbed_kernel, sensors_kernel
 from sysid_evo.registry.registry import noises
 from sysid_evo.system import System
@@ -107,7 +107,7 @@ WHOLE_TOLERANCE = 1e-9
 """A delay this near to a whole number of samples is one."""
 
 
-class DelayedEstimate(PlainDynamics):
+class DelayedEstimate(Around):
     """``inner``, of which controllers and tasks observe the state of ``delay`` s ago.
 
     With delay / dt = m + f, m whole and 0 <= f < 1, what is observed at sample k lies between two
@@ -138,15 +138,9 @@ class DelayedEstimate(PlainDynamics):
         self.n_draws = inner.n_draws
         self.doubt_at = inner.doubt_at
 
-    @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
-
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        lags, m = self.inner.n_lags, self.whole
-        inner = self.inner.start(
-            states[:, states.shape[1] - 1 - lags :], controls[:, controls.shape[1] - lags :], draws
-        )
+        m = self.whole
+        inner = self.inner.start(*recent(states, controls, self.inner.n_lags), draws)
         observed = self._between(states[:, -1 - m], states[:, -2 - m])
         past = [states[:, -2 - lag] for lag in range(m)]
         return np.concatenate([inner, observed, *past], axis=1)
@@ -173,7 +167,7 @@ class DelayedEstimate(PlainDynamics):
         return (1.0 - self.share) * later + self.share * earlier
 
 
-class NoisySensors(PlainDynamics):
+class NoisySensors(Around):
     """``inner``, of which controllers and tasks observe the state with a bias and white noise.
 
     ``noise`` says how much, in ``spread`` (nx,). What is observed at sample k of what ``inner`` shows, o_k,
@@ -195,10 +189,6 @@ class NoisySensors(PlainDynamics):
         self.n_carry = inner.n_carry + 3 * nx
         self.n_noise = inner.n_noise + nx
         self.n_draws = inner.n_draws + 2 * nx
-
-    @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         from scipy.special import ndtr
@@ -240,7 +230,7 @@ NEVER = -1e6
 """A threshold below which no standard normal number lies."""
 
 
-class Perturbed(PlainDynamics):
+class Perturbed(Around):
     """``inner`` = f with commands that come late or not at all, and with another strength and speed of answer.
 
     With the state x and command u measured from neutral, and factors g, s (nx,), e (nu,) of the trial::
@@ -272,14 +262,10 @@ class Perturbed(PlainDynamics):
         self.n_noise = inner.n_noise + (system.nx if noise.process else 0) + (1 if noise.dropout else 0)
         self.n_draws = inner.n_draws + self.n_own
 
-    @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
-
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         from scipy.special import ndtr, ndtri
 
-        nx, nu, lags = self.system.nx, self.system.nu, self.inner.n_lags
+        nx, nu = self.system.nx, self.system.nu
         draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
         z = draws[:, self.inner.n_draws :]
         gain = np.exp(self.noise.gain * self.steady * z[:, :nx])
@@ -291,8 +277,9 @@ class Perturbed(PlainDynamics):
         with np.errstate(divide="ignore"):
             threshold = np.maximum(ndtri(self.noise.dropout * level[:, 1:]), NEVER)
         rest = self.system.neutral_state
-        own = rest + (states[:, states.shape[1] - 1 - lags :] - rest) / scale[:, None]
-        inner = self.inner.start(own, controls[:, controls.shape[1] - lags :], draws[:, : self.inner.n_draws])
+        own, own_controls = recent(states, controls, self.inner.n_lags)
+        own = rest + (own - rest) / scale[:, None]
+        inner = self.inner.start(own, own_controls, draws[:, : self.inner.n_draws])
         past = [controls[:, controls.shape[1] - 1 - back] for back in range(self.stored)]
         return np.concatenate(
             [states[:, -1], inner[:, nx:], gain, scale, process, effect, delay, threshold, *past], axis=1

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.carry import clip_state, pad_history
+from sysid_evo.carry import clip_state, pad_history, recent
 from sysid_evo.errors import InvalidData, ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.system import System
@@ -78,6 +78,16 @@ class PlainDynamics(Dynamics):
     n_lags: int = 0
     n_noise: int = 0
     n_draws: int = 0
+
+
+class Around(PlainDynamics):
+    """A dynamics around another one, ``inner``, whose envelope it has."""
+
+    inner: Dynamics
+
+    @property
+    def envelope(self) -> Array | None:
+        return self.inner.envelope
 
 
 def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) -> Array:
@@ -162,7 +172,7 @@ def many_runs(
     past_controls = check_shape("past_controls", past_controls, (len(states), states.shape[1] - 1, system.nu))
     if states.shape[1] < lags + 1:
         raise InvalidData(f"{type(model).__name__} needs {lags + 1} measured states to start, got {states.shape[1]}")
-    states, past_controls = states[:, -1 - lags :], past_controls[:, past_controls.shape[1] - lags :]
+    states, past_controls = recent(states, past_controls, lags)
     if samples is not None:
         states, past_controls, controls = (np.tile(a, (samples, 1, 1)) for a in (states, past_controls, controls))
     batch, horizon = controls.shape[:2]

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.carry import held_at_rest
+from sysid_evo.carry import held_at_rest, recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -46,9 +46,7 @@ class Members:
         """Return the carries (B, n_carry) after a history, with ``draws`` (B, n_draws)."""
         carries = []
         for model, at in zip(self.models, self.draw_places, strict=True):
-            lags = model.n_lags
-            own_states, own_controls = states[:, states.shape[1] - 1 - lags :], controls[:, controls.shape[1] - lags :]
-            carries.append(model.start(own_states, own_controls, draws[:, at : at + model.n_draws]))
+            carries.append(model.start(*recent(states, controls, model.n_lags), draws[:, at : at + model.n_draws]))
         return np.concatenate(carries, axis=1)
 
     def step(self, state: Array, carries: Array, control: Array, noise: Array | None) -> tuple[Array, list[Array]]:

@@ -12,7 +12,7 @@ from sysid_evo.data.support import QUANTILE, Support, split_pairs
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
-from sysid_evo.models.dynamics import Dynamics, PlainDynamics
+from sysid_evo.models.dynamics import Around, Dynamics, PlainDynamics
 from sysid_evo.models.ensemble import Members
 from sysid_evo.models.kernels.ensemble import cautious_kernel
 from sysid_evo.models.kernels.support import supported_kernel
@@ -134,7 +134,7 @@ CHECKED_EVERY = 10
 """Steps from one look to the next."""
 
 
-class Supported(PlainDynamics):
+class Supported(Around):
     """``inner``, which counts as doubt the steps whose state and control lie outside the training data.
 
     Looked at is every ``every``-th step, which counts for all of them: 0 within the limit of `Support`, ``weight``
@@ -161,10 +161,6 @@ class Supported(PlainDynamics):
             support = Support.of(self.system, *split_pairs(self.system, self.pairs_))
         self.support = support
         self.limit = max(support.limit, float(np.finfo(np.float32).tiny))
-
-    @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         inner = self.inner.start(states, controls, draws)

@@ -14,7 +14,6 @@ from sysid_evo.models.base import DynamicsModel
 from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 
-ENVELOPE = "envelope_"
 NESTED = ("name", "module", "parameters", "learned", "system")
 
 

@@ -15,9 +15,8 @@ from statistics import NormalDist
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from sysid_evo.carry import clip_state
+from sysid_evo.carry import clip_state, recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.types import Array, BoolArray
@@ -163,10 +162,8 @@ class _Run:
     """The samples of one case on their way: from horizon to horizon, each from where the last one ended."""
 
     def __init__(self, case: Case, persistent: Array, seed: tuple[int, int]) -> None:
-        windows, lags = case.windows, case.model.n_lags
-        past_states = windows.past_states[:, windows.past_states.shape[1] - 1 - lags :]
-        past_controls = windows.past_controls[:, windows.past_controls.shape[1] - lags :]
-        carry = case.model.lagged(past_states, past_controls)
+        windows = case.windows
+        carry = case.model.lagged(*recent(windows.past_states, windows.past_controls, case.model.n_lags))
         self.case, self.horizon, self.seed = case, windows.controls.shape[1], seed
         self.centre = self._alone(carry)
         self.carry, self.count = np.tile(carry, (SAMPLES, 1)), len(carry)
@@ -221,23 +218,8 @@ PIECE = 40
 class NoisySimulator(Protocol):
     """A fitted model that can draw noise, which it multiplies with ``noise_scale_``."""
 
-    def variant(self, **parameters: Any) -> Self:
-        """Return a copy with other hyper-parameters."""
-        ...
-
-    def simulate(
-        self,
-        states: npt.ArrayLike,
-        past_controls: npt.ArrayLike,
-        controls: npt.ArrayLike,
-        /,
-        *,
-        samples: int,
-        rng: np.random.Generator,
-    ) -> Array:
-        """Return ``samples`` simulations (samples, B, H, nx), see `Simulator.simulate`."""
-        ...
-
+    def variant(self, **parameters: Any) -> Self: ...
+    def simulate(self, *windows: Any, **options: Any) -> Array: ...
     def __setattr__(self, name: str, value: Any) -> None: ...
 
 

@@ -32,22 +32,14 @@ MOST_WINDOWS = 10_000
 
 
 class Fitted(Protocol):
-    """A fitted model of any kind, as far as validation knows it."""
+    """A fitted model of ``system`` that starts from ``n_lags`` samples of history and clips states to ``envelope``."""
 
     @property
-    def system(self) -> System:
-        """What it is a model of."""
-        ...
-
+    def system(self) -> System: ...
     @property
-    def n_lags(self) -> int:
-        """Samples of history that it starts from."""
-        ...
-
+    def n_lags(self) -> int: ...
     @property
-    def envelope(self) -> Array | None:
-        """To what its states are clipped, (2, nx)."""
-        ...
+    def envelope(self) -> Array | None: ...
 
 
 class Simulator(Fitted, Protocol):

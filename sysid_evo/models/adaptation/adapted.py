@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,8 +27,6 @@ from sysid_evo.registry.registry import register_model
 from sysid_evo.system import System
 from sysid_evo.types import Array
 from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, persistent_share, usable_horizon
-
-OF_TERMS = ("low", "high", "centre", "scale", "unit", "least", "most", "weakest", "strongest", "strength")
 
 
 @register_model("adapted")
@@ -100,8 +98,8 @@ class Adapted(DynamicsModel):
 
     def _hold(self, learned: Learned) -> None:
         self.system_ = self.base_.system
-        for name in OF_TERMS:
-            setattr(self, f"{name}_", getattr(learned.terms, name))
+        for name, array in learned.terms.arrays.items():
+            setattr(self, f"{name}_", array)
         self.coefficients_ = learned.coefficients
 
     def _widen(self) -> None:
@@ -124,7 +122,8 @@ class Adapted(DynamicsModel):
     @functools.cached_property
     def terms(self) -> Terms:
         """What the correction is linear in."""
-        return Terms(self.system, **{name: getattr(self, f"{name}_") for name in OF_TERMS})
+        arrays = [getattr(self, f"{field.name}_") for field in fields(Terms) if field.name != "system"]
+        return Terms(self.system, *arrays)
 
     @property
     def corrects(self) -> bool:
@@ -182,7 +181,7 @@ class Adapted(DynamicsModel):
         inner = self.inner.kernel()
         if inner is None or not self.corrects:
             return inner
-        return correction_kernel(inner, self.terms, self.coefficients_)
+        return correction_kernel(inner, self.system, self.terms.arrays, self.coefficients_)
 
     def equations(self) -> list[str]:
         """Return the equations of the base, if it has some, and what is added to each acceleration."""

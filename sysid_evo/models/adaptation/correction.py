@@ -81,6 +81,11 @@ class Terms:
         return cls(system, low, high, centre, scale, unit, least, most, weakest, strongest, strength)
 
     @property
+    def arrays(self) -> dict[str, Array]:
+        """All but the system, by name."""
+        return {name: value for name, value in vars(self).items() if name != "system"}
+
+    @property
     def products(self) -> bool:
         """Whether there are products."""
         return len(self.least) > 0

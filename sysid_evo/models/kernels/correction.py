@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -42,54 +42,23 @@ HEAD = Layout(
 )
 
 
-class CorrectionNumbers(Protocol):
-    """What the kernel takes from the terms of a correction: numbers, see `sysid_evo.models.adaptation.Terms`."""
+def correction_kernel(
+    inner: DynamicsKernel, system: System, terms: Mapping[str, Array], coefficients: Array
+) -> DynamicsKernel | None:
+    """Return the kernel of ``inner`` with ``coefficients`` (size, nx) of ``terms`` added to its accelerations.
 
-    @property
-    def system(self) -> System: ...
-    @property
-    def low(self) -> Array: ...
-    @property
-    def high(self) -> Array: ...
-    @property
-    def centre(self) -> Array: ...
-    @property
-    def scale(self) -> Array: ...
-    @property
-    def unit(self) -> Array: ...
-    @property
-    def least(self) -> Array: ...
-    @property
-    def most(self) -> Array: ...
-    @property
-    def weakest(self) -> Array: ...
-    @property
-    def strongest(self) -> Array: ...
-    @property
-    def strength(self) -> Array: ...
-    @property
-    def products(self) -> bool: ...
-    @property
-    def gains(self) -> bool: ...
-    @property
-    def n_inputs(self) -> int: ...
-    @property
-    def size(self) -> int: ...
-
-
-def correction_kernel(inner: DynamicsKernel, terms: CorrectionNumbers, coefficients: Array) -> DynamicsKernel | None:
-    """Return the kernel of ``inner`` with ``terms`` and ``coefficients`` (size, nx) added to its accelerations.
-
-    None if the motion has no compiled form.
+    ``terms`` are the arrays of `sysid_evo.models.adaptation.Terms` by name. None if the motion has no compiled form.
     """
-    system = terms.system
     motion = system.motion_kernel()
     if motion is None:
         return None
     per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])
-    of_inputs = np.concatenate([terms.low, terms.high, terms.centre, 1.0 / terms.scale, terms.least, terms.most])
-    foreseen = [terms.weakest, terms.strongest, 1.0 / terms.strength] if terms.gains else [np.zeros(3 * system.nx)]
-    of_states = np.concatenate([per_turn, terms.unit, system.neutral_state, np.ravel(system.limits), *foreseen])
+    low, high, centre, least, most = (terms[name] for name in ("low", "high", "centre", "least", "most"))
+    of_inputs = np.concatenate([low, high, centre, 1.0 / terms["scale"], least, most])
+    gains, foreseen = len(terms["strength"]) > 0, [np.zeros(3 * system.nx)]
+    if gains:
+        foreseen = [terms["weakest"], terms["strongest"], 1.0 / terms["strength"]]
+    of_states = np.concatenate([per_turn, terms["unit"], system.neutral_state, np.ravel(system.limits), *foreseen])
     parts = [padded(of_inputs), padded(of_states), padded(np.ravel(coefficients)), padded(motion.parameters)]
     places = np.cumsum([HEAD.size, *(len(part) for part in parts)])
     parameters = HEAD.pack(
@@ -97,10 +66,10 @@ def correction_kernel(inner: DynamicsKernel, terms: CorrectionNumbers, coefficie
         inner.parameters,
         nx=system.nx,
         nu=system.nu,
-        inputs=terms.n_inputs,
-        count=terms.size,
-        products=terms.products,
-        gains=terms.gains,
+        inputs=len(centre),
+        count=len(coefficients),
+        products=len(least) > 0,
+        gains=gains,
         dt=system.dt,
         limited=system.limited,
         inputs_at=places[0],
@@ -110,7 +79,7 @@ def correction_kernel(inner: DynamicsKernel, terms: CorrectionNumbers, coefficie
         own=places[4],
     )
     bindings = {"inner": inner.source, "integrate": motion.integrate}
-    room = 3 * system.nx + terms.size + inner.n_scratch
+    room = 3 * system.nx + len(coefficients) + inner.n_scratch
     return DynamicsKernel(KernelSource(corrected, bindings), parameters, room, inner.precision)
 
 

@@ -112,7 +112,7 @@ def test_the_compiled_form_corrects_as_the_terms_do(system: System, rng: np.rand
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
     terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
     before, control, coefficients = 2.0 * states[:70], controls[:70], rng.normal(size=terms.shape)
-    kernel = correction_kernel(model.kernel(), terms, coefficients)
+    kernel = correction_kernel(model.kernel(), system, terms.arrays, coefficients)
     assert kernel is not None
     compiled = kernel_step(kernel, before, control, precision="float64")
     after = model.step(before, control)
