@@ -14,7 +14,7 @@ from hardware.estimator import StateEstimate, estimator_delays
 from hardware.run_report import LoopReport, Stops
 from sysid_evo.carry import clip_state
 from sysid_evo.errors import LinkLost
-from sysid_evo.models import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
@@ -279,11 +279,7 @@ def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
 def tried(dynamics: Dynamics, control: Array) -> Array:
     """Return the states (STEPS + 1, nx) from rest under a constant ``control`` (nu,), without noise."""
     system = dynamics.system
-    carry = dynamics.start(
-        np.tile(system.neutral_state, (1, dynamics.n_lags + 1, 1)),
-        np.tile(system.neutral_control, (1, dynamics.n_lags, 1)),
-        np.zeros((1, dynamics.n_draws)),
-    )
+    carry = started(dynamics, system.neutral_state[None])
     states = [carry[0, : system.nx].copy()]
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
@@ -337,11 +333,7 @@ def _lost(system: System, path: Array) -> str:
 def _speed(dynamics: Dynamics) -> SelfTestFinding:
     """Say how fast rollouts step it."""
     system = dynamics.system
-    carry = dynamics.start(
-        np.tile(system.neutral_state, (BATCH, dynamics.n_lags + 1, 1)),
-        np.tile(system.neutral_control, (BATCH, dynamics.n_lags, 1)),
-        np.zeros((BATCH, dynamics.n_draws)),
-    )
+    carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))
     control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))
     began = time.perf_counter()
     for _ in range(STEPS):

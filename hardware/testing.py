@@ -16,7 +16,7 @@ import numpy as np
 from hardware.connection import Connection, Measurement
 from hardware.robot import Robot
 from sysid_evo.errors import ContractViolation, InvalidArgument, LinkLost, ShapeError
-from sysid_evo.models import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.registry import Spec, robots
 from sysid_evo.system import System
 from sysid_evo.testing.contract import (
@@ -216,9 +216,7 @@ CHECKS: tuple[Check[RobotExample], ...] = (
 def _some_inputs(dynamics: Dynamics, steps: int = 20) -> StepInputs:
     """Return carries after some steps from rest under random legal controls, and what comes next."""
     system, rng = dynamics.system, np.random.default_rng(3)
-    states = np.tile(system.neutral_state, (ROWS, dynamics.n_lags + 1, 1))
-    past = np.tile(system.neutral_control, (ROWS, dynamics.n_lags, 1))
-    carry = dynamics.start(states, past, normal(dynamics.n_draws, ROWS, rng))
+    carry = started(dynamics, np.tile(system.neutral_state, (ROWS, 1)), normal(dynamics.n_draws, ROWS, rng))
     for _ in range(steps):
         control = system.actuate(rng.uniform(-1.0, 1.0, (ROWS, system.nu)))
         carry = dynamics.step(carry, control, normal(dynamics.n_noise, ROWS, rng))

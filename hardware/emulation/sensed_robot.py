@@ -20,7 +20,7 @@ from hardware.self_test import SelfTestFinding, examine, sensors_finding
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem
-from sysid_evo.models import PlainDynamics
+from sysid_evo.models.dynamics import PlainDynamics, started
 from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
@@ -217,9 +217,7 @@ class SensedConnection(SimulatedConnection):
         body, sensors = np.random.SeedSequence(seed).spawn(2)
         self._rng, self._errors = np.random.default_rng(body), np.random.default_rng(sensors)
         began = system.neutral_state if state is None else state
-        history = np.tile(began, (1, physics.n_lags + 1, 1))
-        controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
-        self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
+        self._carry = started(physics, began[None], self._rng.standard_normal((1, physics.n_draws)))
         self._noise = np.empty((0, physics.n_noise))
         self.reading = self._read()
 

@@ -11,7 +11,7 @@ from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from sysid_evo.carry import clip_state
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.models import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.motion import PlanarBody
 from sysid_evo.types import Array
 
@@ -53,9 +53,7 @@ class EmulatedConnection(SimulatedConnection):
         body, tracker = np.random.SeedSequence(seed).spawn(2)
         self._rng = np.random.default_rng(body)
         self._tracker = OpticalTracker(np.random.default_rng(tracker))
-        history = np.tile(system.neutral_state, (1, physics.n_lags + 1, 1))
-        controls = np.tile(system.neutral_control, (1, physics.n_lags, 1))
-        self._carry = physics.start(history, controls, self._rng.standard_normal((1, physics.n_draws)))
+        self._carry = started(physics, system.neutral_state[None], self._rng.standard_normal((1, physics.n_draws)))
         self._noise = np.empty((0, physics.n_noise))
 
     @property
@@ -152,9 +150,7 @@ class ModelledConnection(SimulatedConnection):
         super().__init__(name, system, system.dt / FRAMES)
         self._dynamics = dynamics
         self._rng = np.random.default_rng(seed)
-        history = np.tile(system.neutral_state, (1, dynamics.n_lags + 1, 1))
-        controls = np.tile(system.neutral_control, (1, dynamics.n_lags, 1))
-        self._carry = dynamics.start(history, controls, self._rng.standard_normal((1, dynamics.n_draws)))
+        self._carry = started(dynamics, system.neutral_state[None], self._rng.standard_normal((1, dynamics.n_draws)))
         self._origin = self.pose
         self._before = self._after = system.neutral_state
         self._phase = -LEAD

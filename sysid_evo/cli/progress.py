@@ -18,6 +18,7 @@ from sysid_evo.cli.console import err, note, out, session, tell
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
+from sysid_evo.plan.run_state import Observer
 from sysid_evo.plan.store import Outcome, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
@@ -62,7 +63,7 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)
 
 
-class Bars:
+class Bars(Observer):
     """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
     ``go_on`` are the options with which an interrupted command goes on, if it can. ``where`` tells cells of one title

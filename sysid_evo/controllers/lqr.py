@@ -16,7 +16,7 @@ from sysid_evo.controllers.program import Program, Statement, constant, dot, lim
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
 from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
@@ -208,10 +208,7 @@ def linear_model(dynamics: Dynamics, state: Array) -> LinearModel:
     steps = STEP * np.array([size_of(channel) for channel in (*system.states, *system.controls)])
     moves = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, len(steps)))])
     states, controls = state + moves[:, : system.nx], neutral + moves[:, system.nx :]
-    past = np.tile(neutral, (len(moves), dynamics.n_lags, 1))
-    history = np.repeat(states[:, None], dynamics.n_lags + 1, axis=1)
-    carry = dynamics.start(history, past, np.zeros((len(moves), dynamics.n_draws)))
-    after = system.near(dynamics.step(carry, controls)[:, : system.nx], states)
+    after = system.near(dynamics.step(started(dynamics, states), controls)[:, : system.nx], states)
     n = len(steps)
     slopes = ((after[:n] - after[n : 2 * n]) / (2.0 * steps[:, None])).T
     a, b = slopes[:, : system.nx], slopes[:, system.nx :]

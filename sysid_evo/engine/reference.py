@@ -6,8 +6,9 @@ import numpy as np
 
 from sysid_evo.carry import clip_state
 from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.engine.results import Rollouts, finished, neutral, sampled, sides, trajectories
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.engine.compiled.closed_loop import LoopResults
+from sysid_evo.engine.results import Rollouts, finished, neutral, sampled, sides
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds
@@ -28,9 +29,7 @@ def run(
 
     began = task.begin(seeds)
     task_state = began.tile(candidates)
-    states = np.repeat(task_state.state[:, None], dynamics.n_lags + 1, axis=1)
-    controls = np.tile(system.neutral_control, (batch, dynamics.n_lags, 1))
-    carry = dynamics.start(states, controls, draws)
+    carry = started(dynamics, task_state.state, draws)
     memory = np.zeros((*grid, controller.n_memory))
     survived, clipped = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.int64)
     diverged = np.zeros(batch, dtype=bool)
@@ -77,17 +76,7 @@ def run(
                 taped_controls[going, k], taped_poses[going, k + 1] = control[going], task_state.pose[going]
         fitness = task.fitness(task_state)
 
+    doubt = np.zeros(batch) if dynamics.doubt_at is None else carry[:, dynamics.doubt_at]
     tape = (taped_states, taped_controls, taped_poses)
-    return finished(
-        task,
-        grid,
-        fitness=fitness,
-        survived=survived,
-        clipped=clipped,
-        diverged=diverged,
-        counts=counts,
-        doubt=np.zeros(batch) if dynamics.doubt_at is None else carry[:, dynamics.doubt_at],
-        task_state=task_state,
-        engine=ENGINE,
-        trajectories=trajectories(tape, survived, began.pose, task, system) if record else (),
-    )
+    found = LoopResults(fitness, survived, clipped, diverged, counts, doubt, tape)
+    return finished(found, task, system, began, task_state, ENGINE, record)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.engine.compiled.closed_loop import LoopResults
 from sysid_evo.engine.compiled.loops import EVERY
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
@@ -39,32 +40,19 @@ class Rollouts:
 
 
 def finished(
-    task: Task,
-    grid: tuple[int, int],
-    *,
-    fitness: Array,
-    survived: IntArray,
-    clipped: IntArray,
-    diverged: BoolArray,
-    counts: Array,
-    doubt: Array,
-    task_state: TaskState,
-    engine: str,
-    trajectories: tuple[Trajectory, ...] = (),
+    found: LoopResults, task: Task, system: System, began: TaskState, task_state: TaskState, engine: str, record: bool
 ) -> Rollouts:
-    """Return what P E rollouts came to, of the ``grid`` (P, E), candidate first; ``counts`` (P E, d), the rest (P E,).
-
-    What one that ``diverged`` had reached until then does not count.
-    """
+    """Return what came of trials that ``began`` (E,), of each candidate; ``task_state`` is the last one (P E,)."""
+    grid = len(found.fitness) // len(began.pose), len(began.pose)
     return Rollouts(
-        fitness=scored(task, fitness, survived, diverged).reshape(grid),
-        survived=survived.reshape(grid),
-        clipped=clipped.reshape(grid),
+        fitness=scored(task, found.fitness, found.survived, found.diverged).reshape(grid),
+        survived=found.survived.reshape(grid),
+        clipped=found.clipped.reshape(grid),
         task_state=task_state,
         engine=engine,
-        behaviour=shares(counts, survived, diverged).reshape(*grid, -1),
-        doubt=np.where(diverged, 0.0, doubt).reshape(grid),
-        trajectories=trajectories,
+        behaviour=shares(found.counts, found.survived, found.diverged).reshape(*grid, -1),
+        doubt=np.where(found.diverged, 0.0, found.doubt).reshape(grid),
+        trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
     )
 
 

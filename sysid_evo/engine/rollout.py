@@ -12,10 +12,10 @@ from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import reference
 from sysid_evo.engine.compiled.closed_loop import LoopInputs, RolloutKernels, spread
 from sysid_evo.engine.compiled.closed_loop import run as run_closed_loop
-from sysid_evo.engine.results import Rollouts, finished, trajectories
+from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.processors import available_processors
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
@@ -57,16 +57,8 @@ class DynamicsRunner:
         self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
     ) -> Rollouts:
         """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
-        return rollout(
-            self.dynamics,
-            controller,
-            parameters,
-            task,
-            seeds,
-            record=record,
-            engine=self.engine,
-            threads=self.threads,
-        )
+        given = (self.dynamics, controller, parameters, task, seeds)
+        return rollout(*given, record=record, engine=self.engine, threads=self.threads)
 
 
 @dataclass(frozen=True)
@@ -170,8 +162,6 @@ def _compiled(
     """Return what `reference.run` does, compiled."""
     system, trials = dynamics.system, len(seeds)
     began = task.begin(seeds)
-    states = np.repeat(began.state[:, None], dynamics.n_lags + 1, axis=1)
-    past = np.tile(system.neutral_control, (trials, dynamics.n_lags, 1))
     noise = np.empty((trials, task.horizon, dynamics.n_noise))
 
     def draw(first: int, last: int) -> None:
@@ -181,7 +171,7 @@ def _compiled(
         spread(lambda: draw, trials, threads)
     inputs = LoopInputs(
         theta=parameters,
-        carry=dynamics.start(states, past, trial_draws(seeds, dynamics.n_draws)),
+        carry=started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws)),
         task=kernels.task.rows(began),
         trial_data=kernels.task.trial_data(began),
         noise=noise,
@@ -191,17 +181,6 @@ def _compiled(
         doubt_at=dynamics.doubt_at,
         envelope=dynamics.envelope,
     )
-    found = run_closed_loop(kernels, system, inputs, record=record, precision=precision, threads=threads)
-    return finished(
-        task,
-        (len(parameters), trials),
-        fitness=found.fitness,
-        survived=found.survived,
-        clipped=found.clipped,
-        diverged=found.diverged,
-        counts=found.counts,
-        doubt=found.doubt,
-        task_state=kernels.task.state(began.tile(len(parameters)), found.task),
-        engine=f"compiled {precision}",
-        trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
-    )
+    found, rows = run_closed_loop(kernels, system, inputs, record=record, precision=precision, threads=threads)
+    task_state = kernels.task.state(began.tile(len(parameters)), rows)
+    return finished(found, task, system, began, task_state, f"compiled {precision}", record)

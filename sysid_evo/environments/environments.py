@@ -12,7 +12,7 @@ from sysid_evo.engine.results import scored
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.extras import missing_extra
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.system import Channel, System
@@ -134,16 +134,14 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         restarting = self._ended
-        reward, over, late = self.trials.step(self._controls(actions))
+        controls = control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
+        reward, over, late = self.trials.step(controls)
         if restarting.any():
             self.restart(restarting)
             reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
         over, late = over.astype(bool), late.astype(bool)
         self._ended = over | late
         return self.observations(), reward, over, late, self._info()
-
-    def _controls(self, actions: Any) -> Array:
-        return control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
 
     def restart(self, which: BoolArray) -> None:
         """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
@@ -201,9 +199,7 @@ class Trials:
         for row in rows:
             number = int(self.member[row])
             member, seed = self.members[number], self.seeds[row : row + 1]
-            states = np.tile(fresh.state[row], (1, member.n_lags + 1, 1))
-            controls = np.tile(self.system.neutral_control, (1, member.n_lags, 1))
-            self._carries[number][row] = member.start(states, controls, trial_draws(seed, member.n_draws))[0]
+            self._carries[number][row] = started(member, fresh.state[row][None], trial_draws(seed, member.n_draws))[0]
             self._noise[row] = step_noise(seed, self.task.horizon, member.n_noise)[0]
 
     @property

@@ -21,7 +21,7 @@ from sysid_evo.evolution.loop import Schedule, Stage
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from sysid_evo.models.disturbances import DelayedEstimate, RadicalEnvelope, disturbed
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.penalty import Doubt
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import as_seed, trial_seeds
@@ -277,12 +277,7 @@ def farthest_driven(dynamics: Dynamics) -> Array | None:
         return None
     ends = [sorted({channel.low, channel.neutral, channel.high}) for channel in system.controls]
     commands = np.array(list(product(*ends))[:MOST_COMMANDS])
-    history = np.tile(system.neutral_state, (len(commands), dynamics.n_lags + 1, 1))
-    carry = dynamics.start(
-        history,
-        np.tile(system.neutral_control, (len(commands), dynamics.n_lags, 1)),
-        np.zeros((len(commands), dynamics.n_draws)),
-    )
+    carry = started(dynamics, np.tile(system.neutral_state, (len(commands), 1)))
     noise = np.zeros((len(commands), dynamics.n_noise)) if dynamics.n_noise else None
     farthest = np.abs(system.neutral_state)
     with np.errstate(all="ignore"):

@@ -11,7 +11,7 @@ import numpy as np
 from sysid_evo.carry import clip_state, recent
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.dynamics import Around, Dynamics
+from sysid_evo.models.dynamics import Around, Dynamics, started
 from sysid_evo.models.kernels.disturbances import delayed_kernel, perturbed_kernel, sensors_kernel
 from sysid_evo.registry.registry import noises
 from sysid_evo.system import System
@@ -346,9 +346,8 @@ def state_spread(dynamics: Dynamics) -> Array:
 def _driven(dynamics: Dynamics) -> Array:
     """Return the states (N, nx) that random commands lead to."""
     system, rng = dynamics.system, np.random.default_rng(0)
-    states = np.tile(system.neutral_state, (TRIALS, dynamics.n_lags + 1, 1))
-    controls = np.tile(system.neutral_control, (TRIALS, dynamics.n_lags, 1))
-    carry = dynamics.start(states, controls, rng.standard_normal((TRIALS, dynamics.n_draws)))
+    draws = rng.standard_normal((TRIALS, dynamics.n_draws))
+    carry = started(dynamics, np.tile(system.neutral_state, (TRIALS, 1)), draws)
     seen = []
     with np.errstate(all="ignore"):
         for k in range(STEPS):

@@ -90,6 +90,17 @@ class Around(PlainDynamics):
         return self.inner.envelope
 
 
+def started(dynamics: Dynamics, states: Array, draws: Array | None = None, *, controls: Array | None = None) -> Array:
+    """Return the carries (B, n_carry) of a system that has long been in ``states`` (B, nx) under ``controls`` (B, nu).
+
+    Controls are neutral by default, and ``draws`` (B, n_draws) zeros.
+    """
+    count, lags = len(states), dynamics.n_lags
+    held = np.tile(dynamics.system.neutral_control, (count, 1)) if controls is None else controls
+    drawn = np.zeros((count, dynamics.n_draws)) if draws is None else draws
+    return dynamics.start(np.repeat(states[:, None], lags + 1, axis=1), np.repeat(held[:, None], lags, axis=1), drawn)
+
+
 def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) -> Array:
     """Return what ``method`` gave for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
     checked = check_shape(f"{type(dynamics).__name__}.{method}", values, (*carry.shape[:-1], dynamics.system.nx))

@@ -4,7 +4,7 @@ from sysid_evo.plan.cell import CONTRACT, Cell, Work
 from sysid_evo.plan.dask_executor import Scheduler
 from sysid_evo.plan.executors import execute, number_of_jobs
 from sysid_evo.plan.plan import Again, Plan, cell_seed
-from sysid_evo.plan.run_state import Observer, Silent
+from sysid_evo.plan.run_state import Observer
 from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, StoredCell, blocked_by
 
 __all__ = [
@@ -17,7 +17,6 @@ __all__ = [
     "Plan",
     "Record",
     "Scheduler",
-    "Silent",
     "Store",
     "StoredCell",
     "Work",

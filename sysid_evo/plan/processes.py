@@ -25,7 +25,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.plan import Again, Plan, work_ahead
-from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger
+from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger, Observer
 from sysid_evo.plan.store import Outcome, Store, StoredCell
 from sysid_evo.processors import INNER_THREADS, usable_processors, use_processors
 
@@ -322,15 +322,12 @@ def _interrupt_main() -> None:
         _thread.interrupt_main(signal.SIGTERM)
 
 
-class Telling:
+class Telling(Observer):
     """An observer that tells the master."""
 
     def __init__(self, master: Master) -> None:
         self._master = master
         self._next = 0.0
-
-    def plan(self, cells: int, kept: int, seconds: float) -> None:
-        pass
 
     def start(self, cell: Cell) -> None:
         self._next = 0.0

@@ -6,7 +6,7 @@ import time
 import traceback
 from collections.abc import Collection, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
 from sysid_evo.plan.cell import Cell, Work
@@ -19,8 +19,11 @@ TRIES = 2
 """How often a cell is tried whose process ends without a word."""
 
 
-class Observer(Protocol):
-    """Is told what an execution is doing; the command line draws progress from it. Cells may run side by side."""
+class Observer:
+    """Is told what an execution is doing, and does nothing; the command line draws progress from it.
+
+    Cells may run side by side.
+    """
 
     def plan(self, cells: int, kept: int, seconds: float) -> None:
         """``cells`` in all, of which ``kept`` are done already; the others take about ``seconds``."""
@@ -38,25 +41,6 @@ class Observer(Protocol):
         """Something that the user should know, and that stops nothing."""
 
 
-class Silent:
-    """An observer that does nothing."""
-
-    def plan(self, cells: int, kept: int, seconds: float) -> None:
-        pass
-
-    def start(self, cell: Cell) -> None:
-        pass
-
-    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        pass
-
-    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
-        pass
-
-    def remark(self, sentence: str) -> None:
-        pass
-
-
 class Ledger:
     """How the cells of ``plan`` ended so far, by digest; the observer is told of each.
 
@@ -66,7 +50,7 @@ class Ledger:
     def __init__(
         self, plan: Plan, store: Store, observer: Observer | None = None, only: Collection[Cell] | None = None
     ) -> None:
-        self.plan, self.store, self.observer, self.only = plan, store, observer or Silent(), only
+        self.plan, self.store, self.observer, self.only = plan, store, observer or Observer(), only
         self.ended: dict[str, Outcome] = {}
         self._told: set[str] = set()
 

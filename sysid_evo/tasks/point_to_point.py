@@ -10,7 +10,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from sysid_evo.angles import wrap
-from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import (
     LANES,
     QUARTER,
@@ -31,10 +31,9 @@ from sysid_evo.motion_kernels import wrap as wrap_lanes
 from sysid_evo.randomness import TASK_STREAM, drawn
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.task import Scene, Task, TaskState
+from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.types import Array, IntArray, Seeds
 
-POSE = ("x", "y", "heading")
 APART = 128.0 / (45.0 * np.pi)
 """Mean distance of two random points of a disc, in its radii."""
 FEW, ENOUGH = 3.0, 10.0
@@ -101,12 +100,7 @@ class PointToPoint(Task):
         self.arena_radius = arena_radius
 
     def check_system(self, system: System) -> None:
-        motion = system.motion
-        if motion is None or motion.pose_names != POSE or not {"forward", "yaw_rate"} <= motion.roles().keys():
-            raise IncompatibleTask(
-                "point_to_point needs a planar body (roles forward and yaw_rate); "
-                f"{system.name or 'this system'} has {'no motion' if motion is None else motion.kind}"
-            )
+        planar_places("point_to_point", system)
 
     def begin(self, seeds: Seeds) -> PointToPointState:
         trials = len(seeds)
@@ -124,13 +118,8 @@ class PointToPoint(Task):
         forward, yaw_rate = self._speeds
         dx, dy = here.to_waypoint(here.pose)
         angle = np.arctan2(dy, dx) - here.pose[:, 2]
-        observation = np.empty((len(state), 5))
-        observation[:, 0] = 1.0
-        observation[:, 1] = state[:, forward]
-        observation[:, 2] = state[:, yaw_rate]
-        observation[:, 3] = wrap(angle)
-        observation[:, 4] = np.sqrt(dx * dx + dy * dy)
-        return observation
+        seen = [np.ones(len(state)), state[:, forward], state[:, yaw_rate], wrap(angle), np.sqrt(dx * dx + dy * dy)]
+        return np.stack(seen, axis=1)
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
@@ -214,7 +203,7 @@ class PointToPoint(Task):
             advance=KernelSource(advance_lanes, {"move": motion.move}),
             n_rows=ROWS.size,
             rows=_rows,
-            trial_data=_data,
+            trial_data=lambda here: here.waypoints.reshape(len(here.waypoints), -1),
             state=_state,
             parameters=parameters,
             pose_row=ROWS.x,
@@ -224,9 +213,8 @@ class PointToPoint(Task):
     @property
     def _speeds(self) -> tuple[int, int]:
         """Where forward speed and yaw rate stand among the states."""
-        assert self.system.motion is not None
-        roles, names = self.system.motion.roles(), self.system.state_names
-        return names.index(roles["forward"]), names.index(roles["yaw_rate"])
+        places = planar_places("point_to_point", self.system)
+        return places["forward"], places["yaw_rate"]
 
 
 @lru_cache(maxsize=16)
@@ -246,22 +234,16 @@ ROWS = Layout("passed", "alive", "x", "y", "heading", "next_x", "next_y")
 HEAD = Layout("forward", "yaw_rate", "dt", "radius_squared", "n_data")
 
 
-def _data(task_state: TaskState) -> Array:
-    waypoints = cast("PointToPointState", task_state).waypoints
-    return waypoints.reshape(len(waypoints), -1)
-
-
-def _rows(task_state: TaskState) -> Array:
-    here = cast("PointToPointState", task_state)
+def _rows(here: PointToPointState) -> Array:
     x, y, heading = here.pose.T
     rows = [here.passed, here.alive, x, y, wrap(heading), *here.waypoint.T]  # wrapped while still exact
     return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
 
 
-def _state(task_state: TaskState, rows: Array) -> TaskState:
+def _state(here: PointToPointState, rows: Array) -> TaskState:
     passed = rows[ROWS.passed].astype(np.int64)
     return replace(
-        cast("PointToPointState", task_state),
+        here,
         passed=passed,
         alive=rows[ROWS.alive] > 0,
         pose=rows[ROWS.x : ROWS.heading + 1].T.copy(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -45,17 +45,8 @@ class SetPoint(Following):
         self.tolerance, self.still, self.spread, self.end = tolerance, still, spread, end
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
-        return goals_of(
-            self.name,
-            system,
-            self.channels,
-            self.low,
-            self.high,
-            self.tolerance,
-            still=self.still,
-            spread=self.spread,
-            end=self.end,
-        )
+        limits = {"still": self.still, "spread": self.spread, "end": self.end}
+        return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, **limits)
 
     def references(self, rng: np.random.Generator) -> Array:
         return np.array([[rng.uniform(goal.low, goal.high) for goal in self.goals]])
@@ -139,17 +130,9 @@ class Upright(Following):
     """
 
     def __init__(
-        self,
-        *,
-        channel: str,
-        target: float | None,
-        tolerance: float,
-        still: float,
-        spread: float,
-        effort: float,
-        horizon: int,
+        self, channel: str, target: float | None, tolerance: float, still: float, spread: float, **others: Any
     ) -> None:
-        super().__init__(effort=effort, horizon=horizon)
+        super().__init__(**others)
         self.channel, self.target = channel, target
         self.tolerance, self.still, self.spread = tolerance, still, spread
 
@@ -195,15 +178,7 @@ class SwingUp(Upright):
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
-        super().__init__(
-            channel=channel,
-            target=target,
-            tolerance=tolerance,
-            still=still,
-            spread=spread,
-            effort=effort,
-            horizon=horizon,
-        )
+        super().__init__(channel, target, tolerance, still, spread, effort=effort, horizon=horizon)
 
 
 @register_task("balance")
@@ -228,13 +203,5 @@ class Balance(Upright):
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
-        super().__init__(
-            channel=channel,
-            target=target,
-            tolerance=tolerance,
-            still=still,
-            spread=spread,
-            effort=effort,
-            horizon=horizon,
-        )
+        super().__init__(channel, target, tolerance, still, spread, effort=effort, horizon=horizon)
         self.end = end

@@ -313,13 +313,11 @@ def reward_kernel(
     )
 
 
-def _rows(task_state: TaskState) -> Array:
-    here = cast("RewardState", task_state)
+def _rows(here: RewardState) -> Array:
     return np.stack([here.score, here.alive.astype(np.float64), *here.pose.T, np.zeros(len(here.alive))])
 
 
-def _state(task_state: TaskState, rows: Array) -> TaskState:
-    here = cast("RewardState", task_state)
+def _state(here: RewardState, rows: Array) -> TaskState:
     pose = rows[ROWS.pose : ROWS.pose + here.pose.shape[1]].T.copy()
     return replace(here, score=rows[ROWS.score], alive=rows[ROWS.alive] > 0, pose=pose)
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from sysid_evo.errors import IncompatibleTask
 from sysid_evo.kernels import TaskKernel
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import tasks
@@ -187,6 +188,20 @@ class Scene:
     def next_marker(self) -> Array | None:
         """The first marker that lies ahead, (2,) m; None if there is none."""
         return self.markers[self.reached] if self.reached < len(self.markers) else None
+
+
+POSE = ("x", "y", "heading")
+
+
+def planar_places(task: str, system: System) -> dict[str, int]:
+    """Return where the states that move a planar body stand, by their roles. Raises `IncompatibleTask` without one."""
+    motion = system.motion
+    if motion is None or motion.pose_names != POSE or not {"forward", "yaw_rate"} <= motion.roles().keys():
+        raise IncompatibleTask(
+            f"{task} needs a planar body (roles forward and yaw_rate); {system.name or 'this system'} has "
+            f"{'no motion' if motion is None else motion.kind}"
+        )
+    return {role: system.state_names.index(name) for role, name in motion.roles().items()}
 
 
 def make_task(spec: str | Spec, /, **parameters: Any) -> Task:

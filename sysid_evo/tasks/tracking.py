@@ -239,7 +239,7 @@ class Following(Task):
             advance=KernelSource(advance_lanes, {"move": motion.move}),
             n_rows=ROWS.pose + system.n_pose + 2 * m,
             rows=_rows,
-            trial_data=_targets,
+            trial_data=lambda here: here.reference.reshape(len(here.reference), -1),
             state=_state,
             parameters=parameters,
             pose_row=ROWS.pose,
@@ -430,13 +430,11 @@ NEVER = 1e30
 
 def state_numbers(system: System) -> Array:
     """Return how each state is shown, `STATE` after `STATE`."""
-    return np.array([_of_state(system, i) for i in range(system.nx)])
-
-
-def _of_state(system: System, place: int) -> Array:
-    channel = system.states[place]
-    centre, scale = scaling(channel)
-    return STATE.pack(turn=TURN / channel.period if channel.period else 0.0, centre=centre, scale=scale)
+    rows = []
+    for channel in system.states:
+        centre, scale = scaling(channel)
+        rows.append(STATE.pack(turn=TURN / channel.period if channel.period else 0.0, centre=centre, scale=scale))
+    return np.array(rows)
 
 
 def _of_goal(goal: Goal) -> Array:
@@ -451,20 +449,13 @@ def _of_goal(goal: Goal) -> Array:
     )
 
 
-def _targets(task_state: TaskState) -> Array:
-    reference = cast("FollowingState", task_state).reference
-    return reference.reshape(len(reference), -1)
-
-
-def _rows(task_state: TaskState) -> Array:
-    here = cast("FollowingState", task_state)
+def _rows(here: FollowingState) -> Array:
     numbers = [here.score, here.alive, here.step, here.squared, here.late, here.reached, here.beyond]
     rows = [*numbers, *here.pose.T, *here.target.T, *here.first.T]
     return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
 
 
-def _state(task_state: TaskState, rows: Array) -> TaskState:
-    here = cast("FollowingState", task_state)
+def _state(here: FollowingState, rows: Array) -> TaskState:
     return replace(
         here,
         score=rows[ROWS.score],

@@ -10,11 +10,11 @@ from typing import Any, ClassVar, cast
 import numpy as np
 
 from sysid_evo.angles import TURN, wrap
-from sysid_evo.errors import IncompatibleTask, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, view
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.task import Scene, Task, TaskState
+from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.tasks.track_geometry import (
     NOWHERE,
     NUMBERS,
@@ -28,7 +28,6 @@ from sysid_evo.tasks.track_geometry import (
 )
 from sysid_evo.types import Array, IntArray, Seeds
 
-POSE = ("x", "y", "heading")
 COLLISIONS = ("slow", "end")
 
 AHEAD = 0.1
@@ -121,12 +120,7 @@ class WalledTrack(Task):
         return np.linspace(-0.5, 0.5, self.rays) * self.view if self.rays > 1 else np.zeros(1)
 
     def check_system(self, system: System) -> None:
-        motion = system.motion
-        if motion is None or motion.pose_names != POSE or not {"forward", "yaw_rate"} <= motion.roles().keys():
-            raise IncompatibleTask(
-                "walled_track needs a planar body (roles forward and yaw_rate); "
-                f"{system.name or 'this system'} has {'no motion' if motion is None else motion.kind}"
-            )
+        planar_places("walled_track", system)
 
     def begin(self, seeds: Seeds) -> WalledTrackState:
         trials = len(seeds)
@@ -244,15 +238,13 @@ class WalledTrack(Task):
     @property
     def speeds(self) -> tuple[int, ...]:
         """Where forward speed and, if there is one, lateral speed stand among the states."""
-        assert self.system.motion is not None
-        roles, names = self.system.motion.roles(), self.system.state_names
-        return tuple(names.index(roles[role]) for role in ("forward", "lateral") if role in roles)
+        places = planar_places("walled_track", self.system)
+        return tuple(places[role] for role in ("forward", "lateral") if role in places)
 
     @property
     def yaw_rate(self) -> int:
         """Where the yaw rate stands among the states."""
-        assert self.system.motion is not None
-        return self.system.state_names.index(self.system.motion.roles()["yaw_rate"])
+        return planar_places("walled_track", self.system)["yaw_rate"]
 
 
 ROWS = Layout(
@@ -262,8 +254,7 @@ ROWS = Layout(
 HEAD = Layout("forward", "lateral", "yaw_rate", "dt", "half", "room", "ends", "reach", "rays")
 
 
-def _rows(task_state: TaskState) -> Array:
-    here = cast("WalledTrackState", task_state)
+def _rows(here: WalledTrackState) -> Array:
     x, y, heading = here.pose.T
     rows = [here.furthest, here.alive, x, y, wrap(heading), here.progress, here.turned, here.touches]
     room = np.zeros((ROWS.track - len(rows), len(x)))
@@ -272,9 +263,9 @@ def _rows(task_state: TaskState) -> Array:
     return np.stack([np.asarray(row, dtype=np.float64) for row in (*rows, *room, *track)])
 
 
-def _state(task_state: TaskState, rows: Array) -> TaskState:
+def _state(here: WalledTrackState, rows: Array) -> TaskState:
     return replace(
-        cast("WalledTrackState", task_state),
+        here,
         furthest=rows[ROWS.furthest],
         alive=rows[ROWS.alive] > 0,
         pose=rows[ROWS.x : ROWS.heading + 1].T.copy(),

@@ -20,7 +20,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.models.base import DynamicsModel, make_model
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.storage import load_model, save_model
 from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import models
@@ -244,19 +244,13 @@ def _some_inputs(model: DynamicsModel, dataset: Dataset) -> StepInputs:
 
 def _at_rest(model: DynamicsModel, rows: int) -> Array:
     """Return the carry (rows, n_carry) of a body that has always rested."""
-    system, lags = model.system, model.n_lags
-    states, controls = (
-        np.tile(system.neutral_state, (rows, lags + 1, 1)),
-        np.tile(system.neutral_control, (rows, lags, 1)),
-    )
-    return model.start(states, controls, normal(model.n_draws, rows))
+    return started(model, np.tile(model.system.neutral_state, (rows, 1)), normal(model.n_draws, rows))
 
 
 def _after_a_pulse(model: DynamicsModel) -> Array:
     """Return the carry (1, n_carry) of a body at rest whose commands until now were not neutral."""
-    system, lags = model.system, model.n_lags
-    controls = np.tile(system.neutral_control + 1.0, (1, lags, 1))
-    return model.start(np.tile(system.neutral_state, (1, lags + 1, 1)), controls, normal(model.n_draws, 1))
+    controls = model.system.neutral_control[None] + 1.0
+    return started(model, model.system.neutral_state[None], normal(model.n_draws, 1), controls=controls)
 
 
 @dataclass(frozen=True)

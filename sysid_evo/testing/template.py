@@ -76,7 +76,7 @@ def write_plugin(name: str, folder: Path, kind: str = "model") -> list[Path]:
     values["use"] = Template(of_kind.use).substitute(values)
     for source, path in targets.items():
         text = Template(files("sysid_evo.plugin_template").joinpath(source).read_text()).substitute(values)
-        write_atomically(path, partial(_write, text))
+        write_atomically(path, partial(Path.write_text, data=text))
     return list(targets.values())
 
 
@@ -93,7 +93,3 @@ def _refuse_a_name_in_use(name: str, kind: str) -> None:
             f"plugin: a module called {name!r} can be imported already ({found.origin}), and the new file {name}.py "
             "would hide it or be hidden; choose another name"
         )
-
-
-def _write(text: str, path: Path) -> None:
-    path.write_text(text)

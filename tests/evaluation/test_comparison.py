@@ -25,7 +25,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, L
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import DynamicsModel, save_model
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import Cell, Silent, Store, execute
+from sysid_evo.plan import Cell, Observer, Store, execute
 from sysid_evo.registry import Registry, Spec, models, robots
 from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import ExampleDynamics, example_dataset
@@ -93,7 +93,7 @@ def _made_up_things(register: Callable[[Registry[Any], str, Any], Any]) -> None:
     register(robots, "swinging", Swinging)
 
 
-class Watching(Silent):
+class Watching(Observer):
     """Keeps what the observer is told."""
 
     def __init__(self) -> None:
@@ -111,7 +111,7 @@ def planned(*names: str, **changes: Any) -> Comparison:
     return plan_comparison(Experiment.of({**SHORT, "models": names, **changes}), dataset=example_dataset())
 
 
-def run_in(folder: Path, *names: str, observer: Silent | None = None, **changes: Any) -> Report:
+def run_in(folder: Path, *names: str, observer: Observer | None = None, **changes: Any) -> Report:
     return compare(example_dataset(), out=folder, observer=observer, **{**SHORT, "models": names, **changes})
 
 

@@ -13,7 +13,7 @@ from evaluation.experiment import Experiment
 from evaluation.planning import comparison_again, plan_comparison
 from evaluation.report import Report, to_json
 from evaluation.running import compare
-from sysid_evo.plan import Record, Silent, StoredCell
+from sysid_evo.plan import Observer, Record, StoredCell
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
 
@@ -37,7 +37,7 @@ def _others_find_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT)
 
 
-class Remarks(Silent):
+class Remarks(Observer):
     """Keeps the remarks."""
 
     def __init__(self) -> None:

@@ -68,17 +68,17 @@ class LoopInputs:
 
 @dataclass(frozen=True)
 class LoopResults:
-    """What the P E rollouts came to, candidate first, trial second; a rollout that ``diverged`` ended there.
+    """What B = P E rollouts came to, candidate first, trial second; one that ``diverged`` ended there.
 
-    ``task`` (rows, P E) is that of the last step; ``counts`` (P E, d) are samples of the behaviour; ``doubt`` is as
-    it was counted. The ``tape`` holds states, controls and poses, flat, if they were recorded.
+    ``counts`` (B, d) are samples of the behaviour, ``doubt`` (B,) is as it was counted. The ``tape`` holds states
+    (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat or not, if they were
+    recorded.
     """
 
     fitness: Array
     survived: IntArray
     clipped: IntArray
     diverged: BoolArray
-    task: Array
     counts: Array
     doubt: Array
     tape: tuple[Array, Array, Array]
@@ -92,8 +92,11 @@ def run(
     record: bool,
     precision: Precision = "float32",
     threads: int = 1,
-) -> LoopResults:
-    """Run all candidates in all trials on up to ``threads`` threads; their number changes no result."""
+) -> tuple[LoopResults, Array]:
+    """Run all candidates in all trials; return the results, and the rows of the task after the last step (rows, P E).
+
+    The number of ``threads`` changes no result.
+    """
     real, (trials, horizon, n_noise) = np.dtype(precision), inputs.noise.shape
     (candidates, n_theta), n_carry, n_task = inputs.theta.shape, inputs.carry.shape[1], len(inputs.task)
     nx, nu, n_pose, rollouts = system.nx, system.nu, kernels.task.n_pose, candidates * trials
@@ -176,16 +179,16 @@ def run(
         return work
 
     spread(prepare, -(-rollouts // LANES), threads)
-    return LoopResults(
+    found = LoopResults(
         fitness=results["fitness"].astype(np.float64),
         survived=results["survived"],
         clipped=results["clipped"],
         diverged=results["diverged"] > 0,
-        task=results["final_task"].reshape(rollouts, n_task).T.astype(np.float64),
         counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
         doubt=results["doubts"].astype(np.float64),
         tape=(results["states"], results["controls"], results["poses"]),
     )
+    return found, results["final_task"].reshape(rollouts, n_task).T.astype(np.float64)
 
 
 @cache

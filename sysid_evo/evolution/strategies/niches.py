@@ -276,7 +276,10 @@ class Niches(EvolutionStrategy):
         open_ones = [
             kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over(self._patience)])
         ]
-        return min(open_ones or self._chosen, key=lambda kind: (len(starts[kind]), -_best(starts[kind])))
+        return min(
+            open_ones or self._chosen,
+            key=lambda kind: (len(starts[kind]), -max(island.peak for island in starts[kind])),
+        )
 
     def _off(self, island: Island, behaviour: Array) -> Array:
         """Return how far candidates are on the wrong side (P,), in shares of the time; 0 inside the niche."""
@@ -317,10 +320,6 @@ class Niches(EvolutionStrategy):
             return not np.isfinite(island.promise), -apart[island.channel], -island.promise
 
         return sorted(sides, key=first)[: self.slots]
-
-
-def _best(starts: list[Island]) -> float:
-    return max(island.peak for island in starts)
 
 
 def _known(reached: list[float]) -> bool:

@@ -13,7 +13,7 @@ import pytest
 from evaluation.running import run_study, write_study
 from evaluation.study import PlannedStudy, Study, StudyResults, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Again, Cell, Silent, Store, execute
+from sysid_evo.plan import Again, Cell, Observer, Store, execute
 
 TINY: dict[str, Any] = {
     "title": "Tiny",
@@ -34,7 +34,7 @@ TINY: dict[str, Any] = {
 }
 
 
-class Computed(Silent):
+class Computed(Observer):
     """Remembers which cells were computed."""
 
     def __init__(self) -> None:

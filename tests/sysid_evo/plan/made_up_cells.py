@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sysid_evo.plan import Cell, Silent, Work
+from sysid_evo.plan import Cell, Observer, Work
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class AtHome(Number):
     at_home = True
 
 
-class Watching(Silent):
+class Watching(Observer):
     """Keeps which cells were computed, and all remarks."""
 
     def __init__(self) -> None:
