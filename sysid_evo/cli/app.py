@@ -75,7 +75,7 @@ COMMANDS = {
         "Drive a robot or a model, by hand on a local web page or with --controller, at the task of the matrix.",
     ),
     "export": Entry(
-        "controllers:export",
+        "export:export",
         "Write an evolved controller as one file: from its observations, in order, to legal controls.",
     ),
     "report": Entry(
