@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -34,7 +34,10 @@ from sysid_evo.validation.intervals import (
 )
 from sysid_evo.validation.simulation_error import judging_windows
 
+HIDDEN = (48, 48)
+
 SEARCH_UPDATES = (600, 120)
+"""On single steps and on free runs, at most, where lags are chosen."""
 
 OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
@@ -110,16 +113,14 @@ class MlpEnsemble(Uncertain):
         def trained(
             data: Dataset, lags: tuple[int, int], members: int, plan: TrainingSchedule
         ) -> tuple[Network, Array]:
-            return train_members(
-                data,
-                lags,
-                hidden=tuple(self.hidden or (48, 48)),
-                members=members,
-                folds=self.folds,
-                plan=plan,
-                mirror=Mirror.of(dataset.system, self.turning),
-                trainings=trainings,
+            """Return members that each learned what is left without its blocks of time, and their errors there."""
+            splits = [time_blocks(data, member, self.folds) for member in range(members)]
+            hidden, mirror = self.hidden or HIDDEN, Mirror.of(dataset.system, self.turning)
+            model = LaggedMembers(
+                data, lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=trainings.rng
             )
+            parameters, errors = model.learn(splits, plan, trainings)
+            return model.network(parameters), errors
 
         def roughly(part: Dataset) -> DynamicsModel:
             return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
@@ -139,8 +140,11 @@ class MlpEnsemble(Uncertain):
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
+        members, hidden = len(self.weights_[0]), [weight.shape[2] for weight in self.weights_[:-1]]
         mirror = Mirror.of(dataset.system, self.turning)
-        network = train_further(self.network, dataset, self.lags, plan, rng, mirror=mirror)
+        model = LaggedMembers(dataset, self.lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=rng)
+        model.begin_with(self.network)
+        network = model.network(model.learn_further(dataset, plan, Trainings(rng)))
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
@@ -235,18 +239,6 @@ class LaggedMembers(StandardisedModel):
     ``flag`` (M, B, 1) is 1 for data as recorded and -1 for mirrored data.
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        lags: tuple[int, int],
-        *,
-        hidden: Sequence[int],
-        members: int,
-        mirror: Mirror | None,
-        rng: np.random.Generator,
-    ) -> None:
-        super().__init__(dataset, lags, hidden=hidden, rng=rng, members=members, further=1, mirror=mirror)
-
     def prepare(self, horizon: int) -> None:
         self.accelerations: Single = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
 
@@ -260,40 +252,3 @@ class LaggedMembers(StandardisedModel):
         moved = self.motion.integrated(state, self.accelerations[step], self.system.dt, gradient)
         by_state, by_acceleration = moved
         return by_state + self.pulled_through(step, 0, state, by_acceleration)
-
-
-def train_members(
-    dataset: Dataset,
-    lags: tuple[int, int],
-    *,
-    hidden: tuple[int, ...],
-    members: int,
-    folds: int,
-    plan: TrainingSchedule,
-    mirror: Mirror | None,
-    trainings: Trainings,
-) -> tuple[Network, Array]:
-    """Train ``members`` networks, each on the blocks of time that are left when its own are held out.
-
-    Returns networks of features of (carry, control) that give accelerations, and each member's validation error (M,).
-    """
-    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=trainings.rng)
-    splits = [time_blocks(dataset, member, folds) for member in range(members)]
-    parameters, errors = model.learn(splits, plan, trainings)
-    return model.network(parameters), errors
-
-
-def train_further(
-    network: Network,
-    dataset: Dataset,
-    lags: tuple[int, int],
-    plan: TrainingSchedule,
-    rng: np.random.Generator,
-    *,
-    mirror: Mirror | None,
-) -> Network:
-    """Train the members of ``network``, which `train_members` made, on all of ``dataset``."""
-    members, hidden = len(network.weights[0]), [weight.shape[2] for weight in network.weights[:-1]]
-    model = LaggedMembers(dataset, lags, hidden=hidden, members=members, mirror=mirror, rng=rng)
-    model.begin_with(network)
-    return model.network(model.learn_further(dataset, plan, Trainings(rng)))

@@ -100,15 +100,10 @@ class NetworkRate(Uncertain):
         counter = Counter(progress, final.total + trials(options) * search.total)
 
         def trained(lags: tuple[int, int], plan: TrainingSchedule) -> tuple[Network, Array, float]:
-            return train_flow(
-                dataset,
-                lags,
-                hidden=self.hidden or HIDDEN,
-                plan=plan,
-                trainings=trainings,
-                physics=self.physics(),
-                physical=self.initial,
-            )
+            """Return network and physical parameters that simulate held-out blocks best, and their error there."""
+            flow = self._flow(dataset, lags, self.hidden or HIDDEN, self.initial, trainings.rng)
+            found, errors = flow.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
+            return flow.network(found), flow.physical_of(found), float(errors[0])
 
         with Trainings.of(self, dataset, rng, counter.advance) as trainings:
             lags = best(options, lambda lags: trained(lags, search)[2])
@@ -122,15 +117,33 @@ class NetworkRate(Uncertain):
 
     def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
-        physics, physical = self.physics(), self.physical_ if len(self.initial) else self.initial
-        network, physical = train_flow_further(
-            self.network, dataset, self.lags, plan, rng, physics=physics, physical=physical
-        )
+        hidden = [weight.shape[2] for weight in self.weights_[:-1]]
+        physical = self.physical_ if len(self.initial) else self.initial
+        mirror = Mirror.of(dataset.system)  # few seconds seldom turn both ways alike
+        flow = self._flow(dataset, self.lags, hidden, physical, rng, mirror)
+        flow.begin_with(self.network)
+        found = flow.learn_further(dataset, plan, Trainings(rng))
+        network, physical = flow.network(found), flow.physical_of(found)
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         if len(self.initial):
             other.physical_ = physical
         return other
+
+    def _flow(
+        self,
+        dataset: Dataset,
+        lags: tuple[int, int],
+        hidden: Sequence[int],
+        physical: Array,
+        rng: np.random.Generator,
+        mirror: Mirror | None = None,
+    ) -> Flow:
+        """Return the flow to be trained, with the ``physical`` parameters where there are such."""
+        flow = Flow(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
+        if (physics := self.physics()) is not None:
+            flow.know(physics, physical)
+        return flow
 
     def known_rate(self, state: Array, control: Array) -> Array | None:
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
@@ -243,6 +256,10 @@ class Flow(StandardisedModel):
         """The physical parameters (n,) as they are now."""
         return np.asarray(np.exp(self.parameters[0, self.layers.size :]))
 
+    def physical_of(self, parameters: Single) -> Array:
+        """Return the physical part (n,) of trained ``parameters`` (1, P)."""
+        return np.asarray(np.exp(parameters[0, self.layers.size :].astype(np.float64)))
+
     def prepare(self, horizon: int) -> None:
         shape = horizon, self.calls, *self.states.shape[1:]
         self.visited: Single = np.empty(shape, dtype=np.float32)
@@ -301,52 +318,3 @@ class Physics(Protocol):
 
     def by_parameters(self, states: Single, gradients: Single) -> Single:
         """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""
-
-
-def train_flow(
-    dataset: Dataset,
-    lags: tuple[int, int],
-    *,
-    hidden: Sequence[int],
-    plan: TrainingSchedule,
-    trainings: Trainings,
-    physics: Physics | None,
-    physical: Array,
-) -> tuple[Network, Array, float]:
-    """Train one flow on all but the held-out blocks of time, and keep what simulates those best.
-
-    Returns the network of features of (carry, control) to rates, the physical parameters, and the validation error.
-    """
-    model = Flow(dataset, lags, hidden=hidden, rng=trainings.rng)
-    if physics is not None:
-        model.know(physics, physical)
-    best, errors = model.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
-    return model.network(best), _physical(model, best), float(errors[0])
-
-
-def train_flow_further(
-    network: Network,
-    dataset: Dataset,
-    lags: tuple[int, int],
-    plan: TrainingSchedule,
-    rng: np.random.Generator,
-    *,
-    physics: Physics | None,
-    physical: Array,
-) -> tuple[Network, Array]:
-    """Train a ``network`` and ``physical`` parameters, which `train_flow` found, on all of ``dataset``.
-
-    Of a body that is steered the data are seen in the mirror as well: few seconds seldom turn both ways alike.
-    """
-    hidden, mirror = [weight.shape[2] for weight in network.weights[:-1]], Mirror.of(dataset.system)
-    model = Flow(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
-    if physics is not None:
-        model.know(physics, physical)
-    model.begin_with(network)
-    found = model.learn_further(dataset, plan, Trainings(rng))
-    return model.network(found), _physical(model, found)
-
-
-def _physical(model: Flow, parameters: Single) -> Array:
-    """Return the physical part (n,) of ``parameters`` (1, P)."""
-    return np.asarray(np.exp(parameters[0, model.layers.size :].astype(np.float64)))

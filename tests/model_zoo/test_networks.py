@@ -68,7 +68,7 @@ def test_a_folded_network_takes_raw_inputs() -> None:
 def members(dataset: Dataset) -> StandardisedModel:
     mirror = Mirror.of(dataset.system, ["steer"])
     rng = np.random.default_rng(0)
-    return LaggedMembers(dataset, (1, 3), hidden=[7, 6], members=2, mirror=mirror, rng=rng)
+    return LaggedMembers(dataset, (1, 3), hidden=[7, 6], members=2, further=1, mirror=mirror, rng=rng)
 
 
 def flow(dataset: Dataset) -> StandardisedModel:
@@ -192,14 +192,14 @@ def test_ninety_per_cent_intervals_hold_ninety_per_cent(ensemble: MlpEnsemble) -
     assert 0.75 < float(((truth >= low) & (truth <= high)).mean()) < 0.99
 
 
-def test_a_stored_ensemble_steps_without_what_trains_it(ensemble: MlpEnsemble, tmp_path: Path) -> None:
+def test_a_stored_ensemble_steps_without_what_takes_long_to_load(ensemble: MlpEnsemble, tmp_path: Path) -> None:
     save_model(ensemble, tmp_path / "model")
     script = (
         "import sys, numpy as np\n"
         "from sysid_evo.models import load_model\n"
         f"model = load_model({str(tmp_path / 'model')!r})\n"
         "model.step(np.zeros((1, model.n_carry)), np.zeros((1, 2)))\n"
-        "assert 'model_zoo.networks.training' not in sys.modules\n"
+        "assert not {'scipy', 'sklearn', 'pandas', 'numba', 'torch'} & set(sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

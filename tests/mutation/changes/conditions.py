@@ -102,8 +102,8 @@ CHANGES = (
     Change(
         "further training without a mirror",
         MLP_ENSEMBLE,
-        "train_further(self.network, dataset, self.lags, plan, rng, mirror=mirror)",
-        "train_further(self.network, dataset, self.lags, plan, rng, mirror=None)",
+        "hidden=hidden, members=members, further=1, mirror=mirror, rng=rng)",
+        "hidden=hidden, members=members, further=1, rng=rng)",
         (TEST_TRAINED_FURTHER,),
     ),
     Change(
