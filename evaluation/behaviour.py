@@ -84,17 +84,14 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
         if len(values):
             enough = len(values) >= FEWEST_TRIALS
             low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
-            measures[name] = Measure(float(values.mean()), *_possible(name, low, high), len(values))
+            # nothing measured is below 0, and no share above 1
+            low, high = float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
+            measures[name] = Measure(float(values.mean()), low, high, len(values))
     return Manner(controller, column, len(traces), measures)
 
 
 FEWEST_TRIALS = 2
 """Trials from which on a measure has an interval."""
-
-
-def _possible(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return an interval without what no such number can be: below 0, or a share above 1."""
-    return float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
 
 
 UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
@@ -126,7 +123,14 @@ def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float
     found: dict[str, float] = {}
     run = trace.trajectory
     for j, channel in enumerate(system.controls):
-        found |= _control(channel, run.controls[:, j], run.dt)
+        values, name = run.controls[:, j], channel.name
+        size = channel.high - channel.low if channel.bounded else np.ptp(values)
+        switches = np.abs(np.diff(values)) > SWITCH * size if size > 0 else np.zeros(len(values) - 1, dtype=bool)
+        found[f"{name} switches per second"] = float(switches.sum() / (len(values) * run.dt))
+        if channel.bounded and channel.levels is None:
+            found[f"{name} at a limit"] = float(_at_limit(channel, values).mean())
+        off = values != channel.neutral
+        found[f"{name} above neutral"] = float((values[off] > channel.neutral).mean()) if off.any() else np.nan
     for i, channel in enumerate(system.states):
         if channel.bounded:
             found[f"{channel.name} at a limit"] = float(_at_limit(channel, run.states[1:, i]).mean())
@@ -134,17 +138,6 @@ def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float
         found |= _targets(trace)
     if isinstance(system.motion, PlanarBody):
         found |= _on_a_plane(trace, system, system.motion, fastest)
-    return found
-
-
-def _control(channel: Channel, values: Array, dt: float) -> dict[str, float]:
-    size = channel.high - channel.low if channel.bounded else np.ptp(values)
-    switches = np.abs(np.diff(values)) > SWITCH * size if size > 0 else np.zeros(len(values) - 1, dtype=bool)
-    found = {f"{channel.name} switches per second": float(switches.sum() / (len(values) * dt))}
-    if channel.bounded and channel.levels is None:
-        found[f"{channel.name} at a limit"] = float(_at_limit(channel, values).mean())
-    off = values != channel.neutral
-    found[f"{channel.name} above neutral"] = float((values[off] > channel.neutral).mean()) if off.any() else np.nan
     return found
 
 
@@ -188,7 +181,15 @@ def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array
         "standing": float((~moving).mean()),
     }
     if len(trace.waypoints) and run.pose is not None:
-        found |= _markers(trace, run.pose[:, :2], ahead, still)
+        hunt = chase(run.pose[:, :2], trace.waypoints, trace.waypoint_radius, ahead, run.dt, still=still)
+        misses = len(hunt.reactions)
+        found |= {
+            "missed at first": hunt.missed / min(hunt.markers, hunt.reached + 1),
+            "misses per minute": 60.0 * misses / run.duration,
+            **{f"{what} after a miss": hunt.reactions.count(what) / misses if misses else np.nan for what in REACTIONS},
+            "reached after a miss in": float(np.median(hunt.after)) if hunt.after else np.nan,
+            "orbiting": hunt.orbiting,
+        }
     return found
 
 
@@ -200,19 +201,6 @@ def _stops(standing: BoolArray, least: int) -> int:
     after = np.concatenate([[False], standing[moved[0] :], [False]]).astype(np.int64)
     begins, ends = np.flatnonzero(np.diff(after) == 1), np.flatnonzero(np.diff(after) == -1)
     return int((ends - begins >= least).sum())
-
-
-def _markers(trace: Trace, place: Array, forward: Array, still: float) -> dict[str, float]:
-    found = chase(place, trace.waypoints, trace.waypoint_radius, forward, trace.trajectory.dt, still=still)
-    came_up = min(found.markers, found.reached + 1)
-    misses = len(found.reactions)
-    return {
-        "missed at first": found.missed / came_up,
-        "misses per minute": 60.0 * misses / trace.trajectory.duration,
-        **{f"{what} after a miss": found.reactions.count(what) / misses if misses else np.nan for what in REACTIONS},
-        "reached after a miss in": float(np.median(found.after)) if found.after else np.nan,
-        "orbiting": found.orbiting,
-    }
 
 
 NEAR = 2.5

@@ -201,15 +201,13 @@ def _inside(regions: Sequence[Region], system: System, steps: Steps) -> Array:
 def _regions(system: System, columns: Array) -> list[Region]:
     found = []
     for channel, values in zip((*system.states, *system.controls), columns.T, strict=True):
-        found += _cuts(channel, values)
+        unit, low, high = channel.unit, channel.low, channel.high
+        if channel.levels is not None or len(np.unique(values)) <= LEVELS:
+            levels = np.unique(values) if channel.levels is None else channel.levels
+            found += [Region(channel.name, unit, "at", float(level)) for level in levels]
+            continue
+        cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
+        below = [Region(channel.name, unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
+        above = [Region(channel.name, unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
+        found += [region.within(low, high) for region in below + above]
     return found
-
-
-def _cuts(channel: Channel, values: Array) -> list[Region]:
-    if channel.levels is not None or len(np.unique(values)) <= LEVELS:
-        levels = np.unique(values) if channel.levels is None else channel.levels
-        return [Region(channel.name, channel.unit, "at", float(level)) for level in levels]
-    cuts = [(float(np.percentile(values, edge)), edge) for edge in EDGES]
-    below = [Region(channel.name, channel.unit, "below", limit) for limit, edge in cuts if edge <= 50.0]
-    above = [Region(channel.name, channel.unit, "above", limit) for limit, edge in cuts if edge >= 50.0]
-    return [region.within(channel.low, channel.high) for region in below + above]

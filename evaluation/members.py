@@ -166,14 +166,13 @@ def _of_run(run: Path) -> list[Champion]:
     needed = {digest for record in made for digest in record.needs} | {cell.digest for cell in rows}
     others = [record for record in made if record.digest not in needed]
     found = [store.load(cell) for cell in rows]
-    found += [store.load(StoredCell(record, EvolveCell)) for record in sorted(others, key=_rank)]
+    found += [
+        store.load(StoredCell(record, EvolveCell))
+        for record in sorted(others, key=lambda record: CONTROLLER_KINDS.index(record.kind))
+    ]
     if not found:
         raise InvalidArgument(f"the run {run} holds no controller: evolve one first")
     return found
-
-
-def _rank(record: Record) -> int:
-    return CONTROLLER_KINDS.index(record.kind)
 
 
 def _told_apart(names: Sequence[tuple[str, str]]) -> list[str]:

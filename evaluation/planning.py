@@ -299,7 +299,12 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
     if parts.test is not None and experiment.only != "fit":
-        _check_predictable(parts.training, parts.test)
+        cases = measured_cases(parts.training, parts.test, PredictionProtocol())
+        if not cases.horizons:
+            raise InvalidData(
+                f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+                "Record more, or name a longer episode with --test"
+            )
     return GivenData(dataset, split)
 
 
@@ -316,16 +321,6 @@ def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
             f"{len(found)}: name them with sysid-evo import --condition NAME=PATTERN, and give the data set with --data"
         )
     return len(found)
-
-
-def _check_predictable(training: Dataset, test: Dataset) -> None:
-    """Raise `InvalidData` if there is nothing in ``test`` that a model could be asked to predict."""
-    cases = measured_cases(training, test, PredictionProtocol())
-    if not cases.horizons:
-        raise InvalidData(
-            f"test: no model can be measured on the part held back: {cases.notes[0]}. "
-            "Record more, or name a longer episode with --test"
-        )
 
 
 def _by_hand(

@@ -76,14 +76,9 @@ def advise_model(
         remarks.append(more)
     if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
         remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
-    ordered = sorted(_not_explained(remarks), key=lambda remark: -remark.weight)
-    return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
-
-
-def _not_explained(remarks: list[Remark]) -> list[Remark]:
-    """Return the remarks without those whose cause another one names."""
     explained = {topic for remark in remarks for topic in EXPLAINS.get(remark.topic, ())}
-    return [remark for remark in remarks if remark.topic not in explained]
+    ordered = sorted((one for one in remarks if one.topic not in explained), key=lambda remark: -remark.weight)
+    return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
 
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:

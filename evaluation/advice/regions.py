@@ -22,30 +22,21 @@ def missing_excitation(evidence: Evidence) -> Remark | None:
     """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
     seen = Steps.moving(evidence.training).thinned(MOST_STEPS)
     if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
-        return _untried(seen)
+        gap = untried_pair(seen)
+        return None if gap is None else Remark(
+            "excitation",
+            f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
+            f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves "
+            "the data: record it.",
+            0.5 * gap.asked,
+            gap.figures,
+        )
     gap = largest_gap(seen, evidence.visited)
-    if gap is None:
-        return None
-    return Remark(
+    return None if gap is None else Remark(
         "excitation",
         f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
         "models guess there. Record just that.",
         gap.asked,
-        gap.figures,
-    )
-
-
-def _untried(seen: Steps) -> Remark | None:
-    """Return which command was hardly tried with which state."""
-    gap = untried_pair(seen)
-    if gap is None:
-        return None
-    return Remark(
-        "excitation",
-        f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
-        f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves the "
-        "data: record it.",
-        0.5 * gap.asked,
         gap.figures,
     )
 
@@ -135,7 +126,8 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
         [np.append(np.full(late, np.nan), e.controls[: len(e) - late, place]) for e in dataset if len(e) > late]
     )
     if delay.at_speed:
-        control = control * steps.before[:, _forward(dataset)]
+        assert isinstance(system.motion, PlanarBody)
+        control = control * steps.before[:, system.motion.indices(system.state_names)[0]]
     usable = np.flatnonzero(moving & np.isfinite(control))
     usable = usable[:: max(1, len(usable) // MOST_STEPS)]
     change = system.acceleration(steps.before, steps.after)[usable, state]
@@ -169,12 +161,6 @@ def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> Ef
     left = change[rows] - x @ weights
     variance = (left @ left) / (len(left) - rank) * np.linalg.inv(x.T @ x)[0, 0]
     return Effect(float(weights[0]), float(np.sqrt(variance)))
-
-
-def _forward(dataset: Dataset) -> int:
-    motion = dataset.system.motion
-    assert isinstance(motion, PlanarBody)
-    return motion.indices(dataset.system.state_names)[0]
 
 
 RESAMPLES = 300

@@ -242,10 +242,7 @@ class PolishCell(ControllerFiles):
 
     @property
     def needs(self) -> tuple[Cell, ...]:
-        return (self.chosen, *(cell for member in self.members for cell in self._needs(member)))
-
-    def _needs(self, member: Plant) -> tuple[Cell, ...]:
-        return member.believing if self.sift else member.needs
+        return (self.chosen, *(cell for m in self.members for cell in (m.believing if self.sift else m.needs)))
 
     def inputs(self) -> dict[str, Any]:
         return {

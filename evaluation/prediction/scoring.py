@@ -76,7 +76,13 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
-    horizon, states = cases.near_horizon, cases.windows.states
+    horizon, states, dt = cases.near_horizon, cases.windows.states, cases.system.dt
+    hit = forecasts.touched[forecasts.touched != NEVER]
+    divergence = Divergence(
+        share=len(hit) / len(forecasts.touched) if len(forecasts.touched) else 0.0,
+        median_time=float(np.median(hit) * dt) if len(hit) else None,
+        free_run_times=tuple(None if step == NEVER else float(step * dt) for step in forecasts.free_touched),
+    )
     return ModelPrediction(
         name=name,
         family=family,
@@ -87,7 +93,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         free_run=_free_run(forecasts, cases),
         curve=curve,
         curve_interval=curve_interval,
-        divergence=_divergence(forecasts, cases),
+        divergence=divergence,
         residuals=analyse(step_errors(model.without_noise(), cases.test, first=cases.protocol.first)),
         regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
         episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
@@ -208,16 +214,6 @@ def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
     drawn = cases.n_of_sums(resampled_sums(sums, picks))
     band = [interval(column, cases.protocol.confidence) for column in drawn.T]
     return cases.n_of_sums(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
-
-
-def _divergence(forecasts: Forecasts, cases: MeasuredCases) -> Divergence:
-    dt = cases.system.dt
-    hit = forecasts.touched[forecasts.touched != NEVER]
-    return Divergence(
-        share=len(hit) / len(forecasts.touched) if len(forecasts.touched) else 0.0,
-        median_time=float(np.median(hit) * dt) if len(hit) else None,
-        free_run_times=tuple(None if step == NEVER else float(step * dt) for step in forecasts.free_touched),
-    )
 
 
 SHARE = 0.9

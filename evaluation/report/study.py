@@ -77,21 +77,17 @@ DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
 def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
     """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
     story = study_story(results)
-    texts = {
-        DOCUMENT: json_text(study_document(results)),
-        MARKDOWN: story_to_markdown(_without_details(story)),
-        PAGE: page_of(story),
-    }
-    return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
-
-
-def _without_details(story: Story) -> Story:
-    """Return a story without what the page folds away."""
-    sections = [
+    unfolded = [
         replace(one, items=[item for item in one.items if not (isinstance(item, Sheet) and item.details)])
         for one in story.sections
     ]
-    return replace(story, sections=[one for one in sections if one.items or one.absent])
+    short = replace(story, sections=[one for one in unfolded if one.items or one.absent])
+    texts = {
+        DOCUMENT: json_text(study_document(results)),
+        MARKDOWN: story_to_markdown(short),
+        PAGE: page_of(story),
+    }
+    return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
 
 
 def study_brief(results: StudyResults, *, verbose: bool = False) -> list[RenderableType]:
@@ -487,6 +483,11 @@ SCHEMA = "sysid-evo/study/1"
 
 def study_document(results: StudyResults) -> dict[str, Any]:
     """Return what stands in ``study.json``: settings, points, the figures of all tables, failures, times."""
+    timings: dict[str, dict[str, float]] = {}
+    for time in results.times:
+        one = timings.setdefault(time.kind, {"cells": 0, "seconds": 0.0})
+        one["cells"] += 1
+        one["seconds"] += time.seconds
     document: dict[str, Any] = plain(
         {
             "schema": SCHEMA,
@@ -495,25 +496,16 @@ def study_document(results: StudyResults) -> dict[str, Any]:
             "group_axes": results.study.group_axes,
             "intervals": {"share": SHARE, "resamples": RESAMPLES, "drawn": ["robots", "seeds of each"]},
             "points": [{**asdict(point), "finished": point.finished} for point in results.points],
-            "controllers": [asdict(one) for one in controller_figures(results)],
+            "controllers": [asdict(row) for row in controller_figures(results)],
             "prediction": [
-                {**asdict(one), "n": {str(h): n and asdict(n) for h, n in one.n.items()}}
-                for one in prediction_figures(results)
+                {**asdict(row), "n": {str(h): n and asdict(n) for h, n in row.n.items()}}
+                for row in prediction_figures(results)
             ],
-            "exploitability": [asdict(one) for one in exploit_figures(results)],
-            "forecasts": [asdict(one) for one in forecast_figures(results)],
-            "failures": [asdict(one) for one in results.failures],
+            "exploitability": [asdict(row) for row in exploit_figures(results)],
+            "forecasts": [asdict(row) for row in forecast_figures(results)],
+            "failures": [asdict(row) for row in results.failures],
             "versions": dict(results.versions),
-            "timings": _times(results),
+            "timings": timings,
         }
     )
     return document
-
-
-def _times(results: StudyResults) -> dict[str, dict[str, float]]:
-    found: dict[str, dict[str, float]] = {}
-    for time in results.times:
-        one = found.setdefault(time.kind, {"cells": 0, "seconds": 0.0})
-        one["cells"] += 1
-        one["seconds"] += time.seconds
-    return found

@@ -67,7 +67,12 @@ def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store
         try:
             stored = _stored(store, digest)
             dataset = None if stored is not None else _dataset(point.experiment, known)
-            _check_robot(point.experiment)
+            robot = point.experiment.robot
+            if robot is not None and point.experiment.data is None and make_robot(robot_spec(robot)).physical:
+                raise InvalidArgument(
+                    f"{robot} is a physical robot, which a study does not drive: record it once with "
+                    "sysid-evo record, and name the recordings as data"
+                )
             comparisons.append(plan_comparison(point.experiment, dataset=dataset, stored=stored))
         except SysidEvoError as error:
             raise InvalidArgument(f"point {point.name}: {error}") from error
@@ -110,15 +115,6 @@ def _stored(store: Store | None, digest: str | None) -> tuple[Cell, Any] | None:
     if data is None or not store.done(data):
         raise ArtefactError(f"{store.path}: its data are missing or damaged")
     return data, store.load(data).training.system
-
-
-def _check_robot(experiment: Experiment) -> None:
-    """Raise `InvalidArgument` where a physical robot would be driven for every point."""
-    if experiment.robot is not None and experiment.data is None and make_robot(robot_spec(experiment.robot)).physical:
-        raise InvalidArgument(
-            f"{experiment.robot} is a physical robot, which a study does not drive: record it once with "
-            "sysid-evo record, and name the recordings as data"
-        )
 
 
 def seconds_about(planned: PlannedStudy, records: Mapping[str, Record | None]) -> dict[str, float]:

@@ -291,7 +291,9 @@ class _Gathered:
             members=members,
             aggregate=self.comparison.experiment.aggregate if len(members) > 1 else "",
             error=float(np.mean(known)) if known else None,
-            file="" if self.records[cell.digest] is None else f"{self._where(cell)}.json",
+            file=""
+            if self.records[cell.digest] is None
+            else f"{self.store.where(cell).relative_to(self.store.path).as_posix()}.json",
             reason=self._reason(cell),
         )
         if standing is not None:
@@ -338,9 +340,6 @@ class _Gathered:
     def _value(self, cell: Cell | None) -> Any:
         return None if cell is None else self.store.outcome(cell).value
 
-    def _where(self, cell: Cell) -> str:
-        return self.store.where(cell).relative_to(self.store.path).as_posix()
-
 
 def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
     """Return ``rows`` with the yardsticks of their robots, and the shares of these that they achieve."""
@@ -350,14 +349,14 @@ def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[
         if row.achieved is not None and np.isfinite(row.achieved):
             key = place[row.point]
             best[key] = max(best.get(key, -np.inf), row.achieved)
-    return tuple(_with_share(row, best.get(place[row.point])) for row in rows)
-
-
-def _with_share(row: ControllerRow, yardstick: float | None) -> ControllerRow:
-    floor = row.floor or 0.0
-    if row.achieved is None or yardstick is None or yardstick <= floor:
-        return replace(row, yardstick=yardstick)
-    return replace(row, yardstick=yardstick, share=(row.achieved - floor) / (yardstick - floor))
+    found = []
+    for row in rows:
+        yardstick, floor = best.get(place[row.point]), row.floor or 0.0
+        share = row.share
+        if row.achieved is not None and yardstick is not None and yardstick > floor:
+            share = (row.achieved - floor) / (yardstick - floor)
+        found.append(replace(row, yardstick=yardstick, share=share))
+    return tuple(found)
 
 
 def _achieved(matrix: TransferMatrix, controller: str) -> float | None:

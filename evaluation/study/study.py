@@ -222,8 +222,15 @@ class Axis:
                 )
         if not pairs:
             raise InvalidArgument(f"{where}: expected at least one value, got none")
-        _check_distinct(where, pairs)
-        for _, value in pairs:
+        labels, values = zip(*pairs, strict=True)
+        for label, value in pairs:
+            if values.count(value) > 1:
+                raise InvalidArgument(f"{where}: {label_of(value)!r} stands there twice")
+            if labels.count(label) > 1:
+                raise InvalidArgument(
+                    f"{where}: two values are called {label!r}; name them, such as {{a = ..., b = ...}}"
+                )
+        for value in values:
             try:
                 Experiment.of({setting: value})
             except InvalidArgument as error:
@@ -248,13 +255,3 @@ def _ranged(setting: str, value: Any, where: str) -> list[Any]:
         raise InvalidArgument(f"{where}: expected a range from the lower to the higher number, got {value!r}")
     texts = [f"{found['before']}{number}{found['after']}" for number in range(first, last + 1)]
     return [int(text) for text in texts] if setting == "seed" and all(map(str.isdecimal, texts)) else texts
-
-
-def _check_distinct(where: str, pairs: Sequence[tuple[str, Any]]) -> None:
-    """Raise `InvalidArgument` where two values, or two labels, are the same."""
-    values, labels = [value for _, value in pairs], [label for label, _ in pairs]
-    for label, value in pairs:
-        if values.count(value) > 1:
-            raise InvalidArgument(f"{where}: {label_of(value)!r} stands there twice")
-        if labels.count(label) > 1:
-            raise InvalidArgument(f"{where}: two values are called {label!r}; name them, such as {{a = ..., b = ...}}")

@@ -353,6 +353,11 @@ def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, 
         reason = "; ".join(("no trial was finished", *rollouts.missing[:1]))
         return TransferResult(champion.name, column, reason=reason, missing=rollouts.missing)
     fitness = rollouts.fitness[0]
+    measures: dict[str, float | None] = {}  # means over the trials that have one
+    if champion.system is not None:
+        for name, values in task.bind(champion.system).measures(rollouts.task_state).items():
+            known = values[np.isfinite(values)]
+            measures[name] = float(known.mean()) if len(known) else None
     return TransferResult(
         champion=champion.name,
         column=column,
@@ -363,17 +368,8 @@ def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, 
         engine=rollouts.engine,
         traces=_traces(rollouts, traces, task),
         missing=rollouts.missing,
-        measures={} if champion.system is None else _measures(rollouts, task.bind(champion.system)),
+        measures=measures,
     )
-
-
-def _measures(rollouts: Rollouts, task: Task) -> dict[str, float | None]:
-    """Return the mean of each of the task's measures over the trials that have one."""
-    found: dict[str, float | None] = {}
-    for name, values in task.measures(rollouts.task_state).items():
-        known = values[np.isfinite(values)]
-        found[name] = float(known.mean()) if len(known) else None
-    return found
 
 
 def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:

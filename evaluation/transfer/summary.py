@@ -160,15 +160,16 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     standing = standings(matrix, next(iter(at_rest), None))
     controllers = tuple(replace(one, floor=floor, standing=standing[one.name]) for one in controllers)
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
-    correlations = tuple(
-        _correlation(figure, [getattr(c, name) for c in elsewhere], [c.achieved for c in elsewhere])
-        for figure, name in (("claimed", "claimed"), ("median on other families", "other_families"))
-    )
+    correlations = []
+    for figure, name in (("claimed", "claimed"), ("median on other families", "other_families")):
+        both = [(getattr(one, name), one.achieved) for one in elsewhere]
+        pairs = [(a.value, b.value) for a, b in both if a is not None and b is not None]
+        correlations.append(RankCorrelation(figure, rank_correlation(pairs), len(pairs)))
     return TransferSummary(
         controllers=controllers,
         pick=None,
         best_on={column: matrix.best(column) for column in matrix.columns},
-        correlations=correlations if matrix.robot is not None else (),
+        correlations=tuple(correlations) if matrix.robot is not None else (),
     )
 
 
@@ -201,13 +202,6 @@ def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> Contro
         seed_fitness=tuple(champion.seed_fitness),
         polished=champion.polished,
     )
-
-
-def _correlation(
-    figure: str, values: Sequence[Estimate | None], achieved: Sequence[Estimate | None]
-) -> RankCorrelation:
-    pairs = [(a.value, b.value) for a, b in zip(values, achieved, strict=True) if a is not None and b is not None]
-    return RankCorrelation(figure, rank_correlation(pairs), len(pairs))
 
 
 RESAMPLES = 1000
@@ -392,21 +386,19 @@ def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str
     ``at_rest`` names the controller that does nothing, from whose fitness shares are measured; None to measure from 0.
     """
     figures = Figures(matrix, at_rest)
-    return {champion.name: _standing(champion, figures) for champion in matrix.champions}
-
-
-def _standing(champion: Champion, figures: Figures) -> ControllerScores:
-    worst, worst_on = figures.worst(champion)
-    name = champion.name
-    return ControllerScores(
-        claimed=_estimate(figures.claimed.get(name)),
-        achieved=_estimate(figures.elsewhere.get(name)),
-        gap=_estimate(figures.gap.get(name)),
-        kept=_estimate(figures.kept.get(name)),
-        worst=_estimate(worst),
-        worst_on=worst_on,
-        regret=_estimate(figures.regret(champion), least=0.0),
-    )
+    found = {}
+    for champion in matrix.champions:
+        name, (worst, worst_on) = champion.name, figures.worst(champion)
+        found[name] = ControllerScores(
+            claimed=_estimate(figures.claimed.get(name)),
+            achieved=_estimate(figures.elsewhere.get(name)),
+            gap=_estimate(figures.gap.get(name)),
+            kept=_estimate(figures.kept.get(name)),
+            worst=_estimate(worst),
+            worst_on=worst_on,
+            regret=_estimate(figures.regret(champion), least=0.0),
+        )
+    return found
 
 
 def _estimate(figure: PairedEstimate | None, *, least: float = -np.inf) -> Estimate | None:

@@ -131,7 +131,8 @@ class Choosing:
         waits until that one is tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
         folds; empty if it is.
         """
-        costs = {number: self._cost(number) for number in range(len(self.candidates))}
+        size = self.dataset.system, self.dataset.n_steps, len(self.pairs)
+        costs = {number: candidate.cost(*size) for number, candidate in enumerate(self.candidates)}
         errors: list[Errors | None] = [None for _ in costs]
         reasons = [UNPROMISING if number in self._refined else UNTRIED for number in costs]
         outcomes: dict[tuple[int, int], FitOutcome] = {}
@@ -178,9 +179,6 @@ class Choosing:
                 times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
                 reasons[number] = reasons[number] or times
         return errors, reasons
-
-    def _cost(self, number: int) -> float:
-        return self.candidates[number].cost(self.dataset.system, self.dataset.n_steps, len(self.pairs))
 
     def _task(self, number: int, fold: int) -> FitTask:
         """Return the fit of one candidate without one fold, or to all data after the last of them."""

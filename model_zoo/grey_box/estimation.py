@@ -373,17 +373,12 @@ LEAST = 1e-4
 """Of the width of the bounds: a standard deviation that is none."""
 
 
-@dataclass(frozen=True)
-class Offsets:
-    """The estimate with offsets, their standard deviations ``spreads`` (k,) from group to group, in the cube."""
+def with_offsets(
+    problem: LeastSquares, best: LeastSquaresFit, sure: Sureness, varied: Sequence[int]
+) -> tuple[LeastSquaresFit, Array]:
+    """Return the estimate in which some parameters have an offset in each group, normal around nothing.
 
-    estimate: LeastSquaresFit
-    spreads: Array
-
-
-def with_offsets(problem: LeastSquares, best: LeastSquaresFit, sure: Sureness, varied: Sequence[int]) -> Offsets:
-    """Return the least squares in which some parameters have an offset in each group, normal around nothing.
-
+    With it comes their standard deviation (k,) from group to group, in the cube.
     How far they spread is found with them: the spread whose square is the mean of offset^2 + the variance of what is
     left unknown of it, again and again (expectation, maximisation; Laird and Ware 1982). Few data of a group, or none
     that depend on the parameter, leave its offset near zero. Errors that hang together count as ``sure.inflation``
@@ -395,7 +390,7 @@ def with_offsets(problem: LeastSquares, best: LeastSquaresFit, sure: Sureness, v
         found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
         unknown = _unknown(varying, found)
         spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)
-    return Offsets(found, spreads)
+    return found, spreads
 
 
 def _unknown(problem: LeastSquares, found: LeastSquaresFit) -> Array:

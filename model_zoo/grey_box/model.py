@@ -260,14 +260,14 @@ class GreyBox(DynamicsModel):
         """Return the estimate of what is common; keep what differs from recording to recording, in units."""
         box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
         varied = [names.index(name) for name in self.offsets or []]
-        found = with_offsets(problem, best, sure, varied)
-        common = box.values(found.estimate.places)
-        of_each = np.repeat(found.estimate.places[None], len(problem.windows.groups), axis=0)
-        of_each[:, varied] += found.estimate.offsets
+        found, spreads = with_offsets(problem, best, sure, varied)
+        common = box.values(found.places)
+        of_each = np.repeat(found.places[None], len(problem.windows.groups), axis=0)
+        of_each[:, varied] += found.offsets
         self.offsets_ = (box.values(of_each) - common)[:, varied]
-        self.offset_spreads_ = found.spreads * box.slopes(found.estimate.places)[varied]
+        self.offset_spreads_ = spreads * box.slopes(found.places)[varied]
         self.recordings_ = list(problem.windows.groups)
-        return found.estimate
+        return found
 
     def offsets_table(self) -> list[dict[str, Any]]:
         """Return by how much each parameter of ``offsets`` is more or less in each recording, with its unit."""
@@ -330,11 +330,6 @@ class GreyBox(DynamicsModel):
         if not self.residual or not hasattr(self, "residual_weights_"):
             return None
         return Residual(self.residual_points_, self.residual_lengths_, self.residual_weights_)
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        """The names of ``parameters_``: those of the law, then those of what is switched on."""
-        return tuple(parameter.name for parameter in self.integrated.parameters)
 
     def parameters_table(self) -> list[dict[str, Any]]:
         """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it."""

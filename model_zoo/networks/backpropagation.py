@@ -144,7 +144,10 @@ class StandardisedModel(ABC):
         Returns the parameters with which it simulates the second part best, and its error there (M,).
         """
         history = self.layout.history
-        held = [_judging_shots(part, history) for _, part in splits]
+        held = []
+        for _, part in splits:
+            windows = judging_windows(part, history)
+            held.append(Shots.at(part, windows.episode, windows.start, windows.states.shape[1]))
 
         def judge(parameters: Single) -> Array:
             return judged(self, parameters, held, self.standard.state_scale)
@@ -231,8 +234,3 @@ class StandardisedModel(ABC):
                 columns.append(gradient[..., place])
                 place += 1
         return np.stack(columns, axis=-1)
-
-
-def _judging_shots(dataset: Dataset, history: int) -> Shots:
-    windows = judging_windows(dataset, history)
-    return Shots.at(dataset, windows.episode, windows.start, windows.states.shape[1])

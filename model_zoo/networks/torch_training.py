@@ -140,7 +140,7 @@ class Equation:
         if self.adjoint and torch.is_grad_enabled():
             solve = partial(odeint_adjoint, adjoint_rtol=self.tolerance, adjoint_atol=self.tolerance)
         if self.solver in ADAPTIVE:
-            options = {"max_num_steps": MOST_STEPS, "norm": _largest}
+            options = {"max_num_steps": MOST_STEPS, "norm": lambda error: error.abs().max()}
         rate, state = Rate(self, carry[:, self.layout.nx :], control), carry[:, : self.layout.nx]
         solved: Tensor = solve(
             rate, state, self._times, rtol=self.tolerance, atol=self._absolute, method=self.solver, options=options
@@ -272,7 +272,3 @@ def seen(system: System, states: Tensor) -> Tensor:
         else:
             columns.append(column)
     return torch.stack(columns, dim=1)
-
-
-def _largest(error: Tensor) -> Tensor:
-    return error.abs().max()

@@ -263,13 +263,9 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     text = MARKED.sub(lambda m: f' data-series="{m[1]}"' + (' class="off"' if m[1] in hidden else ""), text)
     text = NAMED.sub(lambda found: f' id="{key}-{found[1]}"' if found[1] in mentioned else "", text)
     text = MENTIONED.sub(lambda found: found[0].replace("#", f"#{key}-"), text)
-    text = PATH.sub(lambda found: f' d="{_short(found[1])}"', text)
+    text = PATH.sub(lambda found: ' d="' + " ".join(DECIMALS.sub(r"\1", found[1]).split()) + '"', text)
     text = SPACE.sub("><", text).strip()
     box = re.search(r'viewBox="[^"]*"', text)
     assert box is not None
     start = f'<svg {box[0]} role="img" aria-label="{html.escape(label)}">'
     return start + text[text.index(">") + 1 :]
-
-
-def _short(path: str) -> str:
-    return " ".join(DECIMALS.sub(r"\1", path).split())

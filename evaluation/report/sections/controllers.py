@@ -29,7 +29,7 @@ from evaluation.report.sections.prediction import N_IN_WORDS
 from evaluation.results import Report
 from evaluation.transfer.forecast import RULE, Forecast, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import ControllerScores, ControllerSummary, TransferSummary
+from evaluation.transfer.summary import ControllerSummary, TransferSummary
 from evaluation.transfer.uncertainty import Estimate
 
 
@@ -53,7 +53,15 @@ def forecast_sheet(report: Report) -> Sheet | None:
     with_robot = report.matrix.robot is not None
     known = [one for one in report.transfer.controllers if one.name in report.forecasts]
     known.sort(key=lambda one: -report.forecasts[one.name].value)
-    rows = [_forecast_row(one, report, with_robot) for one in known]
+    rows = []
+    for one in known:
+        found = report.forecasts[one.name]
+        name = lines(one.name, "(chosen)" if one.name == report.transfer.pick else "")
+        row = [name, plus_minus(one.claimed), forecast_text(found)]
+        if with_robot:
+            inside = "–" if one.achieved is None else ("yes" if found.holds(one.achieved) else "no")
+            row += [plus_minus(one.achieved), inside]
+        rows.append(tuple(row))
     heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
     judged = [report.forecasts[one.name].holds(one.achieved) for one in known if one.achieved is not None]
     held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
@@ -63,16 +71,6 @@ def forecast_sheet(report: Report) -> Sheet | None:
         rows=tuple(rows),
         note=f"{EXPLAINED}{held}",
     )
-
-
-def _forecast_row(controller: ControllerSummary, report: Report, with_robot: bool) -> tuple[str, ...]:
-    found = report.forecasts[controller.name]
-    chosen = report.transfer is not None and controller.name == report.transfer.pick
-    row = [lines(controller.name, "(chosen)" if chosen else ""), plus_minus(controller.claimed), forecast_text(found)]
-    if with_robot:
-        inside = "–" if controller.achieved is None else ("yes" if found.holds(controller.achieved) else "no")
-        row += [plus_minus(controller.achieved), inside]
-    return tuple(row)
 
 
 def forecast_text(found: Forecast | ModelForecast) -> str:
@@ -129,7 +127,16 @@ def overview_sheet(report: Report) -> Sheet | None:
         if prediction is not None:
             row.append(_n(prediction, name))
         if controllers:
-            row += _controller_cells(controllers.get(name))
+            found = controllers.get(name)
+            row += (
+                ["–"] * 3
+                if found is None
+                else [
+                    lines(plus_minus(found.claimed), of_each_run(found)),
+                    plus_minus(found.elsewhere),
+                    EXPLOITED[found.exploited],
+                ]
+            )
         rows.append(tuple(row))
     notes = []
     if prediction is not None:
@@ -160,16 +167,6 @@ def _n(prediction: Prediction, name: str) -> str:
 
 
 EXPLOITED = {True: "yes", False: "no", None: "–"}
-
-
-def _controller_cells(controller: ControllerSummary | None) -> list[str]:
-    if controller is None:
-        return ["–"] * 3
-    return [
-        lines(plus_minus(controller.claimed), of_each_run(controller)),
-        plus_minus(controller.elsewhere),
-        EXPLOITED[controller.exploited],
-    ]
 
 
 def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[str]:
@@ -219,7 +216,14 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             "regret",
         ),
         rows=tuple(
-            _standing_row(lines(one.name, "(chosen)" if one.name == summary.pick else ""), one.standing)
+            (
+                lines(one.name, "(chosen)" if one.name == summary.pick else ""),
+                within(one.standing.claimed),
+                within(one.standing.achieved),
+                _share(one.standing.kept),
+                lines(within(one.standing.worst), folded(one.standing.worst_on, 12)),
+                within(one.standing.regret),
+            )
             for one in summary.controllers
         ),
         note=(
@@ -229,17 +233,6 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             + ("achieves more on the robot. " if robot else "has more, on the other model where that is most. ")
             + "Intervals are over fresh trials of this one controller, not over evolution seeds."
         ),
-    )
-
-
-def _standing_row(name: str, standing: ControllerScores) -> tuple[str, ...]:
-    return (
-        name,
-        within(standing.claimed),
-        within(standing.achieved),
-        _share(standing.kept),
-        lines(within(standing.worst), folded(standing.worst_on, 12)),
-        within(standing.regret),
     )
 
 
@@ -254,7 +247,17 @@ def _share(kept: Estimate | None) -> str:
 def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     """Claimed and achieved fitness, and the gaps between them."""
     robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
-    rows = [_controller_row(controller, summary, bool(robot)) for controller in summary.controllers]
+    rows = [
+        (
+            lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
+            lines(plus_minus(controller.claimed), of_each_run(controller)),
+            plus_minus(controller.others),
+            plus_minus(controller.exploitation_gap),
+            plus_minus(controller.other_families),
+            *((plus_minus(controller.achieved), plus_minus(controller.reality_gap)) if robot else ()),
+        )
+        for controller in summary.controllers
+    ]
     runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
     each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
     unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
@@ -269,19 +272,6 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             f"chosen: without the robot, by its forecast.{unknown}"
         ),
     )
-
-
-def _controller_row(controller: ControllerSummary, summary: TransferSummary, robot: bool) -> tuple[str, ...]:
-    row = [
-        lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-        lines(plus_minus(controller.claimed), of_each_run(controller)),
-        plus_minus(controller.others),
-        plus_minus(controller.exploitation_gap),
-        plus_minus(controller.other_families),
-    ]
-    if robot:
-        row += [plus_minus(controller.achieved), plus_minus(controller.reality_gap)]
-    return tuple(row)
 
 
 def of_each_run(controller: ControllerSummary) -> str:
@@ -324,10 +314,6 @@ def headline(report: Report) -> Headline:
         return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
     pick = summary.controller(summary.pick)
     command = drive_command(report, pick.name) or ""
-    return Headline(question, pick.name, _worth(pick, report), "bad" if pick.exploited else "good", command)
-
-
-def _worth(pick: ControllerSummary, report: Report) -> str:
     assert report.matrix is not None
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     shown = pick.shown
@@ -335,10 +321,12 @@ def _worth(pick: ControllerSummary, report: Report) -> str:
     found = report.forecasts.get(pick.name)
     claim += "" if found is None else f", forecast {forecast_text(found)}"
     if "achieved" in shown:
-        return f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
-    if "others" in shown:
-        return f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
-    return f"{claim}. Nothing was run on the robot."
+        worth = f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
+    elif "others" in shown:
+        worth = f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
+    else:
+        worth = f"{claim}. Nothing was run on the robot."
+    return Headline(question, pick.name, worth, "bad" if pick.exploited else "good", command)
 
 
 def _better(pick: ControllerSummary, report: Report) -> str:

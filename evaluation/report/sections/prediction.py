@@ -13,7 +13,6 @@ from evaluation.plots import plot_free_run, plot_horizon_curve
 from evaluation.prediction.scores import (
     PERSISTENCE,
     ConditionErrors,
-    Coverage,
     Difference,
     ErrorScore,
     ModelPrediction,
@@ -141,8 +140,11 @@ def coverage_sheet(prediction: Prediction) -> Sheet | None:
     rows = []
     for model in models:
         found = {held.horizon: held for held in model.coverage}
-        cells = [found.get(horizon) for horizon in horizons]
-        rows.append((model.name, *("–" if held is None else _coverage_cell(held) for held in cells)))
+        row = [model.name]
+        for held in map(found.get, horizons):
+            each = "" if held is None else ", ".join(f"{100 * share:.0f}" for share in held.inside)
+            row.append("–" if held is None else lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each))
+        rows.append(tuple(row))
     aim = percent(models[0].coverage[0].share)
     return Sheet(
         title=f"What {aim} intervals hold",
@@ -154,11 +156,6 @@ def coverage_sheet(prediction: Prediction) -> Sheet | None:
             "if lower, wider than need be if higher."
         ),
     )
-
-
-def _coverage_cell(held: Coverage) -> str:
-    each = ", ".join(f"{100 * share:.0f}" for share in held.inside)
-    return lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each)
 
 
 def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
@@ -223,8 +220,13 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
     heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
     rows = []
     for model in prediction.models:
-        score = model.score(horizon)
-        cells = ["failed" if model.failed else "–"] * system.nx if score is None else _channel_cells(score)
+        cells = ["failed" if model.failed else "–"] * system.nx
+        if (score := model.score(horizon)) is not None:
+            errors = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
+            cells = [
+                lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %")
+                for size, std, rel, fit in errors
+            ]
         rows.append((model.name, *cells))
     start = "from sample" if horizon is None else "from measured states,"
     protocol = prediction.cases.protocol
@@ -239,13 +241,6 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
         ),
         details=horizon is not None,
     )
-
-
-def _channel_cells(score: ErrorScore) -> list[str]:
-    cells = zip(score.rmse, score.error_std, score.relative_percent, score.fit_percent, strict=True)
-    return [
-        lines(f"{size:.4f} ({std:.4f})", f"[{number(rel)} %]", f"fit {number(fit)} %") for size, std, rel, fit in cells
-    ]
 
 
 def horizon_picture(prediction: Prediction) -> Picture:
@@ -272,7 +267,10 @@ def free_run_picture(prediction: Prediction) -> Picture:
     ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
     parts = ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
     best, rest = ([name for name in prediction.names if name in part] for part in parts)
-    run, nx = _liveliest(prediction), prediction.cases.system.nx
+    cases, nx = prediction.cases, prediction.cases.system.nx
+    scale = np.where(cases.std > 0, cases.std, np.nan)
+    # the run whose states vary most, in the scale of the test set
+    run = int(np.argmax([mean_over_channels(run.states.std(axis=0) / scale) for run in cases.free_runs]))
 
     def draw(figure: Figure) -> None:
         plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
@@ -285,20 +283,10 @@ def free_run_picture(prediction: Prediction) -> Picture:
     left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
     return Picture(
         "Predicted and measured",
-        f"Free run of {prediction.cases.free_runs[run].episode!r} from its sample {prediction.cases.protocol.first}, "
+        f"Free run of {cases.free_runs[run].episode!r} from its sample {cases.protocol.first}, "
         f"under its recorded controls; at most 15 s from the first movement{left_out}.",
         (wide_and_narrow("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
     )
-
-
-def _liveliest(prediction: Prediction) -> int:
-    """Return the free run whose states vary most, in the scale of the test set."""
-    cases = prediction.cases
-    spread = [
-        mean_over_channels(run.states.std(axis=0) / np.where(cases.std > 0, cases.std, np.nan))
-        for run in cases.free_runs
-    ]
-    return int(np.argmax(spread))
 
 
 def headline(report: Report) -> Headline:
@@ -445,7 +433,14 @@ def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
         "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
         "models": [_model_to_json(model, cases.horizons, cases.system) for model in prediction.models],
         "differences": [
-            _difference_to_json(difference)
+            {
+                "first": difference.first,
+                "second": difference.second,
+                "steps": difference.horizon,
+                "difference": difference.difference,
+                "interval": list(difference.interval),
+                "verdict": difference.verdict,
+            }
             for horizon in prediction.horizons
             for difference in prediction.differences(horizon)
         ],
@@ -465,7 +460,18 @@ def _model_to_json(model: ModelPrediction, horizons: Sequence[int], system: Syst
         "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
         "episodes": [episode_to_json(episode, horizons, system) for episode in model.episodes],
         "divergence": None if model.divergence is None else asdict(model.divergence),
-        "coverage": [_coverage_to_json(held, system) for held in model.coverage],
+        "coverage": [
+            {
+                "steps": held.horizon,
+                "seconds": held.horizon * system.dt,
+                "samples": held.samples,
+                "aim": held.share,
+                "mean": held.mean,
+                "honest": held.honest,
+                "channels": dict(zip(system.state_names, held.inside, strict=True)),
+            }
+            for held in model.coverage
+        ],
         "notes": model.notes,
     }
 
@@ -490,27 +496,4 @@ def _score_to_json(score: ErrorScore, system: System) -> dict[str, Any]:
         "n": score.n,
         "interval": list(score.interval),
         "channels": channels,
-    }
-
-
-def _coverage_to_json(held: Coverage, system: System) -> dict[str, Any]:
-    return {
-        "steps": held.horizon,
-        "seconds": held.horizon * system.dt,
-        "samples": held.samples,
-        "aim": held.share,
-        "mean": held.mean,
-        "honest": held.honest,
-        "channels": dict(zip(system.state_names, held.inside, strict=True)),
-    }
-
-
-def _difference_to_json(difference: Difference) -> dict[str, Any]:
-    return {
-        "first": difference.first,
-        "second": difference.second,
-        "steps": difference.horizon,
-        "difference": difference.difference,
-        "interval": list(difference.interval),
-        "verdict": difference.verdict,
     }

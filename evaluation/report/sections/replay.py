@@ -26,7 +26,7 @@ from evaluation.results import Report
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import wrap
 from sysid_evo.evolution import Champion
-from sysid_evo.system import Channel, System
+from sysid_evo.system import System
 from sysid_evo.types import Array
 
 if TYPE_CHECKING:
@@ -156,8 +156,9 @@ def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float
     else:
         places = list(plotted_places(robot, system))
         here, there = trace.trajectory.states[:steps, places], robot.trajectory.states[:steps, places]
-        channels = [system.states[place] for place in places]
-        distance = np.abs(_shortest(here - there, channels))
+        columns = zip((here - there).T, (system.states[place].period for place in places), strict=True)
+        shorter = [column if period is None else wrap(column, period) for column, period in columns]
+        distance = np.abs(np.stack(shorter, axis=1))
         extent = np.array([_range(robot, place, there[:, i], system) for i, place in enumerate(places)])
     apart = (distance > APART * np.where(extent > 0.0, extent, np.inf)).any(axis=1)
     return float(np.argmax(apart) * trace.trajectory.dt) if apart.any() else None
@@ -169,15 +170,6 @@ def _range(trace: Trace, place: int, values: Array, system: System) -> float:
     spread = float(np.ptp(np.concatenate([values, *wanted])))
     period = system.states[place].period
     return spread if period is None else min(spread, period)
-
-
-def _shortest(difference: Array, channels: list[Channel]) -> Array:
-    """Return differences of states (n, k), periodic ones the shorter way round."""
-    columns = [
-        difference[:, i] if channel.period is None else wrap(difference[:, i], channel.period)
-        for i, channel in enumerate(channels)
-    ]
-    return np.stack(columns, axis=1)
 
 
 def _trial(trace: Trace, *, paths: bool) -> dict[str, Any]:
@@ -244,9 +236,11 @@ def traces_picture(matrix: TransferMatrix) -> Picture | None:
         drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
         panels.append(DrawingPair(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
-    drawn = _path_words([trace for _, _, trace in found])
-    if not paths:
-        drawn = "Blue: what the states did, grey: what they were to do, with the tolerance"
+    drawn = "Blue: what the states did, grey: what they were to do, with the tolerance"
+    if paths:
+        walls = ", between the walls (grey)" if any(t.walls for _, _, t in found) else ""
+        passed = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for *_, t in found) else ""
+        drawn = f"Blue: forwards, orange: backwards; from the dot{walls}{passed}. Positions in metres"
     return Picture(
         "Traces",
         f"{drawn}; the first trial, the same for all.{left_out}",
@@ -271,12 +265,6 @@ def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
 
 def _champion(name: str, matrix: TransferMatrix) -> Champion:
     return next(champion for champion in matrix.champions if champion.name == name)
-
-
-def _path_words(traces: Sequence[Trace]) -> str:
-    walls = ", between the walls (grey)" if any(trace.walls for trace in traces) else ""
-    waypoints = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for t in traces) else ""
-    return f"Blue: forwards, orange: backwards; from the dot{walls}{waypoints}. Positions in metres"
 
 
 def _path(number: int, label: str, trace: Trace) -> Drawing:

@@ -23,7 +23,10 @@ def verdict(report: Report) -> tuple[Finding, ...]:
     """Answer which models predict, which controllers transfer, what to use, and what stays open."""
     findings = []
     if tells_nothing(report):
-        findings.append(Finding("What was found?", (_nothing(report),)))
+        both = "" if report.matrix is None else " and no controller could be run"
+        said = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
+        compared = report.prediction is not None or report.matrix is not None
+        findings.append(Finding("What was found?", (said if compared else "Nothing was compared.",)))
     if report.prediction is not None:
         findings.append(Finding("Which models predict?", predicting(report.prediction)))
     if report.matrix is not None:
@@ -33,8 +36,8 @@ def verdict(report: Report) -> tuple[Finding, ...]:
             if open_questions := unknown(report.transfer):
                 findings.append(Finding("What is not known?", open_questions))
     if report.advice is not None and report.advice.remarks:
-        said = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
-        findings.append(Finding(limits_question(report.advice), said))
+        remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
+        findings.append(Finding(limits_question(report.advice), remarks))
     if report.all_failures:
         count = len(report.all_failures)
         findings.append(
@@ -48,10 +51,3 @@ def tells_nothing(report: Report) -> bool:
     found, matrix = report.prediction, report.matrix
     has_score = found is not None and any(scored(found, horizon) for horizon in found.horizons)
     return not has_score and (matrix is None or all(cell.failed for cell in matrix.cells.values()))
-
-
-def _nothing(report: Report) -> str:
-    if report.prediction is None and report.matrix is None:
-        return "Nothing was compared."
-    both = "" if report.matrix is None else " and no controller could be run"
-    return f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
