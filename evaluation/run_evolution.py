@@ -170,11 +170,13 @@ def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
     claims = {cell.column.label: claim for cell in planned.claims if (claim := store.outcome(cell).value) is not None}
     on_models = all(column.robot is None for column in columns)
     models = {column.label: dynamics_of(store, column) for column in columns if has_dynamics(column)}
+    choice = planned.champion.chosen if isinstance(planned.champion, PolishCell) else planned.champion
+    finalists = store.outcome(choice).value.finalists if isinstance(choice, ChooseCell) else ()
     return EvolutionResult(
         claims=claims,
         unit=next((claim.unit for claim in reversed(claims.values())), ""),
         forecast=forecast_from(store, champion, (*planned.claims, *planned.elsewhere) if on_models else ()),
-        chosen=chosen_from(planned.champion, store),
+        chosen=sum(one.elsewhere is not None for one in finalists),
         regions=regions_of(champion, models),
     )
 
@@ -194,14 +196,6 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> 
     )
     errors = {label: error_of(prediction) for label, prediction in predicted.items()}
     return forecasts(matrix, errors).get(champion.name)
-
-
-def chosen_from(champion: ChampionCell, store: Store) -> int:
-    """Return from how many finalists a controller was chosen by their forecasts, 0 where it was not."""
-    choice = champion.chosen if isinstance(champion, PolishCell) else champion
-    if not isinstance(choice, ChooseCell):
-        return 0
-    return sum(one.elsewhere is not None for one in store.outcome(choice).value.finalists)
 
 
 def regions_of(

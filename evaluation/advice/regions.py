@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from evaluation.advice.evidence import Evidence, Remark
@@ -22,17 +20,21 @@ def missing_excitation(evidence: Evidence) -> Remark | None:
     """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
     seen = Steps.moving(evidence.training).thinned(MOST_STEPS)
     if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
-        gap = untried_pair(seen)
-        return None if gap is None else Remark(
+        if (untried := untried_pair(seen)) is None:
+            return None
+        first, second = untried.place
+        return Remark(
             "excitation",
-            f"{gap.place[0].words} was hardly tried with {gap.place[1].words}: {_share(gap.seen)} of the time, and it "
-            f"would be {percent(gap.asked)} if every command were tried everywhere. A controller that does so leaves "
-            "the data: record it.",
-            0.5 * gap.asked,
-            gap.figures,
+            f"{first.words} was hardly tried with {second.words}: {_share(untried.seen)} of the time, and it would be "
+            f"{percent(untried.asked)} if every command were tried everywhere. A controller that does so leaves the "
+            "data: record it.",
+            0.5 * untried.asked,
+            untried.figures,
         )
     gap = largest_gap(seen, evidence.visited)
-    return None if gap is None else Remark(
+    if gap is None:
+        return None
+    return Remark(
         "excitation",
         f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
         "models guess there. Record just that.",
@@ -86,14 +88,6 @@ TRIED = 0.3
 """Share of the spread that a command has elsewhere, below which nothing can be said of its effect."""
 
 
-@dataclass(frozen=True)
-class Effect:
-    """How much a unit of a control changes a state's acceleration, and the standard error of that."""
-
-    size: float
-    error: float
-
-
 def dead_command(evidence: Evidence) -> Remark | None:
     """Return the command and region where the data show none of the effect that it has elsewhere."""
     found = []
@@ -141,17 +135,17 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
         if (region.channel == delay.control and delay.at_speed) or region.kind == "at":
             continue
         here, elsewhere = _effect(change, control, others, inside), _effect(change, control, others, ~inside)
-        if here is None or elsewhere is None or abs(elsewhere.size) < SURE * elsewhere.error:
+        if here is None or elsewhere is None or abs(elsewhere[0]) < SURE * elsewhere[1]:
             continue
-        ratio = (abs(here.size) + SURE * here.error) / abs(elsewhere.size)
+        ratio = (abs(here[0]) + SURE * here[1]) / abs(elsewhere[0])
         tried = control[inside].std() >= TRIED * control[~inside].std()
         if ratio <= DEAD and tried:
             found.append((float(inside.mean()), float(ratio), delay, region))
     return found
 
 
-def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> Effect | None:
-    """Regress the change on control and states; None with too few rows."""
+def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> tuple[float, float] | None:
+    """Return how much a unit of the control changes the state's acceleration, with its error; None with few rows."""
     if rows.sum() < FEWEST_ROWS:
         return None
     x = np.concatenate([control[rows, None], others[rows], np.ones((int(rows.sum()), 1))], axis=1)
@@ -160,7 +154,7 @@ def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> Ef
         return None
     left = change[rows] - x @ weights
     variance = (left @ left) / (len(left) - rank) * np.linalg.inv(x.T @ x)[0, 0]
-    return Effect(float(weights[0]), float(np.sqrt(variance)))
+    return float(weights[0]), float(np.sqrt(variance))
 
 
 RESAMPLES = 300

@@ -135,11 +135,6 @@ class MeasuredCases:
             states[rows], controls[rows] = self.before(episode, self.windows.start[rows], lags)
         return states, controls
 
-    def free_history(self, lags: int) -> list[tuple[Array, Array]]:
-        """Return the same before every free run, (1, lags + 1, nx) and (1, lags, nu)."""
-        first = np.array([self.protocol.first])
-        return [self.before(episode, first, lags) for episode in self.test.episodes if len(episode) > first[0]]
-
     def before(self, episode: Trajectory, starts: IntArray, lags: int) -> tuple[Array, Array]:
         """Return ``lags`` samples before each of the ``starts`` (N,); of what is not given, first state and neutral.
 

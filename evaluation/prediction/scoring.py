@@ -139,10 +139,13 @@ def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
     """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
     windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
     free_runs, free_touched = [], []
-    for run, history in zip(cases.free_runs, cases.free_history(model.n_lags), strict=True):
-        states, first = _simulate(model, *history, run.controls[None], cases.guard)
+    first = np.array([cases.protocol.first])
+    long = [episode for episode in cases.test.episodes if len(episode) > first[0]]
+    for run, episode in zip(cases.free_runs, long, strict=True):
+        history = cases.before(episode, first, model.n_lags)
+        states, limited = _simulate(model, *history, run.controls[None], cases.guard)
         free_runs.append(states[0])
-        free_touched.append(int(first[0]))
+        free_touched.append(int(limited[0]))
     return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
 
 

@@ -56,7 +56,7 @@ def study_story(results: StudyResults) -> Story:
     controllers = present(share_picture(results), controller_sheet(results), gap_picture(results))
     models = present(error_picture(results), prediction_sheet(results), exploit_sheet(results))
     forecasts = present(forecast_sheet(results))
-    failed = present(failure_sheet(results))
+    failed = [(one.point, one.cell, one.reason) for one in results.failures]
     sections = [
         Section("Controllers", controllers, absent=[] if controllers else ["No controller was run on a robot."]),
         Section("Models", models, absent=[] if models else ["No model is fitted yet."]),
@@ -65,7 +65,11 @@ def study_story(results: StudyResults) -> Story:
         ),
         Section("Time", [time_sheet(results)]),
         Section("Points", [point_sheet(results)]),
-        *([Section("Failures", failed)] if failed else []),
+        *(
+            [Section("Failures", [Sheet("Failures", ("point", "cell", "reason"), tuple(failed), prose=True)])]
+            if failed
+            else []
+        ),
         Section("Settings", [settings_sheet(results)], background=True),
     ]
     return Story(results.study.title, headlines(results), findings(results), short_sheet(results), sections)
@@ -353,12 +357,6 @@ def point_sheet(results: StudyResults) -> Sheet:
         rows.append((point.name, state, *picked))
     heads = ("point", "cells", "picked", "forecast", "achieved", "yardstick")
     return Sheet("Points", heads, tuple(rows), details=len(rows) > 12)
-
-
-def failure_sheet(results: StudyResults) -> Sheet | None:
-    """The cells that failed, and why; None for none."""
-    rows = [(one.point, one.cell, one.reason) for one in results.failures]
-    return Sheet("Failures", ("point", "cell", "reason"), tuple(rows), prose=True) if rows else None
 
 
 def settings_sheet(results: StudyResults) -> Sheet:

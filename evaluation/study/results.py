@@ -257,7 +257,8 @@ class _Gathered:
         if planned is None:
             return
         errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
-        ran = {cell.name for cell in planned.champions if self._all_ran(cell)}
+        waiting = [run.champion for run in planned.runs if self._state(run) == "missing"]
+        ran = {cell.name for cell in planned.champions if not any(cell is one for one in waiting)}
         found = {} if matrix is None else forecasts(matrix, errors)
         found = {name: forecast for name, forecast in found.items() if name in ran}
         resting = None if matrix is None else next(iter(matrix.at_rest), None)
@@ -320,12 +321,6 @@ class _Gathered:
         if any(member.robot is not None for member in cell.members):
             return "robot"
         return "single" if len(cell.members) == 1 else "ensemble"
-
-    def _all_ran(self, cell: ChampionCell | HandWrittenCell) -> bool:
-        """Whether a controller was tried on every system, so that nothing in its forecast is still to come."""
-        matrix = self.comparison.matrix
-        runs = () if matrix is None else matrix.runs
-        return all(self._state(run) != "missing" for run in runs if run.champion is cell)
 
     def _state(self, cell: Cell) -> str:
         record = self.records[cell.digest]

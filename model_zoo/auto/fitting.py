@@ -93,7 +93,9 @@ class FitWork:
         seconds = sum(task.cost for task in tasks)
         processes = min(available_processors(), int(seconds / WORTH), len(tasks))
         ordered = sorted(tasks, key=lambda task: -task.cost)
-        elsewhere = [task for task in ordered if processes > 1 and _importable(task)]
+        # another process finds a family by its name, not where a file was loaded that is not installed
+        ours = __name__.partition(".")[0]
+        elsewhere = [t for t in ordered if processes > 1 and models.module(t.name).partition(".")[0] == ours]
         found: dict[tuple[int, int], FitOutcome] = {}
         try:
             for task in ordered:
@@ -129,11 +131,6 @@ class FitWork:
             self._progress(min(int(done), self._total), self._total)
         except BaseException as error:  # handed on as it is, past those who take every exception for a failed fit
             raise Stopped(error) from None
-
-
-def _importable(task: FitTask) -> bool:
-    """Whether another process finds the family by its name: not where a file was loaded that is not installed."""
-    return models.module(task.name).partition(".")[0] == __name__.partition(".")[0]
 
 
 def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, FitOutcome], None, None]:

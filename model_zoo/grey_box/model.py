@@ -27,7 +27,6 @@ from model_zoo.grey_box.parameters import (
     Hidden,
     Parameter,
     Sureness,
-    offset_note,
     offset_rows,
     open_questions,
     parameter_rows,
@@ -314,16 +313,12 @@ class GreyBox(DynamicsModel):
         """Return what a residual sees (N, n) at single steps, and what the physics leave of their rates (N, nx)."""
         windows = dataset.windows(1, history=self.n_lags, moving=True)
         windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
-        physics = self._alone()
+        physics = self.variant(residual=False, rest_hold=False)
         carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
         after = physics.step(carry, control)[:, : self.system.nx]
         return inputs_of(self.integrated)(carry, control), self.system.difference(
             windows.states[:, 0], after
         ) / self.system.dt
-
-    def _alone(self) -> Self:
-        """Return the physics of this model without the residual."""
-        return self.variant(residual=False, rest_hold=False)
 
     @property
     def _residual(self) -> Residual | None:
@@ -342,9 +337,16 @@ class GreyBox(DynamicsModel):
         if getattr(self, "informed_", []):
             said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
         if hasattr(self, "offset_spreads_"):
-            said.append(offset_note(self.declared(), self.offsets or [], self.offset_spreads_))
+            units = {parameter.name: parameter.unit for parameter in self.declared()}
+            pairs = zip(self.offsets or [], self.offset_spreads_, strict=True)
+            each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
+            said.append(f"from recording to recording there differ {each} (standard deviation)")
         if hasattr(self, "residual_share_"):
-            said.append(residual_note(self.residual_share_, *self.residual_errors_))
+            kept, without = self.residual_errors_
+            said.append(
+                f"{100 * self.residual_share_:.0f} % of the residual is kept: N over a second in held-out blocks is "
+                f"{kept:.3f}, {without:.3f} without it"
+            )
         return "; ".join(sentence for sentence in said if sentence)
 
     @property
@@ -397,14 +399,6 @@ class GreyBox(DynamicsModel):
         structure, residual = self.integrated, self._residual
         extra = None if residual is None else residual.predictor(structure)
         return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
-
-
-def residual_note(share: float, kept: float, without: float) -> str:
-    """Return how much of a residual is kept, and what free runs in held-out blocks say of it, in a sentence."""
-    return (
-        f"{100 * share:.0f} % of the residual is kept: N over a second in held-out blocks is "
-        f"{kept:.3f}, {without:.3f} without it"
-    )
 
 
 def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:

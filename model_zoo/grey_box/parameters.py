@@ -246,11 +246,3 @@ def offset_rows(
         for recording, row in zip(recordings, offsets, strict=True)
         for name, offset in zip(names, row, strict=True)
     ]
-
-
-def offset_note(parameters: Sequence[Parameter], names: Sequence[str], spreads: Iterable[float]) -> str:
-    """Return by how much the parameters ``names`` differ from recording to recording, in a sentence."""
-    units = {parameter.name: parameter.unit for parameter in parameters}
-    pairs = zip(names, spreads, strict=True)
-    each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
-    return f"from recording to recording there differ {each} (standard deviation)"

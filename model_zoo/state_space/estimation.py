@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from model_zoo.state_space.recordings import ScaledEpisode, Scales, Segments, scaled_episodes
+from model_zoo.state_space.recordings import ScaledEpisode, Scales, Segments
 from model_zoo.state_space.shooting import FAR, Spaces, Trained, train
 from model_zoo.state_space.subspace import Subspace, flowing, linear_space
 from sysid_evo.data import Dataset, Trajectory
@@ -47,7 +47,8 @@ class Lesson:
     def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
         """Prepare ``dataset`` in its own units of deviation."""
         scales = Scales.of(dataset)
-        return cls(scales, scaled_episodes(dataset, scales), horizon, flow)
+        parts = [ScaledEpisode(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
+        return cls(scales, parts, horizon, flow)
 
     @cached_property
     def subspace(self) -> Subspace:

@@ -48,11 +48,6 @@ class ScaledEpisode:
         return len(self.controls)
 
 
-def scaled_episodes(dataset: Dataset, scales: Scales) -> list[ScaledEpisode]:
-    """Return every episode in the units of ``scales``."""
-    return [ScaledEpisode(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
-
-
 @dataclass(frozen=True)
 class Segments:
     """B pieces of H steps at most: outputs (B, H + 1, ny), controls (B, H, nu), and which outputs count (B, H + 1).

@@ -23,7 +23,11 @@ def section(report: Report) -> Section | None:
         (f"Timings (s) from {SHORTEST:g} s", timings),
     )
     sheets = [model_sheet(report)] if report.models else []
-    sheets += [key_sheet(title, values) for title, values in named if values]
+    sheets += [
+        Sheet(title, ("name", "value"), tuple(_flat(values)), details=True, prose=True)
+        for title, values in named
+        if values
+    ]
     return Section("Settings", sheets, background=True) if sheets else None
 
 
@@ -43,12 +47,8 @@ def model_sheet(report: Report) -> Sheet:
     return Sheet("Models", heads, tuple(rows), details=True, prose=True)
 
 
-def key_sheet(title: str, values: Mapping[str, Any]) -> Sheet:
-    """Keys and values; what is nested gets a dotted key."""
-    return Sheet(title, ("name", "value"), tuple(_flat(values)), details=True, prose=True)
-
-
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """Return keys and values; what is nested gets a dotted key."""
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
         if isinstance(value, Mapping):

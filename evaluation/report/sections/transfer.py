@@ -20,7 +20,6 @@ from evaluation.results import Report
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import Figures, judges_of
 from evaluation.transfer.uncertainty import SHARE
-from sysid_evo.evolution import Champion
 
 
 def section(report: Report) -> Section:
@@ -193,8 +192,12 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
         known = CONTROLLERS.get(tuple(sorted(matrix.families.get(name, name) for name in champion.against)))
         if known is not None and set(champion.against) <= set(columns.values()):
             name, published = known
-            cells = [matrix.cell(champion.name, place) for place in places]
-            rows.append((name, *(_paper_cell(cell, there) for cell, there in zip(cells, published, strict=False))))
+            row = [name]
+            for place, there in zip(places, published, strict=False):
+                cell = matrix.cell(champion.name, place)
+                spread = f" ({number(cell.std)})" if np.isfinite(cell.std) else ""
+                row.append(lines("–" if cell.failed else f"{number(cell.mean)}{spread}", f"paper {there:g}"))
+            rows.append(tuple(row))
     driven = [champion.name for champion in matrix.champions if champion.controller == BY_HAND]
     rows += [(name, *(number(matrix.cell(name, place).mean) for place in places)) for name in driven]
     return Sheet(
@@ -207,14 +210,6 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
         ),
         details=True,
     )
-
-
-def _paper_cell(cell: TransferResult, published: float) -> str:
-    there = f"paper {published:g}"
-    if cell.failed:
-        return lines("–", there)
-    spread = f" ({number(cell.std)})" if np.isfinite(cell.std) else ""
-    return lines(f"{number(cell.mean)}{spread}", there)
 
 
 def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
@@ -230,7 +225,16 @@ def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "families": matrix.families,
         "interval": SHARE,
         "cells": [_cell_to_json(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
-        "consensus": [_consensus_to_json(champion, figures) for champion in matrix.champions],
+        "consensus": [
+            {
+                "champion": champion.name,
+                "models": judges_of(champion, figures.matrix),
+                "median": None if median is None else median.value,
+                "interval": None if median is None else median.interval(),
+            }
+            for champion in matrix.champions
+            for median in [figures.consensus(champion)]
+        ],
     }
 
 
@@ -250,14 +254,4 @@ def _cell_to_json(cell: TransferResult, figures: Figures) -> dict[str, Any]:
         "fitness": cell.fitness,
         "reason": cell.reason or None,
         "missing": cell.missing,
-    }
-
-
-def _consensus_to_json(champion: Champion, figures: Figures) -> dict[str, Any]:
-    median = figures.consensus(champion)
-    return {
-        "champion": champion.name,
-        "models": judges_of(champion, figures.matrix),
-        "median": None if median is None else median.value,
-        "interval": None if median is None else median.interval(),
     }
