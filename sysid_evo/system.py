@@ -321,10 +321,7 @@ class System:
         Limits of states do not: they are what a recording happened to show.
         """
         found = []
-        for what, mine, theirs in (
-            ("states", self.states, other.states),
-            ("controls", self.controls, other.controls),
-        ):
+        for what, mine, theirs in (("states", self.states, other.states), ("controls", self.controls, other.controls)):
             names = [", ".join(map(_described, side)) for side in (mine, theirs)]
             if names[0] != names[1]:
                 found.append(f"{what} {names[0] or 'none'} against {names[1] or 'none'}")

@@ -29,14 +29,7 @@ from sysid_evo.data.frames import (
 )
 from sysid_evo.data.reading import Recording, paths_of, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows, recording
-from sysid_evo.errors import (
-    ArtefactError,
-    DataWarning,
-    IncompatibleSystem,
-    InvalidArgument,
-    InvalidData,
-    ShapeError,
-)
+from sysid_evo.errors import ArtefactError, DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray, check_shape
 

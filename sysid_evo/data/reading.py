@@ -45,10 +45,7 @@ class Recording:
 
 
 def read_recording(
-    paths: str | Path | Iterable[str | Path],
-    *,
-    columns: str | Path | None = None,
-    condition_column: str | None = None,
+    paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None, condition_column: str | None = None
 ) -> Recording:
     """Read log files, or folders of them, as one recording.
 

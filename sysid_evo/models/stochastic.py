@@ -21,7 +21,7 @@ from sysid_evo.validation.intervals import (
     MOST_WINDOWS,
     Case,
     horizon_scales,
-    persistent_share,
+    step_spread,
     usable_horizon,
 )
 
@@ -151,17 +151,7 @@ class Uncertain(DynamicsModel):
         own_deviation: bool = False,
     ) -> None:
         """Set residual, persistent share and scales from ``models`` and the parts that each did not learn from."""
-        errors, numbers, begin = [], [], 0
-        for model, part in models:
-            windows = part.windows(1, history=model.n_lags)
-            carry = model.lagged(windows.past_states, windows.past_controls)
-            after = model.next_state(carry, windows.controls[:, 0])
-            errors.append(self.system.difference(windows.states[:, 0], after))
-            numbers.append(begin + windows.start + windows.episode * (int(windows.start.max(initial=0)) + 10))
-            begin = int(numbers[-1].max(initial=begin)) + 10
-        pooled = np.concatenate(errors)
-        residual = np.sqrt(np.mean(pooled**2, axis=0))
-        persistent = persistent_share(pooled, np.concatenate(numbers))
+        residual, persistent = step_spread(models, lambda model, carry, control: model.next_state(carry, control))
         horizon = usable_horizon([part for _, part in models], self.n_lags)
         for model, _ in models:
             if not own_deviation:

@@ -40,6 +40,9 @@ SMALLEST, LARGEST = 0.02, 20.0
 LAGS = range(2, 6)
 """Steps after which measurement noise is forgotten and what is wrong with a model is not."""
 
+APART = 10
+"""Steps between two recordings when samples are numbered, more than those."""
+
 
 class Disturbed(Fitted, Protocol):
     """A fitted model whose steps can be disturbed."""
@@ -51,6 +54,9 @@ class Disturbed(Fitted, Protocol):
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         """Return the next carry, its state moved by ``disturbance`` (B, nx) deviations."""
         ...
+
+
+Steps = TypeVar("Steps", bound=Disturbed)
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,26 @@ def segments(horizon: int) -> list[tuple[int, int]]:
     """Return first and last step of every stretch of time that has a scale of its own, up to ``horizon``."""
     edges = [0, *(step for step in HORIZONS if step <= horizon)]
     return list(pairwise(edges))
+
+
+def step_spread(
+    cases: Sequence[tuple[Steps, Dataset]], step: Callable[[Steps, Array, Array], Array]
+) -> tuple[Array, Array]:
+    """Return the error (nx,) of one ``step`` (model, carry, control), and its `persistent_share` (nx,).
+
+    ``cases`` are models, each with what it did not learn from.
+    """
+    errors, numbers, begin = [], [], 0
+    for model, part in cases:
+        windows = part.windows(1, history=model.n_lags)
+        carry = model.lagged(windows.past_states, windows.past_controls)
+        after = step(model, carry, windows.controls[:, 0])
+        errors.append(part.system.difference(windows.states[:, 0], after[:, : part.system.nx]))
+        longest = max(len(episode) for episode in part) + APART
+        numbers.append(begin + windows.start + windows.episode * longest)
+        begin += longest * len(part)
+    pooled = np.concatenate(errors)
+    return np.sqrt(np.mean(pooled**2, axis=0)), persistent_share(pooled, np.concatenate(numbers))
 
 
 def persistent_share(residuals: Array, sample: Array) -> Array:
@@ -295,11 +321,7 @@ def rough_fits(dataset: Dataset) -> int:
 
 
 def growth_on_unseen_recordings(
-    fit: Callable[[Dataset], Simulator],
-    dataset: Dataset,
-    *,
-    share: float = SHARE,
-    steps: Sequence[int] | None = None,
+    fit: Callable[[Dataset], Simulator], dataset: Dataset, *, share: float = SHARE, steps: Sequence[int] | None = None
 ) -> Array:
     """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
 

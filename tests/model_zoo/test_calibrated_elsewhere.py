@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from sysid_evo.models.adaptation import ANEW, NONE, REFIT, Learned, Terms
+from sysid_evo.models.adaptation import ANEW, NONE, REFIT, Learned, Terms, adapted
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
 from sysid_evo.models.adaptation.selection import Adaptation, Verdict
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
+from sysid_evo.validation import intervals
 from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
 from tests.sysid_evo.adaptation.cars import FloorCar, drive
 
 NOISE = 0.05
-
-ADAPTED = import_module("sysid_evo.models.adaptation.adapted")  # in the package the name is that of a function
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +68,7 @@ def test_samples_of_two_parts_and_of_two_episodes_are_never_neighbours(
         seen.append(numbers)
         return np.zeros(errors.shape[1])
 
-    monkeypatch.setattr(ADAPTED, "persistent_share", persistent_share)
+    monkeypatch.setattr(intervals, "persistent_share", persistent_share)
     calibrated_elsewhere(base, [uncorrected(base, held) for held in parts], _rng())
     (numbers,) = seen
     steps = np.diff(numbers)
@@ -88,8 +86,8 @@ def test_every_part_is_run_with_the_error_of_all_and_has_its_share_of_windows(
         cases.extend(own)
         return np.ones((4, 3))
 
-    monkeypatch.setattr(ADAPTED, "MOST_WINDOWS", 60)
-    monkeypatch.setattr(ADAPTED, "horizon_scales", horizon_scales)
+    monkeypatch.setattr(adapted, "MOST_WINDOWS", 60)
+    monkeypatch.setattr(adapted, "horizon_scales", horizon_scales)
     apart = [*(uncorrected(base, held) for held in parts), uncorrected(base, None)]
     found = calibrated_elsewhere(base, apart, _rng())
     assert [len(case.windows) for case in cases] == [30, 30]
@@ -115,8 +113,8 @@ def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(
 ) -> None:
     learned = uncorrected(base, None)
     found = Adaptation(learned, Verdict(10.0, 3, 0.5, (), chosen), (uncorrected(base, parts[0]),))
-    monkeypatch.setattr(ADAPTED, "adaptation", lambda *_, **__: found)
+    monkeypatch.setattr(adapted, "adaptation", lambda *_, **__: found)
     calibrated = base.variant()
-    monkeypatch.setattr(ADAPTED, "calibrated_elsewhere", lambda *_: calibrated)
-    adapted: Any = make_model("adapted", base=None).given(base).fit(parts[0], rng=_rng())  # type: ignore[attr-defined]
-    assert adapted.base_ is (calibrated if anew else base)
+    monkeypatch.setattr(adapted, "calibrated_elsewhere", lambda *_: calibrated)
+    model: Any = make_model("adapted", base=None).given(base).fit(parts[0], rng=_rng())  # type: ignore[attr-defined]
+    assert model.base_ is (calibrated if anew else base)

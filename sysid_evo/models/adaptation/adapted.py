@@ -26,7 +26,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import register_model
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, persistent_share, usable_horizon
+from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, step_spread, usable_horizon
 
 
 @register_model("adapted")
@@ -197,10 +197,6 @@ class Adapted(DynamicsModel):
         return [*of_base, *added]
 
 
-APART = 10
-"""Steps between two recordings when samples are numbered, more than noise is remembered."""
-
-
 @dataclass(frozen=True)
 class CorrectedSteps:
     """The disturbed steps of ``base`` with a correction, which sees what the disturbance makes of them."""
@@ -240,17 +236,8 @@ def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.rand
         for one in apart
         if isinstance(one.model, Uncertain) and one.held is not None
     ]
-    errors, numbers, begin = [], [], 0
-    for steps, held in pairs:
-        windows = held.windows(1, history=steps.n_lags)
-        carry = steps.lagged(windows.past_states, windows.past_controls)
-        after = steps.disturbed(carry, windows.controls[:, 0], np.zeros_like(windows.states[:, 0]))
-        errors.append(base.system.difference(windows.states[:, 0], after[:, : base.system.nx]))
-        longest = max(len(episode) for episode in held) + APART
-        numbers.append(begin + windows.start + windows.episode * longest)
-        begin += longest * len(held)
-    pooled = np.concatenate(errors)
-    residual, persistent = np.sqrt(np.mean(pooled**2, axis=0)), persistent_share(pooled, np.concatenate(numbers))
+    still = np.zeros(base.system.nx)
+    residual, persistent = step_spread(pairs, lambda steps, carry, control: steps.disturbed(carry, control, still))
     horizon = usable_horizon([held for _, held in pairs], base.n_lags)
     for steps, _ in pairs:
         steps.base.residual_ = residual

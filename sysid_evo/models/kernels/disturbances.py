@@ -32,13 +32,7 @@ def sensors_kernel(
     """Return the kernel of `NoisySensors`: ``inner`` (n_inner rows of carry), what is observed, its bias and noise."""
     limits = _limits(envelope, nx)
     parameters = SENSORS.pack(
-        limits,
-        inner.parameters,
-        nx=nx,
-        at=n_inner,
-        shown_at=shown_at,
-        n_noise=n_noise,
-        own=SENSORS.size + len(limits),
+        limits, inner.parameters, nx=nx, at=n_inner, shown_at=shown_at, n_noise=n_noise, own=SENSORS.size + len(limits)
     )
     return DynamicsKernel(KernelSource(sensed, {"inner": inner.source}), parameters, inner.n_scratch, inner.precision)
 
@@ -237,10 +231,7 @@ def disturb(carry, control, noise, parameters, scratch):
     nx, edges = int(parameters[NOISE.nx]), int(parameters[NOISE.edges])
     inner(carry, control, noise, view(parameters, int(parameters[NOISE.own])), scratch)
     held = view(carry, int(parameters[NOISE.at]) * LANES)
-    sizes, limits = (
-        view(parameters, int(parameters[NOISE.sizes])),
-        view(parameters, int(parameters[NOISE.limits])),
-    )
+    sizes, limits = (view(parameters, int(parameters[NOISE.sizes])), view(parameters, int(parameters[NOISE.limits])))
     count = load(held, nx * LANES)
     for row in range(nx):
         white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])

@@ -41,12 +41,7 @@ def cautious_kernel(
     chain = chained(members, nx, places, noise_places)
     numbers = padded(np.concatenate([1.0 / limit, places]))
     parameters = DOUBT.pack(
-        numbers,
-        chain.parameters,
-        nx=nx,
-        count=len(members),
-        weight=weight,
-        chain=DOUBT.size + len(numbers),
+        numbers, chain.parameters, nx=nx, count=len(members), weight=weight, chain=DOUBT.size + len(numbers)
     )
     return DynamicsKernel(
         KernelSource(doubted, {"step_all": chain.source}), parameters, chain.n_scratch + 3, chain.precision

@@ -208,13 +208,7 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
     per_row = np.array([*per_state * (1 + lags[0]), *[0.0] * (system.nu * lags[1])])
     n_seen = len(per_row) + int(np.count_nonzero(per_row))
     rows = padded(per_row)
-    parameters = ANGLES.pack(
-        rows,
-        inner.parameters,
-        n_carry=len(per_row),
-        n_seen=n_seen,
-        own=ANGLES.size + len(rows),
-    )
+    parameters = ANGLES.pack(rows, inner.parameters, n_carry=len(per_row), n_seen=n_seen, own=ANGLES.size + len(rows))
     return Predictor(
         KernelSource(seen_as_angles, inner.bindings),
         parameters,
@@ -296,11 +290,7 @@ def prepare_functions(u, p, scratch):
     """Write the functions of the control to the head of the scratch, and prepare with them."""
     n_control = int(p[FUNCTIONS.n_control])
     write_functions(u, view(p, int(p[FUNCTIONS.of_control])), n_control, scratch)
-    prepare(
-        scratch,
-        view(p, int(p[FUNCTIONS.own])),
-        view(scratch, (n_control + int(p[FUNCTIONS.n_carry])) * LANES),
-    )
+    prepare(scratch, view(p, int(p[FUNCTIONS.own])), view(scratch, (n_control + int(p[FUNCTIONS.n_carry])) * LANES))
 
 
 def seen_as_functions(x, u, p, y, scratch):

@@ -16,14 +16,7 @@ HEAD = Layout(
 
 
 def supported_kernel(
-    inner: DynamicsKernel,
-    support: Support,
-    *,
-    doubt_at: int,
-    clock_at: int,
-    weight: float,
-    every: int,
-    limit: float,
+    inner: DynamicsKernel, support: Support, *, doubt_at: int, clock_at: int, weight: float, every: int, limit: float
 ) -> DynamicsKernel:
     """Return the kernel of ``inner`` that adds to its doubt, and counts down to the next look."""
     nx, nu = support.system.nx, support.system.nu

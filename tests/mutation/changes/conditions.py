@@ -3,6 +3,7 @@
 from tests.mutation.change import Change
 
 ELSEWHERE = "sysid_evo/models/adaptation/adapted.py"
+INTERVALS = "sysid_evo/validation/intervals.py"
 ADAPTED = "sysid_evo/models/adaptation/adapted.py"
 MEAN = "sysid_evo/models/ensemble.py"
 MLP_ENSEMBLE = "model_zoo/networks/mlp_ensemble.py"
@@ -23,14 +24,14 @@ CHANGES = (
     ),
     Change(
         "parts run together",
-        ELSEWHERE,
+        INTERVALS,
         "numbers.append(begin + windows.start",
         "numbers.append(windows.start",
         (TEST_CALIBRATED_ELSEWHERE,),
     ),
     Change(
         "episodes run together",
-        ELSEWHERE,
+        INTERVALS,
         "windows.start + windows.episode * longest",
         "windows.start",
         (TEST_CALIBRATED_ELSEWHERE,),
@@ -66,7 +67,7 @@ CHANGES = (
     ),
     Change(
         "the error is that about its mean",
-        ELSEWHERE,
+        INTERVALS,
         "np.sqrt(np.mean(pooled**2, axis=0))",
         "pooled.std(axis=0)",
         (TEST_CALIBRATED_ELSEWHERE,),

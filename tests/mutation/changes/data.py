@@ -24,8 +24,8 @@ CHANGES = (
     Change(
         "a smooth control smears its delay",
         "sysid_evo/data/response.py",
-        "return np.concatenate([[1.0], -weights])",
-        "return np.concatenate([[1.0], 0.0 * weights])",
+        "whitening = np.concatenate([[1.0], -weights])",
+        "whitening = np.concatenate([[1.0], 0.0 * weights])",
         TEST_ADVICE,
     ),
     Change(
