@@ -24,6 +24,16 @@ def as_seed(seed: int) -> int:
     raise InvalidArgument(f"seed: expected a whole number >= 0, got {seed!r}")
 
 
+def derived_seed(seed: int, *key: int) -> int:
+    """Return the seed of one part of what ``seed`` decides, by the numbers of the part."""
+    return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint32)[0])
+
+
+def keyed_generator(seed: int, *key: int) -> np.random.Generator:
+    """Return the generator of one part of what ``seed`` decides, so that no generator has to be kept."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
 def generator(seed: int | np.unsignedinteger, stream: int) -> np.random.Generator:
     """Return the generator of one trial and one stream."""
     return np.random.Generator(np.random.Philox(key=np.array([int(seed), stream], dtype=np.uint64)))

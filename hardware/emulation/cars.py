@@ -21,6 +21,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import Dynamics, PlainDynamics
 from sysid_evo.progress import Progress
+from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry import register_robot
 from sysid_evo.types import Array
 
@@ -135,7 +136,7 @@ class AwkwardCar(EmulatedRobot):
         stops: Stops | None = None,
         progress: Progress | None = None,
     ) -> Recorded:
-        jammed = _Jammed(self, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,))))
+        jammed = _Jammed(self, keyed_generator(seed, 0))
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
         return record_manoeuvres(jammed, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
 

@@ -153,8 +153,85 @@ def sums(weights, seen, before, after, n_inputs, hidden):
         store(after, j * LANES, a)
 
 
+def rectified(values: Array) -> Array:
+    """Return ``values`` with those below zero as zero."""
+    return np.maximum(values, 0.0)
+
+
+def clipped(values: Array) -> Array:
+    """Return ``values`` kept in [-1, 1]."""
+    return np.clip(values, -1.0, 1.0)
+
+
+INNER: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": rectified}
+
+OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.tanh}
+
+
+class Perceptron(Controller):
+    """What `FeedForward` and `Policy` share: ``units`` of the hidden layers, f (``inner``) and g (``output``).
+
+    ::
+
+        h_1 = f(W_1 o + b_1),    h_2 = f(W_2 h_1 + b_2),    ...,    y = g(W_n h_(n-1) + b_n)
+
+    The parameters are, layer by layer, the weights (n_in, n_out) row by row and then the biases (n_out,).
+    """
+
+    n_memory = 0
+    units: tuple[int, ...]
+    inner = "tanh"
+    output = "tanh"
+    sizes: tuple[int, ...]
+
+    def bind(self, n_observations: int, n_outputs: int) -> Self:
+        bound = copy.copy(self)
+        bound.sizes = (n_observations, *self.units, n_outputs)
+        bound.n_parameters = parameters_of(bound.sizes)
+        return bound
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        y = view.observation
+        for layer, (weights, bias) in enumerate(layers_of(parameters, self.sizes)):
+            y = y @ weights + bias
+            y = OUTPUT[self.output](y) if layer == len(self.units) else INNER[self.inner](y)
+        return y, memory.copy()
+
+    def program(self, parameters: Array) -> Program:
+        value, statements = observation(self.sizes[0]), []
+        for layer, (weights, bias) in enumerate(layers_of(parameters[None], self.sizes), start=1):
+            term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0, 0])
+            if layer > len(self.units):
+                shown = tanh(term) if self.output == "tanh" else limited(term)
+                statements.append(Statement("raw", shown, "outputs in [-1, 1]"))
+            else:
+                shown = tanh(term) if self.inner == "tanh" else Binary(term.size, "max", term, number(0.0))
+                statements.append(Statement(f"hidden_{layer}", shown, f"hidden layer {layer}"))
+            value = statements[-1].value
+        return Program(tuple(statements), value)
+
+
+def parameters_of(sizes: Sequence[int]) -> int:
+    """Return how many weights and biases a network with layers of these ``sizes`` has, inputs first."""
+    return sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
+
+
+def layers_of(parameters: Array, sizes: Sequence[int]) -> list[tuple[Array, Array]]:
+    """Return weights (P, n_in, n_out) and biases (P, 1, n_out) of every layer: in ``parameters`` one after the other.
+
+    Raises `ShapeError`.
+    """
+    check_shape("parameters", parameters, (None, parameters_of(sizes)))
+    found, at = [], 0
+    for n_in, n_out in pairwise(sizes):
+        end = at + n_in * n_out
+        found.append((parameters[:, at:end].reshape(-1, n_in, n_out), parameters[:, None, end : end + n_out]))
+        at = end + n_out
+    return found
+
+
 @register_controller("feed_forward")
-class FeedForward(Controller):
+class FeedForward(Perceptron):
     """A multi-layer perceptron; ``hidden`` is the number of units of its hidden layer, or of each of several.
 
     ::
@@ -164,43 +241,14 @@ class FeedForward(Controller):
     The parameters are, layer by layer, the weights (n_in, n_out) row by row and then the biases (n_out,).
     """
 
-    n_memory = 0
-
     def __init__(self, *, hidden: int | Sequence[int] = 8) -> None:
-        sizes = (hidden,) if isinstance(hidden, int) else tuple(hidden)
-        if not sizes or not all(isinstance(size, int) and size >= 1 for size in sizes):
+        self.units = (hidden,) if isinstance(hidden, int) else tuple(hidden)
+        if not self.units or not all(isinstance(size, int) and size >= 1 for size in self.units):
             raise InvalidArgument(f"feed_forward: expected hidden >= 1, or a list of such numbers, got {hidden}")
-        self.hidden = hidden
-
-    def bind(self, n_observations: int, n_outputs: int) -> Self:
-        bound = copy.copy(self)
-        inner = (self.hidden,) if isinstance(self.hidden, int) else tuple(self.hidden)
-        bound.sizes = (n_observations, *inner, n_outputs)
-        bound.n_parameters = parameters_of(bound.sizes)
-        return bound
-
-    sizes: tuple[int, ...]
-
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
-        y = view.observation
-        for weights, bias in layers_of(parameters, self.sizes):
-            y = np.tanh(y @ weights + bias)
-        return y, memory.copy()
 
     def kernel(self) -> ControllerKernel:
         parameters = HEAD.pack(self.sizes, n_layers=len(self.sizes) - 1, widest=max(self.sizes))
         return ControllerKernel(KernelSource(feed_forward_lanes), parameters, 2 * max(self.sizes), before_tanh=True)
-
-    def program(self, parameters: Array) -> Program:
-        value, statements = observation(self.sizes[0]), []
-        layers = layers_of(parameters[None], self.sizes)
-        for layer, (weights, bias) in enumerate(layers, start=1):
-            name = "raw" if layer == len(layers) else f"hidden_{layer}"
-            term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0, 0])
-            remark = "outputs in [-1, 1]" if name == "raw" else f"hidden layer {layer}"
-            statements.append(Statement(name, tanh(term), remark))
-            value = statements[-1].value
-        return Program(tuple(statements), value)
 
 
 HEAD = Layout("n_layers", "widest")
@@ -226,41 +274,8 @@ def feed_forward_lanes(theta, memory, observation, raw, parameters, scratch):
         weights = view(weights, (n_in + 1) * n_out * LANES)
 
 
-def parameters_of(sizes: Sequence[int]) -> int:
-    """Return how many weights and biases a network with layers of these ``sizes`` has, inputs first."""
-    return sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
-
-
-def layers_of(parameters: Array, sizes: Sequence[int]) -> list[tuple[Array, Array]]:
-    """Return weights (P, n_in, n_out) and biases (P, 1, n_out) of every layer: in ``parameters`` one after the other.
-
-    Raises `ShapeError`.
-    """
-    check_shape("parameters", parameters, (None, parameters_of(sizes)))
-    found, at = [], 0
-    for n_in, n_out in pairwise(sizes):
-        end = at + n_in * n_out
-        found.append((parameters[:, at:end].reshape(-1, n_in, n_out), parameters[:, None, end : end + n_out]))
-        at = end + n_out
-    return found
-
-
-def rectified(values: Array) -> Array:
-    """Return ``values`` with those below zero as zero."""
-    return np.maximum(values, 0.0)
-
-
-def clipped(values: Array) -> Array:
-    """Return ``values`` kept in [-1, 1]."""
-    return np.clip(values, -1.0, 1.0)
-
-
-INNER: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": rectified}
-OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.tanh}
-
-
 @register_controller("policy")
-class Policy(Controller):
+class Policy(Perceptron):
     """The mean of a policy: a multi-layer perceptron whose last layer is linear and then kept within [-1, 1].
 
     ::
@@ -271,8 +286,6 @@ class Policy(Controller):
     "tanh" (SAC). The parameters are, layer by layer, the weights (n_in, n_out) row by row and then the biases (n_out,).
     """
 
-    n_memory = 0
-
     def __init__(self, *, hidden: Sequence[int] = (64, 64), inner: str = "tanh", output: str = "clip") -> None:
         if not hidden or not all(isinstance(size, int) and size >= 1 for size in hidden):
             raise InvalidArgument(f"policy: expected a list of hidden >= 1, got {hidden!r}")
@@ -281,32 +294,4 @@ class Policy(Controller):
                 f"policy: expected inner to be {' or '.join(INNER)} and output {' or '.join(OUTPUT)}, "
                 f"got {inner!r} and {output!r}"
             )
-        self.hidden, self.inner, self.output = tuple(hidden), inner, output
-
-    sizes: tuple[int, ...]
-
-    def bind(self, n_observations: int, n_outputs: int) -> Self:
-        bound = copy.copy(self)
-        bound.sizes = (n_observations, *self.hidden, n_outputs)
-        bound.n_parameters = parameters_of(bound.sizes)
-        return bound
-
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
-        y = view.observation
-        for layer, (weights, bias) in enumerate(layers_of(parameters, self.sizes)):
-            y = y @ weights + bias
-            y = OUTPUT[self.output](y) if layer == len(self.hidden) else INNER[self.inner](y)
-        return y, memory.copy()
-
-    def program(self, parameters: Array) -> Program:
-        value, statements = observation(self.sizes[0]), []
-        for layer, (weights, bias) in enumerate(layers_of(parameters[None], self.sizes), start=1):
-            term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0, 0])
-            if layer > len(self.hidden):
-                shown = tanh(term) if self.output == "tanh" else limited(term)
-                statements.append(Statement("raw", shown, "outputs in [-1, 1]"))
-            else:
-                shown = tanh(term) if self.inner == "tanh" else Binary(term.size, "max", term, number(0.0))
-                statements.append(Statement(f"hidden_{layer}", shown, f"hidden layer {layer}"))
-            value = statements[-1].value
-        return Program(tuple(statements), value)
+        self.units, self.inner, self.output = tuple(hidden), inner, output

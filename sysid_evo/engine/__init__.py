@@ -11,13 +11,4 @@ from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.engine.results import Rollouts, behaviour_names
 from sysid_evo.engine.rollout import DynamicsRunner, Engine, Runner, as_runners, rollout
 
-__all__ = [
-    "DynamicsRunner",
-    "Engine",
-    "Rollouts",
-    "Runner",
-    "as_runners",
-    "behaviour_names",
-    "kernel_step",
-    "rollout",
-]
+__all__ = ["DynamicsRunner", "Engine", "Rollouts", "Runner", "as_runners", "behaviour_names", "kernel_step", "rollout"]

@@ -57,10 +57,10 @@ class Imagination:
         of_dynamics, of_task, envelope = self.dynamics.kernel(), self.task.kernel(), self.dynamics.envelope
         if of_dynamics is None or of_task is None:
             return None
-        nx = self.dynamics.system.nx
-        none = np.stack([np.full(nx, -np.inf), np.full(nx, np.inf)])
         precision = of_dynamics.precision if self.engine == "auto" else self.engine
-        return CompiledTrials(of_dynamics, of_task, none if envelope is None else envelope, precision)
+        return CompiledTrials(
+            of_dynamics, of_task, envelope_table(envelope, self.dynamics.system.nx, precision), precision
+        )
 
     def _run(self, carry: Array, legal: Array, here: TaskState) -> tuple[TaskState, Array, BoolArray]:
         """Return what `CompiledTrials.run` does, in NumPy."""
@@ -93,7 +93,7 @@ class CompiledTrials:
             "advance": compiled(task.advance, ADVANCE, precision),
             "dynamics_parameters": aligned(dynamics.parameters, precision),
             "task_parameters": aligned(task.parameters, precision),
-            "envelope": aligned(envelope_table(envelope, envelope.shape[1], precision), precision),
+            "envelope": aligned(envelope, precision),
         }
 
     def run(

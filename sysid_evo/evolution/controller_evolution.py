@@ -24,7 +24,7 @@ from sysid_evo.models.disturbances import DelayedEstimate, RadicalEnvelope, dist
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.penalty import Doubt
 from sysid_evo.progress import Checkpoint, Progress
-from sysid_evo.randomness import as_seed, trial_seeds
+from sysid_evo.randomness import as_seed, derived_seed, trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, cautions, controllers, noises, strategies, tasks
 from sysid_evo.system import System
@@ -148,11 +148,11 @@ def evolve_controller(
     def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
         disturbed = tuple(late[label] for label in on)
         return EnsembleObjective(
-            disturbed, controller, of_stage, run_seed(seed, run), settings.trials, settings.aggregate
+            disturbed, controller, of_stage, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
-        strategy = settings.make_strategy(controller.n_parameters, run_seed(seed, run))
+        strategy = settings.make_strategy(controller.n_parameters, derived_seed(seed, run))
         strategy.prepare(
             behaviour_names=behaviour_names(system),
             control_names=system.control_names,
@@ -197,11 +197,6 @@ def evolve_controller(
 def selection_seeds(seed: int, trials: int) -> Seeds:
     """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
     return trial_seeds(seed, trials, generation=SELECTION)
-
-
-def run_seed(seed: int, run: int) -> int:
-    """Return the seed of one of several runs."""
-    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1, np.uint32)[0])
 
 
 def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:

@@ -23,6 +23,7 @@ from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.dynamics import chained
 from sysid_evo.processors import available_processors
 from sysid_evo.progress import Checkpoint, Progress
+from sysid_evo.randomness import keyed_generator
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
@@ -90,8 +91,7 @@ class ModelEvolution:
         seed = int(rng.integers(2**32))
 
         def objective(population: Array, generation: int) -> Array:
-            draw = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(generation,)))
-            chosen = every[draw.integers(len(every), size=self.windows)]
+            chosen = every[keyed_generator(seed, generation).integers(len(every), size=self.windows)]
             compiled = None if kernel is None else kernel(population)
             if compiled is None:
                 return -final_error(step, population, chosen, start, weight=weight)

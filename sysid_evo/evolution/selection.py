@@ -13,13 +13,14 @@ from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine.rollout import Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
-from sysid_evo.evolution.controller_evolution import ControllerEvolution, met, observed_late, run_seed, selection_seeds
+from sysid_evo.evolution.controller_evolution import ControllerEvolution, met, observed_late, selection_seeds
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.progress import Checkpoint, Progress
+from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, BoolArray
 
@@ -58,12 +59,7 @@ def choose(
 
 
 def judge(
-    champion: Champion,
-    judges: Mapping[str, Runner],
-    *,
-    seed: int,
-    trials: int = 100,
-    judgement: Judgement = median,
+    champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials: int = 100, judgement: Judgement = median
 ) -> Champion:
     """Return ``champion`` with what each finalist is worth to the ``judges``; as it is where there are none."""
     if not judges or not champion.finalists:
@@ -131,12 +127,14 @@ def polish(
 
     @cache
     def objective(run: int) -> EnsembleObjective:
-        return EnsembleObjective(believed, controller, task, run_seed(seed, run), settings.trials, settings.aggregate)
+        return EnsembleObjective(
+            believed, controller, task, derived_seed(seed, run), settings.trials, settings.aggregate
+        )
 
     def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = CmaEs(
             n_parameters=controller.n_parameters,
-            seed=run_seed(seed, run),
+            seed=derived_seed(seed, run),
             sigma=sigma,
             initial=chosen[run].parameters,
         )

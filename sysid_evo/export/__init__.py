@@ -5,11 +5,4 @@ from sysid_evo.export.exported_controller import Law, Real, law_of
 from sysid_evo.export.onnx_file import onnx_bytes
 from sysid_evo.export.python_file import python_text
 
-__all__ = [
-    "Law",
-    "Real",
-    "c_text",
-    "law_of",
-    "onnx_bytes",
-    "python_text",
-]
+__all__ = ["Law", "Real", "c_text", "law_of", "onnx_bytes", "python_text"]

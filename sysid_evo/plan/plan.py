@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.cell import Cell
+from sysid_evo.randomness import derived_seed
 
 
 @dataclass(frozen=True)
@@ -99,8 +98,7 @@ def _renamed(value: Any, places: Mapping[str, str]) -> Any:
 
 def cell_seed(seed: int, work: str) -> int:
     """Return the seed of ``work``: it depends on the experiment's seed and the text, not on its place in a plan."""
-    key = zlib.crc32(work.encode())
-    return int(np.random.SeedSequence(seed, spawn_key=(key,)).generate_state(1, np.uint32)[0])
+    return derived_seed(seed, zlib.crc32(work.encode()))
 
 
 def at_home(plan: Plan) -> set[str]:

@@ -242,12 +242,7 @@ def _rows(here: PointToPointState) -> Array:
 
 def _state(here: PointToPointState, rows: Array) -> TaskState:
     passed = rows[ROWS.passed].astype(np.int64)
-    return replace(
-        here,
-        passed=passed,
-        alive=rows[ROWS.alive] > 0,
-        pose=rows[ROWS.x : ROWS.heading + 1].T.copy(),
-    )
+    return replace(here, passed=passed, alive=rows[ROWS.alive] > 0, pose=rows[ROWS.x : ROWS.heading + 1].T.copy())
 
 
 def observe_lanes(task, state, observation, parameters):

@@ -267,11 +267,7 @@ OWN = Layout("lowest", "share")
 
 
 def reward_kernel(
-    system: System,
-    scalar: Callable[..., Any] | Source,
-    lowest: float,
-    horizon: int,
-    over: Source | None = None,
+    system: System, scalar: Callable[..., Any] | Source, lowest: float, horizon: int, over: Source | None = None
 ) -> TaskKernel[Any] | None:
     """Return the compiled form; None if the motion has none, or state and control fill more than a row.
 

@@ -76,12 +76,7 @@ def final_errors(
     weight = np.ones(truth.shape[1]) if weight is None else check_shape("weight", weight, truth.shape[1:])
 
     sizes = loops.OPEN.integers(
-        windows=windows,
-        steps=steps,
-        n_carry=start.shape[1],
-        nx=truth.shape[1],
-        nu=nu,
-        n_parameters=parameters.shape[1],
+        windows=windows, steps=steps, n_carry=start.shape[1], nx=truth.shape[1], nu=nu, n_parameters=parameters.shape[1]
     )
     error = np.zeros(len(parameters), real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth, "weight": weight}

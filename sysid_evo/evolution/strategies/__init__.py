@@ -6,12 +6,4 @@ from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.niches import Niches
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState, make_strategy
 
-__all__ = [
-    "CmaEs",
-    "EvolutionStrategy",
-    "MapElites",
-    "MuPlusLambda",
-    "Niches",
-    "StrategyState",
-    "make_strategy",
-]
+__all__ = ["CmaEs", "EvolutionStrategy", "MapElites", "MuPlusLambda", "Niches", "StrategyState", "make_strategy"]

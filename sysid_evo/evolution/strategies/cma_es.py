@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry.registry import register_strategy
 from sysid_evo.types import Array, IntArray, check_shape
 
@@ -81,13 +82,7 @@ class CmaEs(EvolutionStrategy):
     """
 
     def __init__(
-        self,
-        *,
-        n_parameters: int,
-        seed: int,
-        population: int = 50,
-        sigma: float = 3.0,
-        initial: Array | None = None,
+        self, *, n_parameters: int, seed: int, population: int = 50, sigma: float = 3.0, initial: Array | None = None
     ) -> None:
         if n_parameters < 1 or population < 4 or not 0.0 < sigma < np.inf:
             raise InvalidArgument(
@@ -133,7 +128,7 @@ class CmaEs(EvolutionStrategy):
         self._sigma = float(state["sigma"])
 
     def ask(self) -> Array:
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(self.generation,)))
+        rng = keyed_generator(self.seed, self.generation)
         self._z = rng.standard_normal((self.population, self.n_parameters))  # (38), one row for each candidate
         self._y = (self._z * self._D) @ self._B.T  # (39)
         return np.concatenate([self._m + self._sigma * self._y, self._m[None]])  # (40)

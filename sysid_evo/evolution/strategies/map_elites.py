@@ -11,6 +11,7 @@ import numpy as np
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import ABOVE, BELOW, EvolutionStrategy, StrategyState
 from sysid_evo.extras import check_installed
+from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry.registry import register_strategy
 from sysid_evo.types import Array, IntArray, check_shape
 
@@ -121,7 +122,7 @@ class MapElites(EvolutionStrategy):
         self.generation = int(state["generation"])
 
     def ask(self) -> Array:
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(self.generation,)))
+        rng = keyed_generator(self.seed, self.generation)
         shape = self.population, self.n_parameters
         if not len(self._candidates):
             return self._centre + self.spread * rng.standard_normal(shape)

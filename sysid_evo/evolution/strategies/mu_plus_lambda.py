@@ -6,6 +6,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry.registry import register_strategy
 from sysid_evo.types import Array, check_shape
 
@@ -89,11 +90,5 @@ class MuPlusLambda(EvolutionStrategy):
         self.generation += 1
 
     def _normal(self, generation: int, count: int) -> Array:
-        return np.stack(
-            [
-                np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(generation, i))).standard_normal(
-                    self.n_parameters
-                )
-                for i in range(count)
-            ]
-        )
+        generators = [keyed_generator(self.seed, generation, i) for i in range(count)]
+        return np.stack([rng.standard_normal(self.n_parameters) for rng in generators])

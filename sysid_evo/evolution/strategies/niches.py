@@ -9,6 +9,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import ABOVE, BELOW, EvolutionStrategy, StrategyState, make_strategy
+from sysid_evo.randomness import derived_seed
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import register_strategy, strategies
 from sysid_evo.types import Array, check_shape
@@ -104,13 +105,7 @@ class Niches(EvolutionStrategy):
     """
 
     def __init__(
-        self,
-        *,
-        n_parameters: int,
-        seed: int,
-        strategy: str = "cma_es",
-        slots: int = 2,
-        channels: str = "",
+        self, *, n_parameters: int, seed: int, strategy: str = "cma_es", slots: int = 2, channels: str = ""
     ) -> None:
         if n_parameters < 1 or slots < 1:
             raise InvalidArgument(f"niches: expected n_parameters and slots >= 1, got {n_parameters} and {slots}")
@@ -289,8 +284,7 @@ class Niches(EvolutionStrategy):
         return np.maximum(0.0, -island.side * (above - below))
 
     def _island(self, number: int, channel: str, side: int, kind: int | None = None) -> Island:
-        seed = int(np.random.SeedSequence(self.seed, spawn_key=(number,)).generate_state(1, np.uint32)[0])
-        strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=seed)
+        strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=derived_seed(self.seed, number))
         niche = ANYTHING if side == 0 else f"{channel} {ABOVE if side > 0 else BELOW}"
         earlier = sum(island.channel == channel and island.side == side for island in self._made)
         name = f"{niche} #{earlier + 1}" if earlier else niche

@@ -71,7 +71,7 @@ CHANGES = (
         "the champion is chosen on trials that evolution has met",
         "sysid_evo/evolution/controller_evolution.py",
         "    seeds = selection_seeds(seed, settings.selection_trials)\n    models",
-        "    seeds = trial_seeds(run_seed(seed, 0), settings.selection_trials, generation=0)\n    models",
+        "    seeds = trial_seeds(derived_seed(seed, 0), settings.selection_trials, generation=0)\n    models",
         TEST_EVOLUTION,
     ),
     Change(
