@@ -70,7 +70,7 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
             store = Store(Path(name))
-            fitted = [one for one in store.records() if one.kind == "fit" and one.status == "done"]
+            fitted = fitted_models(store)
             if not fitted:
                 raise InvalidArgument(f"--on: the run {name} holds no fitted model")
             found += [TransferTarget(one.name, column_of(store, one), store) for one in fitted]
@@ -166,10 +166,8 @@ def _of_run(run: Path) -> list[Champion]:
     needed = {digest for record in made for digest in record.needs} | {cell.digest for cell in rows}
     others = [record for record in made if record.digest not in needed]
     found = [store.load(cell) for cell in rows]
-    found += [
-        store.load(StoredCell(record, EvolveCell))
-        for record in sorted(others, key=lambda record: CONTROLLER_KINDS.index(record.kind))
-    ]
+    others.sort(key=lambda record: CONTROLLER_KINDS.index(record.kind))
+    found += [store.load(StoredCell(record, EvolveCell)) for record in others]
     if not found:
         raise InvalidArgument(f"the run {run} holds no controller: evolve one first")
     return found
@@ -205,18 +203,13 @@ def other_models(store: Store, columns: tuple[Plant, ...]) -> tuple[Plant, ...]:
     """Return the models of the run that are of one system with ``columns`` and not among them."""
     system = system_of(store, columns[0])
     taken = {column.model.digest for column in columns if column.model is not None}
-    found = []
-    for record in store.records():
-        if record.kind == "fit" and record.status == "done" and record.digest not in taken:
-            column = column_of(store, record)
-            if not system.differences(dynamics_of(store, column).system):
-                found.append(column)
-    return tuple(found)
+    others = [column_of(store, record) for record in fitted_models(store) if record.digest not in taken]
+    return tuple(column for column in others if not system.differences(system_of(store, column)))
 
 
-def is_file(name: str) -> bool:
-    """Whether ``name`` is the path of a stored model."""
-    return is_stored(name, "model")
+def fitted_models(store: Store) -> list[Record]:
+    """Return the records of the models of a run, the oldest first."""
+    return [record for record in store.records() if record.kind == "fit" and record.status == "done"]
 
 
 def is_robot(name: str) -> bool:
@@ -231,12 +224,12 @@ def is_robot(name: str) -> bool:
 
 def is_model_of_a_run(name: str) -> bool:
     """Whether ``name`` can only be a model in a run folder."""
-    return not is_file(name) and not is_robot(name)
+    return not is_stored(name, "model") and not is_robot(name)
 
 
 def find_column(store: Store, name: str) -> Plant:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
-    if is_file(name):
+    if is_stored(name, "model"):
         file = stored_file(name, "model")
         own = record_of_file(store, file)
         if own is not None:
@@ -263,15 +256,12 @@ def column_of(store: Store, record: Record) -> Plant:
 def record_of_file(store: Store, file: Path) -> Record | None:
     """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
     stem = file.with_suffix("").resolve()
-    for record in store.records():
-        if record.kind == "fit" and record.status == "done" and (store.path / record.artefact).resolve() == stem:
-            return record
-    return None
+    return next((one for one in fitted_models(store) if (store.path / one.artefact).resolve() == stem), None)
 
 
 def find_model(store: Store, name: str) -> Record:
     """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
-    stored = [record for record in store.records() if record.kind == "fit" and record.status == "done"]
+    stored = fitted_models(store)
     files = {Path(record.artefact).name: record for record in stored}
     if name in files:
         return files[name]
@@ -319,7 +309,6 @@ def matrix_of(
     *,
     seed: int,
     trials: int,
-    traces: int = TRACES,
     progress: Progress | None = None,
 ) -> TransferMatrix:
     """Run every controller on every system in the same fresh trials."""
@@ -335,7 +324,7 @@ def matrix_of(
     for champion in champions:
         for label, runner in runners.items():
             late = observed_late(label, runner, champion.estimator_delay)
-            cells.append(run_cell(champion, label, late, seeds, traces=traces))
+            cells.append(run_cell(champion, label, late, seeds, traces=TRACES))
             if progress is not None:
                 progress(len(cells), len(champions) * len(systems))
     return TransferMatrix.of(

@@ -21,7 +21,6 @@ from evaluation.members import (
     dynamics_of,
     find_column,
     has_dynamics,
-    is_file,
     other_models,
     record_of_file,
 )
@@ -29,7 +28,7 @@ from evaluation.prediction.scores import error_of
 from evaluation.run_folder import owner_of
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
-from sysid_evo.artefacts import stored_file
+from sysid_evo.artefacts import is_stored, stored_file
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
 from sysid_evo.data.support import Support, split_pairs
@@ -132,9 +131,10 @@ def _planned(
         return RunCell(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed)
 
     labels = {column.label for column in columns}
-    models = [] if any(column.robot is not None for column in columns) else by_label(others)
+    first = list({column.label: column for column in reversed(others)}.values())[::-1]  # of each label
+    on_models = all(column.robot is None for column in columns)
     claims = tuple(map(on, columns))
-    elsewhere = tuple(on(column) for column in models if column.label not in labels)
+    elsewhere = tuple(on(column) for column in first if on_models and column.label not in labels)
     judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
     predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
     plan = Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
@@ -150,18 +150,13 @@ def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) 
     files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
     names = []
     for member in members:
-        manifest = stored_file(member, "model") if is_file(member) else None
+        manifest = stored_file(member, "model") if is_stored(member, "model") else None
         own = None if manifest is None else record_of_file(store, manifest)
         if manifest is not None and own is None:
             files[member] = tuple(map(str, files_of(manifest)))
         names.append(member if own is None else Path(own.artefact).name)
     after = (*data, *(record.digest for record in fits))
     return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
-
-
-def by_label(columns: Sequence[Plant]) -> tuple[Plant, ...]:
-    """Return the models among ``columns``, of those with one label the first."""
-    return tuple({column.label: column for column in reversed(columns) if column.robot is None}.values())[::-1]
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
