@@ -1,4 +1,4 @@
-"""One network for each command and state, trained by back-propagation (paper, section 4.1)."""
+"""Family backprop27 (paper, section 4.1): one network for each command and state."""
 
 from __future__ import annotations
 

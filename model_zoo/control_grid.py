@@ -1,4 +1,4 @@
-"""One cell for each command: how families with a table or network per command sort their data."""
+"""The grid of control levels, for families with one table or network for each command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Three networks, one for the change of each state, set by evolution (paper, section 4.2)."""
+"""Family evolved3 (paper, section 4.2): one network for the change of each state, set by evolution."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What families see of states and controls (sines of angles, functions of channels), and which states are predicted
-by their change.
-"""
+"""What families see of states and controls, and which states they predict by their change."""
 
 from __future__ import annotations
 

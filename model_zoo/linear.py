@@ -1,4 +1,4 @@
-"""Dynamic mode decomposition with control: the next state is linear in state and control."""
+"""Family linear: least squares of the next state (dynamic mode decomposition with control, ARX)."""
 
 from __future__ import annotations
 

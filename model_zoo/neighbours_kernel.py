@@ -1,4 +1,4 @@
-"""A plane through the nearest points over lanes, see `KNeighbours`.
+"""Compiled form of k_neighbours: a plane through the nearest points.
 
 The search goes lane by lane through the buckets of a k-d tree, as in `sysid_evo.models.kernels.neighbours`;
 weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at once. Of very many points the boxes

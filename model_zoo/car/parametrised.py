@@ -1,4 +1,4 @@
-"""The parametrised car: twelve physical parameters set by evolution (paper, section 4.4, Equation 1)."""
+"""Family parametrised (paper, section 4.4): twelve physical parameters set by evolution."""
 
 from __future__ import annotations
 

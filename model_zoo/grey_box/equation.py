@@ -1,5 +1,4 @@
-"""The equation that is integrated: law, actuator lag, delay, hidden states and their estimate, in NumPy and
-compiled.
+"""The equation that is integrated, in NumPy and compiled: law, actuator lag, delay, hidden states and their estimate.
 
 Arrays are component first here, so that many parameter vectors run in many windows at once: a state is (n, B) and
 parameters are (n_parameters, 1), or (n, P, B) and (n_parameters, P, 1).

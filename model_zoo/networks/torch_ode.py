@@ -1,4 +1,4 @@
-"""A neural differential equation whose right-hand side is a torch module, trained through torchdiffeq."""
+"""Family torch_ode: a torch module as right-hand side; the base for modules of your own."""
 
 from __future__ import annotations
 

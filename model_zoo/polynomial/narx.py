@@ -1,4 +1,4 @@
-"""Polynomial NARX: terms chosen one by one by orthogonal least squares."""
+"""Family narx: a polynomial whose terms are chosen one by one by orthogonal least squares."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
-from typing import ClassVar, Literal, Self, TypeAlias
+from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -67,6 +67,7 @@ class SparsePolynomial(PolynomialFamily):
         "threshold": Within(0.003, 1.0, log=True),
         "ridge": Within(1e-6, 0.1, log=True),
     }
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))

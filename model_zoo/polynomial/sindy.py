@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,7 +29,6 @@ class Sindy(SparsePolynomial):
     """
 
     has_weak_form = True
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
         system = dataset.system
@@ -77,7 +76,6 @@ class SindyDiscrete(SparsePolynomial):
     """
 
     knowledge = "black"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
 
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))

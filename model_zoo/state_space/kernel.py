@@ -1,4 +1,4 @@
-"""State spaces side by side behind one output, with an observer, over lanes."""
+"""Compiled step of several state spaces behind one output, with an observer."""
 
 from __future__ import annotations
 

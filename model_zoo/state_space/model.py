@@ -1,4 +1,4 @@
-"""What the families with hidden states share: an observer in the carry, the step, its compiled form."""
+"""The base of state-space families: an observer in the carry, the step, rest."""
 
 from __future__ import annotations
 

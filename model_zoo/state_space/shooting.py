@@ -1,4 +1,4 @@
-"""Training of state spaces on free runs from free initial states: Levenberg-Marquardt, several starts side by side.
+"""A batch of state spaces, and Levenberg-Marquardt on their simulations from free initial states.
 
     x' = x + pace (Outer (x, u, 1, units(Inner (x, u, 1)))),  y = the first states
 
