@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
 from sysid_evo.models import DynamicsModel
-from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
 
-PROCESSORS = 2
-"""Of the machine whose seconds a budget is counted in."""
-SHARE = 0.85
-"""Of its time that is spent in fits: the rest is starting processes, waiting for the last one, and the mean."""
 STEPS = 7200.0
 NUMBERS = 5.0
 """Steps of six minutes at 20 Hz, and states and controls of a car: what `Candidate.seconds` were measured with."""
@@ -140,16 +135,6 @@ def offered(system: System) -> tuple[list[Candidate], list[str]]:
     ]
 
 
-def affordable(costs: Mapping[int, float], left: float) -> list[int]:
-    """Return what is taken of these ``costs`` while something is ``left``: in their order, each that still fits."""
-    taken: list[int] = []
-    for number, cost in costs.items():
-        if cost <= left:
-            taken.append(number)
-            left -= cost
-    return taken
-
-
 def named(texts: Sequence[str]) -> list[Candidate]:
     """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults.
 
@@ -179,22 +164,6 @@ def unusable(candidate: Candidate, system: System) -> str:
         turning = ", ".join(channel.name for channel in system.states if channel.period)
         return f"it is not periodic, and {turning} comes round"
     return ""
-
-
-def structure_of(model: DynamicsModel) -> str:
-    """Return the class of structure in which a fitted ``model`` is weighed.
-
-    That is the ``structure`` of its family, of networks with or without a memory of earlier samples; of a mean, that of
-    its members if it is one. A family that declares none counts as physics if it assumes a good deal of it, and as
-    another structure if it does not.
-    """
-    if isinstance(model, MeanOfMembers):
-        inside = {structure_of(member) for member in model.members_}
-        return inside.pop() if len(inside) == 1 else "several structures"
-    declared = type(model).structure or ("physics" if model.knowledge in ("grey", "white") else "other")
-    if declared != "network":
-        return declared
-    return "network with lags" if model.n_carry > model.system.nx else "network without lags"
 
 
 def plugins() -> list[Candidate]:

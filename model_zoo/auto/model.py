@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.auto.candidates import PROCESSORS, SHARE, Candidate, named, offered, plugins, structure_of, unusable
+from model_zoo.auto.candidates import Candidate, named, offered, plugins, unusable
 from model_zoo.auto.fitting import FitWork
-from model_zoo.auto.selection import CandidateChoice, Choosing, weights_of
+from model_zoo.auto.selection import CandidateChoice, Choosing, structure_of, weights_of
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.adaptation import held_out_error
@@ -24,6 +24,10 @@ from sysid_evo.validation.folds import folds_of
 from sysid_evo.validation.simulation_error import HeldOutTest, Judge, history_of, horizons_of
 
 HORIZONS = [10, 20, 60]
+PROCESSORS = 2
+"""Of the machine whose seconds a budget is counted in."""
+SHARE = 0.85
+"""Of its time that is spent in fits: the rest is starting processes, waiting for the last one, and the mean."""
 
 
 @register_model("auto")

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from model_zoo.auto.candidates import Candidate, affordable
+from model_zoo.auto.candidates import Candidate
 from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
+from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import inside
 from sysid_evo.validation.bootstrap import Errors, paired_interval
@@ -271,3 +272,29 @@ def chosen(
     lowest = min(compared.values())
     taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
     return groups[taken], Passed(taken, tuple(compared.items()))
+
+
+def affordable(costs: Mapping[int, float], left: float) -> list[int]:
+    """Return what is taken of these ``costs`` while something is ``left``: in their order, each that still fits."""
+    taken: list[int] = []
+    for number, cost in costs.items():
+        if cost <= left:
+            taken.append(number)
+            left -= cost
+    return taken
+
+
+def structure_of(model: DynamicsModel) -> str:
+    """Return the class of structure in which a fitted ``model`` is weighed.
+
+    That is the ``structure`` of its family, of networks with or without a memory of earlier samples; of a mean, that of
+    its members if it is one. A family that declares none counts as physics if it assumes a good deal of it, and as
+    another structure if it does not.
+    """
+    if isinstance(model, MeanOfMembers):
+        inside = {structure_of(member) for member in model.members_}
+        return inside.pop() if len(inside) == 1 else "several structures"
+    declared = type(model).structure or ("physics" if model.knowledge in ("grey", "white") else "other")
+    if declared != "network":
+        return declared
+    return "network with lags" if model.n_carry > model.system.nx else "network without lags"

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model_zoo.auto.candidates import offered, structure_of
+from model_zoo.auto.candidates import offered
 from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import Auto
-from model_zoo.auto.selection import chosen, weights_of
+from model_zoo.auto.selection import chosen, structure_of, weights_of
 from model_zoo.linear import Linear
 from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model_zoo.auto.candidates import NUMBERS, PROCESSORS, SHARE, SHIPPED, STEPS, Candidate, affordable, named, offered
+from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, named, offered
 from model_zoo.auto.fitting import FitWork
-from model_zoo.auto.model import Auto
-from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, CandidateChoice, Choosing
+from model_zoo.auto.model import PROCESSORS, SHARE, Auto
+from model_zoo.auto.selection import REFINED, UNPROMISING, UNTRIED, CandidateChoice, Choosing, affordable
 from model_zoo.average import Average
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
