@@ -1,4 +1,4 @@
-"""Families nearest_neighbour (paper, section 4.3) and k_neighbours, which repairs it."""
+"""Families nearest_neighbour (the acceleration of the nearest state; paper, 4.3) and k_neighbours (a local plane)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,78 @@ from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import FOLDS
 from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
 
+
+@register_model("nearest_neighbour")
+class NearestNeighbour(DynamicsModel):
+    """The acceleration recorded in the nearest state under the same command.
+
+    Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
+    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
+    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
+    state in the distance.
+    """
+
+    knowledge = "dark grey"
+    cheap = True
+    structure = "neighbours"
+    periodic = True
+    limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
+
+    levels: int = 3
+    state_lags: int = 0
+    control_lags: int = 0
+    rest_hold: bool = False
+
+    def check_system(self, system: System) -> None:
+        CommandCells.of(system, self.levels)
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
+        cells = CommandCells.of(dataset.system, self.levels)
+        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
+        cell = cells.index(data.control)
+        order = np.argsort(cell, kind="stable")
+        self.cell_ = cell[order]
+        self.points_ = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])[order]
+        self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        cells, tables, serving = self._tables
+        query = Features(self.system, self.lags)(carry, control[:, cells.exact])
+        table = serving[cells.index(control)]
+        result = np.empty((len(carry), self.accelerations_.shape[1]))
+        for number, (tree, rows) in tables.items():
+            asked = np.flatnonzero(table == number)
+            if len(asked):
+                _, nearest = tree.query(query[asked])
+                result[asked] = self.accelerations_[rows][nearest]
+        return result
+
+    def predictor(self) -> Predictor:
+        cells, tables, serving = self._tables
+        place = {number: i for i, number in enumerate(tables)}
+        predictor = neighbour_predictor(
+            [(self.points_[rows], self.accelerations_[rows]) for _, rows in tables.values()],
+            np.array([place[int(number)] for number in serving]),
+            cells.midpoints,
+            cells.exact,
+            self.points_.shape[1] - len(cells.exact),
+        )
+        return with_angles(predictor, self.system, self.lags)
+
+    @cached_property
+    def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:
+        cells = CommandCells.of(self.system, self.levels)
+        filled, first, count = np.unique(self.cell_, return_index=True, return_counts=True)
+        tables = {}
+        for number, begin, size in zip(filled, first, count, strict=True):
+            rows = slice(int(begin), int(begin + size))
+            tables[int(number)] = (cKDTree(self.points_[rows], leafsize=8), rows)
+        return cells, tables, cells.fallback(filled)
+
+
 NEIGHBOURS = (8, 20)
 """What is tried where their number is left open."""
-
 RIDGE = 0.03
 """Of the plane, as a share of the sum of the weights."""
 
@@ -35,14 +104,12 @@ class KNeighbours(Uncertain):
     The plain change in one step is used, not the acceleration: a lateral acceleration balances
     forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
 
-    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic
-    state), controls counting
-    ``control_weight`` times, earlier samples half. The weight of neighbour i is (1 - (d_i / d_max)^2)^2,
-    d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights' sum
-    (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it
-    interpolates and never extrapolates; what a state has beyond the training range is taken back in
-    one step. ``neighbours`` and lags left at None are chosen by the simulation
-    error over one second on held-out blocks of time.
+    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic state),
+    controls counting ``control_weight`` times, earlier samples half. The weight of neighbour i is
+    (1 - (d_i / d_max)^2)^2, d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights'
+    sum (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it interpolates and
+    never extrapolates; what a state has beyond the training range is taken back in one step. ``neighbours`` and lags
+    left at None are chosen by the simulation error over one second on held-out blocks of time.
     """
 
     knowledge = "dark grey"
@@ -131,72 +198,3 @@ class KNeighbours(Uncertain):
     @cached_property
     def _tree(self) -> Any:
         return cKDTree(self.points_, leafsize=16)
-
-
-@register_model("nearest_neighbour")
-class NearestNeighbour(DynamicsModel):
-    """The acceleration recorded in the nearest state under the same command.
-
-    Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
-    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
-    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
-    state in the distance.
-    """
-
-    knowledge = "dark grey"
-    cheap = True
-    structure = "neighbours"
-    periodic = True
-    limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
-
-    levels: int = 3
-    state_lags: int = 0
-    control_lags: int = 0
-    rest_hold: bool = False
-
-    def check_system(self, system: System) -> None:
-        CommandCells.of(system, self.levels)
-
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        cells = CommandCells.of(dataset.system, self.levels)
-        data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
-        cell = cells.index(data.control)
-        order = np.argsort(cell, kind="stable")
-        self.cell_ = cell[order]
-        self.points_ = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])[order]
-        self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
-        return self
-
-    def acceleration(self, carry: Array, control: Array) -> Array:
-        cells, tables, serving = self._tables
-        query = Features(self.system, self.lags)(carry, control[:, cells.exact])
-        table = serving[cells.index(control)]
-        result = np.empty((len(carry), self.accelerations_.shape[1]))
-        for number, (tree, rows) in tables.items():
-            asked = np.flatnonzero(table == number)
-            if len(asked):
-                _, nearest = tree.query(query[asked])
-                result[asked] = self.accelerations_[rows][nearest]
-        return result
-
-    def predictor(self) -> Predictor:
-        cells, tables, serving = self._tables
-        place = {number: i for i, number in enumerate(tables)}
-        predictor = neighbour_predictor(
-            [(self.points_[rows], self.accelerations_[rows]) for _, rows in tables.values()],
-            np.array([place[int(number)] for number in serving]),
-            cells.midpoints,
-            cells.exact,
-            self.points_.shape[1] - len(cells.exact),
-        )
-        return with_angles(predictor, self.system, self.lags)
-
-    @cached_property
-    def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:
-        cells = CommandCells.of(self.system, self.levels)
-        filled, first, count = np.unique(self.cell_, return_index=True, return_counts=True)
-        tables = {}
-        for number, begin, size in zip(filled, first, count, strict=True):
-            rows = slice(int(begin), int(begin + size))
-            tables[int(number)] = (cKDTree(self.points_[rows], leafsize=8), rows)
-        return cells, tables, cells.fallback(filled)
