@@ -118,6 +118,11 @@ def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 3.6) -> Axe
     return new_figure(width, height).add_subplot() if ax is None else ax
 
 
+def line_style(number: int) -> dict[str, Any]:
+    """Return colour and dashes of line ``number``: 24 that can be told apart."""
+    return {"color": COLOURS[number % len(COLOURS)], "linestyle": tuple(DASHES)[number // len(COLOURS) % len(DASHES)]}
+
+
 @dataclass(frozen=True)
 class Band:
     """The interval ``low`` to ``high`` (n,) about the line called ``name``; what is drawn of it is a ``shape``."""

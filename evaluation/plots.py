@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import folded
-from evaluation.plot_style import COLOURS, DASHES, MEASURED, REFERENCE, axes_or_new, draw_band
+from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, axes_or_new, draw_band, line_style
 from evaluation.prediction.scores import PERSISTENCE, Prediction
-from evaluation.transfer.matrix import Trace
+from evaluation.transfer.matrix import NOT_RUN, Trace, TransferMatrix
 from evaluation.transfer.summary import TransferSummary
 from sysid_evo.angles import rotate, wrap
 from sysid_evo.errors import InvalidData
@@ -28,6 +29,40 @@ MARKS = (
     ("other_families", "median on other families", "D", COLOURS[4], COLOURS[4]),
     ("achieved", "achieved on the robot", "o", COLOURS[1], COLOURS[1]),
 )
+
+
+def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
+    """Draw mean fitness (and standard deviation over trials) of every controller on every system.
+
+    A black frame marks the models a controller was evolved against; a line sets the robot apart.
+    """
+    from matplotlib.patches import Rectangle
+
+    rows, columns = len(matrix.rows), len(matrix.columns)
+    ax = axes_or_new(ax, 1.8 + 0.95 * columns, 1.3 + 0.46 * rows)
+    means, stds = matrix.means(), matrix.stds()
+    top = float(np.nanmax(means)) if np.isfinite(means).any() else 1.0
+    low = min(0.0, float(np.nanmin(means))) if np.isfinite(means).any() else 0.0
+    image = ax.imshow(np.ma.masked_invalid(means), cmap="YlGnBu", vmin=low, vmax=max(top, low + 1e-9), aspect="auto")
+    for i, champion in enumerate(matrix.champions):
+        for j, column in enumerate(matrix.columns):
+            if column in champion.against:
+                ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor=MEASURED, linewidth=1.6))
+            dark = np.isfinite(means[i, j]) and (means[i, j] - low) > 0.6 * (top - low)
+            spread = f"\n({stds[i, j]:.1f})" if np.isfinite(stds[i, j]) else ""
+            text = f"{means[i, j]:.1f}{spread}"
+            if not np.isfinite(means[i, j]):
+                text = "–" if matrix.cell(champion.name, column).reason == NOT_RUN else "failed"
+            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
+    if matrix.robot is not None and columns > 1:
+        ax.axvline(columns - 1.5, color=MEASURED, linewidth=2.0)
+    _as_table(ax, [folded(c) for c in matrix.columns], [folded(name, 26) for name in matrix.rows])
+    ax.xaxis.set_label_position("top")
+    ax.set_xlabel("run on", labelpad=8, fontweight="bold")
+    ax.set_ylabel("controller", fontweight="bold")
+    unit = f" ({matrix.unit})" if matrix.unit else ""
+    ax.figure.colorbar(image, ax=ax, label=f"mean fitness{unit}", fraction=0.05, pad=0.02)
+    return ax
 
 
 def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
@@ -236,9 +271,7 @@ def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
     """Return how a model is drawn in every plot; persistence is grey."""
     if name == PERSISTENCE:
         return {"color": REFERENCE, "linestyle": "--"}
-    number = [other for other in prediction.names if other != PERSISTENCE].index(name)
-    # colours, then dashes: 24 lines that can be told apart
-    return {"color": COLOURS[number % len(COLOURS)], "linestyle": tuple(DASHES)[number // len(COLOURS) % len(DASHES)]}
+    return line_style([other for other in prediction.names if other != PERSISTENCE].index(name))
 
 
 FORWARD, BACKWARD, PASSED = COLOURS[:3]
@@ -323,3 +356,50 @@ SHOWN_STATES = 3
 def plotted_places(trace: Trace, system: System) -> tuple[int, ...]:
     """Return which states of a trial are drawn: those that were led to a target, else the first ones."""
     return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
+
+
+FAINTEST = 0.1
+"""The share, in per cent, from which on a cell is painted."""
+
+
+def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -> Axes:
+    """Draw the share of visited steps beyond what the data show, in per cent, by model and probe.
+
+    A last row shows held-out driving. Shares below 0.1 % stay white; the colours are logarithmic.
+    """
+    names = [probe.name for probe in models[0].probes]
+    rows = [model.model for model in models] + ["held-out data"]
+    shares = np.array(
+        [[_percent(model.outside_visited), *(_percent(probe.visited) for probe in model.probes)] for model in models]
+        + [[_percent(models[0].outside_held_out), *(_percent(probe.held_out) for probe in models[0].probes)]]
+    )
+    ax = axes_or_new(ax, 2.0 + 0.95 * shares.shape[1], 1.3 + 0.36 * len(rows))
+    known = np.isfinite(shares)
+    depth = np.log10(np.clip(np.where(known, shares, FAINTEST), FAINTEST, 100.0))
+    shown = np.ma.masked_where(~known | (depth <= np.log10(FAINTEST)), depth)
+    ax.imshow(shown, cmap="OrRd", vmin=np.log10(FAINTEST), vmax=2.0, aspect="auto")
+    for i, j in np.ndindex(*shares.shape):
+        share = shares[i, j]
+        text = f"{share:.{1 if 0.0 < share < 10.0 else 0}f} %" if known[i, j] else "n/a"
+        dark = known[i, j] and share > 20.0
+        ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
+    ax.axhline(len(models) - 0.5, color=MEASURED, linewidth=1.5)
+    ax.axvline(0.5, color=MEASURED, linewidth=1.5)
+    labels = ["outside\nthe data", *(name.replace("_", "\n", 1).replace("_", " ") for name in names)]
+    _as_table(ax, labels, rows)
+    return ax
+
+
+def _as_table(ax: Axes, columns: Sequence[str], rows: Sequence[str]) -> None:
+    """Name columns above and rows beside a heat map, without ticks, grid and frame."""
+    ax.set_xticks(range(len(columns)), columns)
+    ax.set_yticks(range(len(rows)), rows)
+    ax.xaxis.tick_top()
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+
+
+def _percent(share: float | None) -> float:
+    return float("nan") if share is None else 100.0 * share

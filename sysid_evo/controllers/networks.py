@@ -169,7 +169,7 @@ OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.ta
 
 
 class Perceptron(Controller):
-    """What `FeedForward` and `Policy` share: ``units`` of the hidden layers, f (``inner``) and g (``output``).
+    """What `FeedForward` and `Policy` share: units of the ``hidden`` layers, f (``inner``) and g (``output``).
 
     ::
 
@@ -179,14 +179,14 @@ class Perceptron(Controller):
     """
 
     n_memory = 0
-    units: tuple[int, ...]
+    hidden: tuple[int, ...]
     inner = "tanh"
     output = "tanh"
     sizes: tuple[int, ...]
 
     def bind(self, n_observations: int, n_outputs: int) -> Self:
         bound = copy.copy(self)
-        bound.sizes = (n_observations, *self.units, n_outputs)
+        bound.sizes = (n_observations, *self.hidden, n_outputs)
         bound.n_parameters = parameters_of(bound.sizes)
         return bound
 
@@ -194,14 +194,14 @@ class Perceptron(Controller):
         y = view.observation
         for layer, (weights, bias) in enumerate(layers_of(parameters, self.sizes)):
             y = y @ weights + bias
-            y = OUTPUT[self.output](y) if layer == len(self.units) else INNER[self.inner](y)
+            y = OUTPUT[self.output](y) if layer == len(self.hidden) else INNER[self.inner](y)
         return y, memory.copy()
 
     def program(self, parameters: Array) -> Program:
         value, statements = observation(self.sizes[0]), []
         for layer, (weights, bias) in enumerate(layers_of(parameters[None], self.sizes), start=1):
             term = dot(f"W_{layer}", weights[0].T, value) + constant(f"B_{layer}", bias[0, 0])
-            if layer > len(self.units):
+            if layer > len(self.hidden):
                 shown = tanh(term) if self.output == "tanh" else limited(term)
                 statements.append(Statement("raw", shown, "outputs in [-1, 1]"))
             else:
@@ -242,8 +242,8 @@ class FeedForward(Perceptron):
     """
 
     def __init__(self, *, hidden: int | Sequence[int] = 8) -> None:
-        self.units = (hidden,) if isinstance(hidden, int) else tuple(hidden)
-        if not self.units or not all(isinstance(size, int) and size >= 1 for size in self.units):
+        self.hidden = (hidden,) if isinstance(hidden, int) else tuple(hidden)
+        if not self.hidden or not all(isinstance(size, int) and size >= 1 for size in self.hidden):
             raise InvalidArgument(f"feed_forward: expected hidden >= 1, or a list of such numbers, got {hidden}")
 
     def kernel(self) -> ControllerKernel:
@@ -294,4 +294,4 @@ class Policy(Perceptron):
                 f"policy: expected inner to be {' or '.join(INNER)} and output {' or '.join(OUTPUT)}, "
                 f"got {inner!r} and {output!r}"
             )
-        self.units, self.inner, self.output = tuple(hidden), inner, output
+        self.hidden, self.inner, self.output = tuple(hidden), inner, output

@@ -15,7 +15,9 @@ from evaluation.plots import (
     plot_fitness,
     plot_free_run,
     plot_horizon_curve,
+    plot_probes,
     plot_trace,
+    plot_transfer,
 )
 from evaluation.report import Report
 from evaluation.transfer import Trace
@@ -41,6 +43,8 @@ def _draw(report: Report, on: Callable[[], Axes | None] = lambda: None) -> dict[
         "fitness": plot_fitness(report.matrix.champions[0], on(), unit="waypoints"),
         "claims": plot_claims(report.transfer, on(), unit="waypoints"),
         "trace": plot_trace(trace, on()),
+        "transfer": plot_transfer(report.matrix, on()),
+        "probes": plot_probes(report.exploitability, on()),
     }
 
 
@@ -65,7 +69,7 @@ def test_a_plot_is_drawn_on_the_axes_it_is_given(report: Report) -> None:
 
 
 def test_the_same_plot_gives_the_same_svg(report: Report) -> None:
-    one, two = (to_svg(_draw(report)["claims"].figure) for _ in range(2))  # type: ignore[arg-type]
+    one, two = (to_svg(_draw(report)["transfer"].figure) for _ in range(2))  # type: ignore[arg-type]
     assert one == two
     assert "<dc:date>" not in one
 
