@@ -94,7 +94,7 @@ class PoseEstimator:
             pose = np.array([pose[0], pose[1], self._poses[-1][2] + np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi])
         self._times.append(time)
         self._poses.append(pose)
-        while self._outdated(time):
+        while (age := time - self._times[0]) > LONGEST * self.window or (age > self.window and self._covers(1)):
             self._times.popleft()
             self._poses.popleft()
 
@@ -122,11 +122,6 @@ class PoseEstimator:
         """Whether the poses from the ``first`` on are enough for an estimate."""
         enough = len(self._times) - first >= MIN_POSES
         return enough and self._times[-1] - self._times[first] >= READY * self.window
-
-    def _outdated(self, time: float) -> bool:
-        """Whether the oldest pose is to be dropped now that the newest is of ``time``."""
-        age = time - self._times[0]
-        return age > LONGEST * self.window or (age > self.window and self._covers(1))
 
 
 class NewestPose:

@@ -80,7 +80,8 @@ class PoseGate:
             return GateVerdict(False, "not valid")
         if frame.body != self.body:
             return GateVerdict(False, "of another body")
-        if frame.pose.shape != (3,) or not _sound(*frame.pose, frame.source_time, frame.arrival_time):
+        numbers = (*frame.pose.ravel(), frame.source_time, frame.arrival_time)
+        if frame.pose.shape != (3,) or not all(-LARGEST < number < LARGEST for number in numbers):
             return GateVerdict(False, "not a number")
         if self._is_frozen(frame.pose, driving):
             self._thawed = True
@@ -227,7 +228,3 @@ def distance(before: Measurement, after: Measurement) -> float:
 def turn(before: Measurement, after: Measurement) -> float:
     """Return by how much two planar poses are turned against each other, 0 to pi rad."""
     return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))
-
-
-def _sound(*values: float) -> bool:
-    return all(-LARGEST < value < LARGEST for value in values)

@@ -214,7 +214,7 @@ def sensors_finding(
     mean, spread = np.mean(readings, axis=0), np.std(readings, axis=0)
     units = {channel.name: channel.unit for channel in system.states}
     parts = [
-        f"{name} {middle:.3g}{_spread(wide)} {units[name]}".rstrip()
+        f"{name} {middle:.3g}{f' ± {wide:.2g}' if wide > 0.0 else ''} {units[name]}".rstrip()
         for name, middle, wide in zip(names, mean, spread, strict=True)
     ]
     estimated = ", ".join(f"{name} from {of}" for name, of in rates.items())
@@ -222,10 +222,6 @@ def sensors_finding(
     seconds = len(readings) * period
     sentence = f"Read every {period:g} s in neutral for {seconds:g} s: {', '.join(parts)}{more}."
     return SelfTestFinding("sensors", bool(np.isfinite(readings).all()), sentence)
-
-
-def _spread(value: float) -> str:
-    return f" ± {value:.2g}" if value > 0.0 else ""
 
 
 def _rest(dynamics: Dynamics) -> SelfTestFinding:
@@ -247,7 +243,8 @@ def _answer(dynamics: Dynamics, place: int) -> SelfTestFinding:
             channel.name, channel.bounded, "Controls must have finite limits: give low and high, or levels."
         )
     for others, how in ((system.neutral_control, ""), (full(system), " with the other controls full")):
-        paths = {end: tried(dynamics, _with(others, place, end)) for end in (channel.low, channel.high)}
+        here = np.arange(system.nu) == place
+        paths = {end: tried(dynamics, np.where(here, end, others)) for end in (channel.low, channel.high)}
         low, high = paths.values()
         if low.shape != high.shape or not np.array_equal(low, high):
             ok = all(np.isfinite(path).all() for path in paths.values())
@@ -260,12 +257,6 @@ def _answer(dynamics: Dynamics, place: int) -> SelfTestFinding:
 def full(system: System) -> Array:
     """Return every control at the limit farther from neutral, (nu,)."""
     return np.array([c.high if c.high - c.neutral >= c.neutral - c.low else c.low for c in system.controls])
-
-
-def _with(control: Array, place: int, value: float) -> Array:
-    changed = control.copy()
-    changed[place] = value
-    return changed
 
 
 def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:

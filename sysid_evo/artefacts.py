@@ -101,7 +101,9 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
     path = Path(path)
     stem = path.with_suffix("").name if path.suffix in SUFFIXES else path.name
     named = path.with_name(f"{stem}.json")
-    found = [] if named.is_file() or not path.parent.is_dir() else _of_a_run(path.parent, stem)
+    digest = re.compile(rf"{re.escape(stem)}-[0-9a-f]{{8}}\.json")
+    folder = path.parent if not named.is_file() and path.parent.is_dir() else None
+    found = [] if folder is None else sorted(file for file in folder.iterdir() if digest.fullmatch(file.name))
     if len(found) > 1:
         raise ArtefactError(
             f"{named}: expected the file of one {kind}, found {', '.join(file.name for file in found)}: name one"
@@ -112,11 +114,6 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
 def is_stored(name: str, kind: Literal["model", "controller"]) -> bool:
     """Whether ``name`` is the path of something stored, and not the name of a plugin."""
     return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
-
-
-def _of_a_run(folder: Path, name: str) -> list[Path]:
-    digest = re.compile(rf"{re.escape(name)}-[0-9a-f]{{8}}\.json")
-    return sorted(file for file in folder.iterdir() if digest.fullmatch(file.name))
 
 
 def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Manifest, dict[str, np.ndarray[Any, Any]]]:

@@ -27,8 +27,12 @@ def extra_of(module: str, distribution: str | Distribution = DISTRIBUTION) -> st
     """
     top = module.partition(".")[0]
     package = canonicalize_name(PACKAGES.get(top, top))
+    try:
+        texts = requires(distribution) if isinstance(distribution, str) else distribution.requires
+    except PackageNotFoundError:
+        return None
     brings: dict[str, set[str]] = {}
-    for requirement in _requirements(distribution):
+    for requirement in map(Requirement, texts or ()):
         found = EXTRA.search(str(requirement.marker or ""))
         if found is not None:
             brings.setdefault(found[1], set()).add(canonicalize_name(requirement.name))
@@ -56,11 +60,3 @@ def check_installed(what: str, modules: Iterable[str], distribution: str | Distr
     for module in modules:
         if find_spec(module) is None:
             raise missing_extra(what, module, distribution)
-
-
-def _requirements(distribution: str | Distribution) -> list[Requirement]:
-    try:
-        found = requires(distribution) if isinstance(distribution, str) else distribution.requires
-    except PackageNotFoundError:
-        return []
-    return [Requirement(text) for text in found or ()]

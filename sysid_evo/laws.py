@@ -50,9 +50,13 @@ def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
     closure = inspect.getclosurevars(plain)
     scope = {**plain.__globals__, **closure.nonlocals}
     names = {name: _of_arrays(scope[name]) for name in body.co_names if name in scope}
-    return FunctionType(
-        body, {"min": _least, "max": _most, "_where": np.where, "_test": LOGICAL, **names}, plain.__name__
-    )
+    own = {
+        "min": lambda *values: functools.reduce(np.minimum, values),
+        "max": lambda *values: functools.reduce(np.maximum, values),
+        "_where": np.where,
+        "_test": LOGICAL,
+    }
+    return FunctionType(body, {**own, **names}, plain.__name__)
 
 
 def _of_arrays(value: Any) -> Any:
@@ -109,13 +113,3 @@ class _ElementWise(ast.NodeTransformer):
 def _logical(name: str, *arguments: ast.expr) -> ast.expr:
     place = ast.Subscript(ast.Name("_test", ast.Load()), ast.Constant(name), ast.Load())
     return ast.Call(place, list(arguments), [])
-
-
-def _least(*values: Any) -> Any:
-    """Return the smallest, element by element."""
-    return functools.reduce(np.minimum, values)
-
-
-def _most(*values: Any) -> Any:
-    """Return the largest, element by element."""
-    return functools.reduce(np.maximum, values)

@@ -147,7 +147,7 @@ class Tuning:
                 progress(min(PARTS, int(PARTS * share)), PARTS, self._note)
             if share >= 1.0:
                 return
-            trial = self.study.ask(self._distributions())
+            trial = self.study.ask({key: self._distribution(key, where) for key, where in self.space.items()})
             started = time.monotonic()
             try:
                 error, reason = self._error(trial)
@@ -235,9 +235,6 @@ class Tuning:
             float(trial.user_attrs["seconds"]),
             reason or ("" if complete else "broken off"),
         )
-
-    def _distributions(self) -> dict[str, Any]:
-        return {key: self._distribution(key, where) for key, where in self.space.items()}
 
     def _distribution(self, key: str, where: Searched) -> Any:
         from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution

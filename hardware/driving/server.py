@@ -109,8 +109,11 @@ class PageServer(Closeable):
         check_page()
         import uvicorn
 
-        token = new_token()
-        self._socket = _listening(host, port)
+        token = secrets.token_urlsafe(TOKEN_BYTES)  # another address each time
+        try:
+            self._socket = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+        except (OSError, OverflowError) as error:
+            raise InvalidArgument(f"the page cannot be served at {host}, port {port}: {error}") from error
         named = f"[{host}]" if ":" in host else host
         self.url = f"http://{named}:{self._socket.getsockname()[1]}/{token}/"
         self._keyboard = keyboard
@@ -218,21 +221,8 @@ async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: DrivePanel) ->
         await asyncio.sleep(PERIOD)
 
 
-def _listening(host: str, port: int) -> socket.socket:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        return socket.create_server((host, port), family=family)
-    except (OSError, OverflowError) as error:
-        raise InvalidArgument(f"the page cannot be served at {host}, port {port}: {error}") from error
-
-
 TOKEN_BYTES = 16
 FORBIDDEN = 403
-
-
-def new_token() -> str:
-    """Return a secret for an address, different each time."""
-    return secrets.token_urlsafe(TOKEN_BYTES)
 
 
 class Guard:

@@ -152,7 +152,8 @@ class TrialSeries(Pilot):
         """Return the control for ``step`` of the trial under way, or None if it is over."""
         trial, candidate = divmod(self.finished, len(self.parameters))
         task, tape = self.task, self.tapes[-1]
-        state, pose = estimate.state, self._in_arena(estimate.pose)
+        assert self.origin is not None
+        state, pose = estimate.state, self.system.seen_from(self.origin, estimate.pose)
         here = self.states[candidate]
         only = np.arange(len(self.seeds)) == trial
         if not tape.ticks:
@@ -177,11 +178,6 @@ class TrialSeries(Pilot):
         control = self.system.actuate(raw[0, 0])
         tape.controls.append(control)
         return control
-
-    def _in_arena(self, pose: Array) -> Array:
-        """Return a pose of the tracker (3,) as seen from the origin."""
-        assert self.origin is not None
-        return self.system.seen_from(self.origin, pose)
 
     def rollouts(self, why_missing: str) -> Rollouts:
         """Return the trials that every candidate finished; the others are missing for the reason given."""

@@ -70,7 +70,9 @@ class ToyCarDynamics(PlainDynamics):
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         if len(carry) == 1:
-            return np.array([self._step_one(carry[0].tolist(), control[0].tolist(), noise)])
+            first, push = carry[0].tolist(), [0.0, 0.0] if noise is None else noise[0].tolist()
+            end = fine_step(first[:3], first[BODY:], first[3], first[4], push[0], push[1], self.coefficients)
+            return np.array([[*end[:3], *first[5:BODY], *control[0].tolist(), *end[3:]]])
         before = carry.T
         after = np.empty((self.n_carry, len(carry)))
         lanes: list[Lane] = list(before)
@@ -81,11 +83,6 @@ class ToyCarDynamics(PlainDynamics):
         for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
             after[row] = result
         return after.T
-
-    def _step_one(self, before: list[float], control: list[float], noise: Array | None) -> list[float]:
-        draws = [0.0, 0.0] if noise is None else noise[0].tolist()
-        after = fine_step(before[:3], before[BODY:], before[3], before[4], draws[0], draws[1], self.coefficients)
-        return [*after[:3], *before[5:BODY], *control, *after[3:]]
 
     def kernel(self) -> DynamicsKernel:
         return self.held_kernel(1)

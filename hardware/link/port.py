@@ -13,18 +13,19 @@ from sysid_evo.errors import InvalidArgument, LinkLost
 BAUD = 115200
 BY_ID = Path("/dev/serial/by-id")
 NO_DEVICE = "no such device; is the robot plugged in?"
+REASONS = {
+    errno.ENOENT: NO_DEVICE,
+    errno.EACCES: "not permitted; see the udev rule in docs/hardware.md",
+    errno.EAGAIN: "another program uses it",
+    errno.EBUSY: "another program uses it",
+}
 CHUNK = 4096
 CHUNKS = 16  # read at most at once, so that a chattering device cannot hold the host up
 
 
-def stable_ports() -> tuple[str, ...]:
-    """Return the serial devices by names that stay the same when they are plugged in again."""
-    return tuple(sorted(map(str, BY_ID.iterdir()))) if BY_ID.is_dir() else ()
-
-
 def only_port() -> str:
     """Return the only serial device there is. Raises `InvalidArgument` if there are none or several."""
-    ports = stable_ports()
+    ports = sorted(map(str, BY_ID.iterdir())) if BY_ID.is_dir() else []  # the same when plugged in again
     if len(ports) != 1:
         raise InvalidArgument(
             f"serial robot: expected port, or one device in {BY_ID} to choose; found {', '.join(ports) or 'none'}"
@@ -47,7 +48,7 @@ class SerialPort:
         try:
             self._serial = serial.Serial(name, BAUD, timeout=0, write_timeout=0, exclusive=True)
         except OSError as error:  # a SerialException is one, too
-            raise LinkLost(f"port {name}: {_reason(error)}") from error
+            raise LinkLost(f"port {name}: {REASONS.get(error.errno or 0, str(error))}") from error
         self._poll = select.poll()
         self._poll.register(self.fileno(), select.POLLIN)
 
@@ -97,13 +98,3 @@ class SerialPort:
     def close(self) -> None:
         """Give the port back; a second call does nothing."""
         self._serial.close()
-
-
-def _reason(error: OSError) -> str:
-    reasons = {
-        errno.ENOENT: NO_DEVICE,
-        errno.EACCES: "not permitted; see the udev rule in docs/hardware.md",
-        errno.EAGAIN: "another program uses it",
-        errno.EBUSY: "another program uses it",
-    }
-    return reasons.get(error.errno or 0, str(error))

@@ -75,7 +75,9 @@ class HostSession:
         for body in self._decoder.feed(data):
             message = unpack(body)
             if isinstance(message, HelloAcknowledgement):
-                self._acknowledged(message, now)
+                if message.nonce == self.nonce and self.acknowledgement is None:
+                    self.acknowledgement = message
+                    self.heard = now
             elif isinstance(message, StatusMessage):
                 self._reported(message, now)
             else:
@@ -134,11 +136,6 @@ class HostSession:
         host_ms = int(now * 1000.0) % 65536
         message: Message = CommandMessage(self.acknowledgement.session, self._sequence, host_ms, buttons, time_to_live)
         return encode(message.pack())
-
-    def _acknowledged(self, message: HelloAcknowledgement, now: float) -> None:
-        if message.nonce == self.nonce and self.acknowledgement is None:
-            self.acknowledgement = message
-            self.heard = now
 
     def _reported(self, message: StatusMessage, now: float) -> None:
         if self.acknowledgement is None:

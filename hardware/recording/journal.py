@@ -97,17 +97,6 @@ def pack_status(status: RobotStatus) -> bytes:
     return front + state + counters + _numbers(status.control)
 
 
-def unpack_header(payload: bytes) -> dict[str, Any]:
-    """Return what `pack_header` packed. Raises `InvalidData`."""
-    try:
-        header = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise InvalidData("journal: the header is not JSON") from error
-    if not isinstance(header, dict):
-        raise InvalidData(f"journal: expected the header to be an object, got {type(header).__name__}")
-    return header
-
-
 def unpack(kind: RecordKind, payload: bytes, system: System) -> Event:
     """Return the event of a record. Raises `InvalidData` if it is not one of ``system``."""
     try:
@@ -121,16 +110,12 @@ def unpack(kind: RecordKind, payload: bytes, system: System) -> Event:
             return TimedCommand(Command(tick, due, time, control), robot_time)
         time, robot_time, *lengths = _STATUS.unpack_from(payload)
         (state, text), control = _split(payload, _STATUS.size, tuple(lengths), system.nu)
-        return RobotStatus(time, robot_time, state.decode(), control, _counters(text))
+        counters = json.loads(text)
+        if not isinstance(counters, dict) or not all(type(value) is int for value in counters.values()):
+            raise ValueError("counters")
+        return RobotStatus(time, robot_time, state.decode(), control, counters)
     except (struct.error, ValueError, RecursionError) as error:
         raise InvalidData(f"journal: a record of kind {kind.name.lower()} does not hold what it should") from error
-
-
-def _counters(text: bytes) -> dict[str, int]:
-    counters = json.loads(text)
-    if not isinstance(counters, dict) or not all(type(value) is int for value in counters.values()):
-        raise ValueError("counters")
-    return counters
 
 
 def _numbers(values: Array) -> bytes:
@@ -335,8 +320,7 @@ def read_journal(path: str | Path) -> Journal:
         if (system is None) != (kind is RecordKind.HEADER):
             raise InvalidData(f"{path.name}, byte {end}: expected one header, and first")
         if system is None:
-            header = unpack_header(payload)
-            system = _system(header, path.name)
+            header, system = _described(payload, path.name)
         elif kind is RecordKind.END:
             closed = True
         else:
@@ -374,11 +358,18 @@ def _records(data: bytes, name: str) -> Iterator[tuple[RecordKind, bytes, int]]:
         place = after
 
 
-def _system(header: Mapping[str, Any], name: str) -> System:
+def _described(payload: bytes, name: str) -> tuple[dict[str, Any], System]:
+    """Return the header, and the system that it describes. Raises `InvalidData`."""
+    try:
+        header = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise InvalidData("journal: the header is not JSON") from error
+    if not isinstance(header, dict):
+        raise InvalidData(f"journal: expected the header to be an object, got {type(header).__name__}")
     if header.get("schema") != SCHEMA:
         raise InvalidData(f"{name}: expected a journal of schema {SCHEMA!r}, got {str(header.get('schema'))[:40]!r}")
     try:
-        return System.from_dict(header["system"])
+        return header, System.from_dict(header["system"])
     except (KeyError, TypeError, ValueError, AttributeError, SysidEvoError) as error:
         raise InvalidData(f"{name}: the header does not describe a system: {type(error).__name__}") from error
 

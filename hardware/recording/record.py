@@ -94,7 +94,8 @@ def record(
         for number, manoeuvre in enumerate(manoeuvres):
             if connection is None or robot.dynamics is not None:
                 stack.close()
-                connection = stack.enter_context(robot.connect(seed=_session_seed(seed, number)))
+                own = np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)
+                connection = stack.enter_context(robot.connect(seed=int(own[0])))
             else:
                 rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
                 report = _run(connection, robot, rest, (), stops)
@@ -143,10 +144,6 @@ def _run(
         stops=stops,
     )
     return loop.run(ManoeuvrePilot(manoeuvre, told))
-
-
-def _session_seed(seed: int, number: int) -> int:
-    return int(np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)[0])
 
 
 def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]:

@@ -54,9 +54,11 @@ def record_simulator(
         for number, name in enumerate(SCRIPTS):
             script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
             counted = _counter(progress, number * each, len(SCRIPTS) * each)
-            for count, episode in enumerate(_episodes(session, simulator, script, each, rng, counted)):
-                if len(episode[1]) >= SHORTEST:
-                    episodes.append(_trajectory(episode, simulator, f"{name}-{count + 1}"))
+            made = enumerate(_episodes(session, simulator, script, each, rng, counted), start=1)
+            for count, (states, controls) in made:
+                if len(controls) >= SHORTEST:
+                    of = f"{name}-{count}"
+                    episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of))
                 if stops is not None and stops.reason is not None:
                     reason = stops.reason
                     break
@@ -125,11 +127,6 @@ def _episodes(
         yield states, controls
 
 
-def _trajectory(episode: tuple[list[Array], list[Array]], simulator: ExternalSimulator, name: str) -> Trajectory:
-    states, controls = episode
-    return Trajectory(np.array(states), np.array(controls), simulator.system.dt, name=name)
-
-
 def _counter(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:
     return lambda done: None if progress is None else progress(before + done, total)
 
@@ -189,14 +186,11 @@ class SineSweep(Script):
     def next(self, state: Array) -> Array:
         value = next(self._values, None)
         if value is None:
-            self._values = iter(self._sweep())
+            frequency = np.geomspace(1.0 / SLOWEST, 1.0 / FASTEST, SWEEP)[:: self._rng.choice([1, -1])]
+            phase = 2.0 * np.pi * (np.cumsum(frequency)[:, None] + self._rng.random(self._nu))
+            self._values = iter(self._rng.uniform(0.3, 1.0, self._nu) * np.sin(phase))
             value = next(self._values)
         return value
-
-    def _sweep(self) -> Array:
-        frequency = np.geomspace(1.0 / SLOWEST, 1.0 / FASTEST, SWEEP)[:: self._rng.choice([1, -1])]
-        phase = 2.0 * np.pi * (np.cumsum(frequency)[:, None] + self._rng.random(self._nu))
-        return self._rng.uniform(0.3, 1.0, self._nu) * np.sin(phase)
 
 
 @dataclass(frozen=True)

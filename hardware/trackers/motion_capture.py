@@ -18,7 +18,6 @@ from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import Axes, SourceClock
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import register_tracker
-from sysid_evo.types import Array
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class MotionCaptureTracker(ProcessTracker):
             if body is not None:
                 turned = body.rotation
                 pose = axes.planar(body.position, (turned.x, turned.y, turned.z, turned.w))
-            if self.polls and self._same(pose, last):
+            if self.polls and (pose.tobytes() == last or np.isnan(pose).any()):
                 yield None
                 continue
             last = pose.tobytes()
@@ -82,10 +81,6 @@ class MotionCaptureTracker(ProcessTracker):
 
     def _axes(self) -> Axes:
         return Axes(self.up, self.scale, self.heading_offset)
-
-    @staticmethod
-    def _same(pose: Array, last: bytes) -> bool:
-        return pose.tobytes() == last or bool(np.isnan(pose).any())
 
 
 @register_tracker("vicon")

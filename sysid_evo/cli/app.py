@@ -160,7 +160,7 @@ def _options(
 
 def main() -> None:
     """Run the command line; an error of this library is one message, not a traceback."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = lambda message, *_, **__: tell(str(message), label="warning: ", style="yellow")
     for name in INNER_THREADS:
         os.environ.setdefault(name, "1")
     arguments = sys.argv[1:]
@@ -172,7 +172,3 @@ def main() -> None:
     except (SysidEvoError, OSError) as error:
         complain(error)
         sys.exit(code_of(error))
-
-
-def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
-    tell(str(message), label="warning: ", style="yellow")

@@ -166,8 +166,10 @@ def card_table(card: dict[str, Any]) -> list[Any]:
             value = f"{value:g} s"
         table.add_row(key, Text(str(value)))
     parts.append(table)
-    if card.get("description"):
-        parts += [Text(""), Text(_reflowed(card["description"]))]
+    if card.get("description"):  # the lines of a paragraph are joined, for the terminal to wrap; not of equations
+        paragraphs = card["description"].split("\n\n")
+        texts = [text if text.startswith(" ") else " ".join(text.split()) for text in paragraphs]
+        parts += [Text(""), Text("\n\n".join(texts))]
     parts += [Text(""), _hyper_parameters(card["hyper_parameters"])]
     if card.get("candidates"):
         parts += [Text(""), _candidates(card["candidates"])]
@@ -201,12 +203,6 @@ def _parameters(rows: list[dict[str, Any]]) -> Table:
         remark = "" if row["determined"] else "not determined"
         table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
     return table
-
-
-def _reflowed(description: str) -> str:
-    """Join the lines of every paragraph, so that the terminal can wrap it; indented ones are equations."""
-    paragraphs = description.split("\n\n")
-    return "\n\n".join(text if text.startswith(" ") else " ".join(text.split()) for text in paragraphs)
 
 
 def _hyper_parameters(values: Any) -> Table:

@@ -86,18 +86,6 @@ def _kind_of(name: str) -> str:
 
 def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
     """Yield the verdicts of the kit of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
-    run = _kit(kind)
-    if kind == "reader" and data is None:
-        raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
-    if data is None:
-        return run(spec.name, **spec.parameters)
-    if kind not in FROM_DATA:
-        raise InvalidArgument(f"kind {kind} is checked without recordings: leave --data out")
-    return run(spec.name, FROM_DATA[kind](data), **spec.parameters)
-
-
-def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
-    """Return the kit of a kind of thing. Raises `InvalidArgument` if there is none."""
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
     kits: Mapping[str, Callable[..., Iterator[CheckResult]]] = {
@@ -108,7 +96,14 @@ def _kit(kind: str) -> Callable[..., Iterator[CheckResult]]:
         "robot": hardware.run_robot_checks,
         "reader": sysid_evo.testing.run_reader_checks,
     }
-    return kits[kind]
+    run = kits[kind]
+    if kind == "reader" and data is None:
+        raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
+    if data is None:
+        return run(spec.name, **spec.parameters)
+    if kind not in FROM_DATA:
+        raise InvalidArgument(f"kind {kind} is checked without recordings: leave --data out")
+    return run(spec.name, FROM_DATA[kind](data), **spec.parameters)
 
 
 FROM_DATA: Mapping[str, Callable[[Path], Any]] = {

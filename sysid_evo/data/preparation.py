@@ -289,16 +289,12 @@ def checked_pose(log: RawLog, system: System) -> Array:
     )
 
 
-def pose_rate(pose: Array, step: float) -> Array:
-    """Return the change per second, (N - 4, n_pose), of a pose (N, n_pose) every ``step`` s."""
-    return np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / step
-
-
 def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice, samples: IntArray) -> Array:
     """Return every state (N - 4, nx) on the uniform clock, before the filter."""
     derived: dict[str, Array] = {}
     if system.motion is not None and pose.size and not log.extra.keys() >= set(system.state_names):
-        derived = system.motion.velocities(pose[REACH:-REACH], pose_rate(pose, clock.step))
+        rate = np.stack([np.convolve(column, STENCIL, mode="valid") for column in pose.T], axis=1) / clock.step
+        derived = system.motion.velocities(pose[REACH:-REACH], rate)
     columns = []
     periods = {channel.name: channel.period for channel in system.states}
     for name in system.state_names:

@@ -340,10 +340,13 @@ def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, 
             "make the environment with actions='continuous'"
         )
     hidden = [int(layer.weight.shape[0]) for layer in linear]
-    parameters: Array = np.concatenate([_flat(layer) for layer in (*linear, last)])
+    numbers = []
+    for layer in (*linear, last):  # its weights (n_in, n_out) row by row, and then its biases
+        weight, bias = (part.detach().cpu().numpy().astype(np.float64) for part in (layer.weight, layer.bias))
+        numbers += [weight.T.ravel(), bias]
     return Champion(
         name=name,
-        parameters=parameters,
+        parameters=np.concatenate(numbers),
         against=trials.names,
         aggregate="mean",
         seed=seed,
@@ -352,9 +355,3 @@ def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, 
         task=Spec.parse(task) if isinstance(task, str) else task,
         system=trials.system,
     )
-
-
-def _flat(layer: Any) -> Array:
-    """Return the weights (n_in, n_out) of a linear layer row by row, and then its biases."""
-    weight, bias = (part.detach().cpu().numpy().astype(np.float64) for part in (layer.weight, layer.bias))
-    return np.concatenate([weight.T.ravel(), bias])

@@ -64,8 +64,13 @@ def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict
     if isinstance(source, Dynamics):
         return {type(source).__name__: source}
     if isinstance(source, (str, Path)):
-        if Path(source).is_dir():
-            return _folder(Path(source))
+        if (folder := Path(source)).is_dir():
+            files = sorted(folder.glob("*.json"))
+            if not files or is_stored_dataset(folder):
+                raise InvalidArgument(
+                    f"environment: no model is stored in {folder}; in a run they stand in the folder models"
+                )
+            return {file.stem: _dynamics(file) for file in files}
         return {_name_of(source): _dynamics(source)}
     listed = list(source)
     return {f"{_name_of(one)}-{i + 1}": _dynamics(one) for i, one in enumerate(listed)}
@@ -83,13 +88,6 @@ def _dynamics(source: Source) -> Dynamics:
             "Name the file of a model, or a robot that exists as a program"
         )
     return dynamics
-
-
-def _folder(folder: Path) -> dict[str, Dynamics]:
-    files = sorted(folder.glob("*.json"))
-    if not files or is_stored_dataset(folder):
-        raise InvalidArgument(f"environment: no model is stored in {folder}; in a run they stand in the folder models")
-    return {file.stem: _dynamics(file) for file in files}
 
 
 def _name_of(source: Source) -> str:

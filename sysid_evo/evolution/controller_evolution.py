@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import chain, product
@@ -162,7 +162,12 @@ def evolve_controller(
         return strategy, Schedule(easier, objective(run, task, models), most=task.most)
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        return tuple(_finalists(strategy, objective(run, task, models), run, seeds))
+        found, on = [], objective(run, task, models)
+        for niche, candidates in strategy.finals.items():
+            fitness = on.on_trials(candidates, seeds).fitness
+            winner = int(np.argmax(fitness))
+            found.append(Finalist(niche, run, float(fitness[winner]), candidates[winner]))
+        return tuple(found)
 
     ended = Runs(
         settings.runs,
@@ -197,14 +202,6 @@ def evolve_controller(
 def selection_seeds(seed: int, trials: int) -> Seeds:
     """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
     return trial_seeds(seed, trials, generation=SELECTION)
-
-
-def _finalists(strategy: EvolutionStrategy, objective: EnsembleObjective, run: int, seeds: Seeds) -> Iterator[Finalist]:
-    """Yield the best of every niche on the trials of ``seeds``."""
-    for niche, candidates in strategy.finals.items():
-        fitness = objective.on_trials(candidates, seeds).fitness
-        winner = int(np.argmax(fitness))
-        yield Finalist(niche, run, float(fitness[winner]), candidates[winner])
 
 
 def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:

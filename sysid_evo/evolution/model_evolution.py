@@ -24,7 +24,6 @@ from sysid_evo.models.dynamics import chained
 from sysid_evo.processors import available_processors
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import keyed_generator
-from sysid_evo.system import System
 from sysid_evo.types import Array
 
 PopulationStep: TypeAlias = Callable[[Array, Array, Array], Array]
@@ -87,7 +86,8 @@ class ModelEvolution:
                 f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
                 + (f" and {history} of history" if history else "")
             )
-        weight = state_weights(dataset.system, every.last_states, self.weights)
+        scale = dataset.system.spread(every.last_states)
+        weight = np.ones_like(scale) if self.weights == "paper" else 1.0 / np.where(scale > 0, scale, 1.0) ** 2
         seed = int(rng.integers(2**32))
 
         def objective(population: Array, generation: int) -> Array:
@@ -140,14 +140,6 @@ class ModelEvolution:
 def starting_carries(windows: Windows, start: Start | None) -> Array:
     """Return the carries (W, n_carry) from which ``windows`` are simulated."""
     return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
-
-
-def state_weights(system: System, states: Array, weights: Weights) -> Array:
-    """Return how much the square error of each state counts, (nx,), when it is to be like ``states`` (N, nx)."""
-    spread = system.spread(states)
-    if weights == "paper":
-        return np.ones_like(spread)
-    return 1.0 / np.where(spread > 0, spread, 1.0) ** 2
 
 
 def final_error(

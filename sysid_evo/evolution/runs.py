@@ -198,8 +198,11 @@ class Standing:
     @classmethod
     def of(cls, state: StrategyState) -> Standing:
         """Undo `state`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        runs = state["runs"]
+        if not isinstance(runs, int) or runs < 0:
+            raise ValueError(f"expected a number of runs, got {runs!r}")
         return cls(
-            ended=tuple(_ended(state, run) for run in range(_number(state["runs"]))),
+            ended=tuple(_ended(state, run) for run in range(runs)),
             history=check_shape("history", state["history"], (None, 3)),
             strategy=_part(state, STRATEGY),
             schedule=_part(state, SCHEDULE),
@@ -230,9 +233,3 @@ def _ended(state: Mapping[str, Array | int | float | str], run: int) -> EndedRun
         check_shape("history", history, (None, 3)),
         check_shape("population", population, (None, finalists.shape[1])),
     )
-
-
-def _number(value: Array | int | float | str) -> int:
-    if not isinstance(value, int) or value < 0:
-        raise ValueError(f"expected a number of runs, got {value!r}")
-    return value

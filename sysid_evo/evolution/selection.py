@@ -22,7 +22,7 @@ from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
-from sysid_evo.types import Array, BoolArray
+from sysid_evo.types import Array
 
 Judgement: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
 """What a champion's finalists are worth, (P,), by their fitness (M, P) on the models of these labels."""
@@ -122,7 +122,9 @@ def polish(
     everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
     by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
     assert by_model is not None
-    used = tuple(label for label, kept in zip(late, credible(by_model[:, 0]), strict=True) if kept)
+    fitness, median = by_model[:, 0], np.median(by_model[:, 0])
+    credible = fitness >= median - (1.0 - CREDIBLE) * abs(median)
+    used = tuple(label for label, kept in zip(late, credible, strict=True) if kept)
     believed = tuple(met({label: runners[label] for label in used}, settings).values())
 
     @cache
@@ -172,10 +174,3 @@ def polish(
         finalists=tuple(run.finalists[0] for run in ended),
         population=ended[best.run].population,
     )
-
-
-def credible(fitness: Array) -> BoolArray:
-    """Return which models (M,) are believed about a controller that has this fitness on them."""
-    median = np.median(fitness)
-    kept: BoolArray = fitness >= median - (1.0 - CREDIBLE) * abs(median)
-    return kept

@@ -124,24 +124,20 @@ def _actuations(program: Program, system: System) -> list[Statement]:
 def _observations(program: Program, controls: tuple[Variable, ...], channels: tuple[Channel, ...]) -> Array:
     """Return observations (T, n) on which single and double precision decide alike."""
     for seed in range(ATTEMPTS):
-        seen = _drawn(channels, seed)
+        rng = np.random.default_rng(seed)
+        columns = [
+            np.full(VECTORS, channel.neutral)
+            if channel.name == "bias"
+            else rng.uniform(channel.low, channel.high, VECTORS)
+            if channel.bounded
+            else channel.neutral + rng.standard_normal(VECTORS)
+            for channel in channels
+        ]
+        seen = np.round(np.stack(columns, axis=1), 3)
         exact, single = (_run(program, controls, seen.astype(real)) for real in (np.float64, np.float32))
         if np.allclose(exact, single, rtol=1e-4, atol=1e-4):
             break
     return seen
-
-
-def _drawn(channels: tuple[Channel, ...], seed: int) -> Array:
-    rng = np.random.default_rng(seed)
-    columns = [
-        np.full(VECTORS, channel.neutral)
-        if channel.name == "bias"
-        else rng.uniform(channel.low, channel.high, VECTORS)
-        if channel.bounded
-        else channel.neutral + rng.standard_normal(VECTORS)
-        for channel in channels
-    ]
-    return np.round(np.stack(columns, axis=1), 3)
 
 
 def _run(program: Program, controls: tuple[Variable, ...], seen: Array) -> Array:

@@ -84,7 +84,8 @@ def python_text(law: Law) -> str:
     for statement in program.statements:
         remark = f"  # {statement.remark}" if statement.remark else ""
         text = _text(statement.expression)[0]
-        if not _has_size(statement.expression):
+        vectors = (Variable, ConstantVector, Dot, Take)
+        if not any(isinstance(part, vectors) for part in parts_of(statement.expression)):
             text = f"np.array([{text}])"
         statements.append(f"{statement.name} = {text}{remark}")
     after = [f"self.{name} = {value.name}" for name, value in program.remembered.items()]
@@ -115,11 +116,6 @@ def _table(values: Array) -> str:
         return f"np.array([{', '.join(repr(value) for value in values.tolist())}])"
     rows = "".join(f"    [{', '.join(repr(value) for value in row)}],\n" for row in values.tolist())
     return f"np.array([\n{rows}])"
-
-
-def _has_size(e: Expression) -> bool:
-    """Whether the text of ``e`` gives an array: somewhere in it stands a vector."""
-    return any(isinstance(part, (Variable, ConstantVector, Dot, Take)) for part in parts_of(e))
 
 
 def _text(e: Expression) -> tuple[str, int]:

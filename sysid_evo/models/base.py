@@ -155,7 +155,9 @@ class DynamicsModel(Dynamics, Estimator):
     @classmethod
     def check_installed(cls) -> None:
         """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
-        require_packages(cls, cls.requires)
+        points = [point for point in entry_points(group="sysid_evo.models") if point.module == cls.__module__]
+        owner = points[0].dist if points else None
+        check_installed(cls.__name__, cls.requires, owner or DISTRIBUTION)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
@@ -466,13 +468,6 @@ def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator)
         self.kept_steps_ = [few.n_steps, dataset.n_steps]
         warnings.warn(f"{type(self).__name__} {self.fit_note}", DataWarning, stacklevel=4)
     return few
-
-
-def require_packages(family: type, packages: Sequence[str]) -> None:
-    """Raise `MissingExtra` with the command that installs it if one of ``packages`` cannot be imported."""
-    points = [point for point in entry_points(group="sysid_evo.models") if point.module == family.__module__]
-    owner = points[0].dist if points else None
-    check_installed(family.__name__, packages, owner or DISTRIBUTION)
 
 
 def make_model(spec: str | Spec, /, **parameters: Any) -> DynamicsModel:

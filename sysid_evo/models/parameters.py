@@ -82,7 +82,11 @@ def declare(family: type) -> None:
 
 def check_values(family: type, values: Mapping[str, Any]) -> None:
     """Raise `InvalidArgument` with the first of ``values`` that has the wrong type or is out of its limits."""
-    annotations, limits = _annotations(family), limits_of(family)
+    limits = limits_of(family)
+    try:
+        annotations = typing.get_type_hints(family.__init__)  # type: ignore[misc]  # __init__ of a class is only read
+    except NameError:  # a name that only the type checker knows: nothing to check against
+        annotations = {}
     for name, value in values.items():
         expected, limit = annotations.get(name, Any), limits.get(name, Limit())
         if not (fits(value, expected) and limit.allows(value)):
@@ -132,13 +136,6 @@ def described(expected: Any) -> str:
     if origin in (list, tuple, Sequence):
         return f"a list of {described(arguments[0]).removeprefix('a ')}s"
     return NAMES.get(expected, getattr(expected, "__name__", "a value"))
-
-
-def _annotations(family: type) -> dict[str, Any]:
-    try:
-        return typing.get_type_hints(family.__init__)  # type: ignore[misc]  # __init__ of a class is only read
-    except NameError:  # a name that only the type checker knows: nothing to check against
-        return {}
 
 
 def checked(init: Any) -> Any:

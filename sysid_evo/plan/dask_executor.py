@@ -453,8 +453,9 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
         try:
             client = Client(address, set_as_default=False, name="sysid-evo")
         except OSError as error:
+            why = (str(error).splitlines() or [type(error).__name__])[0]
             raise SchedulerLost(
-                f"no scheduler answers at {address} ({_first(error)}): start one with 'dask scheduler', name the "
+                f"no scheduler answers at {address} ({why}): start one with 'dask scheduler', name the "
                 f"address that it prints, or compute without one; {GO_ON}"
             ) from error
         try:
@@ -492,7 +493,3 @@ def address_of(text: str) -> str:
             f"scheduler: expected tcp://HOST:PORT, tls://HOST:PORT or the {FILE_ENDS} file of a scheduler, got {text!r}"
         )
     return text
-
-
-def _first(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]

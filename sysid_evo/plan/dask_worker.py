@@ -71,7 +71,9 @@ class Child:
     def __init__(self, place: Path, asked: Mapping[str, Any], before: Sequence[Parcel], files: Parcel) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="sysid-evo-", dir=place))
         self.store = Store(self.folder / "run")
-        self.before = {name for parcel in before for name in _names(parcel, self.store.path)}
+        for parcel in before:
+            unpack(parcel, self.store.path)
+        self.before = {name for parcel in before for name, _, _ in parcel}
         unpack(files, self.folder / "files")
         names = {text: str(self.folder / "files" / name) for text, name in asked["files"].items()}
         again = Again(asked["function"], asked["settings"]).with_files_at(names)
@@ -99,7 +101,8 @@ class Child:
                 return self._lost(), ()
             self.knows, self.cannot = frozenset(message.get("knows", ())), message.get("cannot", "")
         if asked["digest"] not in self.knows:
-            return self._lacking(), ()
+            known = sorted(self.knows or ())
+            return {"status": LACKS, "reason": self.cannot, "knows": known, "versions": versions()}, ()
         self.worker.say(compute=asked["digest"], failed=asked["failed"], alone=True)
         reason: str | None = None
         told: dict[str, list[str]] = {"remarks": [], "warnings": []}
@@ -132,9 +135,6 @@ class Child:
     def _lost(self) -> dict[str, Any]:
         return {"status": ENDED, "reason": said_of(self.worker.wait())}
 
-    def _lacking(self) -> dict[str, Any]:
-        return {"status": LACKS, "reason": self.cannot, "knows": sorted(self.knows or ()), "versions": versions()}
-
     def _ended(self, digest: str, reason: str | None, told: dict[str, Any]) -> tuple[dict[str, Any], Parcel]:
         record = self.store.find(digest)
         if reason is None:
@@ -162,11 +162,6 @@ class Child:
         if len(self.kept) > KEPT:
             for name in self.kept.pop(next(iter(self.kept))):
                 (self.store.path / name).unlink(missing_ok=True)
-
-
-def _names(parcel: Parcel, folder: Path) -> list[str]:
-    unpack(parcel, folder)
-    return [name for name, _, _ in parcel]
 
 
 class Children:

@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, TypeAlias
 
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.plan import Again, Plan, work_ahead
@@ -70,19 +70,16 @@ class SideBySide:
                 if len(self.ledger.ended) != ended:  # a plan may have ten thousand cells: not after every word
                     left = self.ledger.left(left)
         finally:
-            self._dismiss_all()
+            for worker in (*self.at, *self.coming):
+                worker.dismiss()
+            for worker in (*self.at, *self.coming):
+                worker.wait()
 
     def _hire(self) -> Worker:
         worker = Worker(self.inbox)
         worker.say(function=self.again.function, settings=self.again.settings)
         self.coming.add(worker)
         return worker
-
-    def _dismiss_all(self) -> None:
-        for worker in (*self.at, *self.coming):
-            worker.dismiss()
-        for worker in (*self.at, *self.coming):
-            worker.wait()
 
     def _hand_out(self, left: Sequence[Cell]) -> None:
         """Give every idle process a cell that waits for nothing; compute one here if only this process can."""
@@ -258,17 +255,13 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Compute what is asked for, until nobody is there to ask."""
-    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         master = Master()
         warnings.showwarning = master.warn
         serve(master)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-
-
-def _stop(*_: Any) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 class Master:

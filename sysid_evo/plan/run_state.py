@@ -137,16 +137,14 @@ class Here:
         """Compute ``cells``, of which each stands after those it needs; wait for what other processes compute."""
         left = self.ledger.left(cells)
         while left:
-            moved = [cell for cell in left if self._settle(cell)]
+            moved = [
+                cell
+                for cell in left
+                if not self.ledger.waits(cell) and (self.ledger.decided(cell) or self.attempt(cell))
+            ]
             left = self.ledger.left(left)
             if left and not moved:
                 time.sleep(PATIENCE)
-
-    def _settle(self, cell: Cell) -> bool:
-        """Bring one cell to its end if nothing stands in the way; say whether it is there."""
-        if self.ledger.waits(cell):
-            return False
-        return self.ledger.decided(cell) or self.attempt(cell)
 
     def attempt(self, cell: Cell) -> bool:
         """Compute ``cell``, all of whose needs have ended, unless another process is at it; say whether it ended."""

@@ -164,7 +164,10 @@ class Following(Task):
         moving = ((rates / still) ** 2).sum(axis=1)
         reached = here.reached | ~off.any(axis=1)
         past = (-np.sign(here.first) * errors / np.maximum(np.abs(here.first), tolerance)).max(axis=1)
-        gained = (1.0 / (1.0 + squares + moving) + self.effort * (1.0 - self._power(control))) / (1.0 + self.effort)
+        power = np.zeros(len(control))  # mean square share of the full controls
+        if self.system.nu:
+            power = np.mean(((control - self.system.neutral_control) * full_controls(self.system)) ** 2, axis=1)
+        gained = (1.0 / (1.0 + squares + moving) + self.effort * (1.0 - power)) / (1.0 + self.effort)
         advanced = replace(
             moved,
             pose=self.system.move(here.pose, before, after) if pose is None else pose,
@@ -253,12 +256,6 @@ class Following(Task):
             if goal.period:
                 errors[:, i] = wrap(errors[:, i], goal.period)
         return errors
-
-    def _power(self, control: Array) -> Array:
-        """Return the mean square share of the full controls (B,), 0 without a command."""
-        if not self.system.nu:
-            return np.zeros(len(control))
-        return np.mean(((control - self.system.neutral_control) * full_controls(self.system)) ** 2, axis=1)
 
 
 def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]:

@@ -206,7 +206,8 @@ class Niches(EvolutionStrategy):
         self.generation, self._running, self._chosen = int(state["generation"]), running, chosen
 
     def ask(self) -> Array:
-        turn = self._turn()
+        count, first = len(self.islands), self.generation * self.slots
+        turn = self._running or sorted({(first + i) % count for i in range(self.slots)})
         populations = [self.islands[i].strategy.ask() for i in turn]
         self._asked = [(i, len(population)) for i, population in zip(turn, populations, strict=True)]
         return np.concatenate(populations)
@@ -229,13 +230,6 @@ class Niches(EvolutionStrategy):
             self._running = [
                 self._start(self._hoped()) if self.islands[i].over(self._patience) else i for i in self._running
             ]
-
-    def _turn(self) -> list[int]:
-        """Return which islands are asked in this generation."""
-        if self._running:
-            return self._running
-        count, first = len(self.islands), self.generation * self.slots
-        return sorted({(first + i) % count for i in range(self.slots)})
 
     @property
     def _total(self) -> int:

@@ -319,7 +319,7 @@ def _improved(
     runs, derivatives = sensitivities(model, terms, start, pieces)
     here = pieces.errors(runs[None]).ravel()
     slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
-    weights = _weights(here)
+    weights = np.minimum(1.0, TOLERATED / np.maximum(np.abs(here), 1e-12))
     share = seconds / here.size
     normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
     step = np.linalg.solve(normal, -share * slopes @ (weights * here) - (ridge * start).ravel()).reshape(start.shape)
@@ -330,10 +330,6 @@ def _improved(
     costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
     best = int(np.argmin(costs))
     return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
-
-
-def _weights(errors: Array) -> Array:
-    return np.minimum(1.0, TOLERATED / np.maximum(np.abs(errors), 1e-12))
 
 
 def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> float:
