@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from hardware.driving.page_messages import ALL_KEYS, BACKWARD, FORWARD, LEFT, RIGHT, keys_message
@@ -16,12 +15,6 @@ from sysid_evo.types import Array
 HOLD = 0.15  # s after the last word of the page by which the robot must be in neutral
 LATE = 0.1  # s on the way, more than the fastest, that make a word of the page too old to act on
 CREEP = 0.001  # s/s by which the fastest way is forgotten: more than two clocks drift apart
-
-
-@dataclass(frozen=True)
-class _Held:
-    keys: int
-    time: float
 
 
 class Keyboard:
@@ -37,27 +30,27 @@ class Keyboard:
             raise InvalidArgument(f"keyboard: expected keys to hold for more than 0 s, got {life}")
         self.life = life
         self._clock = clock
-        self._held = _Held(0, clock())
+        self._held = 0, clock()  # the keys, and when that was said
         self._again = threading.Event()
 
     def press(self, keys: int) -> None:
         """Set which keys are held now."""
-        self._held = _Held(keys & ALL_KEYS, self._clock())
+        self._held = keys & ALL_KEYS, self._clock()
 
     def release(self) -> None:
         """Let go of all keys."""
-        self._held = _Held(0, self._clock())
+        self._held = 0, self._clock()
 
     @property
     def keys(self) -> int:
         """The keys that are held now."""
-        held = self._held
-        return held.keys if self._clock() - held.time <= self.life else 0
+        keys, said = self._held
+        return keys if self._clock() - said <= self.life else 0
 
     @property
     def let_go(self) -> bool:
         """Whether the newest word was that no key is held: a word that is overdue does not say so."""
-        return self._held.keys == 0
+        return self._held[0] == 0
 
     def ask_for_new_trial(self) -> None:
         """Note that the person wants to start anew."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,16 +21,11 @@ class InvalidWord(ValueError):
     """What came is not what the page sends."""
 
 
-class KeysMessage(NamedTuple):
-    """The ``keys`` held (a bit for each), the page's ``clock`` in s, and whether a ``new`` trial is wanted."""
+def keys_message(word: Any) -> tuple[int, float, bool]:
+    """Return the keys held (a bit for each), the page's clock in s, and whether ``word`` wants a new trial.
 
-    keys: int
-    clock: float
-    new: bool
-
-
-def keys_message(word: Any) -> KeysMessage:
-    """Return what a word of the page says; one without ``new`` wants no new trial. Raises `InvalidWord`."""
+    One without ``new`` wants none. Raises `InvalidWord`.
+    """
     if not isinstance(word, dict) or not {"keys", "clock"} <= word.keys() <= {"keys", "clock", "new"}:
         raise InvalidWord("expected keys, clock and perhaps new")
     keys, clock, new = word["keys"], word["clock"], word.get("new", False)
@@ -40,7 +35,7 @@ def keys_message(word: Any) -> KeysMessage:
         raise InvalidWord(f"clock: expected seconds, got {clock!r}")
     if type(new) is not bool:
         raise InvalidWord(f"new: expected true or false, got {new!r}")
-    return KeysMessage(keys, clock, new)
+    return keys, clock, new
 
 
 MOST_TRACES = 4
@@ -123,11 +118,10 @@ def speed_of(system: System, state: Array | None) -> float | None:
 
 
 def _trace(channel: Channel) -> dict[str, Any]:
-    bounds = [channel.low, channel.high] if channel.bounded else None
     return {
         "name": channel.name,
         "unit": channel.unit,
         "neutral": channel.neutral,
         "period": channel.period,
-        "bounds": bounds,
+        "bounds": [channel.low, channel.high] if channel.bounded else None,
     }

@@ -13,6 +13,7 @@ import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -78,9 +79,7 @@ def served(
 ) -> Iterator[PageServer]:
     """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
 
-    def died(why: str) -> None:
-        stops.request(Reason.THREAD_DIED, why)
-
+    died = partial(stops.request, Reason.THREAD_DIED)
     with PageServer(panel, keyboard, host=address.host, port=address.port, died=died) as page:
         announce(page.url)
         if address.opened:

@@ -200,11 +200,7 @@ def extremes(channel: Channel) -> Array:
 def switches(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
     """Every control jumps to a random extreme at random times, ``mean`` s apart, each for itself."""
     levels = [extremes(channel) for channel in system.controls]
-
-    def draw(control: int) -> float:
-        return float(rng.choice(levels[control]))
-
-    return _jumps(system.nu, draw, mean, rng)
+    return _jumps(system.nu, lambda control: float(rng.choice(levels[control])), mean, rng)
 
 
 def steps(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:

@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -203,7 +204,5 @@ def save_raw(log: RawLog, system: System, path: str | Path) -> Path:
     header = ",".join((*column_names(system), *log.extra))
     table = np.column_stack([log.time, log.pose, log.controls, *log.extra.values()])
 
-    def write(file: Path) -> None:
-        np.savetxt(file, table, fmt="%.9g", delimiter=",", header=header, comments="")
-
+    write = partial(np.savetxt, X=table, fmt="%.9g", delimiter=",", header=header, comments="")
     return write_atomically(Path(path), write)

@@ -110,7 +110,14 @@ class EnvironmentTask(Task):
 
     def check_system(self, system: System) -> None:
         if self.known is None:
-            self._check_sizes(system)
+            assert self.asked is not None
+            n, controls = len(self.asked.scale), self.asked.controls
+            if system.nx != n or _size(system.controls) != _size(controls):
+                raise IncompatibleTask(
+                    f"the task of {self.id} needs {n} states, those in which the environment keeps itself, and its own "
+                    f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
+                    f"controls {', '.join(system.control_names) or 'none'}"
+                )
             return
         for what, own, its in (
             ("states", self.known.states, system.state_names),
@@ -122,16 +129,6 @@ class EnvironmentTask(Task):
                     f"the task of {self.id} needs the {what} {', '.join(names)}; "
                     f"{system.name or 'this system'} has {', '.join(its) or 'none'}"
                 )
-
-    def _check_sizes(self, system: System) -> None:
-        assert self.asked is not None
-        n, controls = len(self.asked.scale), self.asked.controls
-        if system.nx != n or _size(system.controls) != _size(controls):
-            raise IncompatibleTask(
-                f"the task of {self.id} needs {n} states, those in which the environment keeps itself, and its own "
-                f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
-                f"controls {', '.join(system.control_names) or 'none'}"
-            )
 
     def bind(self, system: System) -> EnvironmentTask:
         bound = super().bind(system)

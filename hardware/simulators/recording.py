@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,7 +47,7 @@ def record_simulator(
     each = samples_each(simulator, duration)
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
-    tried: list[TriedFeedback] = []
+    tried: list[tuple[int, Array]] = []
     reason = Reason.SAMPLES
     with simulator.open() as session:
         for number, name in enumerate(SCRIPTS):
@@ -88,7 +87,7 @@ def _script(
     name: str,
     simulator: ExternalSimulator,
     episodes: list[Trajectory],
-    tried: list[TriedFeedback],
+    tried: list[tuple[int, Array]],
     rng: np.random.Generator,
 ) -> Script:
     system = simulator.system
@@ -193,24 +192,16 @@ class SineSweep(Script):
         return value
 
 
-@dataclass(frozen=True)
-class TriedFeedback:
-    """The ``weights`` (nu, n) of a feedback, and how many steps its episode ``lasted``."""
-
-    lasted: int
-    weights: Array
-
-
 class RandomFeedback(Script):
     """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
 
     A system whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
     some feedbacks, and swings far under others. Every second episode takes weights near those of one that lasted
     long, so that it goes where the state can be kept. ``seen`` are states (N, nx) that give scale and aims,
-    ``tried`` what was tried before, to which this one adds.
+    ``tried`` the steps that earlier feedbacks lasted and their weights (nu, n), to which this one adds.
     """
 
-    def __init__(self, system: System, seen: Array, tried: list[TriedFeedback], rng: np.random.Generator) -> None:
+    def __init__(self, system: System, seen: Array, tried: list[tuple[int, Array]], rng: np.random.Generator) -> None:
         self._system, self._rng, self._tried = system, rng, tried
         self._seen = system.regressors(seen)
         spread = self._seen.std(axis=0)
@@ -221,7 +212,7 @@ class RandomFeedback(Script):
 
     def begin(self, lasted: int) -> None:
         if lasted > 0:
-            self._tried.append(TriedFeedback(lasted, self._weights * self._scale))
+            self._tried.append((lasted, self._weights * self._scale))
         self._weights = self._drawn()
         self._aim = self._seen[self._rng.integers(len(self._seen))]
         self._dither = self._rng.uniform(0.0, 2.0 * FEEDBACK)
@@ -236,7 +227,7 @@ class RandomFeedback(Script):
         """Return new weights, or some near those that lasted longest."""
         drawn = self._rng.standard_normal(self._weights.shape)
         if len(self._tried) >= FEW and self._rng.random() < AGAIN:
-            longest = sorted(self._tried, key=lambda one: -one.lasted)[: max(1, len(self._tried) // 20)]
-            weights: Array = longest[self._rng.integers(len(longest))].weights / self._scale
+            longest = sorted(self._tried, key=lambda one: -one[0])[: max(1, len(self._tried) // 20)]
+            weights: Array = longest[self._rng.integers(len(longest))][1] / self._scale
             return weights + NEAR * np.abs(weights) * drawn
         return float(np.exp(self._rng.uniform(-1.5, 1.5))) * drawn

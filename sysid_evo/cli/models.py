@@ -159,7 +159,8 @@ def card_table(card: dict[str, Any]) -> list[Any]:
         if key in ("description", "hyper_parameters", "equations", "candidates", "parameters"):
             continue
         if isinstance(value, dict):
-            value = ", ".join(f"{name} {_short(item)}" for name, item in value.items())
+            shown = [f"{item:.3g}" if isinstance(item, float) else str(item) for item in value.values()]
+            value = ", ".join(f"{name} {item}" for name, item in zip(value, shown, strict=True))
         elif isinstance(value, list):
             value = ", ".join(map(str, value))
         elif key == "dt":
@@ -178,10 +179,6 @@ def card_table(card: dict[str, Any]) -> list[Any]:
     if card.get("parameters"):
         parts += [Text(""), _parameters(card["parameters"])]
     return parts
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _candidates(rows: list[dict[str, str]]) -> Table:

@@ -400,9 +400,6 @@ def drive_by_hand(
         recorders.append(hardware.recorder_of(folder, robot, name, limits))
         return recorders[-1]
 
-    def announce(url: str) -> None:
-        say(f"Drive {robot.name} at {url}")
-
     with (
         hardware.Stops() as stops,
         hardware.driven_by_hand(
@@ -411,7 +408,7 @@ def drive_by_hand(
             page,
             seed_of=lambda index: int(evaluation.transfer_seeds(first, index + 1)[index]),
             stops=stops,
-            announce=announce,
+            announce=lambda url: say(f"Drive {robot.name} at {url}"),
             recorder=None if folder is None else recorder,
             origin=np.zeros(robot.system.n_pose) if tracker_origin else None,
         ) as offered,

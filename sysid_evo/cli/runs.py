@@ -62,9 +62,9 @@ def diff(
     as_json: Json = False,
 ) -> None:
     """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
-    settings, cells, figures = zip(
-        *((evaluation.settings_of_run(run), _cells(run), _figures(run)) for run in (first, second)), strict=True
-    )
+    settings, figures = zip(*((evaluation.settings_of_run(run), _figures(run)) for run in (first, second)), strict=True)
+    stores = [evaluation.store_of_run(run) for run in (first, second)]
+    cells = [{record.digest: record.title for record in store.records()} for store in stores]
     changed = _beside(settings, only_changed=True)
     alone = [[title for digest, title in here.items() if digest not in there] for here, there in (cells, cells[::-1])]
     known = _beside(figures)
@@ -102,11 +102,6 @@ def clean(
             file.unlink(missing_ok=True)
     verb = "would go" if dry_run else "removed"
     out.print(f"{len(unneeded)} files {verb}, {size / 2**20:.1f} MiB", highlight=False)
-
-
-def _cells(run: Path) -> dict[str, str]:
-    """Return the title of each cell of a run by its digest."""
-    return {record.digest: record.title for record in evaluation.store_of_run(run).records()}
 
 
 def _figures(run: Path) -> dict[str, float | None]:
