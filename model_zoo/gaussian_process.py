@@ -74,7 +74,10 @@ class GaussianProcess(Uncertain):
             lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
             self.keep_lags(lags)
             self._learn(dataset, rng, counter)
-            parts = [(self._without(seen), unseen) for seen, unseen in unseen_parts(dataset)]
+            parts = []  # models with the same hyper-parameters and inducing points
+            for seen, unseen in unseen_parts(dataset):
+                parts.append((self.variant(stochastic=False), unseen))
+                parts[-1][0]._condition(seen)
             if self.stochastic:
                 self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
                 return self
@@ -123,12 +126,6 @@ class GaussianProcess(Uncertain):
         found = squared_exponential(left / self.lengths_[channel], right / self.lengths_[channel])
         found *= self.amplitude_[channel] ** 2
         return found
-
-    def _without(self, seen: Dataset) -> GaussianProcess:
-        """Return this model with its hyper-parameters and inducing points, that learned from ``seen`` only."""
-        other = self.variant(stochastic=False)
-        other._condition(seen)
-        return other
 
     def _trial(
         self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter

@@ -13,7 +13,7 @@ from evaluation.prediction.residuals import LAGS
 from sysid_evo.data.advice import spell
 from sysid_evo.data.response import acting_controls
 from sysid_evo.data.trajectory import evenly_spaced
-from sysid_evo.types import Array, BoolArray, IntArray
+from sysid_evo.types import Array, BoolArray
 
 FEWEST = 250
 """Steps with the whole past that a model knows, below which nothing is said."""
@@ -88,18 +88,14 @@ def estimate_noise(evidence: Evidence) -> Noise | None:
     left = steps.errors[rows][known] / evidence.std
     now, earlier, places = now[known], earlier[known], np.flatnonzero(rows)[known]
     some = evenly_spaced(len(left), MOST_PAIRS, nearest=True)
-    pairs = _nearest(standardised(np.concatenate([now, earlier], axis=1))[some], places[some])
+    points, places = standardised(np.concatenate([now, earlier], axis=1))[some], places[some]
+    count = min(len(points), NEIGHBOURS + 2 * APART + 1)
+    near = np.asarray(cKDTree(points).query(points, k=count)[1], dtype=np.int64)
+    apart = np.abs(places[near] - places[:, None]) > APART  # in time
+    pairs = near[np.arange(len(near)), apart.argmax(axis=1)]
     floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)
     return Noise(float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left))
-
-
-def _nearest(points: Array, places: IntArray) -> IntArray:
-    """Return for each point the nearest that is more than `APART` steps away in time."""
-    count = min(len(points), NEIGHBOURS + 2 * APART + 1)
-    near = np.asarray(cKDTree(points).query(points, k=count)[1], dtype=np.int64)
-    apart = np.abs(places[near] - places[:, None]) > APART
-    return np.asarray(near[np.arange(len(near)), apart.argmax(axis=1)])
 
 
 SHARE = 0.1

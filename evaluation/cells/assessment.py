@@ -33,7 +33,6 @@ from evaluation.transfer.matrix import (
     transfer_seeds,
     with_measured,
 )
-from sysid_evo.data import Trajectory
 from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution
@@ -239,9 +238,12 @@ class AdviseCell(Cell):
         if not models:
             return ModelAdvice("", ())
         best = self._best(models, parts, work)
-        return advise_model(
-            models[best], parts.training, parts.test, visited=self._visited(work), name=best, seed=self.seed
-        )
+        # what evolved controllers did in their recorded trials, in models and on robots
+        runs = () if self.matrix is None else self.matrix.runs
+        evolved = [run for run in runs if not isinstance(run.champion, HandWrittenCell)]
+        cells = [cell for run in evolved if (cell := work.result(run)) is not None]
+        visited = [trace.trajectory for cell in cells for trace in cell.traces]
+        return advise_model(models[best], parts.training, parts.test, visited=visited, name=best, seed=self.seed)
 
     def _best(self, models: Mapping[str, DynamicsModel], parts: Parts, work: Work) -> str:
         """Return the label of the model with the lowest N at the main horizon, as far as that is known."""
@@ -259,14 +261,6 @@ class AdviseCell(Cell):
         evidence = [Evidence(label, model, parts.training, parts.test) for label, model in models.items()]
         scored = {one.name: one.test_windows.n(one.std) for one in evidence if len(one.test_windows.errors)}
         return min(scored, key=lambda label: scored[label], default=first)
-
-    def _visited(self, work: Work) -> list[Trajectory]:
-        """Return what evolved controllers did in their recorded trials, in models and on robots."""
-        if self.matrix is None:
-            return []
-        evolved = [run for run in self.matrix.runs if not isinstance(run.champion, HandWrittenCell)]
-        cells = [cell for run in evolved if (cell := work.result(run)) is not None]
-        return [trace.trajectory for cell in cells for trace in cell.traces]
 
     def save(self, value: ModelAdvice, path: Path) -> list[Path]:
         return write_json(advice_to_json(value), path)

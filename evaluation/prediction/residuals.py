@@ -16,7 +16,7 @@ from scipy.special import chdtrc, stdtr, stdtrit
 
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
-from sysid_evo.types import Array, BoolArray, IntArray
+from sysid_evo.types import Array, BoolArray
 
 LAGS = 20
 """Lags of the autocorrelation, and of controls before the step."""
@@ -53,7 +53,11 @@ def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> St
     """Predict every step that starts and ends in motion, from sample ``first`` or the first with enough history."""
     system = dataset.system
     windows = dataset.windows(1, history=model.n_lags, first=first, moving=True)
-    windows = windows[_in_pieces(len(windows))]
+    some = np.arange(len(windows))
+    if len(windows) > MOST_STEPS:
+        pieces = np.linspace(0, len(windows) - PIECE, MOST_STEPS // PIECE).round().astype(np.int64)
+        some = (pieces[:, None] + np.arange(PIECE)).ravel()
+    windows = windows[some]
     lengths = [len(episode) + 1 + LAGS for episode in dataset]
     begins = np.cumsum([0, *lengths])
     states, controls = np.full((begins[-1], system.nx), np.nan), np.full((begins[-1], system.nu), np.nan)
@@ -69,13 +73,6 @@ def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> St
         kept = lands[rows + 1] & np.isfinite(off).all(axis=1)
         errors[rows[kept]] = off[kept]
     return StepErrors(errors, states, controls)
-
-
-def _in_pieces(count: int) -> IntArray:
-    if count <= MOST_STEPS:
-        return np.arange(count)
-    begins = np.linspace(0, count - PIECE, MOST_STEPS // PIECE).round().astype(np.int64)
-    return np.asarray((begins[:, None] + np.arange(PIECE)).ravel())
 
 
 @dataclass(frozen=True)

@@ -265,12 +265,13 @@ def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
 
 def episode_errors(cases: MeasuredCases, windows: Array, free_runs: Sequence[Array]) -> tuple[EpisodeError, ...]:
     """Return the errors of each test episode; ``windows`` (N, H, nx) and ``free_runs`` are what was predicted."""
+    errors, system = cases.system.difference(windows, cases.windows.states), cases.system
+    nothing = np.full(system.nx, np.nan)
     fits = {
-        run.episode: _fit(cases, run.states, predicted)
+        run.episode: measures.fit_percent(run.states, system.near(predicted, run.states), std=system.spread(run.states))
         for run, predicted in zip(cases.free_runs, free_runs, strict=True)
+        if len(run.states)
     }
-    errors = cases.system.difference(windows, cases.windows.states)
-    nothing = np.full(cases.system.nx, np.nan)
     return tuple(
         EpisodeError(
             name,
@@ -286,13 +287,6 @@ def _n(errors: Array, cases: MeasuredCases, inside: np.ndarray, horizon: int) ->
     if not len(scored):
         return float("nan")
     return float(mean_over_channels(np.sqrt(np.mean(scored**2, axis=0)) / cases.scale))
-
-
-def _fit(cases: MeasuredCases, measured: Array, predicted: Array) -> Array:
-    if not len(measured):
-        return np.full(cases.system.nx, np.nan)
-    guess = cases.system.near(predicted, measured)
-    return measures.fit_percent(measured, guess, std=cases.system.spread(measured))
 
 
 class Persistence(DynamicsModel):

@@ -63,19 +63,16 @@ def write_page(page: Path, story: Callable[[], Story], *, made_of: Sequence[str]
     ``made_of`` stands for all that the page shows. With it a page is not drawn again that is there already, made of the
     same by the same program, unless that is wanted ``afresh``.
     """
-    mark = _mark(made_of) if made_of else ""
+    mark = ""
+    if made_of:
+        found = hashlib.sha256(json.dumps([*made_of, versions()]).encode())
+        for file in sorted(EVALUATION.rglob("*")):
+            if file.suffix in (".py", ".j2", ".js", ".css"):
+                found.update(file.read_bytes())
+        mark = f"\n<!-- made of {found.hexdigest()} -->\n"
     if mark and not afresh and _end(page, len(mark)) == mark:
         return page
     return write_text(page, page_of(story()) + mark)
-
-
-def _mark(made_of: Sequence[str]) -> str:
-    """Return the last line of a page: what it was made of, and by which program."""
-    found = hashlib.sha256(json.dumps([*made_of, versions()]).encode())
-    for file in sorted(EVALUATION.rglob("*")):
-        if file.suffix in (".py", ".j2", ".js", ".css"):
-            found.update(file.read_bytes())
-    return f"\n<!-- made of {found.hexdigest()} -->\n"
 
 
 def _end(file: Path, length: int) -> str:

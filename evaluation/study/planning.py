@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.cells.data import GivenData
-from evaluation.experiment import Experiment
 from evaluation.planning import Comparison, plan_comparison
 from evaluation.study.study import Point, Study, name_of
 from sysid_evo.data import Dataset
@@ -66,9 +65,13 @@ def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store
     for point, digest in itertools.zip_longest(study.points, digests):
         try:
             stored = _stored(store, digest)
-            dataset = None if stored is not None else _dataset(point.experiment, known)
-            robot = point.experiment.robot
-            if robot is not None and point.experiment.data is None and make_robot(robot_spec(robot)).physical:
+            data, robot, dataset = point.experiment.data, point.experiment.robot, None
+            if stored is None and data is not None:
+                key = (data, point.experiment.columns)
+                if key not in known:
+                    known[key] = Dataset.read(data, columns=point.experiment.columns)
+                dataset = known[key]
+            if robot is not None and data is None and make_robot(robot_spec(robot)).physical:
                 raise InvalidArgument(
                     f"{robot} is a physical robot, which a study does not drive: record it once with "
                     "sysid-evo record, and name the recordings as data"
@@ -95,15 +98,6 @@ def _united(study: Study, comparisons: list[Comparison]) -> Plan:
     )
     remarks = dict.fromkeys(remark for comparison in comparisons for remark in comparison.plan.remarks)
     return Plan.of((cell for comparison in comparisons for cell in comparison.plan), remarks=remarks, again=again)
-
-
-def _dataset(experiment: Experiment, known: dict[tuple[Any, ...], Dataset]) -> Dataset | None:
-    if experiment.data is None:
-        return None
-    key = (experiment.data, experiment.columns)
-    if key not in known:
-        known[key] = Dataset.read(experiment.data, columns=experiment.columns)
-    return known[key]
 
 
 def _stored(store: Store | None, digest: str | None) -> tuple[Cell, Any] | None:

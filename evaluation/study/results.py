@@ -436,7 +436,12 @@ def save_parquet(results: StudyResults, folder: Path) -> tuple[Path, ...]:
     errors = {name.format(h): text.format(h) for h in horizons for name, text in N_COLUMNS.items()}
     labels = {point.name: {AXIS.format(a): text for a, text in point.labels.items()} for point in results.points}
     points = [{**asdict(point), **labels[point.name], "point": point.name} for point in results.points]
-    models = [{**asdict(row), **labels[row.point], **_n(row)} for row in results.models]
+    models = []
+    for row in results.models:
+        models.append({**asdict(row), **labels[row.point]})
+        for error in row.errors:
+            names = [name.format(error.horizon) for name in N_COLUMNS]
+            models[-1].update(zip(names, (error.n, error.low, error.high), strict=True))
     controllers = [
         {**asdict(row), **labels[row.point], "members": "+".join(row.members)} for row in results.controllers
     ]
@@ -446,14 +451,6 @@ def save_parquet(results: StudyResults, folder: Path) -> tuple[Path, ...]:
         _write(folder / "controllers.parquet", controllers, {**CONTROLLER_COLUMNS, **axes}),
         _write(folder / "cells.parquet", [asdict(time) for time in results.times], CELL_COLUMNS),
     )
-
-
-def _n(row: ModelRow) -> dict[str, float]:
-    found = {}
-    for error in row.errors:
-        for name, value in zip(N_COLUMNS, (error.n, error.low, error.high), strict=True):
-            found[name.format(error.horizon)] = value
-    return found
 
 
 def _write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> Path:

@@ -191,7 +191,11 @@ def open_questions(
         if len(named) == 1 or not named:
             if named:
                 alone.add(named[0])
-                said.append(_not_determined(parameters[named[0]]))
+                one = parameters[named[0]]
+                said.append(
+                    f"the data do not determine {one.name}: they say little more of it than its bounds, "
+                    f"{one.low:g} to {one.high:g} {one.unit}".rstrip()
+                )
             continue
         first = vector[named[0]] * slopes[named[0]]
         grow = [parameters[i].name for i in named if vector[i] * slopes[i] * first > 0]
@@ -205,13 +209,6 @@ def open_questions(
             end, value = ("lower", parameter.low) if places[i] < AT_BOUND else ("upper", parameter.high)
             said.append(f"{parameter.name} is at its {end} bound, {value:g} {parameter.unit}".rstrip())
     return list(dict.fromkeys(said)), determined
-
-
-def _not_determined(parameter: Parameter) -> str:
-    return (
-        f"the data do not determine {parameter.name}: they say little more of it than its bounds, "
-        f"{parameter.low:g} to {parameter.high:g} {parameter.unit}".rstrip()
-    )
 
 
 def _and(names: Sequence[str]) -> str:

@@ -265,7 +265,10 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[ScaledEpiso
     middle = controls[np.linspace(0, len(controls) - 1, len(places)).astype(np.int64)]
     slope = space.jacobian(runs[None, places], middle)[0].mean(axis=0)
     gains = _riccati(slope, space.pace, ny)
-    errors = _errors(space, gains, first, _windows(parts, room))
+    episodes = [Trajectory(part.outputs, part.controls, 1.0) for part in parts]
+    windows = WindowPlaces.of(episodes, max(1, min(HORIZON, longest - room)), history=room)
+    some = np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64)
+    errors = _errors(space, gains, first, windows[np.unique(some)])
     best = int(np.argmin(errors))
     closed = slope.copy()
     closed[:, :ny] -= gains[best]
@@ -301,11 +304,3 @@ def _errors(space: Spaces, gains: Array, first: Array, windows: Windows) -> Arra
         states = np.clip(many.step(states, control) + off @ gains.swapaxes(1, 2), -FAR, FAR)
     runs = many.run(states, windows.controls[:, 1:])[..., :ny]
     return np.asarray(((runs - windows.states) ** 2).mean(axis=(1, 2, 3)))
-
-
-def _windows(parts: list[ScaledEpisode], history: int) -> Windows:
-    """Return some windows of the records, in their units, each with ``history`` samples before it."""
-    episodes = [Trajectory(part.outputs, part.controls, 1.0) for part in parts]
-    ahead = max(1, min(HORIZON, max(len(part) for part in parts) - history))
-    places = WindowPlaces.of(episodes, ahead, history=history)
-    return places[np.unique(np.linspace(0, len(places) - 1, min(MOST_WINDOWS, len(places))).astype(np.int64))]

@@ -72,7 +72,12 @@ class StateSpaceModel(DynamicsModel):
         slope = first[:, :ny] / scales.output_scale
         self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
         self.history_ = max(one.history for one in observers)
-        self.rest_ = self._settled()
+        # the hidden states after a long time with neutral outputs under neutral controls
+        neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
+        hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
+        for _ in range(SETTLING):
+            hidden = self._advanced(neutral, hidden, idle)
+        self.rest_ = np.asarray(hidden[0])
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         neutral, idle = self.system.neutral_state, self.system.neutral_control
@@ -127,14 +132,6 @@ class StateSpaceModel(DynamicsModel):
             np.concatenate([self.system.neutral_state, self.rest_]),
             np.concatenate([outer, np.full(len(self.rest_), 2.0 * REST_BAND)]),
         )
-
-    def _settled(self) -> Array:
-        """Return the hidden states (n,) after a long time with neutral outputs under neutral controls."""
-        neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
-        hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
-        for _ in range(SETTLING):
-            hidden = self._advanced(neutral, hidden, idle)
-        return np.asarray(hidden[0])
 
     def _advanced(self, outputs: Array, hidden: Array, control: Array) -> Array:
         """Return the next hidden states (B, n), corrected by how far ``outputs`` (B, ny) are off."""

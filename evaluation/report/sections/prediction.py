@@ -344,7 +344,11 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
         if beaten:
             answers.append(f"Not significantly better than persistence: {', '.join(beaten)}.")
     if horizon is not None and (free := scored(prediction, None)):
-        answers.append(_best_in_free_run(prediction, free))
+        best, n = free[0].name, _score(free[0], None).n
+        found = f"{best} is best: N {n:.3f}"
+        if not any(predicts(prediction, model, None) for model in free):
+            found = f"no model predicts: the lowest N is {n:.3f}, of {best}"
+        answers.append(f"In free run over whole episodes, {found}.")
     clipped = [
         f"{model.name} ({percent(model.divergence.share)} of windows)"
         for model in models
@@ -393,13 +397,6 @@ def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: 
     else:
         why = "no model is significantly better than that"
     return f"No model predicts here: {where} the lowest N, {N_IN_WORDS}, is {size}, of {best.name}{beside}; {why}."
-
-
-def _best_in_free_run(prediction: Prediction, models: tuple[ModelPrediction, ...]) -> str:
-    best, n = models[0].name, _score(models[0], None).n
-    if any(predicts(prediction, model, None) for model in models):
-        return f"In free run over whole episodes, {best} is best: N {n:.3f}."
-    return f"In free run over whole episodes, no model predicts: the lowest N is {n:.3f}, of {best}."
 
 
 def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
