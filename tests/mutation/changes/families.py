@@ -39,7 +39,7 @@ CHANGES = (
     ),
     Change(
         "a mean of one structure is one of several",
-        "model_zoo/auto/candidates.py",
+        "model_zoo/auto/selection.py",
         "inside.pop() if len(inside) == 1 else",
         "inside.pop() if len(inside) == 0 else",
         (AUTO,),
@@ -168,8 +168,8 @@ CHANGES = (
     Change(
         "states of small numbers hardly count in an evolved fit",
         "sysid_evo/evolution/model_evolution.py",
-        'if weights == "paper":',
-        'if weights != "paper":',
+        'if self.weights == "paper" else',
+        'if self.weights != "paper" else',
         ("tests/sysid_evo/test_model_evolution.py",),
     ),
     Change(

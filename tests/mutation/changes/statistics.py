@@ -230,7 +230,7 @@ CHANGES = (
     Change(
         "the fit is in the scale of the whole test set",
         "evaluation/prediction/scoring.py",
-        "std=cases.system.spread(measured)",
+        "std=system.spread(run.states)",
         "std=cases.std",
         (TEST_WHERE,),
     ),
@@ -258,8 +258,8 @@ CHANGES = (
     Change(
         "what follows from something else is told, too",
         "evaluation/advice/advise.py",
-        "sorted(_not_explained(remarks),",
-        "sorted(remarks,",
+        "if one.topic not in explained), key=",
+        "), key=",
         (TEST_ADVICE,),
     ),
 )

@@ -25,15 +25,15 @@ CHANGES = (
     Change(
         "where all are at the floor shares are infinite",
         GATHERING,
-        "yardstick <= floor:",
-        "yardstick < floor:",
+        "yardstick > floor:",
+        "yardstick >= floor:",
         (TEST_ROWS,),
     ),
     Change(
         "a share is measured from zero, not from the floor",
         GATHERING,
-        "floor = row.floor or 0.0",
-        "floor = 0.0",
+        "best.get(place[row.point]), row.floor or 0.0",
+        "best.get(place[row.point]), 0.0",
         (TEST_ROWS,),
     ),
     Change(
