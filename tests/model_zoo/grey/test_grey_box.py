@@ -131,6 +131,7 @@ def test_a_robust_fit_is_not_moved_by_a_sensor_that_jumps(swinging: Dataset) -> 
 def test_a_stored_grey_box_has_its_table(swinging: Dataset, tmp_path: Any) -> None:
     model = Pendulum(starts=1, windows=30, command_delay=True).fit(swinging, rng=0)
     assert load_model(save_model(model, tmp_path / "model")).parameters_table() == model.parameters_table()
+    assert model.parameter_names == tuple(row["parameter"] for row in model.parameters_table())
 
 
 def test_a_law_with_the_wrong_number_of_rates_is_refused_before_the_fit(swinging: Dataset) -> None:
