@@ -274,20 +274,19 @@ trackers: Registry[Any] = Registry("tracker", "sysid_evo.trackers")
 readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
 probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
 motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
+noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
+"""What ``--noise`` may name: one kind of noise, which the command line describes as options."""
+cautions: Registry[Any] = Registry("caution", "sysid_evo.cautions")
+"""What ``--caution`` may name, likewise."""
 
 KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
     for registry in (
-        models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions,
+        models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions, noises,
+        cautions,
     )
 }  # fmt: skip
 """The kinds that ``sysid-evo names`` lists."""
-
-noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
-"""What ``--noise`` may name: one kind of noise, which the command line describes as options."""
-
-cautions: Registry[Any] = Registry("caution", "sysid_evo.cautions")
-"""What ``--caution`` may name, likewise."""
 
 register_model = models.register
 register_task = tasks.register

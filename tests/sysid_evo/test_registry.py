@@ -6,6 +6,7 @@ import json
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,7 +14,8 @@ from typing import Any
 import pytest
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
-from sysid_evo.registry import Registry, load_plugin, make_robot, models, robots, source_digest
+from sysid_evo.registry import KINDS, Registry, load_plugin, make_robot, models, robots, source_digest
+from sysid_evo.registry import registry as registry_module
 
 GROUP = "sysid_evo.test_things"
 
@@ -393,3 +395,9 @@ def test_an_identity_is_strict_json_whatever_the_parameters_are() -> None:
     assert json.loads(json.dumps(found, allow_nan=False)) == {
         "limit": "inf", "sizes": [1, 2], "law": "<built-in function len>",
     }  # fmt: skip
+
+
+def test_every_registry_is_among_the_kinds() -> None:
+    defined = {id(value) for value in vars(registry_module).values() if isinstance(value, Registry)}
+    assert defined == {id(registry) for registry in KINDS.values()}
+    assert {"noise", "caution"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}
