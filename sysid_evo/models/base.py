@@ -227,6 +227,11 @@ class DynamicsModel(Dynamics, Estimator):
     @property
     def fit_note(self) -> str:
         """What there is to say of the data that it learned from, in a sentence; empty if it was all of them."""
+        return self._kept_note
+
+    @property
+    def _kept_note(self) -> str:
+        """How much is learned from: known before the fit, where a family's own `fit_note` may need what it learns."""
         kept, given = getattr(self, "kept_steps_", (0, 0))
         if kept == given:
             return ""
@@ -466,7 +471,7 @@ def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator)
     self.__dict__.pop("kept_steps_", None)
     if few is not dataset:
         self.kept_steps_ = [few.n_steps, dataset.n_steps]
-        warnings.warn(f"{type(self).__name__} {self.fit_note}", DataWarning, stacklevel=4)
+        warnings.warn(f"{type(self).__name__} {self._kept_note}", DataWarning, stacklevel=4)
     return few
 
 

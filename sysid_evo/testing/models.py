@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -166,6 +167,19 @@ def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) ->
         raise ContractViolation("two fits with the same seed step differently")
 
 
+def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Dataset) -> None:
+    """Of a recording longer than most_steps a part is learned from, and a warning and fit_note report how much"""
+    if "most_steps" not in model.get_params(deep=False):
+        return
+    short = clone(model).set_params(most_steps=dataset.n_steps // 2)
+    with warnings.catch_warnings(record=True) as given:
+        warnings.simplefilter("always")
+        short.fit(dataset, rng=np.random.default_rng(1))
+    part = f"of {dataset.n_steps:,} steps"
+    if part not in short.fit_note or not any(part in str(one.message) for one in given):
+        raise ContractViolation(f"fit_note is {short.fit_note!r} after a fit with most_steps={short.most_steps}")
+
+
 def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
     """get_params and clone give back the constructor's arguments, unfitted"""
     copy = clone(model)
@@ -231,6 +245,7 @@ CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
     a_model_at_rest_stays_at_rest,
     a_pulse_that_has_yet_to_act_is_not_swallowed,
     the_same_seed_fits_the_same_model,
+    a_longer_recording_is_learned_from_in_part,
     parameters_survive_clone,
     saving_and_loading_keeps_every_step,
 )

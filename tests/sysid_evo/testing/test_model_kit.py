@@ -177,6 +177,19 @@ class OtherKernel(Lifted):
     faster: ClassVar[float] = 1.00001
 
 
+class Retelling(Fading):
+    """Says in its note what it learned, and nothing of how much it learned from."""
+
+    most_steps: int | None = 100_000
+
+    def __init__(self, *, share: float = 0.9, most_steps: int | None = 100_000) -> None:
+        self.share, self.most_steps = share, most_steps
+
+    @property
+    def fit_note(self) -> str:
+        return f"fades by {self.factor_[0]:.2f}"
+
+
 class Drifting(Fading):
     """Says that it holds a body at rest, and has a step of its own that does not."""
 
@@ -293,6 +306,11 @@ def test_what_is_not_finite_breaks_no_other_sentence(register: Callable[..., Any
         (ReturningNothing, FIT, "ReturningNothing.fit must return self, got NoneType"),
         (Failing, FIT, r"ZeroDivisionError: nothing to learn from \(test_model_kit.py, line \d+: raise ZeroDiv"),
         (GloballyRandom, "The same data and seed give the same model", "two fits with the same seed step differently"),
+        (
+            Retelling,
+            "Of a recording longer than most_steps",
+            "fit_note is .fades by .* after a fit with most_st",
+        ),
         (Unsavable, STORED, "cache_ is a dict; what a model learns must be arrays"),
         (Forgetful, STORED, "it steps differently after loading"),
         (Meddling, CLONE, "RuntimeError: Cannot clone"),
