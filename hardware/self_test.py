@@ -196,15 +196,16 @@ def system_finding(system: System) -> SelfTestFinding:
 
 
 def described(channel: Channel) -> str:
-    """Return name, and in brackets what it is known to be: period, levels or limits, with the unit."""
-    unit = f" {channel.unit}" if channel.unit else ""
+    """Return name, and in brackets what it is known to be: period, levels or limits, with the unit; its description."""
+    unit, facts = f" {channel.unit}" if channel.unit else "", channel.unit
     if channel.period is not None:
-        return f"{channel.name} (comes round every {channel.period:g}{unit})"
-    if channel.levels is not None:
-        return f"{channel.name} ({', '.join(f'{level:g}' for level in channel.levels)}{unit})"
-    if channel.bounded:
-        return f"{channel.name} ({channel.low:g} to {channel.high:g}{unit})"
-    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
+        facts = f"comes round every {channel.period:g}{unit}"
+    elif channel.levels is not None:
+        facts = f"{', '.join(f'{level:g}' for level in channel.levels)}{unit}"
+    elif channel.bounded:
+        facts = f"{channel.low:g} to {channel.high:g}{unit}"
+    told = "; ".join(filter(None, (facts, channel.description)))
+    return f"{channel.name} ({told})" if told else channel.name
 
 
 def sensors_finding(

@@ -29,7 +29,8 @@ class Channel:
     continuous. ``neutral`` is the value at rest (a state) or without a command (a control): by
     default 0, or the limit nearest to it. ``period`` makes a state come round again, 2 pi for an
     angle in rad: values that differ by whole periods are the same one, and there are no limits.
-    None for all others.
+    None for all others. ``description`` is for readers, "0 hanging, counter-clockwise positive" for example; two
+    channels that differ only in it are equal.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Channel:
     levels: tuple[float, ...] | None = None
     neutral: float = np.nan
     period: float | None = None
+    description: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if not self.name:
@@ -72,7 +74,7 @@ class Channel:
         return bool(np.isfinite(self.low) and np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the channel as strict JSON (an absent limit is null, without a period there is no such key)."""
+        """Return the channel as strict JSON: an absent limit is null, an absent period or description has no key."""
         return {
             "name": self.name,
             "unit": self.unit,
@@ -81,6 +83,7 @@ class Channel:
             "levels": None if self.levels is None else list(self.levels),
             "neutral": self.neutral,
             **({} if self.period is None else {"period": self.period}),
+            **({"description": self.description} if self.description else {}),
         }
 
     @classmethod
@@ -94,6 +97,7 @@ class Channel:
             levels=None if value["levels"] is None else tuple(value["levels"]),
             neutral=value["neutral"],
             period=value.get("period"),
+            description=value.get("description", ""),
         )
 
 
@@ -110,9 +114,17 @@ class System:
     motion: Motion | None = None
     name: str = field(default="", compare=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "states", _channels("states", self.states))
-        object.__setattr__(self, "controls", _channels("controls", self.controls))
+    def __init__(
+        self,
+        states: Iterable[Channel | str] | Channel,
+        controls: Iterable[Channel | str] | Channel,
+        dt: float,
+        motion: Motion | None = None,
+        name: str = "",
+    ) -> None:
+        given = {"states": _channels("states", states), "controls": _channels("controls", controls)}
+        for what, value in (given | {"dt": dt, "motion": motion, "name": name}).items():
+            object.__setattr__(self, what, value)
         if not self.states:
             raise InvalidSystem("system: expected at least one state channel, got none")
         names = [channel.name for channel in (*self.states, *self.controls)]

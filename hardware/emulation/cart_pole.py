@@ -24,12 +24,12 @@ ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
     states=(
-        Channel("position", "m", -2.0, 2.0),
+        Channel("position", "m", -2.0, 2.0, description="0 in the middle of the rail"),
         Channel("speed", "m/s"),
-        Channel("angle", "rad", period=2.0 * math.pi),
+        Channel("angle", "rad", period=2.0 * math.pi, description="0 hanging, pi upright, positive counter-clockwise"),
         Channel("angular_speed", "rad/s"),
     ),
-    controls=(Channel("force", "N", -FORCE, FORCE),),
+    controls=(Channel("force", "N", -FORCE, FORCE, description="positive pushes towards larger positions"),),
     dt=FINE_DT,
     name="cart-pole",
 )

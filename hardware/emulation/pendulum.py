@@ -23,7 +23,10 @@ TORQUE = 0.45  # N m, what the motor gives; holding the pendulum level takes 1.2
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
-    states=(Channel("angle", "rad", period=2.0 * math.pi), Channel("angular_speed", "rad/s")),
+    states=(
+        Channel("angle", "rad", period=2.0 * math.pi, description="0 hanging, pi upright, positive counter-clockwise"),
+        Channel("angular_speed", "rad/s"),
+    ),
     controls=(Channel("torque", "N m", -TORQUE, TORQUE),),
     dt=FINE_DT,
     name="pendulum",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -31,8 +31,8 @@ class GymnasiumRobot(SimulatorRobot):
 
     The states are its observations: a Box of numbers in a row. ``angle`` says which of them are angles, so that they
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
-    semicolons. ``channels`` names the states, with units in brackets: ``"angle [rad], speed [rad/s]"``. ``dt`` (s)
-    is the time from one step to the next, by default what the environment says of itself. The classic environments
+    semicolons. ``channels`` names the states and ``controls`` the controls, with units in brackets:
+    ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default what the environment says of itself. The classic environments
     have names, units and angles already. ``settings`` is a table of what `gymnasium.make` is given besides.
 
     An environment of a package of its own is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no
@@ -48,13 +48,18 @@ class GymnasiumRobot(SimulatorRobot):
         id: str = "Pendulum-v1",  # noqa: A002  # as Gymnasium calls it
         angle: str | int | None = None,
         channels: str = "",
+        controls: str = "",
         dt: float | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
         angle = None if angle is None else str(angle)
-        super().__init__(Environment.describe(id, angle=angle, channels=channels, dt=dt, settings=dict(settings or {})))
+        super().__init__(
+            Environment.describe(
+                id, angle=angle, channels=channels, controls=controls, dt=dt, settings=dict(settings or {})
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,14 @@ class Environment(ExternalSimulator):
 
     @classmethod
     def describe(
-        cls, name: str, *, angle: str | None, channels: str, dt: float | None, settings: Mapping[str, Any]
+        cls,
+        name: str,
+        *,
+        angle: str | None,
+        channels: str,
+        controls: str,
+        dt: float | None,
+        settings: Mapping[str, Any],
     ) -> Environment:
         """Make the environment once, look at its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
         what, known = f"robot gymnasium({name})", KNOWN.get(name)
@@ -81,15 +93,17 @@ class Environment(ExternalSimulator):
         try:
             given = known.angle if angle is None and known is not None else angle or ""
             observations, states = observation_map(what, env.observation_space, given)
-            controls = control_channels(what, env.action_space)
+            actions = control_channels(what, env.action_space)
             if known is not None and given == known.angle:
-                states, controls = known.states, known.controls
+                states, actions = known.states, known.controls
             if channels:
-                states = named(what, channels, states)
+                states = named(f"{what}: channels", channels, states)
+            if controls:
+                actions = named(f"{what}: controls", controls, actions)
             step = _dt(what, env) if dt is None else number(f"{what}: dt", dt, above=0.0)
-            system = System(states, controls, step, name=name)
+            system = System(states, actions, step, name=name)
             settable = known is not None or _keeps_its_states(env, observations)
-            return cls(name, settings, system, observations, ActionMap(env.action_space, controls), settable)
+            return cls(name, settings, system, observations, ActionMap(env.action_space, actions), settable)
         finally:
             env.close()
 
@@ -174,7 +188,7 @@ CART = KnownEnvironment(
     states=(
         Channel("position", "m", -4.8, 4.8),
         Channel("speed", "m/s"),
-        Channel("angle", "rad", -0.42, 0.42),
+        Channel("angle", "rad", -0.42, 0.42, description="0 upright, positive leans towards larger positions"),
         Channel("angular_speed", "rad/s"),
     ),
     controls=(Channel("force", "N", levels=(-10.0, 10.0)),),
@@ -189,7 +203,10 @@ PUSHES = (-1.0, 0.0, 1.0)
 
 KNOWN: Mapping[str, KnownEnvironment] = {
     "Pendulum-v1": KnownEnvironment(
-        states=(Channel("angle", "rad", neutral=math.pi, period=TURN), Channel("angular_speed", "rad/s", -8.0, 8.0)),
+        states=(
+            Channel("angle", "rad", neutral=math.pi, period=TURN, description="0 upright, positive counter-clockwise"),
+            Channel("angular_speed", "rad/s", -8.0, 8.0),
+        ),
         controls=(Channel("torque", "N m", -2.0, 2.0),),
         scale=(1.0, 1.0),
         angle="0,1",
@@ -200,8 +217,8 @@ KNOWN: Mapping[str, KnownEnvironment] = {
     "MountainCarContinuous-v0": KnownEnvironment(HILL, (Channel("force", low=-1.0, high=1.0),), HILL_SCALE),
     "Acrobot-v1": KnownEnvironment(
         states=(
-            Channel("angle_1", "rad", period=TURN),
-            Channel("angle_2", "rad", period=TURN),
+            Channel("angle_1", "rad", period=TURN, description="0 hanging"),
+            Channel("angle_2", "rad", period=TURN, description="of the second link to the first, 0 in line"),
             Channel("angular_speed_1", "rad/s"),
             Channel("angular_speed_2", "rad/s"),
         ),
@@ -339,20 +356,20 @@ class ActionMap:
         return (np.array(chosen) + first).astype(self.space.dtype)
 
 
-def named(what: str, given: str, states: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """Return ``states`` under the names ``given``, separated by commas, each with its unit in brackets if it has one.
+def named(what: str, given: str, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Return ``channels`` under the names ``given``, separated by commas, each with its unit in brackets if it has one.
 
     Raises `InvalidArgument` for another number of names.
     """
     found = [NAME.fullmatch(name.strip()) for name in given.split(",")]
-    if len(found) != len(states) or not all(found):
+    if len(found) != len(channels) or not all(found):
         raise InvalidArgument(
-            f"{what}: channels: expected {len(states)} names, as 'position [m], velocity [m/s]', for "
-            f"{', '.join(channel.name for channel in states)}; got {given!r}"
+            f"{what}: expected {len(channels)} names, as 'position [m], velocity [m/s]', for "
+            f"{', '.join(channel.name for channel in channels)}; got {given!r}"
         )
     return tuple(
-        Channel(match["name"], match["unit"] or channel.unit, channel.low, channel.high, period=channel.period)
-        for match, channel in zip(found, states, strict=True)
+        replace(channel, name=match["name"], unit=match["unit"] or channel.unit)
+        for match, channel in zip(found, channels, strict=True)
         if match is not None
     )
 

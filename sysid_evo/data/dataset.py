@@ -31,7 +31,7 @@ from sysid_evo.data.reading import Recording, paths_of, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows, recording
 from sysid_evo.errors import ArtefactError, DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array, BoolArray, check_shape
+from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,7 +211,7 @@ class Dataset:
     def __iter__(self) -> Iterator[Trajectory]:
         return iter(self.episodes)
 
-    def __getitem__(self, chosen: int | slice | Sequence[int]) -> Dataset:
+    def __getitem__(self, chosen: int | slice | Sequence[int] | IntArray) -> Dataset:
         """Return the data set of these episodes only, by number."""
         if isinstance(chosen, slice):
             return self.with_episodes(self.episodes[chosen])
@@ -275,7 +275,10 @@ class Dataset:
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the system and of every number."""
-        digest = hashlib.sha256(json.dumps(self.system.to_dict(), sort_keys=True).encode())
+        system = self.system.to_dict()
+        for channel in (*system["states"], *system["controls"]):
+            channel.pop("description", None)  # words for readers: the same data
+        digest = hashlib.sha256(json.dumps(system, sort_keys=True).encode())
         for episode in self.episodes:
             digest.update(episode.name.encode())
             for array in (episode.states, episode.controls, episode.pose):

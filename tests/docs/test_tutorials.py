@@ -6,10 +6,14 @@ import os
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.docs.blocks import PAGES
+from hardware.robot import find_robot
+from sysid_evo import load_plugin, make_controller, make_task, trial_seeds
+from tests.docs.blocks import PAGES, blocks
 from tests.docs.running import SMALL, picture, run_page, shown_on, words_of
+from tests.sysid_evo.cli.calling import forgetting
 
 TUTORIALS = [page for page in PAGES if page.startswith("tutorials/")]
 WIDTH = 80
@@ -37,3 +41,19 @@ def test_a_tutorial_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeyp
 def test_every_picture_of_a_run_is_shown_somewhere() -> None:
     shown = {picture(run, figure) for page in PAGES for run, figure in shown_on(page)}
     assert set(picture("any", "any").parent.glob("*.svg")) == shown
+
+
+def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path: Path) -> None:
+    """A reward must ask for something: a pole that stands, not the one that hangs where nobody acts."""
+    file = tmp_path / "near_the_middle.py"
+    file.write_text(blocks("tutorials/own_task.md", "python")[0].text)
+    robot = find_robot("cart_pole")
+    with forgetting():
+        load_plugin(file)
+        task = make_task("near_the_middle").bind(robot.system)
+        feedback = make_controller("linear(inputs=[position, speed, sin_angle, angular_speed])").bind_to(task)
+        # at rest, and a linear-quadratic regulator of the upright pole, as shares of the largest force
+        gains = np.array([np.zeros(5), [2.09, 1.82, 7.85, -1.45, 0.0]])
+        rest, balanced = robot.runner().run(feedback, gains, task, trial_seeds(1, 20)).fitness.mean(axis=1)
+    assert rest < 0.0
+    assert balanced > 0.95

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hardware.self_test import system_finding
+from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidSystem, ShapeError
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
@@ -188,3 +190,14 @@ def test_systems_differ_in_words_where_it_matters_to_a_controller(car: System) -
     assert angle.differences(System([Channel("theta", "rad")], [], dt=1.0)) == (
         "states theta (rad, period 6) against theta (rad)",
     )
+
+
+def test_a_description_is_for_readers_alone() -> None:
+    """It is stored, and changes neither what a channel is nor the fingerprint of data."""
+    plain, described = (Channel("angle", "rad", description=text) for text in ("", "0 hanging"))
+    assert plain == described
+    assert Channel.from_dict(described.to_dict()).description == "0 hanging"
+    states = np.arange(6.0)
+    prints = {Dataset.from_arrays(System([angle], [], 0.1), states).fingerprint for angle in (plain, described)}
+    assert len(prints) == 1
+    assert system_finding(System(described, [], 0.1)).sentence.startswith("States: angle (rad; 0 hanging).")

@@ -53,6 +53,20 @@ def test_the_robot_keeps_the_contract_of_robots_and_is_not_a_physical_one() -> N
     assert find_robot("serial").physical
 
 
+def test_channels_and_controls_get_other_names_and_keep_all_else() -> None:
+    plain = GymnasiumRobot(id="Pendulum-v1").system
+    named = GymnasiumRobot(id="Pendulum-v1", channels="tilt [rad], rate", controls="motor [mN m]").system
+    assert (named.state_names, named.controls[0].name, named.controls[0].unit) == (("tilt", "rate"), "motor", "mN m")
+    kept = [
+        [(c.low, c.high, c.levels, c.neutral, c.period, c.description) for c in (*system.states, *system.controls)]
+        for system in (plain, named)
+    ]
+    assert kept[0] == kept[1]
+    assert GymnasiumRobot(id="CartPole-v1", controls="push").system.controls[0].levels == (-10.0, 10.0)
+    with pytest.raises(InvalidArgument, match=r"controls: expected 1 names.*force"):
+        GymnasiumRobot(id="CartPole-v1", controls="left, right")
+
+
 def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_first() -> None:
     system = rotor(angle="1,2").system
     assert system.state_names == ("observation_0", "angle_1")
