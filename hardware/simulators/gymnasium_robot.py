@@ -32,8 +32,9 @@ class GymnasiumRobot(SimulatorRobot):
     The states are its observations: a Box of numbers in a row. ``angle`` says which of them are angles, so that they
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
     semicolons. ``channels`` names the states and ``controls`` the controls, with units in brackets:
-    ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default what the environment says of itself. The classic environments
-    have names, units and angles already. ``settings`` is a table of what `gymnasium.make` is given besides.
+    ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default
+    what the environment says of itself. The classic environments have names, units and angles already. ``settings`` is
+    a table of what `gymnasium.make` is given besides.
 
     An environment of a package of its own is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no
     such environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
