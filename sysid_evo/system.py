@@ -403,7 +403,7 @@ def _legal(channel: Channel) -> str:
     return str(list(channel.levels)) if channel.levels else f"[{channel.low:g}, {channel.high:g}]"
 
 
-def _channels(what: str, given: Iterable[Channel | str]) -> tuple[Channel, ...]:
+def _channels(what: str, given: Iterable[Channel | str] | Channel) -> tuple[Channel, ...]:
     """Return ``given`` with every name made a channel; one name alone is one channel."""
     listed = [given] if isinstance(given, (str, Channel)) else list(given)
     channels = [Channel(entry) if isinstance(entry, str) else entry for entry in listed]
