@@ -96,11 +96,11 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
     """Return the manifest that ``path`` names: what is in a run may be named without the digest in its file's name.
 
     So ``models/linear`` or ``models/linear.json`` is ``models/linear-0123abcd.json``, if there is but one. Raises
-    `ArtefactError` if there are several; a path of which there is no file comes back.
+    `ArtefactError` if there are several, or for a path without a name; one of which there is no file comes back.
     """
     path = Path(path)
     stem = path.with_suffix("").name if path.suffix in SUFFIXES else path.name
-    named = path.with_name(f"{stem}.json")
+    named = _with(path, ".json")
     digest = re.compile(rf"{re.escape(stem)}-[0-9a-f]{{8}}\.json")
     folder = path.parent if not named.is_file() and path.parent.is_dir() else None
     found = [] if folder is None else sorted(file for file in folder.iterdir() if digest.fullmatch(file.name))
@@ -169,8 +169,10 @@ def _older(error: ValidationError) -> str:
 
 
 def _with(path: Path, suffix: str) -> Path:
-    """Replace the suffix of an artefact; a dot elsewhere in its name stays."""
+    """Replace the suffix of an artefact; a dot elsewhere in its name stays. Raises `ArtefactError` without a name."""
     stem = path.with_suffix("") if path.suffix in SUFFIXES else path
+    if not stem.name:
+        raise ArtefactError(f"expected the name of a file, such as runs/mine/models/NAME, got {str(path)!r}")
     return stem.with_name(stem.name + suffix)
 
 

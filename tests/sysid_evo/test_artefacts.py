@@ -280,6 +280,13 @@ def test_a_model_of_a_run_is_found_without_the_digest_too(stored: Path) -> None:
     assert not is_stored("linear", "model")
 
 
+@pytest.mark.parametrize("path", ["", ".", "/"])
+def test_a_path_without_a_name_is_refused(path: str, linear: DynamicsModel) -> None:
+    for use in (load_model, load_champion, lambda path: save_model(linear, path)):
+        with pytest.raises(ArtefactError, match="expected the name of a file, such as runs/mine/models/NAME, got '"):
+            use(path)
+
+
 def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:
     with pytest.raises(ArtefactError, match=r"model.json: expected a stored controller, got a model"):
         load_champion(stored)
