@@ -72,8 +72,7 @@ def folds_of(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
         pairs = [(dataset[np.flatnonzero(~held).tolist()], dataset[np.flatnonzero(held).tolist()]) for held in rows]
         if all(seen.n_steps >= LEAST_SHARE * dataset.n_steps * (1.0 - 1.0 / len(pairs)) for seen, _ in pairs):
             return pairs[:count]
-    pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
-    return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
+    return _blocks_in_turn(dataset, count)
 
 
 def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[list[str]]:
@@ -102,7 +101,13 @@ def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
 
 def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
     """Return what `unseen_recordings` does, or for one recording alone its held-out blocks of time in turn."""
-    return unseen_recordings(dataset) or [time_blocks(dataset, fold) for fold in range(FOLDS)]
+    return unseen_recordings(dataset) or _blocks_in_turn(dataset, FOLDS)
+
+
+def _blocks_in_turn(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
+    """Return up to ``count`` pairs of `time_blocks`; the whole data set, once, if nothing can be held out."""
+    pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
+    return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,9 @@ def test_a_recording_alone_cannot_be_held_out() -> None:
     assert rough_fits(dataset) == 0
     np.testing.assert_array_equal(growth_on_unseen_recordings(roughly, dataset), [1.0, 1.0])
     assert len(unseen_parts(dataset)) == 3
+    short = dataset.with_episodes([dataset.episodes[0][:40]])
+    assert len(unseen_parts(short)) == 1, "where nothing can be held out, the same fit is not made three times"
+    assert unseen_parts(short)[0][1] is short
 
 
 @pytest.mark.parametrize("count", [2, 4, 11])
