@@ -163,7 +163,7 @@ def no_setting(name: str) -> str:
 def read_toml(file: Path, what: str) -> dict[str, Any]:
     """Return what stands in a TOML file, which is expected to be ``what``. Raises `InvalidArgument`."""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InvalidArgument(f"{file}: expected {what}, found no such file") from None
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

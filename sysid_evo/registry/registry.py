@@ -337,7 +337,7 @@ def make_robot(spec: str | Spec) -> Any:
 
 def _of_file(path: Path) -> Spec:
     try:
-        arguments = tomllib.loads(path.read_text(encoding="utf-8"))
+        arguments = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InvalidArgument(f"robot file {path}: no such file") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
