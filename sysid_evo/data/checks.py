@@ -5,19 +5,29 @@ A log that cannot be used is an error; what only looks wrong is a sentence.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sysid_evo.data.columns import ColumnMap, ControlColumn, TimeColumn
+from sysid_evo.angles import TURN
+from sysid_evo.data.columns import Column, ColumnMap, ControlColumn, StateColumn, TimeColumn
 from sysid_evo.data.preparation import LONGEST, RATE_TOLERANCE, SHORTEST, RawLog
 from sysid_evo.data.readers import LEAVE_OUT, Table, such_rows
-from sysid_evo.data.units import to_si
+from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidData
 from sysid_evo.types import Array, IntArray
 
 FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
+STILL = 0.05  # rad/s: a body that turns more slowly says nothing about its yaw rate
+EXPLAINED = 0.5  # misfit of a rate and a change of which one is 1.6 times the other, or with a correlation of 0.87
+FAR_APART, AS_LARGE = np.log(10.0), 0.15
+"""A rate of some state need not be that of another: only degrees, cm and mm, whose factors are large, are told by how
+large it is, and only where this fits to the noise of a differentiated encoder."""
+UNUSED = 0.02
+"""Share of its limits below which a recording looks like one in another unit: 0.017 of degrees, 0.001 of mA."""
+TURNS = 2.0 * TURN
+"""An angle (rad), or what a body turns in a second, that is more looks like degrees: 13 of them are not much."""
 
 
 def check_time(table: Table, column: str, time: Array) -> None:
@@ -68,8 +78,7 @@ def findings(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
     if columns.pose:
         found += [*_frozen(log, table), *_heading_jumps(log, table, columns)]
         found += _course(log, table, columns)
-        found += _yaw_rate(log, table, columns)
-    return found
+    return [*found, *_turns(log, table, columns), *_rates(log, table, columns)]
 
 
 def _beyond_limits(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
@@ -98,6 +107,57 @@ def constant_controls(logs: Sequence[RawLog], tables: Sequence[Table], columns: 
             found.append(
                 f"{files}, every row, column {control.column!r}: control {name!r} is constant at {values[0]:g}; "
                 "nothing can be learned about it"
+            )
+    return found
+
+
+def unused_limits(logs: Sequence[RawLog], tables: Sequence[Table], columns: ColumnMap) -> list[str]:
+    """Return which limits are so far from all that was recorded that they look like those of another unit.
+
+    Those of a state may be wide without a mistake, so that only a unit that explains it counts.
+    """
+    found = []
+    seen = {name: [log.controls[:, i] for log in logs] for i, name in enumerate(columns.controls)}
+    seen |= {n: [log.extra[n] for log in logs] for n, state in columns.states.items() if state.column is not None}
+    for name, parts in seen.items():
+        column = columns.controls.get(name) or columns.states[name]
+        if column.low is None or column.high is None or not column.high > column.low:
+            continue
+        low, high = min(float(part.min()) for part in parts), max(float(part.max()) for part in parts)
+        (si_unit, own), share = to_si(column.unit), (high - low) / (column.high - column.low)
+        factors = {unit: to_si(unit)[1] for unit in units_of(si_unit)} | {column.unit: own}
+        meant = [
+            (unit != column.unit, factor, unit)  # first the one in which the column is, then the next larger ones
+            for unit, factor in factors.items()
+            if factor < UNUSED and column.low * factor <= low and high <= column.high * factor
+        ]
+        if not 0.0 < share < UNUSED or not (name in columns.controls or (meant and own < UNUSED)):
+            continue
+        told = "Are they right?"
+        if meant:
+            _, factor, unit = min(meant)
+            told = f"Are they in {unit}? Then give low = {column.low * factor:g}, high = {column.high * factor:g}"
+        files = ", ".join(table.path.name for table in tables)
+        found.append(
+            f"{files}, column {column.column!r}: {name!r} goes from {low:g} to {high:g} {si_unit}, {share:.2g} of what "
+            f"its limits allow, {column.low:g} to {column.high:g} {si_unit}: limits are in SI units. {told}"
+        )
+    return found
+
+
+def _turns(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    """Return which angles declared in rad go so far that they look like degrees; the rate of one is compared apart."""
+    yaw_rate = "" if columns.motion is None else columns.motion.yaw_rate
+    found = []
+    for name, state in columns.states.items():
+        if state.column is None or state.unit not in ("rad", "rad/s") or (state.unit == "rad/s" and name != yaw_rate):
+            continue
+        far = float(np.abs(log.extra[name]).max())
+        if far > TURNS:
+            degrees = state.unit.replace("rad", "deg")
+            found.append(
+                f"{table.where(state.column, int(np.abs(log.extra[name]).argmax()))}: state {name!r} reaches {far:.4g} "
+                f"{state.unit}, {far / TURN:.1f} full turns. Are these degrees? Then give unit = {degrees!r}"
             )
     return found
 
@@ -137,44 +197,94 @@ def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
     ]
 
 
-def _yaw_rate(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Compare the yaw rate with the differentiated heading; a factor of 57.3 or -1 between them is an error."""
-    state = None if columns.motion is None else columns.motion.yaw_rate
-    if state is None or state not in log.extra or columns.states[state].column is None:
-        return []
-    heading_unit, rate_unit = columns.pose["heading"].unit, columns.states[state].unit
-    before, after = _baseline(log.time)
-    rate = sliding_window_view(log.extra[state], int(after[0]) + 1).mean(axis=1)
+def _rates(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
+    """Compare yaw rate and heading, and every state that could be the rate of another one with how that changes.
 
-    def turning(heading_factor: float) -> Array:
-        turned = np.cumsum(np.concatenate([[0.0], _wrap(np.diff(log.pose[:, 2] * heading_factor))]))
-        return np.asarray((turned[after] - turned[before]) / (log.time[after] - log.time[before]))
+    A factor between them that another unit explains is an error, and so is a yaw rate of the other sign.
+    """
+    own = {name: (state, log.extra[name]) for name, state in columns.states.items() if state.column is not None}
+    yaw_rate = own.get("" if columns.motion is None else columns.motion.yaw_rate)
+    found = []
+    if columns.pose and yaw_rate is not None:
+        pair = _Pair(log.time, (columns.pose["heading"], log.pose[:, 2]), yaw_rate)
+        if not pair.fits and max(_rms(pair.rate), _rms(pair.change(1.0))) >= STILL:
+            clockwise = {"one of them is counted clockwise; give it factor = -1": (1.0, -1.0)}
+            explained = pair.explained({**pair.units, **clockwise})
+            where = pair.where(table)
+            if explained:
+                raise InvalidData(f"{where}: the yaw rate is not the derivative of the heading: {explained}")
+            off = pair.misfit(1.0, 1.0)
+            found.append(f"{where}: the yaw rate does not fit the differentiated heading (misfit {off:.1f})")
+    pairs = [
+        _Pair(log.time, other, rate)
+        for rate in own.values()
+        for other in own.values()
+        if to_si(rate[0].unit)[0] == f"{to_si(other[0].unit)[0]}/s" and "[" not in rate[0].unit + other[0].unit
+    ]
+    settled = {column for pair in pairs if pair.fits for column in (pair.of.column, pair.by.column)}
+    for pair in pairs:
+        if not settled & {pair.of.column, pair.by.column}:  # of two joints each has a rate, which is not the other's
+            far = {what: factors for what, factors in pair.units.items() if pair.is_near(*factors)}
+            explained = pair.explained(far)
+            if explained:
+                raise InvalidData(
+                    f"{pair.where(table)}: it goes with the change of column {pair.of.column!r}, but is not its "
+                    f"derivative: {explained}. If it is no rate of it, put a unit in brackets, as "
+                    f'unit = "[{pair.by.unit}]"'
+                )
+    return found
 
-    def misfit(heading_factor: float, rate_factor: float) -> float:
-        a, b = turning(heading_factor), rate_factor * rate
+
+class _Pair:
+    """A column that may be the ``rate`` of another one, in means over about 0.1 s."""
+
+    def __init__(self, time: Array, of: tuple[Column | StateColumn, Array], by: tuple[StateColumn, Array]) -> None:
+        (self.of, self._values), (self.by, values), self._time = of, by, time
+        self._before, self._after = _baseline(time)
+        self.rate: Array = sliding_window_view(values, int(self._after[0]) + 1).mean(axis=1)
+        self.fits = self.misfit(1.0, 1.0) < 1.0
+
+    def change(self, factor: float) -> Array:
+        """Return the change per second of the other column times ``factor``; angles may come round."""
+        steps = np.diff(self._values * factor)
+        moved = np.cumsum(np.concatenate([[0.0], _wrap(steps) if to_si(self.of.unit)[0] == "rad" else steps]))
+        return np.asarray(
+            (moved[self._after] - moved[self._before]) / (self._time[self._after] - self._time[self._before])
+        )
+
+    def misfit(self, factor: float, rate_factor: float) -> float:
+        """Return how far change and rate, times these factors, are from each other: 1 if one is 2.6 times the other."""
+        a, b = self.change(factor), rate_factor * self.rate
         scale = _rms(a) * _rms(b)
         return _rms(a - b) / float(np.sqrt(scale)) if scale > 0.0 else np.inf
 
-    if max(_rms(rate), _rms(turning(1.0))) < 0.05 or misfit(1.0, 1.0) < 1.0:
-        return []
-    rate_column = columns.states[state].column or ""
-    degree = np.pi / 180.0
-    explanations = {
-        (degree, 1.0): ("rad", heading_unit, f"column {columns.pose['heading'].column!r} looks like degrees"),
-        (1.0, degree): ("rad/s", rate_unit, f"column {rate_column!r} looks like degrees per second"),
-        (1.0 / degree, 1.0): ("deg", heading_unit, f"column {columns.pose['heading'].column!r} looks like radians"),
-        (1.0, 1.0 / degree): ("deg/s", rate_unit, f"column {rate_column!r} looks like radians per second"),
-        (1.0, -1.0): ("", "", "one of them is counted clockwise; give it factor = -1"),
-    }
-    where = f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {rate_column!r}"
-    fitting = [
-        what
-        for factors, (needed, declared, what) in explanations.items()
-        if needed in ("", declared) and misfit(*factors) < 0.5
-    ]
-    if fitting:
-        raise InvalidData(f"{where}: the yaw rate is not the derivative of the heading: {', or '.join(fitting)}")
-    return [f"{where}: the yaw rate does not fit the differentiated heading (misfit {misfit(1.0, 1.0):.1f})"]
+    @property
+    def units(self) -> dict[str, tuple[float, float]]:
+        """The factors of each other unit that one of the columns could be in, by a sentence that says so."""
+        found = {}
+        for column in (self.of, self.by):
+            si_unit, declared = to_si(column.unit)
+            for unit in units_of(si_unit):
+                factor = to_si(unit)[1] / declared
+                if factor != 1.0:
+                    looks = f"column {column.column!r} looks like {unit}, but {column.unit} is declared: give it "
+                    found[f"{looks}unit = {unit!r}"] = (factor, 1.0) if column is self.of else (1.0, factor)
+        return found
+
+    def is_near(self, factor: float, rate_factor: float) -> bool:
+        """Whether change and rate are as large as each other with these factors, which are far from 1."""
+        ratio = rate_factor * _rms(self.rate) / max(_rms(self.change(factor)), 1e-300)
+        return abs(np.log(factor / rate_factor)) > FAR_APART and abs(ratio - 1.0) < AS_LARGE
+
+    def explained(self, factors: Mapping[str, tuple[float, float]]) -> str:
+        """Return the sentences of the factors with which rate and change differ least; none if that is much."""
+        off = {what: self.misfit(*pair) for what, pair in factors.items()}
+        least = min(off.values(), default=np.inf)
+        return "; or ".join(what for what, misfit in off.items() if misfit < min(EXPLAINED, least + 0.05))
+
+    def where(self, table: Table) -> str:
+        """Return the place of the rate in words."""
+        return f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {self.by.column!r}"
 
 
 def _course(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:

@@ -128,7 +128,8 @@ class MotionRoles(_Strict):
 class ColumnMap(_Strict):
     """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion.
 
-    ``condition`` is the column that names the condition of each row, text or numbers.
+    ``condition`` is the column that names the condition of each row, text or numbers. ``encoding`` is that of the logs
+    that are text. With ``missing`` "drop" rows that lack a number are left out, else they are an error.
     """
 
     name: str
@@ -140,6 +141,17 @@ class ColumnMap(_Strict):
     extra: dict[str, Column] = {}
     motion: MotionRoles | None = None
     condition: str | None = None
+    encoding: str | None = None
+    missing: Literal["refuse", "drop"] = "refuse"
+
+    @field_validator("encoding")
+    @classmethod
+    def _of_text(cls, encoding: str | None) -> str | None:
+        try:
+            "".encode(encoding or "utf-8")
+        except LookupError:
+            raise ValueError(f"no text encoding {encoding!r}: expected such as utf-8, utf-16, cp1252") from None
+        return encoding
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -231,7 +243,11 @@ def load_columns(source: str | Path) -> ColumnMap:
         raise InvalidArgument(
             f"column map {str(source)!r}: expected a TOML file or one of {', '.join(shipped_names())}; found neither"
         )
-    return parse_columns(path.read_text(encoding="utf-8"), str(path))
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidData(f"{path}: expected a TOML file, which is UTF-8: {error}") from error
+    return parse_columns(text, str(path))
 
 
 def parse_columns(text: str, source: str) -> ColumnMap:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sysid_evo.data.readers import read_parquet
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData
+from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.extras import check_installed
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
@@ -204,7 +205,6 @@ def write_samples(
 def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[str, ...], str]:
     """Return what `write_samples` was given. Raises `ArtefactError` if it is damaged or of another version."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     path = folder / HEADER
     try:
@@ -213,7 +213,7 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
             raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
         system = System.from_dict(header["system"])
         names = (*system.state_names, *system.control_names, *pose_names(system))
-        table = pq.read_table(folder / SAMPLES, columns=list(names))
+        table = read_parquet(folder / SAMPLES, names)
         data = {name: table[name].to_numpy(zero_copy_only=False) for name in names}
         episodes, first = [], 0
         for entry in header["episodes"]:
@@ -238,7 +238,8 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
 
 def unreadable(folder: Path, error: Exception) -> ArtefactError:
     """Return what to raise where a stored data set is damaged."""
-    return ArtefactError(f"{folder}: not a readable data set: {type(error).__name__}: {error}")
+    kind = "" if isinstance(error, SysidEvoError) else f"{type(error).__name__}: "
+    return ArtefactError(f"{folder}: not a readable data set: {kind}{error}")
 
 
 def is_stored_dataset(path: str | Path) -> bool:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
+import os
 from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -18,19 +20,29 @@ from sysid_evo.errors import InvalidData, closest
 from sysid_evo.registry.registry import readers, register_reader
 from sysid_evo.types import Array, IntArray
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 LEAVE_OUT = (
     "Leave such rows out before importing (where a file has time stamps it is then split there), or fill them yourself."
+)
+DROP = (
+    'Give missing = "drop" in the column map to leave such rows out, which splits the log there, or fill them yourself.'
 )
 WORDS = "A command in words needs the number of each in the column map: words = {stop = 0.0, go = 1.0} (docs/data.md)."
 
 
 @dataclass(frozen=True)
 class Table:
-    """N rows of named columns (N,); ``rows`` (N,) are their numbers in the file ``path``."""
+    """N rows of named columns (N,); ``rows`` (N,) are their numbers in the file ``path``.
+
+    ``texts`` are columns of words, by name, for those who read them too.
+    """
 
     path: Path
     rows: IntArray
     columns: Mapping[str, Array]
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -40,10 +52,20 @@ class Table:
         return f"{self.path.name}, row {self.rows[row]}, column {column!r}"
 
 
+MISSING = ("", "nan", "NaN", "NA", "N/A", "null", "NULL", "None")
+"""How programs write that a cell has no value: empty, and the words of NumPy, pandas, R, SQL and Python."""
+
+
 class Reader(ABC):
-    """Reads one kind of file, told by its suffix."""
+    """Reads one kind of file, told by its suffix.
+
+    ``encoding`` is that of a text (None: UTF-8, or UTF-16 and UTF-32 by the mark at the start of the file). With
+    ``gaps`` a missing value is read as NaN; without, it is an error.
+    """
 
     suffixes: ClassVar[tuple[str, ...]]
+    encoding: str | None = None
+    gaps: bool = False
 
     @abstractmethod
     def header(self, path: Path) -> tuple[str, ...]:
@@ -69,7 +91,7 @@ class CsvReader(Reader):
     suffixes = (".csv", ".txt", ".tsv")
 
     def header(self, path: Path) -> tuple[str, ...]:
-        line = _first_line(path)
+        line = self._first_line(path)
         names = tuple(name.strip() for name in next(csv.reader([line], delimiter=_delimiter(line)), []))
         if not any(names):
             raise InvalidData(f"{path.name}: expected a header line with the names of the columns, the file is empty")
@@ -78,21 +100,21 @@ class CsvReader(Reader):
     def read(self, path: Path, columns: Sequence[str]) -> Table:
         header = self.header(path)
         places = [_place(name, header, path) for name in columns]
-        values = _parsed(path, _delimiter(_first_line(path)), len(header), places)
+        values = self._parsed(path, len(header), places)
         if values is None:
             return self._line_by_line(path, columns, header, places)
         rows = np.arange(2, len(values[0]) + 2, dtype=np.int64)
-        return _finite(Table(path, rows, dict(zip(columns, values, strict=True))))
+        return _finite(Table(path, rows, dict(zip(columns, values, strict=True))), self.gaps)
 
     def labels(self, path: Path, column: str) -> list[str]:
         header = self.header(path)
         place = _place(column, header, path)
-        lines = _lines(path)
+        lines = self._lines(path)
         reader = csv.reader(lines, delimiter=_delimiter(next(lines, "")))
         return [line[place].strip() if place < len(line) else "" for line in reader if line]
 
     def _line_by_line(self, path: Path, columns: Sequence[str], header: Sequence[str], places: Sequence[int]) -> Table:
-        lines = _lines(path)
+        lines = self._lines(path)
         reader = csv.reader(lines, delimiter=_delimiter(next(lines, "")))
         numbers, values = array("q"), [array("d") for _ in columns]
         uneven: tuple[int, int] | None = None
@@ -109,6 +131,8 @@ class CsvReader(Reader):
                     values[i].append(float(line[place]))
                 except ValueError:
                     values[i].append(math.nan)
+                    if self.gaps and line[place].strip() in MISSING:
+                        continue
                     refused.setdefault(i, (numbers[-1], line[place]))
                     counts[i] += 1
         _expect_rows(len(numbers), path)
@@ -126,7 +150,68 @@ class CsvReader(Reader):
                 f"{such_rows(counts[first])}. {_mended(text)}"
             )
         read = {name: np.frombuffer(column) for name, column in zip(columns, values, strict=True)}
-        return _finite(Table(path, np.frombuffer(numbers, dtype=np.int64), read))
+        return _finite(Table(path, np.frombuffer(numbers, dtype=np.int64), read), self.gaps)
+
+    def _parsed(self, path: Path, width: int, places: Sequence[int]) -> list[Array] | None:
+        """Return the columns at ``places`` of a file of numbers without blank lines, at least two rows; else None."""
+        import pyarrow as pa
+        from pyarrow import csv as arrow
+
+        names = [str(place) for place in range(width)]
+        encoding = self._encoding(path)
+        try:
+            table = arrow.read_csv(
+                path,
+                read_options=arrow.ReadOptions(
+                    column_names=names, skip_rows=1, encoding="utf8" if encoding == "utf-8-sig" else encoding
+                ),
+                parse_options=arrow.ParseOptions(
+                    delimiter=_delimiter(self._first_line(path)), ignore_empty_lines=False
+                ),
+                convert_options=arrow.ConvertOptions(
+                    column_types={names[place]: pa.float64() for place in places},
+                    include_columns=[names[place] for place in dict.fromkeys(places)],
+                    null_values=list(MISSING) if self.gaps else [],
+                ),
+            )
+        except (pa.ArrowInvalid, UnicodeError):
+            return None
+        if table.num_rows < 2 or not places:
+            return None
+        values = [table[names[place]].to_numpy() for place in places]
+        del table
+        pa.default_memory_pool().release_unused()
+        blank = self.gaps and np.all([np.isnan(column) for column in values], axis=0).any()  # a row, to pyarrow
+        return None if blank else values
+
+    def _encoding(self, path: Path) -> str:
+        """Return the encoding of a text: the one that is given, else by its mark, else UTF-8."""
+        with path.open("rb") as file:
+            start = file.read(4)
+        if self.encoding is not None:
+            return self.encoding
+        if start in (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE):
+            return "utf-32"
+        return "utf-16" if start[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
+
+    def _first_line(self, path: Path) -> str:
+        line = next(self._lines(path), "").removeprefix("\ufeff")
+        if "\0" in line:
+            raise InvalidData(
+                f"{path.name}: expected text, got bytes of 0 in row 1. If it is UTF-16 without a mark at its start, "
+                'give encoding = "utf-16-le" in the column map'
+            )
+        return line
+
+    def _lines(self, path: Path) -> Iterator[str]:
+        """Yield the lines of a text, as `str.splitlines` gives them, without having all of it in memory."""
+        encoding = self._encoding(path)
+        try:
+            with path.open(encoding=encoding) as file:
+                for line in file:
+                    yield from line.splitlines()
+        except UnicodeError as error:
+            raise _no_text(path, encoding, error) from error
 
 
 @register_reader("parquet")
@@ -136,22 +221,18 @@ class ParquetReader(Reader):
     suffixes = (".parquet", ".pq")
 
     def header(self, path: Path) -> tuple[str, ...]:
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
-        try:
+        with _named(path):
             return tuple(pq.read_schema(path).names)
-        except pa.ArrowException as error:
-            raise InvalidData(f"{path.name}: not a readable Parquet file: {error}") from error
 
     def read(self, path: Path, columns: Sequence[str]) -> Table:
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         header = self.header(path)
         for name in columns:
             _place(name, header, path)
-        table = pq.read_table(path, columns=list(columns))
+        table = read_parquet(path, columns)
         _expect_rows(table.num_rows, path)
         data = {}
         for name in columns:
@@ -159,23 +240,64 @@ class ParquetReader(Reader):
             if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
                 raise InvalidData(f"{path.name}, column {name!r}: expected numbers, got {kind}. {WORDS}")
             data[name] = np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
-        return _finite(Table(path, np.arange(1, table.num_rows + 1), data))
+        return _finite(Table(path, np.arange(1, table.num_rows + 1), data), self.gaps)
 
     def labels(self, path: Path, column: str) -> list[str]:
-        import pyarrow.parquet as pq
-
         _place(column, self.header(path), path)
-        values = pq.read_table(path, columns=[column])[column].to_pylist()
+        values = read_parquet(path, [column])[column].to_pylist()
         return ["" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for value in values]
 
 
-def reader_for(path: Path) -> Reader:
-    """Return the reader of this file's suffix. Raises `InvalidData` if there is none."""
+MOST_ROWS = 20_000_000
+"""Rows of a Parquet file that are read without being asked for: 28 hours at 200 Hz.
+
+A file of a few bytes can declare any number of them. A million rows of nine columns take 0.4 GB (docs/data.md, "Long
+recordings"), these take 8 GB.
+"""
+VARIABLE = "SYSID_EVO_MOST_ROWS"
+
+
+def read_parquet(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Return these columns of a Parquet file. Raises `InvalidData`: before reading, if it declares too many rows."""
+    import pyarrow.parquet as pq
+
+    given = os.environ.get(VARIABLE, "")
+    if given and not given.isdecimal():
+        raise InvalidData(f"{VARIABLE}: expected the most rows of a Parquet file, got {given!r}")
+    most = int(given or MOST_ROWS)
+    with _named(path):
+        about = pq.read_metadata(path)
+        # the reader goes by the groups, and the sum at the end of the file may be another
+        rows = max(about.num_rows, sum(about.row_group(group).num_rows for group in range(about.num_row_groups)))
+        if rows > most:
+            raise InvalidData(
+                f"{path.name}: declares {rows} rows, more than the {most} that are read. If that is right and there is "
+                f"memory for it, some 8 bytes for each row and column and as much again, set {VARIABLE}={rows}"
+            )
+        return pq.read_table(path, columns=list(columns))
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn what pyarrow says of a damaged Parquet file into an `InvalidData` that names it."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise  # of the operating system, which names the file itself; pyarrow's own have no number
+        raise InvalidData(f"{path.name}: not a readable Parquet file: {error}") from error
+
+
+def reader_for(path: Path, *, encoding: str | None = None, gaps: bool = False) -> Reader:
+    """Return the reader of this file's suffix, see `Reader`. Raises `InvalidData` if there is none."""
     known = []
     for _, make in readers.load_all():
         reader = make()
         known += reader.suffixes
         if path.suffix.lower() in reader.suffixes:
+            reader.encoding, reader.gaps = encoding, gaps
             return reader
     raise InvalidData(f"{path.name}: expected a file of one of the kinds {', '.join(sorted(known))}")
 
@@ -190,60 +312,21 @@ def log_suffixes() -> tuple[str, ...]:
     return tuple(suffix for _, make in readers.load_all() for suffix in make().suffixes)
 
 
-def _first_line(path: Path) -> str:
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            return file.readline().rstrip("\n")
-    except UnicodeDecodeError as error:
-        raise _no_text(path, error) from error
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a text, as `str.splitlines` gives them, without having all of it in memory."""
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            for line in file:
-                yield from line.splitlines()
-    except UnicodeDecodeError as error:
-        raise _no_text(path, error) from error
-
-
-def _no_text(path: Path, error: UnicodeDecodeError) -> InvalidData:
+def _no_text(path: Path, encoding: str, error: UnicodeError) -> InvalidData:
     """Return what is wrong with a text; its ``error`` counts from the part that was read last, so the row is told."""
-    bad = error.object[error.start]
-    row = 0
-    with path.open("rb") as file, suppress(UnicodeDecodeError):
-        for line in file:
-            row += 1
-            line.decode()
-    return InvalidData(f"{path.name}: expected text (UTF-8), got the byte {bad:#04x} in row {row}")
-
-
-def _parsed(path: Path, delimiter: str, width: int, places: Sequence[int]) -> list[Array] | None:
-    """Return the columns at ``places`` of a file of numbers without blank lines, at least two rows; else None."""
-    import pyarrow as pa
-    from pyarrow import csv as arrow
-
-    names = [str(place) for place in range(width)]
-    try:
-        table = arrow.read_csv(
-            path,
-            read_options=arrow.ReadOptions(column_names=names, skip_rows=1),
-            parse_options=arrow.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
-            convert_options=arrow.ConvertOptions(
-                column_types={names[place]: pa.float64() for place in places},
-                include_columns=[names[place] for place in dict.fromkeys(places)],
-                null_values=[],
-            ),
-        )
-    except pa.ArrowInvalid:
-        return None
-    if table.num_rows < 2 or not places:
-        return None
-    values = [table[names[place]].to_numpy() for place in places]
-    del table
-    pa.default_memory_pool().release_unused()
-    return values
+    found = ""
+    if isinstance(error, UnicodeDecodeError):
+        row = 0
+        with path.open("rb") as file, suppress(UnicodeError):
+            for line in file:  # rows of UTF-16 do not end where these lines do, but neither is it named by its bytes
+                row += 1
+                line.decode(encoding)
+        found = f", got the byte {error.object[error.start]:#04x} in row {row}"
+    kind = "UTF-8" if encoding == "utf-8-sig" else encoding
+    return InvalidData(
+        f"{path.name}: expected text ({kind}){found}. Name its encoding in the column map (docs/data.md), "
+        'encoding = "cp1252" for what Windows and Excel call ANSI or Latin-1, or save the file as UTF-8'
+    )
 
 
 def _delimiter(line: str) -> str:
@@ -264,8 +347,8 @@ def _place(name: str, header: Sequence[str], path: Path) -> int:
 
 def _mended(text: str) -> str:
     """Return what to do about an entry that is no number: nothing stands there, a comma for the point, or a word."""
-    if not text.strip():
-        return LEAVE_OUT
+    if text.strip() in MISSING:
+        return DROP
     try:
         float(text.replace(",", ".", 1))
     except ValueError:
@@ -278,12 +361,13 @@ def _expect_rows(count: int, path: Path) -> None:
         raise InvalidData(f"{path.name}: expected at least two rows of data, got {count}")
 
 
-def _finite(table: Table) -> Table:
+def _finite(table: Table, gaps: bool) -> Table:
+    """Return ``table``, in which no number may be missing unless there may be ``gaps``, and none infinite."""
     for name, values in table.columns.items():
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(np.isinf(values) if gaps else ~np.isfinite(values))
         if len(bad):
             raise InvalidData(
                 f"{table.where(name, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
-                f"{such_rows(len(bad))}. {LEAVE_OUT}"
+                f"{such_rows(len(bad))}. {DROP if np.isnan(values[bad[0]]) else LEAVE_OUT}"
             )
     return table

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sysid_evo.data.checks import check_control, check_rate, check_time, constant_controls, findings
+from sysid_evo.data.checks import (
+    check_control,
+    check_rate,
+    check_time,
+    constant_controls,
+    findings,
+    unused_limits,
+)
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.data.preparation import RawLog, episodes_of, said_once
-from sysid_evo.data.readers import Table, log_suffixes, reader_for, such_rows
+from sysid_evo.data.readers import MISSING, Table, log_suffixes, reader_for, such_rows
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, IntArray
 
 
 @dataclass(frozen=True)
@@ -61,11 +68,11 @@ def read_recording(
         notes.append(f"column map {name!r} chosen: all its columns are in the header of {files[0].name}")
     else:
         chosen = load_columns(columns)
-    tables = [reader_for(file).read(file, chosen.number_columns) for file in files]
     named = condition_column or chosen.condition
-    logs = [_log(table, chosen, named, notes) for table in tables]
+    tables, steps = zip(*(_read(file, chosen, named, notes) for file in files), strict=True)
+    logs = [_log(table, chosen, step, named, notes) for table, step in zip(tables, steps, strict=True)]
     envelope = _envelope(logs, chosen, notes)
-    doubts = constant_controls(logs, tables, chosen)
+    doubts = [*constant_controls(logs, tables, chosen), *unused_limits(logs, tables, chosen)]
     doubts += [doubt for log, table in zip(logs, tables, strict=True) for doubt in findings(log, table, chosen)]
     for name, control in chosen.controls.items():
         if control.gate is not None:
@@ -74,7 +81,7 @@ def read_recording(
                 f"control {name!r} is {control.column!r} times {control.gate!r}, 0 in {closed:.0%} of the rows"
             )
     if chosen.time is None:
-        notes.append(f"no time column: rows are taken to be {chosen.dt:g} s apart, and holes cannot be seen")
+        notes.append(f"no time column: rows are taken to be {chosen.dt:g} s apart, and lost rows cannot be seen")
     return Recording(chosen.system(envelope), tuple(logs), tuple(notes), tuple(doubts))
 
 
@@ -112,15 +119,44 @@ def paths_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
     return [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
 
 
-def _log(table: Table, columns: ColumnMap, condition: str | None, notes: list[str]) -> RawLog:
+def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str]) -> tuple[Table, IntArray]:
+    """Return the columns of a log, words too, and the place (N,) of each row among all rows of the file.
+
+    Rows that lack a number or a command in words are left out, if the map says so, and counted in ``notes``.
+    """
+    drop = columns.missing == "drop"
+    reader = reader_for(path, encoding=columns.encoding, gaps=drop)
+    table = reader.read(path, columns.number_columns)
+    worded = [control.column for control in columns.controls.values() if control.words is not None]
+    texts = {name: reader.labels(path, name) for name in (*worded, *([condition] if condition else []))}
+    places = np.arange(len(table), dtype=np.int64)
+    lacking = {name: np.isnan(values) for name, values in table.columns.items()} if drop else {}
+    lacking |= {name: np.isin(texts[name], MISSING) for name in worded} if drop else {}
+    gone = np.any([*lacking.values(), np.zeros(len(table), dtype=bool)], axis=0)
+    if gone.any():
+        counts = ", ".join(f"{name} {rows.sum()}" for name, rows in lacking.items() if rows.any())
+        told = f"{gone.sum()} of {len(gone)} rows have no value in some column ({counts})"
+        if (~gone).sum() < 2:
+            raise InvalidData(f"{path.name}: {told}: expected at least two rows that have them all")
+        first = table.rows[gone][0]
+        notes.append(f"{path.name}: {told} and are left out, the first row {first}; the log has holes there")
+        places = places[~gone]
+        texts = {name: [values[place] for place in places] for name, values in texts.items()}
+        numbers = {name: values[~gone] for name, values in table.columns.items()}
+        table = Table(path, table.rows[~gone], numbers)
+    return replace(table, texts=texts), places
+
+
+def _log(table: Table, columns: ColumnMap, places: IntArray, condition: str | None, notes: list[str]) -> RawLog:
     """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits.
 
-    ``condition`` is the column that names the condition of each row.
+    ``places`` (N,) count its rows and those left out of it; ``condition`` is the column that names the condition of
+    each row.
     """
     data = table.columns
-    labels = None if condition is None else np.array(reader_for(table.path).labels(table.path, condition), np.str_)
+    labels = None if condition is None else np.array(table.texts[condition], np.str_)
     if columns.time is None:
-        time = columns.dt * np.arange(len(table), dtype=np.float64)
+        time = columns.dt * (places - places[0])
     else:
         time = data[columns.time.column] * columns.time.scale
         check_time(table, columns.time.column, time)
@@ -156,7 +192,7 @@ def _commands(table: Table, name: str, control: ControlColumn) -> Array:
     """Return the numbers of a control (N,), as they stand in the file or as the map says what its words are worth."""
     if control.words is None:
         return table.columns[control.column]
-    labels = reader_for(table.path).labels(table.path, control.column)
+    labels = table.texts[control.column]
     unknown = [row for row, label in enumerate(labels) if label not in control.words]
     if unknown:
         raise InvalidData(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sysid_evo.data import Dataset, read_recording
@@ -42,9 +43,9 @@ def test_the_made_up_log_is_flawless(write_csv, table, columns_file):
 @pytest.mark.parametrize(
     "text, complaint",
     [
-        ("nan", "expected a finite number, got nan. Leave such rows out"),
+        ("nan", 'expected a finite number, got nan. Give missing = "drop"'),
         ("inf", "got inf"),
-        ("", "expected a number, got ''. Leave such rows out"),
+        ("", "expected a number, got ''. Give missing = \"drop\""),
         ("1.5m", "'1.5m'"),
     ],
 )
@@ -145,14 +146,14 @@ def test_a_heading_in_degrees_found_by_the_yaw_rate(write_csv, table, columns_fi
     table["yaw"] = np.degrees(on_the_spot(table)["yaw"])
     message = refused(write_csv(table), columns_file())
     assert "log.csv, rows 2 to 202, column 'r': the yaw rate is not the derivative of the heading" in message
-    assert "column 'yaw' looks like degrees" in message
+    assert "column 'yaw' looks like deg, but rad is declared: give it unit = 'deg'" in message
     as_degrees = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
     assert doubts(write_csv(table), as_degrees) == ()
 
 
 def test_a_yaw_rate_in_degrees_per_second(write_csv, table, columns_file):
     table["r"] = np.degrees(table["r"])
-    assert "column 'r' looks like degrees per second" in refused(write_csv(table), columns_file())
+    assert "column 'r' looks like deg/s, but rad/s is declared" in refused(write_csv(table), columns_file())
     declared = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
     dataset = Dataset.read(write_csv(table), columns=declared)
     np.testing.assert_allclose(dataset.episodes[0].states[:, 1], np.radians(table["r"]))
@@ -160,12 +161,13 @@ def test_a_yaw_rate_in_degrees_per_second(write_csv, table, columns_file):
 
 def test_radians_declared_as_degrees(write_csv, table, columns_file):
     wrong = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
-    assert "column 'r' looks like radians per second" in refused(write_csv(table), wrong)
+    assert "column 'r' looks like rad/s, but deg/s is declared" in refused(write_csv(table), wrong)
     wrong = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
     message = refused(write_csv(unwrapped(table)), wrong)
     assert "column 'yaw': the heading follows the motion only if it is in radians" in message
     message = refused(write_csv(on_the_spot(table)), wrong)
-    assert "column 'r' looks like degrees per second, or column 'yaw' looks like radians" in message
+    assert "column 'yaw' looks like rad, but deg is declared" in message
+    assert "column 'r' looks like deg/s, but rad/s is declared" in message
 
 
 def test_a_clockwise_heading(write_csv, table, columns_file):
@@ -211,6 +213,158 @@ def test_an_empty_file_and_a_header_alone(tmp_path, columns_file):
     assert "empty.csv: expected a header line" in refused(path, columns_file())
     path.write_text("t,x,y,yaw,u,r,throttle,steering\n")
     assert "empty.csv: expected at least two rows of data, got 0" in refused(path, columns_file())
+
+
+DROP = ("dt = 0.05", 'dt = 0.05\nmissing = "drop"')
+
+
+@pytest.mark.parametrize("kind", ["csv", "line by line", "parquet"])
+def test_rows_without_a_value_are_left_out_and_the_log_is_split_there_if_the_map_says_so(
+    write_csv, table, columns_file, tmp_path, kind
+):
+    path = write_csv(table)
+    for row, column, text in ((17, 4, ""), (18, 4, "nan"), (18, 6, ""), (90, 1, "NA"), (91, 7, "null")):
+        with_value(path, row, column, text)
+    if kind == "line by line":
+        path.write_text(path.read_text().replace("\n", "\n\n", 1))
+    if kind == "parquet":
+        frame = pd.read_csv(path)
+        path = tmp_path / "log.parquet"
+        frame.to_parquet(path)
+    dataset = Dataset.read(path, columns=columns_file(DROP))
+    assert dataset.names == ("log[0:14]", "log[15:85]", "log[86:196]")
+    np.testing.assert_array_equal(dataset.episodes[1].states[:, 0], table["u"][17:88])
+    first = {"csv": 17, "line by line": 18, "parquet": 16}[kind]
+    told = (
+        "4 of 201 rows have no value in some column (u 2, throttle 1, steering 1, x 1) and are left out, the first row "
+    )
+    assert f"{path.name}: {told}{first}; the log has holes there" in dataset.notes
+    assert any("2 steps outside 25 to 75 ms split it into 3 pieces" in note for note in dataset.notes)
+
+
+def test_without_time_stamps_rows_that_are_left_out_are_holes_too_and_infinite_numbers_stay_errors(
+    write_csv, table, columns_file
+):
+    untimed = columns_file(DROP, ('[time]\ncolumn = "t"\n', ""))
+    path = with_value(with_value(write_csv(table), 60, 5, ""), 61, 5, "")
+    assert Dataset.read(path, columns=untimed).names == ("log[0:57]", "log[58:198]")
+    assert "row 70, column 'u': expected a finite number, got inf" in refused(with_value(path, 70, 4, "inf"), untimed)
+    table["u"][1:] = np.nan
+    assert "200 of 201 rows have no value in some column (u 200): expected at least two rows that have them all" in (
+        refused(write_csv(table), untimed)
+    )
+
+
+def test_commands_in_words_may_be_missing_too(write_csv, table, columns_file):
+    words = {-1.0: "right", 0.0: "none", 1.0: "left"}
+    path = write_csv({**table, "steering": np.array([words[value] for value in table["steering"]])})
+    path.write_text(path.read_text().replace("'", ""))
+    with_value(path, 30, 7, "")
+    steer = ("levels = [-1.0, 0.0, 1.0]", "words = { right = -1.0, none = 0.0, left = 1.0 }")
+    assert "control 'steer' is '', expected one of" in refused(path, columns_file(steer))
+    dataset = Dataset.read(path, columns=columns_file(steer, DROP))
+    assert dataset.names == ("log[0:27]", "log[28:199]")
+    np.testing.assert_array_equal(dataset.episodes[1].controls[:, 1], table["steering"][29:200])
+
+
+def test_limits_in_the_unit_of_the_column_where_si_is_meant(write_csv, table, columns_file):
+    table["throttle"] = 4000.0 * table["throttle"]  # mA
+    wrong = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5000.0, high = 5000.0'))
+    (doubt,) = doubts(write_csv(table), wrong)
+    assert "log.csv, column 'throttle': 'drive' goes from -3.1999 to 3.2 A, 0.00064 of what its limits allow" in doubt
+    assert "-5000 to 5000 A: limits are in SI units. Are they in mA? Then give low = -5, high = 5" in doubt
+    right = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5.0, high = 5.0'))
+    assert doubts(write_csv(table), right) == ()
+    unknown = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -2000.0, high = 2000.0'))
+    assert doubts(write_csv(table), unknown)[0].endswith("limits are in SI units. Are they right?")
+    of_state = columns_file(
+        ("low = -1.0, high = 1.0", 'unit = "mA", low = -5.0, high = 5.0'),
+        ('unit = "rad/s" }', 'unit = "rad/s", low = -200.0, high = 200.0 }'),
+    )
+    assert doubts(write_csv(table), of_state) == (), "limits of a state may be wide"
+    table["r"] = np.degrees(table["r"])
+    of_state.write_text(of_state.read_text().replace("rad/s", "deg/s").replace("200.0", "120.0"))
+    assert "Are they in deg/s? Then give low = -2.0944, high = 2.0944" in doubts(write_csv(table), of_state)[0]
+
+
+PENDULUM = """
+name = "pendulum"
+dt = 0.02
+[states]
+theta = { column = "angle", unit = "rad", periodic = true }
+theta_dot = { column = "rate", unit = "rad/s" }
+[controls]
+torque = { column = "torque", unit = "N m", low = -1.0, high = 1.0 }
+"""
+
+
+def turning(write_csv, tmp_path, rng, angle=1.0, rate=1.0, *, text=PENDULUM):
+    """Return a log of a pendulum that goes round, in other units and a little noisy, and its column map."""
+    time = 0.02 * np.arange(2000)
+    theta, theta_dot = 5.0 * np.sin(0.7 * time), 3.5 * np.cos(0.7 * time)
+    wrapped = np.arctan2(np.sin(theta), np.cos(theta)) + 0.002 * rng.standard_normal(2000)
+    noisy = theta_dot + 0.1 * rng.standard_normal(2000)
+    (tmp_path / "pendulum.toml").write_text(text)
+    path = write_csv({"angle": angle * wrapped, "rate": rate * noisy, "torque": np.sin(3.0 * time)})
+    return path, tmp_path / "pendulum.toml"
+
+
+DEGREES = 180.0 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("angle", "rate", "looks"),
+    [
+        (DEGREES, 1.0, "column 'angle' looks like deg, but rad is declared: give it unit = 'deg'"),
+        (1.0, DEGREES, "column 'rate' looks like deg/s, but rad/s is declared: give it unit = 'deg/s'"),
+        (1.0, 30.0 / np.pi, ""),
+    ],
+)
+def test_a_rate_that_is_not_the_derivative_of_its_state(write_csv, tmp_path, rng, angle, rate, looks):
+    path, columns = turning(write_csv, tmp_path, rng, angle, rate)
+    if not looks:  # a factor of 9.5 is rpm, or a gear
+        assert not any("derivative" in doubt for doubt in doubts(path, columns))
+        return
+    message = refused(path, columns)
+    assert (
+        "log.csv, rows 2 to 2001, column 'rate': it goes with the change of column 'angle', but is not its" in message
+    )
+    assert looks in message
+    columns.write_text(PENDULUM.replace('"rad/s"', '"[rad/s]"'))
+    assert not any("derivative" in doubt for doubt in doubts(path, columns)), "there is a way to have it so"
+
+
+def test_radians_declared_as_degrees_in_states(write_csv, tmp_path, rng):
+    declared = PENDULUM.replace('"rad"', '"deg"')
+    assert "column 'angle' looks like rad, but deg is declared" in refused(
+        *turning(write_csv, tmp_path, rng, text=declared)
+    )
+    assert doubts(*turning(write_csv, tmp_path, rng)) == ()
+
+
+def test_a_rate_of_another_joint_is_no_mistake(write_csv, tmp_path, rng):
+    """The motor turns 57 times as fast as the arm, whose own rate is there as well."""
+    motor = PENDULUM.replace("[controls]", 'motor = { column = "motor", unit = "rad/s" }\n[controls]')
+    path, columns = turning(write_csv, tmp_path, rng, text=motor)
+    head, *rows = path.read_text().splitlines()
+    geared = [f"{row},{57.0 * float(row.split(',')[1])}" for row in rows]
+    path.write_text("\n".join([f"{head},motor", *geared]))
+    assert doubts(path, columns) == ()
+
+
+def test_degrees_in_both_angle_and_rate_are_doubted(write_csv, tmp_path, rng):
+    (doubt,) = doubts(*turning(write_csv, tmp_path, rng, DEGREES, DEGREES))
+    assert "column 'angle': state 'theta' reaches 1" in doubt
+    assert "full turns. Are these degrees? Then give unit = 'deg'" in doubt
+
+
+def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(write_csv, table, columns_file):
+    table["r"] = np.degrees(table["r"])
+    text = columns_file().read_text()
+    pose = text[text.index("[pose]") : text.index("[motion]")]
+    (doubt,) = doubts(write_csv(table), columns_file((pose, "")))
+    assert "state 'yaw_rate' reaches" in doubt
+    assert "Then give unit = 'deg/s'" in doubt
 
 
 def test_rows_between_one_and_three_a_step_say_what_to_do(write_csv, table, columns_file):

@@ -110,6 +110,19 @@ def test_a_missing_or_damaged_file_is_refused(car_data, tmp_path, missing):
         Dataset.load(folder)
 
 
+def test_a_stored_data_set_with_damaged_pages_or_too_many_rows_is_refused(car_data, tmp_path, monkeypatch):
+    folder = car_data.save(tmp_path / "data")
+    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "10")
+    with pytest.raises(ArtefactError, match=r"not a readable data set: samples.parquet: declares \d+ rows"):
+        Dataset.load(folder)
+    monkeypatch.delenv("SYSID_EVO_MOST_ROWS")
+    content = bytearray((folder / "samples.parquet").read_bytes())
+    content[len(content) // 4 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 4)
+    (folder / "samples.parquet").write_bytes(content)
+    with pytest.raises(ArtefactError, match=r"not a readable data set: samples.parquet"):
+        Dataset.load(folder)
+
+
 @given(
     lengths=st.lists(st.integers(1, 12), min_size=1, max_size=4),
     horizon=st.integers(1, 6),

@@ -55,9 +55,67 @@ def test_a_file_that_is_not_what_its_suffix_says(tmp_path):
     (tmp_path / "log.parquet").write_text("t,x\n")
     with pytest.raises(InvalidData, match=r"log.parquet: not a readable Parquet file"):
         ParquetReader().header(tmp_path / "log.parquet")
-    (tmp_path / "log.csv").write_bytes(b"\xff\xfe\x00\x80")
+    (tmp_path / "log.csv").write_bytes(b"\xff\x80")
     with pytest.raises(InvalidData, match=r"log.csv: expected text"):
         CsvReader().header(tmp_path / "log.csv")
+
+
+def test_a_parquet_file_that_declares_too_many_rows_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"t": np.zeros(25_000_000, np.int8)}), path)
+    assert path.stat().st_size < 100_000
+    used = pa.default_memory_pool().max_memory()
+    for read in (ParquetReader().read, lambda path, names: ParquetReader().labels(path, *names)):
+        with pytest.raises(InvalidData, match=r"log.parquet: declares 25000000 rows, more than the 20000000 that are"):
+            read(path, ["t"])
+    assert pa.default_memory_pool().max_memory() == used
+    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "25000000")
+    assert len(ParquetReader().read(path, ["t"])) == 25_000_000
+    monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "many")
+    with pytest.raises(InvalidData, match="SYSID_EVO_MOST_ROWS: expected the most rows of a Parquet file, got 'many'"):
+        ParquetReader().read(path, ["t"])
+
+
+def test_a_parquet_file_with_damaged_pages_is_named(tmp_path, rng):
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"t": rng.normal(size=1000).round(1)}), path, compression="snappy")
+    content = bytearray(path.read_bytes())
+    content[40:400] = bytes(255 for _ in range(360))
+    path.write_bytes(content)
+    for read in (lambda: ParquetReader().read(path, ["t"]), lambda: ParquetReader().labels(path, "t")):
+        with pytest.raises(InvalidData, match=r"log.parquet: not a readable Parquet file: "):
+            read()
+
+
+def test_utf_16_is_known_by_its_mark_and_other_encodings_by_the_column_map(write_csv, table, columns_file):
+    plain = Dataset.read(write_csv(table), columns=columns_file()).fingerprint
+    text = write_csv(table).read_text().replace("throttle", "Gaspedal ä")
+    german = ('column = "throttle"', 'column = "Gaspedal ä"')
+    path = write_csv(table)
+    for encoding in ("utf-16", "utf-32", "utf-8-sig"):
+        path.write_bytes(text.encode(encoding))
+        assert Dataset.read(path, columns=columns_file(german)).fingerprint == plain
+    for encoding in ("cp1252", "utf-16-le"):
+        path.write_bytes(text.encode(encoding))
+        with pytest.raises(InvalidData, match=r'log.csv: expected text.*encoding = "(cp1252|utf-16-le)"'):
+            Dataset.read(path, columns=columns_file(german))
+        named = columns_file(german, ("dt = 0.05", f'dt = 0.05\nencoding = "{encoding}"'))
+        assert Dataset.read(path, columns=named).fingerprint == plain
+        slow = text.replace("\n", "\n\n", 1)  # a blank line, so that it is read line by line
+        path.write_bytes(slow.encode(encoding))
+        assert Dataset.read(path, columns=named).fingerprint == plain
+    with pytest.raises(InvalidData, match="encoding: no text encoding 'latin-l'"):
+        Dataset.read(path, columns=columns_file(("dt = 0.05", 'dt = 0.05\nencoding = "latin-l"')))
+
+
+def test_a_column_map_may_have_a_byte_order_mark_and_must_be_utf_8(write_csv, table, columns_file):
+    columns = columns_file()
+    text = columns.read_text()
+    columns.write_bytes(text.encode("utf-8-sig"))
+    assert len(Dataset.read(write_csv(table), columns=columns)) == 1
+    columns.write_bytes(text.replace("test car", "Wägelchen").encode("cp1252"))
+    with pytest.raises(InvalidData, match=r"car.toml: expected a TOML file, which is UTF-8"):
+        Dataset.read(write_csv(table), columns=columns)
 
 
 def test_a_column_named_twice(tmp_path):
