@@ -23,7 +23,7 @@ from evaluation.cells.controllers import (
 from evaluation.cells.data import GivenData, RecordedData, Split
 from evaluation.cells.models import ConditionsCell, FitCell, PredictCell
 from evaluation.cells.plants import Plant, runner_of
-from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, Experiment
+from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.transfer.matrix import AT_REST, FOLDER, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
@@ -47,7 +47,8 @@ from sysid_evo.registry import (
     Spec,
     controllers,
     distinct,
-    load_plugin,
+    load_named_plugins,
+    load_plugins_again,
     make_robot,
     models,
     robot_spec,
@@ -171,9 +172,12 @@ def plan_comparison(
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
     """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
 
-    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged.
+    Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged, `PluginError` if it
+    names a plugin that is not trusted.
     """
-    comparison, damaged = comparison_again(Experiment.of(Experiment.read(run)), run)
+    experiment = Experiment.of(Experiment.read(run))
+    plugins = load_named_plugins(experiment.plugins, run / FILE)
+    comparison, damaged = comparison_again(experiment.model_copy(update={"plugins": plugins}), run)
     return comparison, (*comparison.plan.remarks, *damaged)
 
 
@@ -182,8 +186,6 @@ def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tup
 
     Raises `ArtefactError` if the data are missing or damaged.
     """
-    for plugin in experiment.plugins:
-        load_plugin(plugin)
     store = Store(run)
     record = store.find(experiment.data_digest or "")
     data = None if record is None else StoredCell(record, GivenData)
@@ -196,7 +198,9 @@ def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tup
 
 def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
     """Return the plan of the comparison with these settings."""
-    return comparison_again(Experiment.of(settings), run)[0].plan
+    experiment = Experiment.of(settings)
+    load_plugins_again(experiment.plugins)
+    return comparison_again(experiment, run)[0].plan
 
 
 def check_experiment(experiment: Experiment) -> None:

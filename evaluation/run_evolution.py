@@ -38,7 +38,7 @@ from sysid_evo.evolution import Champion, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
 from sysid_evo.plan import Again, Plan, Store, StoredCell
-from sysid_evo.registry import load_plugin
+from sysid_evo.registry import load_plugins_again
 from sysid_evo.tasks.task import make_task
 
 AGAIN = "evaluation.run_evolution:plan_again"
@@ -106,8 +106,7 @@ def plan_evolution(
 def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
     """Return the plan of the same evolution again, for another process."""
     experiment = Experiment.of(made_of["settings"])
-    for plugin in experiment.plugins:
-        load_plugin(plugin)
+    load_plugins_again(experiment.plugins)
     store = Store(run)
     return _planned(experiment, store, tuple(find_column(store, member) for member in made_of["members"])).plan
 

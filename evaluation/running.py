@@ -220,7 +220,7 @@ def run_study(
         raise InvalidArgument("out: expected a folder for a study that is not in a file")
     folder = study_folder(out, Path(str(study)))
     planned = plan_study(found)
-    found.write(folder / STUDY_FILE)
+    planned.study.write(folder / STUDY_FILE)
     execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
     return write_study(planned, folder)
 

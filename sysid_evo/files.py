@@ -13,6 +13,11 @@ def cache_folder(kind: str) -> Path:
     return Path(base) / "sysid-evo" / kind
 
 
+def state_folder(kind: str) -> Path:
+    """Return where this user's decisions of this ``kind`` are kept (below ``XDG_STATE_HOME``, if it is set)."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "sysid-evo" / kind
+
+
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
     """Let ``write`` fill a temporary file beside ``path``, sync it, and rename it to ``path``."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -32,9 +32,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One thread and one job, unless a test asks for more; compiled kernels stay in a folder of this session."""
+    """One thread and one job, unless a test asks for more; compiled kernels and trusted plugins stay in folders of this session."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "SYSID_EVO_JOBS"):
         os.environ.setdefault(name, "1")
+    decisions = tempfile.TemporaryDirectory(prefix="sysid-evo-state-")
+    os.environ["XDG_STATE_HOME"] = decisions.name  # which plugins the user trusts
+    config.add_cleanup(decisions.cleanup)
     if "SYSID_EVO_CACHE" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")
         os.environ["SYSID_EVO_CACHE"] = folder.name

@@ -15,7 +15,7 @@ from evaluation.study.study import Point, Study, name_of
 from sysid_evo.data import Dataset
 from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
 from sysid_evo.plan import Again, Cell, Plan, Record, Store, StoredCell
-from sysid_evo.registry import load_plugin, make_robot, robot_spec
+from sysid_evo.registry import load_named_plugins, load_plugin, load_plugins_again, make_robot, robot_spec
 
 AGAIN = "evaluation.study.planning:plan_again"
 """What makes the plan of a study again in another process."""
@@ -55,11 +55,19 @@ class PlannedStudy:
 def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store | None = None) -> PlannedStudy:
     """Return the plan of ``study``; nothing is computed. Raises what is wrong with a point, with its name.
 
-    Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, one for each
+    Plugins that its file names must be trusted. Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, one for each
     point or None, they are taken from ``store`` instead.
     """
-    for plugin in study.experiment.get("plugins", ()):
-        load_plugin(plugin)
+    plugins = study.experiment.get("plugins", ())
+    if study.file is not None:
+        study = study.with_plugins(load_named_plugins(plugins, study.file))
+    else:
+        for plugin in plugins:
+            load_plugin(plugin)
+    return _planned(study, digests, store)
+
+
+def _planned(study: Study, digests: Sequence[str | None], store: Store | None) -> PlannedStudy:
     known: dict[tuple[Any, ...], Dataset] = {}
     comparisons = []
     for point, digest in itertools.zip_longest(study.points, digests):
@@ -84,7 +92,9 @@ def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store
 
 def plan_again(settings: Mapping[str, Any], folder: Path) -> Plan:
     """Return the plan of the study with these settings; its recordings stand in the store ``folder``."""
-    return plan_study(Study.of(settings["study"]), digests=settings["data"], store=Store(folder)).plan
+    study = Study.of(settings["study"])
+    load_plugins_again(study.experiment.get("plugins", ()))
+    return _planned(study, settings["data"], Store(folder)).plan
 
 
 def _united(study: Study, comparisons: list[Comparison]) -> Plan:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,7 @@ class Study:
 
     ``experiment`` holds settings of `Experiment` that are common to all points, ``grids`` the axes by setting; the
     points of several grids are united. ``reference`` names the row that others are compared with: a controller, and
-    the labels of axes that tell rows apart; empty for the recommended controller.
+    the labels of axes that tell rows apart; empty for the recommended controller. ``file`` is where it was read from.
     """
 
     title: str
@@ -75,6 +75,7 @@ class Study:
     grids: tuple[Mapping[str, Axis], ...]
     reference: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    file: Path | None = field(default=None, compare=False, repr=False)
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Study:
@@ -113,9 +114,16 @@ class Study:
         file = Path(path) / STUDY_FILE if Path(path).is_dir() else Path(path)
         settings = read_toml(file, "a study")
         try:
-            return cls.of({"title": file.stem, **settings})
+            return replace(cls.of({"title": file.stem, **settings}), file=file)
         except InvalidArgument as error:
             raise InvalidArgument(f"{file}: {error}") from error
+
+    def with_plugins(self, plugins: Sequence[str]) -> Study:
+        """Return the same study with these plugin files."""
+        if list(plugins) == list(self.experiment.get("plugins", ())):
+            return self
+        experiment = {**self.experiment, "plugins": list(plugins)}
+        return replace(Study.of({**self.settings, "experiment": experiment}), file=self.file)
 
     def write(self, path: str | Path) -> Path:
         """Write the study to a TOML file."""

@@ -60,9 +60,11 @@ class ProcessStream(TrackerStream):
     def __init__(self, tracker: ProcessTracker) -> None:
         self._name, self._body = tracker.name, tracker.body
         self._pipe, theirs = os.pipe()
+        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)  # what this process may import, no more
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "hardware.trackers.feed", str(theirs)],
+                [sys.executable, "-P", "-m", "hardware.trackers.feed", str(theirs)],
+                env={**os.environ, "PYTHONPATH": paths},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

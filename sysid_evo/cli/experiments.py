@@ -20,6 +20,7 @@ from sysid_evo.cli.progress import Bars, print_plan
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.store import Outcome, Store
+from sysid_evo.registry.plugins import load_named_plugins
 
 
 def compare(
@@ -80,11 +81,12 @@ def compare(
 
     With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
     """
+    load_plugins(plugin)
     settings = Experiment.read(config) if config is not None else {}
     if settings.pop("data_digest", None) and not (data or robot or "data" in settings or "robot" in settings):
         raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
+    named = () if config is None else load_named_plugins(settings.get("plugins", ()), config)
     if preset is not None and settings:
-        load_plugins(settings.get("plugins"))
         settings = evaluation.unsettled(settings)
     settings |= given(
         data=resolved(data),
@@ -112,7 +114,7 @@ def compare(
         yardstick=yardstick,
         seed=seed,
         columns=column_map(columns),
-        plugins=resolved(plugin),
+        plugins=tuple(dict.fromkeys((*named, *(resolved(plugin) or ())))) or None,
     )
     try:
         experiment = Experiment.of(settings)
@@ -148,6 +150,7 @@ def fit(
     as_json: options.Json = False,
 ) -> None:
     """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
+    load_plugins(plugin)
     settings = given(
         data=resolved(data),
         test=None if test is None else tuple(test),
@@ -172,7 +175,6 @@ def run_experiment(
     verbose: bool,
 ) -> None:
     """Plan an experiment, run what is not done yet, and print what it found."""
-    load_plugins(experiment.plugins)
     path = evaluation.check_run_folder(folder)
     evaluation.check_experiment(experiment)
     dataset = read_data(experiment)
@@ -297,12 +299,13 @@ def report(
         list[str] | None,
         typer.Option("--format", help="Write it as markdown or svg (figures), too; repeatable."),
     ] = None,
+    plugin: options.Plugins = None,
 ) -> None:
     """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
     for name in formats or ():
         if name not in evaluation.FORMATS:
             raise InvalidArgument(f"--format: expected one of {', '.join(evaluation.FORMATS)}, got {name!r}")
-
+    load_plugins(plugin)
     made = report_again(run)
     if made is None:
         raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
@@ -346,6 +349,7 @@ def study(
     render: Annotated[
         bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
     ] = False,
+    plugin: options.Plugins = None,
     as_json: options.Json = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every table.")] = False,
 ) -> None:
@@ -354,7 +358,11 @@ def study(
     What two points share is computed once. Interrupted, it goes on with the same command; a point that is added later
     computes only what is new.
     """
+    load_plugins(plugin)
     found = evaluation.Study.read(file)
+    if plugin:
+        named = found.experiment.get("plugins", ())
+        found = found.with_plugins(tuple(dict.fromkeys((*named, *(resolved(plugin) or ())))))
     path = (
         evaluation.check_run_folder(file) if file.is_dir() and folder is None else evaluation.study_folder(folder, file)
     )
@@ -369,7 +377,7 @@ def study(
         return
     session.run = store
     if not render:
-        found.write(path / evaluation.STUDY_FILE)
+        planned.study.write(path / evaluation.STUDY_FILE)
         with Bars(f"--out {shlex.quote(str(path))}", where=planned.where, elsewhere=scheduler is not None) as bars:
             execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = evaluation.write_study(planned, path)

@@ -194,7 +194,7 @@ class Worker:
 
     def __init__(self, inbox: Inbox) -> None:
         environment = dict.fromkeys(INNER_THREADS, "1") | dict(os.environ)
-        command = [sys.executable, "-c", PROGRAM, json.dumps(sys.path)]
+        command = [sys.executable, "-P", "-c", PROGRAM, json.dumps(sys.path)]  # -P: no ./json.py of the current folder
         with _uninterrupted():
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", env=environment

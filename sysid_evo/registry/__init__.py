@@ -1,7 +1,7 @@
 """Everything that has a name: registries, the grammar of names, plugin files."""
 
 from sysid_evo.registry.grammar import Spec, distinct, split
-from sysid_evo.registry.plugins import load_plugin, source_digest
+from sysid_evo.registry.plugins import load_named_plugins, load_plugin, load_plugins_again, source_digest
 from sysid_evo.registry.registry import (
     KINDS,
     Registry,
@@ -36,7 +36,9 @@ __all__ = [
     "aggregates",
     "controllers",
     "distinct",
+    "load_named_plugins",
     "load_plugin",
+    "load_plugins_again",
     "make_robot",
     "models",
     "motions",

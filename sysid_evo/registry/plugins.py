@@ -1,48 +1,118 @@
-"""Plugin files that are not installed, and the digest of where a registered thing comes from."""
+"""Plugin files that are not installed, and the digest of where a registered thing comes from.
+
+Whoever runs the program may load any; those that a stored file names must be trusted, see `trust`.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import shlex
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterable
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
-from sysid_evo.errors import PluginError, RegistrationError
+from sysid_evo.errors import PluginError, PluginWarning, RegistrationError
+from sysid_evo.registry.trust import distrust, remember
 
 SHIPPED = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 PREFIX = "sysid_evo_plugin_"
 
 
 def load_plugin(path: str | Path) -> None:
-    """Import a plugin file that is not installed, so that its decorators run.
+    """Import a plugin file that is not installed, so that its decorators run, and trust it from now on, unchanged.
 
     Raises `PluginError` if the file is missing or fails while it is imported, `RegistrationError` if it
     takes a name that is in use.
     """
-    path = Path(path).resolve()
-    name = f"{PREFIX}{path.stem}"
-    loaded = sys.modules.get(name)
-    if loaded is not None:
-        if loaded.__file__ != str(path):
-            raise PluginError(
-                f"plugin {path}: {loaded.__file__}, a file of the same name, is loaded already; rename one"
-            )
-        return
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise PluginError(f"plugin {path}: expected a Python file, found none")
+    file = Path(path).resolve()
+    loaded = sys.modules.get(_module(file))
+    if loaded is None:
+        source = _source(file)
+        remember(file, source)
+        _run(file, source)
+    elif loaded.__file__ != str(file):
+        raise PluginError(f"plugin {file}: {loaded.__file__}, a file of the same name, is loaded already; rename one")
+
+
+def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]:
+    """Import plugin files that the stored file ``by`` names, if they are trusted; return the files that are loaded.
+
+    What is loaded already stands for a file of the same name, with a `PluginWarning` if it is another one. Raises
+    `PluginError` for those that this user has not run here, unchanged, and what `load_plugin` does.
+    """
+    found, refused = [], []
+    for file in (Path(path).resolve() for path in paths):
+        loaded = sys.modules.get(_module(file))
+        if loaded is None:
+            source = _source(file) if file.is_file() else None
+            why = "is not there" if source is None else distrust(file, source)
+            if source is None or why:
+                refused.append((file, why))
+                continue
+            _run(file, source)
+        elif loaded.__file__ != str(file):
+            sentence = f"{by} names the plugin {file}: {loaded.__file__}, which has the same name, is used for it"
+            warnings.warn(sentence, PluginWarning, stacklevel=2)
+        found.append(str(file if loaded is None else loaded.__file__))
+    if refused:
+        names = " and ".join(f"the plugin {file}, which {why}" for file, why in refused)
+        options = " ".join(f"--plugin {shlex.quote(str(file))}" for file, _ in refused)
+        raise PluginError(
+            f"{by} names {names}. A plugin is code that runs with your rights, so none runs because a file names it: "
+            f"read it and, if you trust it, add {options} (in Python call load_plugin first)"
+        )
+    return tuple(dict.fromkeys(found))
+
+
+def load_plugins_again(paths: Iterable[str]) -> None:
+    """Import the plugin files that the process has loaded on whose behalf this one computes: it took the decision."""
+    for file in map(Path, paths):
+        if _module(file) not in sys.modules:
+            _run(file, _source(file))
+
+
+class _FromSource(SourceFileLoader):
+    """Loads a module from the ``source`` that was looked at, never from cached bytecode, which others may have made."""
+
+    def __init__(self, name: str, path: str, source: bytes) -> None:
+        super().__init__(name, path)
+        self._bytes = source
+
+    def get_code(self, fullname: str) -> CodeType:
+        code: CodeType = self.source_to_code(self._bytes, self.path)
+        return code
+
+
+def _module(file: Path) -> str:
+    return f"{PREFIX}{file.stem}"
+
+
+def _source(file: Path) -> bytes:
+    if file.suffix != ".py" or not file.is_file():
+        raise PluginError(f"plugin {file}: expected a Python file, found none")
+    return file.read_bytes()
+
+
+def _run(file: Path, source: bytes) -> None:
+    name = _module(file)
+    loader = _FromSource(name, str(file), source)
+    spec = importlib.util.spec_from_file_location(name, file, loader=loader)
+    assert spec is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        loader.exec_module(module)
     except RegistrationError as error:
         del sys.modules[name]
-        raise RegistrationError(f"plugin {path}: {error}") from error
+        raise RegistrationError(f"plugin {file}: {error}") from error
     except Exception as error:  # a plugin may fail in any way while it is imported
         del sys.modules[name]
-        raise PluginError(f"plugin {path} cannot be imported: {type(error).__name__}: {error}") from error
+        raise PluginError(f"plugin {file} cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def source_digest(factory: Callable[..., Any]) -> str:

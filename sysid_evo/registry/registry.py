@@ -207,7 +207,10 @@ class Registry(Generic[T]):
 
     def _unknown(self, name: str) -> str:
         known = ", ".join(self.names()) or "none"
-        return f"no {self.kind} is called {name!r}.{did_you_mean(name, self.names())} Known: {known}."
+        return (
+            f"no {self.kind} is called {name!r}.{did_you_mean(name, self.names())} Known: {known}. "
+            "One from a file of yours needs --plugin FILE (in Python load_plugin)."
+        )
 
     def _no_parameter(self, name: str, wrong: str, known: Mapping[str | None, Any]) -> str:
         usable = {str(key): value for key, value in known.items() if key not in self.given}

@@ -1,0 +1,176 @@
+"""The table of SECURITY.md, line by line: whose Python runs because of which file, and when."""
+
+from __future__ import annotations
+
+import py_compile
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from evaluation import Experiment, Study, comparison_of, plan_study, run_study
+from sysid_evo import load_plugin
+from sysid_evo.errors import PluginError
+from tests.sysid_evo.cli.calling import forgetting, run_here
+
+PLUGIN = '''
+"""A task of somebody's, which leaves a trace when it runs."""
+import os
+from pathlib import Path
+from sysid_evo import PointToPoint, register_task
+
+with Path(os.environ["RAN"]).open("a") as trace:
+    trace.write("ran\\n")
+
+
+@register_task("stand")
+class Stand(PointToPoint):
+    """Like point to point."""
+'''
+SMALL = (
+    "--models", "linear,near=nearest_neighbour", "--task", "stand(horizon=20)", "--generations", "1", "--trials", "1",
+    "--runs", "1", "--recipe", "plain", "--controller", "linear", "--strategy", "mu_plus_lambda(parents=2, children=2)",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a plugin, a run that used it, a study and a configuration that name it."""
+    folder = tmp_path_factory.mktemp("theirs")
+    (folder / "stand.py").write_text(PLUGIN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAN", str(folder / "ran"))
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
+        done = run_here("compare", "--data", logs, "--plugin", "stand.py", *SMALL, "--out", "run", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\nonly = "fit"\ndata = ["{logs}"]\n')
+    study = '[experiment]\nplugins = ["stand.py"]\nmodels = ["linear"]\nminutes = 0.5\nonly = "prediction"\n'
+    (folder / "study.toml").write_text(f"{study}[grid]\nseed = [0, 1]\n")
+    return folder
+
+
+@pytest.fixture
+def theirs(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of all that, on a machine where the plugin has never run."""
+    shutil.copytree(made, tmp_path / "theirs", ignore=shutil.ignore_patterns("state", "ran"))
+    file = tmp_path / "theirs" / "run" / "experiment.toml"
+    file.write_text(file.read_text().replace(str(made), str(tmp_path / "theirs")))
+    monkeypatch.setenv("RAN", str(tmp_path / "theirs" / "ran"))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "theirs"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("report", "run"),
+        ("transfer", "run", "--on", "run"),
+        ("compare", "--config", "run", "--dry-run"),
+        ("compare", "--config", "run", "--preset", "standard"),
+        ("compare", "--config", "own.toml"),
+        ("study", "study.toml", "--out", "points"),
+        ("study", "study.toml", "--dry-run"),
+    ],
+)
+def test_a_file_that_names_a_plugin_runs_none_that_has_not_run_here(command: tuple[str, ...], theirs: Path) -> None:
+    refused = run_here(*command, cwd=theirs)
+    said = " ".join(refused.stderr.split())
+    assert refused.returncode == 2
+    assert f"names the plugin {theirs}/stand.py, which has not run here yet" in said.replace(" /", " /")
+    assert "add --plugin" in said
+    assert not (theirs / "ran").exists()
+
+
+def test_what_is_given_runs_and_is_trusted_until_it_changes(theirs: Path) -> None:
+    assert run_here("report", "run", "--plugin", "stand.py", cwd=theirs).returncode == 0
+    for command in (("report", "run"), ("compare", "--config", "run", "--dry-run"), ("study", "study.toml", "--dry-run")):
+        done = run_here(*command, cwd=theirs)
+        assert done.returncode == 0, done.stderr
+    before = (theirs / "ran").read_text()
+    with (theirs / "stand.py").open("a") as file:
+        file.write("# changed\n")
+    refused = run_here("report", "run", cwd=theirs)
+    assert "has changed since it ran here" in " ".join(refused.stderr.split())
+    assert (theirs / "ran").read_text() == before
+    shutil.copy(theirs / "stand.py", theirs / "run")  # elsewhere it may be something else: it reads files beside it
+    file = theirs / "run" / "experiment.toml"
+    file.write_text(file.read_text().replace("stand.py", "run/stand.py"))
+    assert "has not run here yet" in " ".join(run_here("report", "run", cwd=theirs).stderr.split())
+
+
+def test_bytecode_beside_a_trusted_plugin_is_not_run(theirs: Path) -> None:
+    plugin = theirs / "stand.py"
+    source = plugin.read_text()
+    assert run_here("report", "run", "--plugin", "stand.py", cwd=theirs).returncode == 0
+    plugin.write_text(source + "\nraise SystemExit('bytecode')\n")
+    py_compile.compile(str(plugin), invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
+    plugin.write_text(source)
+    assert run_here("report", "run", cwd=theirs).returncode == 0
+
+
+@pytest.mark.filterwarnings("default::sysid_evo.errors.PluginWarning")
+def test_a_plugin_that_stands_elsewhere_now_is_given_where_it_is(theirs: Path) -> None:
+    (theirs / "stand.py").rename(theirs / "run" / "stand.py")
+    assert "which is not there" in " ".join(run_here("report", "run", cwd=theirs).stderr.split())
+    done = run_here("report", "run", "--plugin", "run/stand.py", cwd=theirs)
+    assert done.returncode == 0, done.stderr
+    assert "which has the same name, is used for it" in " ".join(done.stderr.split())
+
+
+def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(
+    theirs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(theirs)
+    Experiment.read("run")
+    study = Study.read("study.toml")
+    for refused in (lambda: comparison_of(Path("run")), lambda: plan_study(study), lambda: run_study("study.toml")):
+        with pytest.raises(PluginError, match="in Python call load_plugin first"):
+            refused()
+    assert not (theirs / "ran").exists()
+    with forgetting():
+        load_plugin("stand.py")
+        assert comparison_of(Path("run"))[0].experiment.task == "stand(horizon=20)"
+        assert plan_study(study).study.experiment["plugins"] == [str(theirs / "stand.py")]
+    with forgetting():
+        assert plan_study(study).points
+
+
+def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it(theirs: Path) -> None:
+    command = ("export", "run/controllers/linear", "--to", "python", "--out", "law.py")
+    refused = run_here(*command, cwd=theirs)
+    said = " ".join(refused.stderr.split())
+    assert refused.returncode == 2
+    assert "no task is called 'stand'" in said
+    assert "--plugin FILE" in said
+    assert not (theirs / "ran").exists()
+    done = run_here(*command, "--plugin", "stand.py", cwd=theirs)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_processes_of_a_command_run_its_plugins_where_nothing_can_be_remembered(
+    theirs: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc")
+    monkeypatch.setenv("SYSID_EVO_JOBS", "2")
+    given = ("--plugin", "stand.py", "--only", "prediction", "--models", "linear,nearest_neighbour", "--out", "two")
+    done = run_here("compare", "--data", logs, *given, "--jobs", "2", cwd=theirs)
+    assert done.returncode == 0, done.stderr
+    assert "cannot plan" not in done.stderr
+    assert (theirs / "ran").read_text().count("ran") == 3
+    assert run_here("report", "two", cwd=theirs).returncode == 2
+
+
+def test_no_module_of_the_current_folder_is_imported(theirs: Path, logs: Path) -> None:
+    trace = f'open({str(theirs / "ran")!r}, "a").write("ran")\n'
+    for name in ("json.py", "numpy.py", "evil.py"):
+        (theirs / name).write_text(trace)
+    (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
+    refused = run_here("compare", "--config", "evil.toml", cwd=theirs)
+    assert "No module named 'evil'" in " ".join(refused.stderr.split())
+    command = ("fit", str(logs), "--models", "linear,nearest_neighbour", "--jobs", "2", "--out", "two")
+    main = "from sysid_evo.__main__ import main; main()"  # with -P, as the installed command
+    done = subprocess.run([sys.executable, "-P", "-c", main, *command], cwd=theirs, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not (theirs / "ran").exists()
