@@ -32,7 +32,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One thread and one job, unless a test asks for more; compiled kernels and trusted plugins stay in folders of this session."""
+    """One thread and one job, unless a test asks for more; compiled kernels and trusted plugins are this session's."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "SYSID_EVO_JOBS"):
         os.environ.setdefault(name, "1")
     decisions = tempfile.TemporaryDirectory(prefix="sysid-evo-state-")

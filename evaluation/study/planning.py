@@ -55,8 +55,8 @@ class PlannedStudy:
 def plan_study(study: Study, *, digests: Sequence[str | None] = (), store: Store | None = None) -> PlannedStudy:
     """Return the plan of ``study``; nothing is computed. Raises what is wrong with a point, with its name.
 
-    Plugins that its file names must be trusted. Recordings that experiments name are read, each once. With the ``digests`` of the cells of their data, one for each
-    point or None, they are taken from ``store`` instead.
+    Plugins that its file names must be trusted. Recordings that experiments name are read, each once. With the
+    ``digests`` of the cells of their data, one for each point or None, they are taken from ``store`` instead.
     """
     plugins = study.experiment.get("plugins", ())
     if study.file is not None:

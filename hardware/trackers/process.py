@@ -18,6 +18,7 @@ import sys
 import time
 from abc import abstractmethod
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,7 +61,7 @@ class ProcessStream(TrackerStream):
     def __init__(self, tracker: ProcessTracker) -> None:
         self._name, self._body = tracker.name, tracker.body
         self._pipe, theirs = os.pipe()
-        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)  # what this process may import, no more
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)  # what this process may import, no more
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "hardware.trackers.feed", str(theirs)],

@@ -117,7 +117,7 @@ def _actuations(program: Program, system: System) -> list[Statement]:
             control = number(channel.levels[0])
             for boundary, level in zip(level_boundaries(len(channel.levels)), channel.levels[1:], strict=True):
                 control = choose(raw, ">=" if boundary < 0.0 else ">", boundary, level, control)
-        made.append(Statement(f"control_{_identifier(channel.name)}", control, _legal(channel)))
+        made.append(Statement(f"control_{_identifier(channel.name)}", control, _harmless(_legal(channel))))
     return made
 
 
@@ -152,7 +152,8 @@ def _run(program: Program, controls: tuple[Variable, ...], seen: Array) -> Array
 
 def _harmless(line: str) -> str:
     """Return ``line`` so that it ends no comment and no text in any of the languages."""
-    return line.replace("\\", "/").replace('"', "'").replace("*/", "* /")
+    line = "".join(character if character.isprintable() else " " for character in line)
+    return line.replace("\\", "/").replace('"', "'").replace("*/", "* /").replace("/*", "/ *")
 
 
 def _identifier(name: str) -> str:

@@ -85,7 +85,11 @@ def test_a_file_that_names_a_plugin_runs_none_that_has_not_run_here(command: tup
 
 def test_what_is_given_runs_and_is_trusted_until_it_changes(theirs: Path) -> None:
     assert run_here("report", "run", "--plugin", "stand.py", cwd=theirs).returncode == 0
-    for command in (("report", "run"), ("compare", "--config", "run", "--dry-run"), ("study", "study.toml", "--dry-run")):
+    for command in (
+        ("report", "run"),
+        ("compare", "--config", "run", "--dry-run"),
+        ("study", "study.toml", "--dry-run"),
+    ):
         done = run_here(*command, cwd=theirs)
         assert done.returncode == 0, done.stderr
     before = (theirs / "ran").read_text()

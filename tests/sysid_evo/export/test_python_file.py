@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sysid_evo.export import law_of, python_text
-from sysid_evo.testing.examples import continuous_car
+from sysid_evo.export import c_text, law_of, python_text
+from sysid_evo.testing.examples import continuous_car, switched_car
 
 from .made import SPECS, champion_of, decided, stepped, wandering, write
 
@@ -72,3 +74,15 @@ def test_a_name_that_would_end_the_remark_does_not() -> None:
     law = law_of(champion)
     assert law.name == "a_b" or law.name.isidentifier()
     assert "Controller" in loaded(python_text(law))
+
+
+def test_units_and_names_end_no_comment_and_add_no_line_of_code() -> None:
+    hostile = '*/ #error out */\nraise SystemExit("out")\r\x0craise SystemExit\x1b[2J"""'
+    system = switched_car()
+    channels = tuple(replace(channel, unit=hostile) for channel in system.controls)
+    champion = champion_of("linear", replace(system, controls=channels), name=hostile)
+    assert "Controller" in loaded(python_text(law_of(champion)))
+    code = re.sub(r"/\*.*?\*/", "", c_text(law_of(champion)), flags=re.DOTALL)
+    assert "#error" not in code
+    assert "#error" in c_text(law_of(champion))
+    assert "\x1b" not in python_text(law_of(champion)) + c_text(law_of(champion))
