@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -143,6 +143,42 @@ class Experiment(BaseModel):
         if self.polish is None:
             found = found.model_copy(update={"polish": min(found.polish, found.generations)})
         return found
+
+
+class Settings(TypedDict, total=False):
+    """What `Experiment` can be given by a caller in Python, for type checkers; see there."""
+
+    title: str | None
+    columns: str | Path | None
+    test: Sequence[str] | None
+    leave_out: Literal["condition"] | None
+    held_back: float
+    robot: str | None
+    minutes: float
+    models: Sequence[str] | None
+    ensembles: Sequence[str] | None
+    preset: Literal["quick", "standard", "paper"]
+    only: Literal["fit", "prediction"] | None
+    task: str
+    controller: str | None
+    by_hand: Sequence[str]
+    strategy: str | None
+    recipe: Recipe | None
+    aggregate: str
+    noise: str | None
+    caution: str
+    schedule: str
+    generations: int | None
+    trials: int | None
+    runs: int | None
+    polish: int | None
+    selection_trials: int
+    estimator_delay: float
+    transfer_trials: int
+    traces: int
+    yardstick: bool | None
+    seed: int
+    plugins: Sequence[str | Path]
 
 
 def _sentence(error: Any) -> str:

@@ -15,12 +15,13 @@ from evaluation.transfer.forecast import Forecast, ModelForecast, forecasts, mod
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
+from sysid_evo.display import Displayed, listed
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
 
 
-@dataclass(frozen=True)
-class Report:
+@dataclass(frozen=True, repr=False)
+class Report(Displayed):
     """Everything a comparison found. Parts that were not computed are None or empty.
 
     ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
@@ -42,6 +43,12 @@ class Report:
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionErrors, ...]] = field(default_factory=dict)
+
+    def facts(self) -> Mapping[str, str]:
+        matrix = self.matrix
+        ran = {} if matrix is None else {"controllers": listed(matrix.rows), "on": listed(matrix.columns)}
+        failed = {"failures": str(len(self.all_failures))} if self.all_failures else {}
+        return {"title": self.title, "models": listed(model.name for model in self.models), **ran, **failed}
 
     @cached_property
     def transfer(self) -> TransferSummary | None:

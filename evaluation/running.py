@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from evaluation.experiment import FILE, Experiment
+from evaluation.experiment import FILE, Experiment, Settings
 from evaluation.planning import Comparison, check_experiment, plan_comparison
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
-from evaluation.report.report import save_report
+from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import DataSummary, Failure, ModelSummary, Report
 from evaluation.run_folder import check_run_folder
@@ -22,8 +23,9 @@ from evaluation.study.study import STUDY_FILE, Study
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
-from sysid_evo.plan import Observer, Plan, Scheduler, Store, execute
+from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
+from sysid_evo.progress import Progress, told
 from sysid_evo.registry import load_plugin
 from sysid_evo.version import versions
 
@@ -35,14 +37,16 @@ def compare(
     observer: Observer | None = None,
     jobs: int | None = None,
     scheduler: Scheduler | None = None,
-    **settings: Any,
+    progress: Progress | bool | None = None,
+    **settings: Unpack[Settings],
 ) -> Report:
     """Fit models, evolve controllers in them, and compare both; return the report.
 
     ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
     run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
     written there too. Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler``
-    have room for, see `execute`. ``settings`` are those of `Experiment`::
+    have room for, see `execute`. ``progress`` is called as cells go on, True shows a bar. ``settings`` are those of
+    `Experiment`::
 
         from evaluation import compare
 
@@ -53,17 +57,18 @@ def compare(
             ensembles=["near2+parametrised"],
             task="point_to_point(arena_radius=1.0)",
             seed=1,
+            progress=True,
         )
-        print(report.transfer.pick, report.prediction.ranking(20)[0].name)
+        print(report)
 
     Raises what `plan_comparison` does, before any work.
     """
     folder = check_run_folder(out)
-    dataset = data if isinstance(data, Dataset) else None
+    dataset, asked = data if isinstance(data, Dataset) else None, dict(settings)
     if data is not None and not isinstance(data, Dataset):
         listed = [data] if isinstance(data, (str, Path)) else list(data)
-        settings = {**settings, "data": tuple(str(Path(path).resolve()) for path in listed)}
-    experiment = Experiment.of({name: _storable(value) for name, value in settings.items()})
+        asked["data"] = tuple(str(Path(path).resolve()) for path in listed)
+    experiment = Experiment.of({name: _storable(value) for name, value in asked.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
     check_experiment(experiment)
@@ -73,8 +78,35 @@ def compare(
     comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
     comparison.experiment.write(folder / FILE)
     store = Store(folder)
-    execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
+    with _observed(observer, progress, "compare") as observer:
+        execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
     return report_of(comparison, store)
+
+
+@contextmanager
+def _observed(observer: Observer | None, progress: Progress | bool | None, title: str) -> Iterator[Observer | None]:
+    """Return what is told of an execution: the ``observer``, or one that tells ``progress`` how many cells are done."""
+    if observer is not None and progress:
+        raise InvalidArgument(f"{title}: expected progress or an observer, got both")
+    with told(progress, title) as report:
+        yield observer if report is None else _CellCounter(report)
+
+
+class _CellCounter(Observer):
+    """Tells a `Progress` how many cells of a plan are done, and how far the present one is."""
+
+    def __init__(self, report: Progress) -> None:
+        self._report, self._done, self._cells = report, 0, 0
+
+    def plan(self, cells: int, kept: int, seconds: float) -> None:
+        self._cells = cells
+
+    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
+        self._report(self._done, self._cells, f"{cell.title} {done}/{total}")
+
+    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
+        self._done += 1
+        self._report(self._done, self._cells, cell.title)
 
 
 def _storable(value: Any) -> Any:
@@ -124,7 +156,7 @@ def gather_results(comparison: Comparison, store: Store) -> Report:
         raise InvalidData(f"no model could be fitted: {reasons}")
     matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
     found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
-    return Report(
+    return PrintedReport(
         title=comparison.title,
         data=DataSummary.of(training, training if test is None else test),
         models=tuple(
@@ -198,11 +230,13 @@ def run_study(
     observer: Observer | None = None,
     jobs: int | None = None,
     scheduler: Scheduler | None = None,
+    progress: Progress | bool | None = None,
 ) -> StudyResults:
     """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
 
     ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
-    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for::
+    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for.
+    ``progress`` is called as cells go on, True shows a bar::
 
         from evaluation import run_study
 
@@ -221,7 +255,8 @@ def run_study(
     folder = study_folder(out, Path(str(study)))
     planned = plan_study(found)
     planned.study.write(folder / STUDY_FILE)
-    execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
+    with _observed(observer, progress, "study") as observer:
+        execute(planned.plan, Store(folder), observer=observer, jobs=jobs, scheduler=scheduler)
     return write_study(planned, folder)
 
 

@@ -19,7 +19,7 @@ from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.models import Dynamics
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Progress, told
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
 
@@ -95,11 +95,12 @@ class Robot(ABC):
         duration: float,
         folder: Path | None = None,
         stops: Stops | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
     ) -> Recorded:
-        """Drive its manoeuvres, drawn from ``seed``, for ``duration`` s and record the answer."""
+        """Drive its manoeuvres, drawn from ``seed``, for ``duration`` s and record the answer; True shows a bar."""
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
-        return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+        with told(progress, "record") as report:
+            return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=report)
 
 
 def find_robot(spec: str | Spec) -> Robot:

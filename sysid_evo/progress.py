@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol, TypeAlias
 
 from sysid_evo.types import Array
@@ -31,6 +31,11 @@ class Counter:
         self.done += parts
         if self.progress is not None:
             self.progress(self.done, self.total)
+
+
+def told(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
+    """Return what long work reports to while it goes on: for True a bar, for False nothing."""
+    return shown(title) if progress is True else nullcontext(progress or None)
 
 
 @contextmanager

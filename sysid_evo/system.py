@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.angles import TURN, wrap
+from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.motion import Motion, MotionGradient, StraightGradient, motion_from_dict
@@ -101,8 +102,8 @@ class Channel:
         )
 
 
-@dataclass(frozen=True)
-class System:
+@dataclass(frozen=True, repr=False)
+class System(Displayed):
     """States, controls, the sampling time ``dt`` in seconds, and how states move a pose.
 
     A name in place of a `Channel` is a channel without unit and limits.
@@ -138,6 +139,15 @@ class System:
                 raise InvalidSystem(f"control {control.name!r}: expected no period, which only states have")
         if self.motion is not None:
             self.motion.check(self.state_names)
+
+    def facts(self) -> Mapping[str, str]:
+        return {
+            **({"name": self.name} if self.name else {}),
+            "states": listed(map(_described, self.states)),
+            "controls": listed(map(_described, self.controls)),
+            "dt": f"{self.dt:g} s",
+            **({} if self.motion is None else {"motion": self.motion.kind}),
+        }
 
     @property
     def nx(self) -> int:

@@ -20,7 +20,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.models.parameters import OneOf, Searched, Within, check_names, limits_of
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Progress, told
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
 from sysid_evo.validation.folds import folds_of
@@ -265,7 +265,7 @@ def tune(
     *,
     seconds: float | None = None,
     trials: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     **settings: Any,
 ) -> Tuning:
     """Search the parameters of a family for so many ``seconds`` or ``trials``; see `Tuning` for the ``settings``.
@@ -273,8 +273,9 @@ def tune(
     ``tune(...).best.spec`` is the best found, ready for `make_model`.
     """
     found = Tuning(spec, dataset, **settings)
-    for _ in found.run(seconds=seconds, trials=trials, progress=progress):
-        pass
+    with told(progress, f"tune {found.spec.name}") as report:
+        for _ in found.run(seconds=seconds, trials=trials, progress=report):
+            pass
     return found
 
 

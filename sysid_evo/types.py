@@ -1,8 +1,9 @@
-"""Array types and the one check that names what was expected and what came."""
+"""Array types, the one check that names what was expected and what came, and fields that convert what they are given."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Any, Generic, TypeAlias, TypeVar, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -43,3 +44,30 @@ def _numbers(name: str, array: npt.ArrayLike) -> Array:
         return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name}: expected numbers, got {type(array).__name__}: {error}") from error
+
+
+G = TypeVar("G")
+H = TypeVar("H")
+
+
+class Converted(Generic[G, H]):
+    """A field of a dataclass that may be given a G and holds the H that ``convert`` makes of it.
+
+    Type checkers read off it what the constructor takes, a text for example, and what the field is, such as a `Spec`.
+    """
+
+    def __init__(self, convert: Callable[[G], H], default: G) -> None:
+        self._convert, self._default = convert, default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> G: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> H: ...
+    def __get__(self, instance: Any, owner: type) -> G | H:
+        return self._default if instance is None else instance.__dict__[self._name]
+
+    def __set__(self, instance: Any, value: G) -> None:
+        instance.__dict__[self._name] = self._convert(value)

@@ -379,7 +379,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         strategy=Spec.parse(budget.strategy),
         noise="" if noise == NONE else noise,
         caution=experiment.caution,
-        schedule=Stage.parse_many(experiment.schedule) if experiment.schedule else (),
+        schedule=Stage.listed(experiment.schedule) if experiment.schedule else (),
     )
 
 

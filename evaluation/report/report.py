@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from rich.text import Text
 
 from evaluation.advice.evidence import advice_to_json
 from evaluation.behaviour import manners
-from evaluation.report.elements import Section, Story
+from evaluation.report.elements import Section, Story, Tone
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import findings_lines, indented, to_rich
+from evaluation.report.render.terminal import findings_lines, indented, plain_text, to_rich
 from evaluation.report.save import json_text, write_page, write_text
 from evaluation.report.sections import (
     advice,
@@ -206,6 +207,25 @@ def tables(report: Report) -> list[RenderableType]:
         if notes:
             parts.append(Group(Text(title, style="bold"), *(Text(f"- {note}") for note in notes)))
     return parts
+
+
+TONES: dict[Tone, str] = {"good": "#009e73", "bad": "#d55e00", "open": "#888888"}
+
+
+@dataclass(frozen=True, repr=False)
+class PrintedReport(Report):
+    """A report that prints as the terminal shows it, and shows its answers as cards in a notebook."""
+
+    def __str__(self) -> str:
+        return plain_text(brief(self))
+
+    def _repr_html_(self) -> str:
+        cards = "".join(
+            f'<div style="flex: 1 1 14em; padding: 0 1em; border-top: 3px solid {TONES[one.tone]}">'
+            f"<p>{escape(one.question)}</p><p><strong>{escape(one.answer)}</strong></p><p>{escape(one.sentence)}</p></div>"
+            for one in headlines(self)
+        )
+        return f'<p><strong>{escape(self.title)}</strong></p><div style="display: flex; flex-wrap: wrap">{cards}</div>'
 
 
 def _verdict(report: Report) -> list[RenderableType]:

@@ -18,6 +18,7 @@ from evaluation.study.study import Point, Study
 from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerScores, is_exploited, standings
+from sysid_evo.display import Displayed
 from sysid_evo.files import write_atomically
 from sysid_evo.plan import Cell, Record, Store
 from sysid_evo.plan.store import WAITING
@@ -146,8 +147,8 @@ class CellTime:
     failed: bool = False
 
 
-@dataclass(frozen=True)
-class StudyResults:
+@dataclass(frozen=True, repr=False)
+class StudyResults(Displayed):
     """All that is known of a study, from its plan and its store alone."""
 
     study: Study
@@ -157,6 +158,11 @@ class StudyResults:
     failures: tuple[Failed, ...] = ()
     times: tuple[CellTime, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
+
+    def facts(self) -> Mapping[str, str]:
+        rows = {"models": self.models, "controllers": self.controllers, "failures": self.failures}
+        counts = {what: str(len(found)) for what, found in rows.items()}
+        return {"title": self.study.title, "points": f"{len(self.finished)} of {len(self.points)} finished", **counts}
 
     @property
     def finished(self) -> tuple[PointRow, ...]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.experiment import Experiment, no_setting, read_toml, write_toml
+from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import InvalidArgument, closest
 
 STUDY_FILE = "study.toml"
@@ -61,8 +62,8 @@ def name_of(labels: Mapping[str, str]) -> str:
     return ", ".join(parts)
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, repr=False)
+class Study(Displayed):
     """A grid of experiments: what all share, and the axes whose combinations are the points.
 
     ``experiment`` holds settings of `Experiment` that are common to all points, ``grids`` the axes by setting; the
@@ -76,6 +77,9 @@ class Study:
     reference: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
     file: Path | None = field(default=None, compare=False, repr=False)
+
+    def facts(self) -> Mapping[str, str]:
+        return {"title": self.title, "points": str(len(self.points)), "axes": listed(self.axes)}
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Study:

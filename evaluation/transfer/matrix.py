@@ -21,7 +21,7 @@ from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.models import Dynamics
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress, told
 from sysid_evo.randomness import as_seed, trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
@@ -298,20 +298,22 @@ def transfer(
     robot: str | None = None,
     trials: int = 100,
     traces: int = 10,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> TransferMatrix:
     """Run every champion on every runner, or model, in the same fresh trials.
 
     ``robot`` names the runner that is the robot, if one is. The first ``traces`` trials are kept, see `kept_traces`.
+    ``progress`` is called after every cell; True shows a bar.
     """
     runners, seeds = as_runners(runners, "transfer"), transfer_seeds(as_seed(seed), trials)
     cells = []
-    for champion in champions:
-        for column, runner in runners.items():
-            kept = kept_traces(traces, own=column == robot or column in champion.against)
-            cells.append(run_cell(champion, column, runner, seeds, traces=kept))
-            if progress is not None:
-                progress(len(cells), len(champions) * len(runners))
+    with told(progress, "transfer") as report:
+        counter = Counter(report, len(champions) * len(runners))
+        for champion in champions:
+            for column, runner in runners.items():
+                kept = kept_traces(traces, own=column == robot or column in champion.against)
+                cells.append(run_cell(champion, column, runner, seeds, traces=kept))
+                counter.advance(1)
     return TransferMatrix.of(champions, tuple(runners), cells, families=families, robot=robot)
 
 

@@ -20,7 +20,7 @@ from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import Dynamics, PlainDynamics
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Progress, told
 from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry import register_robot
 from sysid_evo.types import Array
@@ -131,11 +131,12 @@ class AwkwardCar(EmulatedRobot):
         duration: float,
         folder: Path | None = None,
         stops: Stops | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
     ) -> Recorded:
         jammed = _Jammed(self, keyed_generator(seed, 0))
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
-        return record_manoeuvres(jammed, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+        with told(progress, "record") as report:
+            return record_manoeuvres(jammed, manoeuvres, seed=seed, folder=folder, stops=stops, progress=report)
 
 
 class _Jammed:

@@ -18,7 +18,7 @@ from hardware.self_test import SelfTestFinding, described
 from hardware.simulators.recording import record_simulator, samples_each
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorRunner
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Progress, told
 
 
 class SimulatorRobot(Robot):
@@ -71,10 +71,11 @@ class SimulatorRobot(Robot):
         duration: float,
         folder: Path | None = None,
         stops: Stops | None = None,
-        progress: Progress | None = None,
+        progress: Progress | bool | None = None,
     ) -> Recorded:
         """Excite the simulator for ``duration`` s of its own time; there are no journals for ``folder``."""
-        return record_simulator(self.simulator, seed=seed, duration=duration, stops=stops, progress=progress)
+        with told(progress, "record") as report:
+            return record_simulator(self.simulator, seed=seed, duration=duration, stops=stops, progress=report)
 
 
 FEWEST = 200

@@ -124,9 +124,9 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
         "data": manifest.data,
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions,
-        "equations": list(model.equations()) if hasattr(model, "equations") else [],
-        "candidates": model.standing() if hasattr(model, "standing") else [],
-        **({"parameters": model.parameters_table()} if hasattr(model, "parameters_table") else {}),
+        "equations": model.equations(),
+        "candidates": model.standing(),
+        **({"parameters": rows} if (rows := model.parameters_table()) else {}),
         "timings": {**manifest.timings, **(speed(model) if measured else {})},
         **({} if measured else {"speed": "not measured, --speed does"}),
     }

@@ -29,6 +29,7 @@ from sysid_evo.data.frames import (
 )
 from sysid_evo.data.reading import Recording, paths_of, read_recording
 from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows, recording
+from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import ArtefactError, DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray, IntArray, check_shape
@@ -58,8 +59,8 @@ class Transitions:
         return self.carry[:, : self.after.shape[1]]
 
 
-@dataclass(frozen=True)
-class Dataset:
+@dataclass(frozen=True, repr=False)
+class Dataset(Displayed):
     """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
 
     Periodic states run on without jumps within an episode, as if they were not.
@@ -203,6 +204,17 @@ class Dataset:
     def of_recording(cls, recording: Recording) -> Dataset:
         """Prepare the logs of a recording, see `Recording.prepared`. Raises `InvalidData`."""
         return cls(recording.system, *recording.prepared())
+
+    def facts(self) -> Mapping[str, str]:
+        conditions = tuple(filter(None, self.conditions))
+        steps = self.n_steps
+        return {
+            "episodes": f"{len(self):,} ({listed(self.names)})",
+            "steps": f"{steps:,} of {self.system.dt:g} s, {self.duration:,.1f} s in all",
+            **{{"name": "system"}.get(name, name): text for name, text in self.system.facts().items() if name != "dt"},
+            **({"conditions": listed(conditions)} if conditions else {}),
+            **({"notes": f"{len(self.notes)}, see notes"} if self.notes else {}),
+        }
 
     def __len__(self) -> int:
         """Return the number of episodes."""

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from sysid_evo.display import Displayed
 from sysid_evo.errors import InvalidData
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 
-@dataclass(frozen=True)
-class Trajectory:
+@dataclass(frozen=True, repr=False)
+class Trajectory(Displayed):
     """One episode of T steps.
 
     ``states`` is (T + 1, nx), ``controls`` (T, nu): ``controls[k]`` is held from k dt to (k + 1) dt
@@ -45,6 +46,16 @@ class Trajectory:
             if array is not None and not np.isfinite(array).all():
                 row, column = np.argwhere(~np.isfinite(array))[0]
                 raise InvalidData(f"episode {self.name!r}: {what} {column} at sample {row} is {array[row, column]}")
+
+    def facts(self) -> Mapping[str, str]:
+        columns = {"states": self.states.shape[1], "controls": self.controls.shape[1]}
+        columns |= {} if self.pose is None else {"pose": self.pose.shape[1]}
+        return {
+            **({"name": self.name} if self.name else {}),
+            "steps": f"{len(self)} of {self.dt:g} s, {self.duration:g} s in all",
+            **{what: f"{count} columns" if count != 1 else "1 column" for what, count in columns.items()},
+            **({"condition": self.condition} if self.condition else {}),
+        }
 
     def __len__(self) -> int:
         """Return the number of steps, T."""

@@ -352,6 +352,6 @@ def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, 
         seed=seed,
         history=np.empty((0, 3)),
         controller=Spec("policy", {"hidden": hidden, "inner": ACTIVATIONS[between.pop()], "output": output}),
-        task=Spec.parse(task) if isinstance(task, str) else task,
+        task=task,
         system=trials.system,
     )

@@ -11,11 +11,12 @@ import numpy as np
 
 from sysid_evo.artefacts import read_artefact, stored_file, write_artefact
 from sysid_evo.controllers.controller import make_controller
+from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import ArtefactError, IncompatibleSystem, InvalidArgument, ShapeError
-from sysid_evo.registry.grammar import Spec
+from sysid_evo.registry.grammar import Spec, spec_of
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
-from sysid_evo.types import Array, check_shape
+from sysid_evo.types import Array, Converted, check_shape
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Finalist:
         return {"niche": self.niche, "run": self.run, "fitness": self.fitness, "elsewhere": self.elsewhere}
 
 
-@dataclass(frozen=True)
-class Champion:
+@dataclass(frozen=True, repr=False)
+class Champion(Displayed):
     """One evolved parameter vector (n,) of a registered ``controller`` at a registered ``task``.
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history`` (G, 3) holds the
@@ -57,8 +58,8 @@ class Champion:
     aggregate: str
     seed: int
     history: Array
-    controller: Spec = field(default_factory=lambda: Spec("recurrent"))
-    task: Spec = field(default_factory=lambda: Spec("point_to_point"))
+    controller: Converted[Spec | str, Spec] = Converted(spec_of, "recurrent")
+    task: Converted[Spec | str, Spec] = Converted(spec_of, "point_to_point")
     estimator_delay: float = 0.0
     noise: str = ""
     caution: str = ""
@@ -72,9 +73,18 @@ class Champion:
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", check_shape("parameters", self.parameters, (None,)))
         object.__setattr__(self, "history", check_shape("history", self.history, (None, 3)))
-        for name in ("controller", "task"):
-            if isinstance(getattr(self, name), str):
-                object.__setattr__(self, name, Spec.parse(getattr(self, name)))
+
+    def facts(self) -> Mapping[str, str]:
+        reached = f"{self.history[-1, 0]:.4g} after {len(self.history)} generations" if len(self.history) else ""
+        return {
+            "name": self.name,
+            "controller": self.controller.text,
+            "parameters": str(len(self.parameters)),
+            "task": self.task.text,
+            **({"evolved against": f"{listed(self.against)} ({self.aggregate})"} if self.against else {}),
+            **({"chosen by": listed(self.judges)} if self.judges else {}),
+            **({"best fitness in evolution": reached} if reached else {}),
+        }
 
     @classmethod
     def hand_written(cls, controller: Spec | str, task: Spec | str, system: System) -> Champion:
@@ -82,11 +92,10 @@ class Champion:
 
         It was evolved against nothing. Raises `InvalidArgument` for one that must be evolved.
         """
-        spec = Spec.parse(controller) if isinstance(controller, str) else controller
+        spec = spec_of(controller)
         law = make_controller(spec).bind_to(make_task(task).bind(system))
         if not law.hand_written:
             raise InvalidArgument(f"controller {spec.name!r} must be evolved before it can drive: give its file")
-        task = Spec.parse(task) if isinstance(task, str) else task
         nothing = np.zeros(law.n_parameters)
         return cls(spec.label, nothing, (), "min", 0, np.empty((0, 3)), controller=spec, task=task, system=system)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain, product
 
@@ -23,13 +23,13 @@ from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_stra
 from sysid_evo.models.disturbances import DelayedEstimate, RadicalEnvelope, disturbed
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.penalty import Doubt
-from sysid_evo.progress import Checkpoint, Progress
+from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import as_seed, derived_seed, trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, cautions, controllers, noises, strategies, tasks
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, make_task
-from sysid_evo.types import Array, Seeds
+from sysid_evo.types import Array, Converted, Seeds
 
 SELECTION = 2**31
 """The generation number of the fresh trials on which champions are chosen: never reached by a run."""
@@ -56,16 +56,14 @@ class ControllerEvolution:
     aggregate: str = "min"
     selection_trials: int = 100
     estimator_delay: float = 0.0
-    schedule: tuple[Stage, ...] = ()
-    controller: Spec = field(default_factory=lambda: Spec("recurrent"))
-    task: Spec = field(default_factory=lambda: Spec("point_to_point"))
-    strategy: Spec = field(default_factory=lambda: Spec("mu_plus_lambda"))
+    schedule: Converted[Sequence[Stage] | str, tuple[Stage, ...]] = Converted(Stage.listed, ())
+    controller: Converted[Spec | str, Spec] = Converted(controllers.check, "recurrent")
+    task: Converted[Spec | str, Spec] = Converted(tasks.check, "point_to_point")
+    strategy: Converted[Spec | str, Spec] = Converted(strategies.check, "mu_plus_lambda")
     noise: str = ""
     caution: str = ""
 
     def __post_init__(self) -> None:
-        for name, registry in (("controller", controllers), ("task", tasks), ("strategy", strategies)):
-            object.__setattr__(self, name, registry.check(getattr(self, name)))
         for name in ("generations", "trials", "runs", "selection_trials"):
             number = getattr(self, name)
             if not isinstance(number, (int, np.integer)) or number < 1:
@@ -73,9 +71,6 @@ class ControllerEvolution:
         aggregates.check(self.aggregate)
         self.make_noise()
         self.make_caution()
-        schedule: object = self.schedule
-        if isinstance(schedule, str):
-            object.__setattr__(self, "schedule", Stage.parse_many(schedule))
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -126,12 +121,12 @@ def evolve_controller(
     *,
     seed: int,
     checkpoint: Checkpoint | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Champion:
     """Evolve a controller against all of ``runners``, or models, at once; return the fittest of all niches and runs.
 
     Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
-    every generation, with a note of what it reached. The result depends on ``seed`` alone.
+    every generation, with a note of what it reached; True shows a bar. The result depends on ``seed`` alone.
 
     With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
     it was, to the champion that it would have had.
@@ -169,7 +164,7 @@ def evolve_controller(
             found.append(Finalist(niche, run, float(fitness[winner]), candidates[winner]))
         return tuple(found)
 
-    ended = Runs(
+    runs = Runs(
         settings.runs,
         settings.generations,
         begun,
@@ -177,7 +172,9 @@ def evolve_controller(
         models=(*(on for _, _, on in stages), models),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
-    ).to_the_end(progress)
+    )
+    with told(progress, f"evolve {name}") as report:
+        ended = runs.to_the_end(report)
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
     best = max(finalists, key=lambda one: one.fitness)  # of equals the first
     return Champion(

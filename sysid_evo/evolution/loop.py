@@ -15,7 +15,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
 from sysid_evo.registry.grammar import Spec, split
 from sysid_evo.registry.registry import tasks
-from sysid_evo.types import Array, check_shape
+from sysid_evo.types import Array, Converted, check_shape
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,14 @@ MANY, LONG = 0.5, 20
 """Share of the candidates that must have all there is, and for how many generations, until a search is over."""
 
 
+def _checked(task: Spec | str | None) -> Spec | None:
+    return None if task is None else tasks.check(task)
+
+
+def _labels(models: Sequence[str] | str) -> tuple[str, ...]:
+    return tuple(model.strip() for model in (models.split("+") if isinstance(models, str) else models))
+
+
 @dataclass(frozen=True)
 class Stage:
     """What comes before that which is asked for, and until when.
@@ -77,18 +85,13 @@ class Stage:
     ``until``, the median over the last ``over`` generations, or after ``at_most`` generations.
     """
 
-    task: Spec | None = None
-    models: tuple[str, ...] = ()
+    task: Converted[Spec | str | None, Spec | None] = Converted(_checked, None)
+    models: Converted[Sequence[str] | str, tuple[str, ...]] = Converted(_labels, ())
     until: float | None = None
     at_most: int | None = None
     over: int = 5
 
     def __post_init__(self) -> None:
-        given: object = self.models
-        models = given.split("+") if isinstance(given, str) else self.models
-        object.__setattr__(self, "models", tuple(model.strip() for model in models))
-        if self.task is not None:
-            object.__setattr__(self, "task", tasks.check(self.task))
         if self.until is None and self.at_most is None:
             raise InvalidArgument("stage: expected until=FITNESS, at_most=GENERATIONS or both, so that it ends")
         if self.over < 1 or (self.at_most is not None and self.at_most < 1):
@@ -97,9 +100,11 @@ class Stage:
             raise InvalidArgument(f"stage: expected a finite fitness, got until={self.until}")
 
     @classmethod
-    def parse_many(cls, text: str) -> tuple[Stage, ...]:
-        """Read ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
-        return tuple(cls._of(Spec.parse(piece)) for piece in split(text))
+    def listed(cls, given: Sequence[Stage] | str) -> tuple[Stage, ...]:
+        """Return stages, or read ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
+        if not isinstance(given, str):
+            return tuple(given)
+        return tuple(cls._of(Spec.parse(piece)) for piece in split(given))
 
     @classmethod
     def _of(cls, spec: Spec) -> Stage:

@@ -7,10 +7,9 @@ import time
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import replace
 from importlib.metadata import entry_points
-from typing import Any, ClassVar, Self, cast, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from sysid_evo.carry import CarryLayout, band_of, held_at_rest
 from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, thinned
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.display import html_table, line_of
 from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
@@ -34,7 +34,7 @@ from sysid_evo.models.parameters import (
     checked,
     declare,
 )
-from sysid_evo.progress import Checkpoint, Progress, shown
+from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import as_generator
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
@@ -240,6 +240,41 @@ class DynamicsModel(Dynamics, Estimator):
             f"most_steps={self.most_steps} allows"
         )
 
+    def equations(self) -> list[str]:
+        """Return the fitted model as equations in words, one for each state; empty for a family that has none."""
+        return []
+
+    def parameters_table(self) -> list[dict[str, Any]]:
+        """Return name, value, standard error and unit of every physical parameter; empty for a family without any."""
+        return []
+
+    def standing(self) -> list[dict[str, str]]:
+        """Return what the fitted model was chosen from, best first; empty for a family that does not choose."""
+        return []
+
+    def facts(self) -> Mapping[str, str]:
+        """Return what there is to know of a fitted model at a glance, by name; nothing before `fit`."""
+        if not hasattr(self, "system_"):
+            return {}
+        took = "" if self.fit_seconds is None else f" in {self.fit_seconds:.2g} s"
+        said = {name: text for name, text in self.system.facts().items() if name != "name"}
+        return {"fitted": f"{_numbers_learned(self):,} numbers{took}", **said} | (
+            {"note": self.fit_note} if self.fit_note else {}
+        )
+
+    def __repr__(self) -> str:
+        made, facts = super().__repr__(), self.facts()
+        return f"{made}, {line_of(facts)}" if facts else made
+
+    def _repr_html_(self) -> str:
+        facts = dict(self.facts()) or {"fitted": "no"}
+        if hasattr(self, "system_"):
+            rows = (f"{row['parameter']} = {row['value']:.4g} {row['unit']}" for row in self.parameters_table())
+            chosen = (", ".join(row.values()) for row in self.standing())
+            learned = {"equations": self.equations(), "parameters": rows, "chosen from": chosen}
+            facts |= {name: text for name, lines in learned.items() if (text := "\n".join(lines))}
+        return html_table(super().__repr__(), facts)
+
     def uses(self) -> tuple[str, ...]:
         """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
         return ()
@@ -397,6 +432,14 @@ class DynamicsModel(Dynamics, Estimator):
         return many_runs(self, states, past_controls, controls, samples, rng)
 
 
+def _numbers_learned(model: DynamicsModel) -> int:
+    """Return how many numbers the arrays of a fitted model hold, those of models within it included."""
+    learned = {name: value for name, value in vars(model).items() if name.endswith("_") and name != "pairs_"}
+    parts = [part for value in learned.values() for part in (value if isinstance(value, (list, tuple)) else [value])]
+    arrays = sum(part.size for part in parts if isinstance(part, np.ndarray))
+    return arrays + sum(_numbers_learned(part) for part in parts if isinstance(part, DynamicsModel))
+
+
 def require_planar(model: DynamicsModel, system: System) -> None:
     """Raise `IncompatibleSystem` unless the states of ``system`` move a planar body."""
     if system.motion is None or system.motion.kind != "planar_body":
@@ -426,8 +469,8 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
-        with shown(f"fit {type(self).__name__}") if progress is True else nullcontext(progress or None) as told:
-            return _kept(self, fit, data, generator, told)
+        with told(progress, f"fit {type(self).__name__}") as report:
+            return _kept(self, fit, data, generator, report)
 
     del wrapped.__wrapped__  # so that its signature says what may be given
     return wrapped
@@ -441,11 +484,11 @@ def _kept(
     progress: Progress | None,
 ) -> DynamicsModel:
     before = dict(vars(self))
-    began, told = time.perf_counter(), (0, 1)
+    began, last = time.perf_counter(), (0, 1)
 
     def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
-        nonlocal told
-        told = done, total
+        nonlocal last
+        last = done, total
         if progress is not None:
             progress(done, total)
 
@@ -455,8 +498,8 @@ def _kept(
         fitted: object = fit(self, _few_enough(self, dataset, rng), rng=rng, progress=report)
         if fitted is not self:
             raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
-        if told[0] != told[1]:
-            report(told[1], told[1])
+        if last[0] != last[1]:
+            report(last[1], last[1])
     except BaseException:  # an interruption too leaves what was there before
         self.__dict__.clear()
         self.__dict__.update(before)
@@ -475,7 +518,26 @@ def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator)
     return few
 
 
-def make_model(spec: str | Spec, /, **parameters: Any) -> DynamicsModel:
+if TYPE_CHECKING:
+
+    class AnyModel(DynamicsModel):
+        """A model of some family as callers see it: `fit` takes all that `recorded` makes a data set of."""
+
+        def fit(
+            self,
+            dataset: Dataset | Sequence[Dataset] | npt.ArrayLike,
+            *,
+            rng: np.random.Generator | int | None = None,
+            progress: Progress | bool | None = None,
+            t: float | npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+            u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+        ) -> Self: ...
+
+else:
+    AnyModel = DynamicsModel
+
+
+def make_model(spec: str | Spec, /, **parameters: Any) -> AnyModel:
     """Return the unfitted model that ``spec`` names, made with its parameters and these; see `Registry.make`."""
-    made: DynamicsModel = models.make(spec, **parameters)
+    made: AnyModel = models.make(spec, **parameters)
     return made

@@ -69,6 +69,11 @@ class Spec:
         return Spec(self.name, {**parameters, **self.parameters}, self.label)
 
 
+def spec_of(given: Spec | str) -> Spec:
+    """Return ``given``, its text read."""
+    return Spec.parse(given) if isinstance(given, str) else given
+
+
 def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
     """Return ``specs`` if their labels differ. Raises `InvalidArgument` that says how to tell them apart."""
     labels = [spec.label for spec in specs]

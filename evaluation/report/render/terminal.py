@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -45,6 +45,15 @@ def to_rich(sheet: Sheet) -> list[RenderableType]:
     if sheet.note:
         parts.append(Padding(Text(sheet.note, style="dim"), (0, 0, 1, 1)))
     return parts
+
+
+def plain_text(parts: Sequence[RenderableType]) -> str:
+    """Return what a terminal of 80 columns shows of ``parts``, without colours."""
+    console = Console(width=WIDTH, color_system=None)
+    with console.capture() as captured:
+        for part in parts:
+            console.print(part)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())
 
 
 def findings_lines(findings: Sequence[Finding]) -> list[RenderableType]:

@@ -6,7 +6,7 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -185,8 +185,7 @@ class Adapted(DynamicsModel):
 
     def equations(self) -> list[str]:
         """Return the equations of the base, if it has some, and what is added to each acceleration."""
-        base: Any = self.base_
-        of_base = list(base.equations()) if hasattr(base, "equations") else []
+        of_base = self.base_.equations()
         if not self.corrects:
             return of_base
         names = ["1", *self.terms.names]
