@@ -1,4 +1,4 @@
-"""Array types, the one check that names what was expected and what came, and fields that convert what they are given."""
+"""Array types, the one check that names what was expected and what came, and fields that convert their values."""
 
 from __future__ import annotations
 
