@@ -88,7 +88,7 @@ class EnvironmentTask(Task):
         least: float | None = None,
     ) -> None:
         self.id, self.rules, self.known = id, RULES.get(id), KNOWN.get(id)
-        self.asked = None if self.rules is not None else Asked.of(id)
+        self.asked: Asked | None = None if self.rules is not None else Asked.of(id)
         found = self.rules or self.asked
         assert found is not None
         if self.asked is not None and least is not None:
