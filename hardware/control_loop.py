@@ -83,7 +83,7 @@ class ControlLoop:
                 if not reason.is_fault:
                     self._send(self.system.neutral_control, self.connection.time)
             except LinkLost as error:
-                reason, detail = Reason.LINK_LOST, str(error)
+                reason, detail = self.stops.reason or Reason.LINK_LOST, str(error)
         except BaseException:
             self.connection.close()
             raise
@@ -150,7 +150,8 @@ class ControlLoop:
                 return self.stops.reason, self.stops.detail
             now = connection.time
             until_stale = max(SHORTEST, STALE - self._age(now)) if started and self._driving else math.inf
-            measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
+            with self.stops.answer("the robot or its tracker"):
+                measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
             if self._tripped():
                 return Reason.TRIPPED, ""
             now = connection.time
@@ -182,7 +183,8 @@ class ControlLoop:
             self._rejected[verdict.reason] += 1
 
     def _send(self, control: Array, due: float) -> None:
-        self.connection.send(control, valid_for=TIME_TO_LIVE)
+        with self.stops.answer("the robot"):
+            self.connection.send(control, valid_for=TIME_TO_LIVE)
         self._driving = not np.array_equal(control, self.system.neutral_control)
         command = Command(self._tick, due, self.connection.time, control.copy())
         for listener in self._listeners:

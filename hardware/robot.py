@@ -13,7 +13,7 @@ from hardware.connection import Connection
 from hardware.control_loop import check_loop
 from hardware.recording.manoeuvres import Manoeuvre, excitation
 from hardware.recording.record import Recorded, record_manoeuvres
-from hardware.run_report import Stops
+from hardware.run_report import PATIENCE, Stops
 from hardware.self_test import SelfTestFinding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
@@ -32,11 +32,13 @@ class Robot(ABC):
     takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
     process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
     ``requires`` are the modules that it imports only then. One that is ``stepped`` goes on when it is told to:
-    it has no clock and no tracker, records itself, and is no physical robot either.
+    it has no clock and no tracker, records itself, and is no physical robot either. It must answer each call within
+    ``answers_within`` s.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
     stepped: ClassVar[bool] = False
+    answers_within: ClassVar[float] = PATIENCE
     name: str
     system: System
     dynamics: Dynamics | None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from types import FrameType, TracebackType
@@ -12,23 +14,31 @@ from typing import Any, Self
 
 import numpy as np
 
+from sysid_evo.errors import LinkLost
 from sysid_evo.types import Array
 
 DRIFT_TICKS = 100
 """Ticks at either end of a run whose median lateness makes its drift."""
 
 
+ROBOT = 4
+"""Exit code of a command that link, tracker or robot ended; the command line has the same, for other commands too."""
+
+
 class Reason(Enum):
-    """Why a run ended: a sentence, and the exit code of a command that ended so (0: as it should)."""
+    """Why a run ended: a sentence, and the exit code of a command that ended so (0: as it should).
+
+    That of a signal is the one that shells give it; what went wrong with link, tracker or robot is 4.
+    """
 
     SAMPLES = ("all samples were driven", 0)
     PILOT = ("the pilot ended the run", 0)
-    LINK_LOST = ("the link to the robot or its tracker was lost", 10)
-    TRACKER_LOST = ("the tracker lost the robot", 11)
-    TRIPPED = ("the robot stopped itself", 12)
-    NOT_FINITE = ("the control was not a number", 13)
-    RESTLESS = ("the robot did not come to rest", 15)
-    THREAD_DIED = ("a thread died", 14)
+    LINK_LOST = ("the link to the robot or its tracker was lost", ROBOT)
+    TRACKER_LOST = ("the tracker lost the robot", ROBOT)
+    TRIPPED = ("the robot stopped itself", ROBOT)
+    NOT_FINITE = ("the control was not a number", ROBOT)
+    RESTLESS = ("the robot did not come to rest", ROBOT)
+    THREAD_DIED = ("a thread died", ROBOT)
     SIGHUP = ("hung up", 129)
     SIGINT = ("interrupted", 130)
     SIGTERM = ("terminated", 143)
@@ -91,6 +101,12 @@ class LoopReport:
         )
 
 
+PATIENCE = 10.0
+"""Seconds that a robot may take to answer one call: a hundred times the longest `dt` of one that is driven."""
+
+GRACE = 1.0
+"""Seconds that it has left to answer when a signal has come."""
+
 SIGNALS = {signal.SIGINT: Reason.SIGINT, signal.SIGTERM: Reason.SIGTERM, signal.SIGHUP: Reason.SIGHUP}
 
 
@@ -99,13 +115,16 @@ class Stops:
 
     Within a ``with`` statement, which only the main thread can enter, SIGINT, SIGTERM, SIGHUP and an
     exception that ends a thread request it. They only leave a note, so that no frame on the wire is
-    cut in two; a second signal raises `KeyboardInterrupt`, in case the loop does not come round.
+    cut in two; a second signal raises `KeyboardInterrupt`, in case the loop does not come round. What is called in
+    `answer` must come back within ``patience`` s, and within a second after a signal.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, patience: float = PATIENCE) -> None:
+        self.patience = patience
         self.reason: Reason | None = None
         self.detail = ""
         self._handlers: dict[signal.Signals, Any] = {}
+        self._asked = ""
         self._excepthook = threading.excepthook
 
     def request(self, reason: Reason, detail: str = "") -> None:
@@ -116,6 +135,7 @@ class Stops:
 
     def __enter__(self) -> Self:
         self._handlers = {number: signal.signal(number, self._signalled) for number in SIGNALS}
+        self._handlers[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._unanswered)
         self._excepthook = threading.excepthook
         threading.excepthook = self._died
         return self
@@ -126,11 +146,41 @@ class Stops:
         threading.excepthook = self._excepthook
         for number, handler in self._handlers.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        self._handlers = {}
+
+    @contextmanager
+    def answer(self, name: str, patience: float | None = None) -> Iterator[None]:
+        """Wait for ``name`` within it. Raises `LinkLost` if it does not answer in time, where signals are looked after.
+
+        ``patience`` is another time than that of all calls, `math.inf` for one that keeps its own.
+        """
+        if not self._handlers:
+            yield
+            return
+        self._asked, patience = name, self.patience if patience is None else patience
+        self._wait(0.0 if math.isinf(patience) else patience)
+        try:
+            yield
+        finally:
+            self._asked = ""
+            self._wait(0.0)
+
+    @staticmethod
+    def _wait(seconds: float) -> None:
+        """Be called after that many seconds, then every second: a robot may catch what is raised."""
+        signal.setitimer(signal.ITIMER_REAL, seconds, GRACE if seconds else 0.0)
+
+    def _unanswered(self, _: int, __: FrameType | None) -> None:
+        if self._asked:
+            within = f" within {GRACE:g} s of the signal" if self.reason else f" for {self.patience:g} s"
+            raise LinkLost(f"{self._asked}: no answer{within}")
 
     def _signalled(self, number: int, _: FrameType | None) -> None:
         if self.reason is not None:
             raise KeyboardInterrupt
         self.request(SIGNALS[signal.Signals(number)])
+        if self._asked:
+            self._wait(GRACE)
 
     def _died(self, arguments: threading.ExceptHookArgs) -> None:
         name = "a thread" if arguments.thread is None else arguments.thread.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -43,8 +44,10 @@ def self_test(
     """
     check_loop(robot.system)
     began = time.perf_counter()
+    stops = Stops() if stops is None else stops
     try:
-        connection = robot.connect(seed=seed)
+        with stops.answer(robot.name, math.inf):
+            connection = robot.connect(seed=seed)
     except LinkLost as error:
         return (SelfTestFinding("handshake", False, f"Nothing answers: {error}"),)
     with connection:
@@ -176,16 +179,16 @@ STEPS = 300
 """Steps of a trial: how long the equations are tried under each control."""
 BATCH = 64
 """Trials whose step is timed."""
+LONG = 2.0
+"""Seconds of it that are enough to know how slow it is."""
 
 
 def examine(dynamics: Dynamics, sensors: SelfTestFinding, *, stops: Stops | None = None) -> tuple[SelfTestFinding, ...]:
     """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
-    findings = [system_finding(dynamics.system), sensors, _rest(dynamics)]
-    for place in range(dynamics.system.nu):
-        if stops is not None and stops.reason is not None:
-            break
-        findings.append(_answer(dynamics, place))
-    return (*findings, _speed(dynamics))
+    stops = Stops() if stops is None else stops
+    findings = [system_finding(dynamics.system), sensors, _rest(dynamics, stops)]
+    findings += [_answer(dynamics, place, stops) for place in range(dynamics.system.nu) if stops.reason is None]
+    return (*findings, _speed(dynamics, stops))
 
 
 def system_finding(system: System) -> SelfTestFinding:
@@ -225,9 +228,9 @@ def sensors_finding(
     return SelfTestFinding("sensors", bool(np.isfinite(readings).all()), sentence)
 
 
-def _rest(dynamics: Dynamics) -> SelfTestFinding:
+def _rest(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
     """Say where the equations go when nothing is commanded."""
-    path = tried(dynamics, dynamics.system.neutral_control)
+    path = tried(dynamics, dynamics.system.neutral_control, stops)
     finite = bool(np.isfinite(path).all())
     moved = f"goes through {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "stays where it is"
     sentence = (
@@ -236,7 +239,7 @@ def _rest(dynamics: Dynamics) -> SelfTestFinding:
     return SelfTestFinding("rest", finite, sentence)
 
 
-def _answer(dynamics: Dynamics, place: int) -> SelfTestFinding:
+def _answer(dynamics: Dynamics, place: int, stops: Stops) -> SelfTestFinding:
     """Say what one control does at its two ends: the others neutral, or full if it changes nothing then."""
     system, channel = dynamics.system, dynamics.system.controls[place]
     if not all(control.bounded for control in system.controls):
@@ -245,7 +248,7 @@ def _answer(dynamics: Dynamics, place: int) -> SelfTestFinding:
         )
     for others, how in ((system.neutral_control, ""), (full(system), " with the other controls full")):
         here = np.arange(system.nu) == place
-        paths = {end: tried(dynamics, np.where(here, end, others)) for end in (channel.low, channel.high)}
+        paths = {end: tried(dynamics, np.where(here, end, others), stops) for end in (channel.low, channel.high)}
         low, high = paths.values()
         if low.shape != high.shape or not np.array_equal(low, high):
             ok = all(np.isfinite(path).all() for path in paths.values())
@@ -268,14 +271,15 @@ def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
     return f"{at}: {_ranges(dynamics.system, path)}{_clipped(dynamics, path)}"
 
 
-def tried(dynamics: Dynamics, control: Array) -> Array:
+def tried(dynamics: Dynamics, control: Array, stops: Stops) -> Array:
     """Return the states (STEPS + 1, nx) from rest under a constant ``control`` (nu,), without noise."""
     system = dynamics.system
     carry = started(dynamics, system.neutral_state[None])
     states = [carry[0, : system.nx].copy()]
     with np.errstate(all="ignore"):
-        for _ in range(STEPS):
-            carry = dynamics.step(carry, control[None], np.zeros((1, dynamics.n_noise)))
+        for _ in range(STEPS if stops.reason is None else 0):
+            with stops.answer("the robot's equations"):
+                carry = dynamics.step(carry, control[None], np.zeros((1, dynamics.n_noise)))
             if not np.isfinite(carry[0, : system.nx]).all():
                 states.append(carry[0, : system.nx].copy())
                 break
@@ -322,15 +326,19 @@ def _lost(system: System, path: Array) -> str:
     )
 
 
-def _speed(dynamics: Dynamics) -> SelfTestFinding:
+def _speed(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
     """Say how fast rollouts step it."""
     system = dynamics.system
     carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))
     control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))
-    began = time.perf_counter()
+    began, steps = time.perf_counter(), 0
     for _ in range(STEPS):
-        dynamics.step(carry, control, noise)
-    seconds = time.perf_counter() - began
+        with stops.answer("the robot's equations"):
+            dynamics.step(carry, control, noise)
+        steps += 1
+        if stops.reason is not None or time.perf_counter() - began > LONG:
+            break
+    seconds = (time.perf_counter() - began) * STEPS / steps
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"
     sentence = f"Rollouts are {form}; in NumPy {BATCH} trials of {STEPS} steps take {seconds:.2f} s."
     return SelfTestFinding("speed", True, sentence, {"seconds": seconds})

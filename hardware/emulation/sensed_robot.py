@@ -19,7 +19,7 @@ from hardware.run_report import LoopReport, Reason, Stops
 from hardware.self_test import SelfTestFinding, examine, sensors_finding
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
-from sysid_evo.errors import InvalidSystem
+from sysid_evo.errors import InvalidSystem, LinkLost
 from sysid_evo.models.dynamics import PlainDynamics, started
 from sysid_evo.progress import Progress
 from sysid_evo.system import System
@@ -136,10 +136,14 @@ class SensedRobot(SimulatedRobot):
     ) -> tuple[SelfTestFinding, ...]:
         """Say what the sensors read at rest, and what the equations do under each control."""
         period, readings = self.frame_period, []
+        stops = Stops() if stops is None else stops
         with self.connect(seed=seed) as connection:
             for _ in range(max(2, round(seconds / period))):
-                connection.measure(period)
+                with stops.answer(self.name):
+                    connection.measure(period)
                 readings.append(connection.reading)
+                if stops.reason is not None:
+                    break
         names, rates = tuple(self.physics.read), self.physics.rates
         sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
         return examine(self.dynamics, sensors, stops=stops)
@@ -164,19 +168,27 @@ class SensedRobot(SimulatedRobot):
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
         done, reason, detail = 0, Reason.PILOT, ""
+        stops = Stops() if stops is None else stops
         for number, manoeuvre in enumerate(manoeuvres):
-            if stops is not None and stops.reason is not None:
+            try:
+                log = self._driven(manoeuvre, np.random.SeedSequence(seed, spawn_key=(number,)), stops)
+            except LinkLost as error:
+                reason, detail = stops.reason or Reason.LINK_LOST, str(error)
+                break
+            if stops.reason is not None:
                 reason, detail = stops.reason, stops.detail
                 break
-            logs.append(self._driven(manoeuvre, np.random.SeedSequence(seed, spawn_key=(number,))))
+            logs.append(log)
             done += len(manoeuvre.controls)
             if progress is not None:
                 progress(done, total)
         report = LoopReport(reason, detail, lateness=np.zeros(done), gaps=np.full(max(0, done - 1), self.system.dt))
+        if report.reason.is_fault and not logs:
+            raise LinkLost(f"{self.name}: {report.sentence}; nothing was recorded")
         return Recorded(tuple(logs), prepared(logs, self.system), report)
 
-    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence) -> RawLog:
-        """Return what the sensors said during a manoeuvre, and the rates estimated from it."""
+    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stops: Stops) -> RawLog:
+        """Return what the sensors said during a manoeuvre, up to a stop, and the rates estimated from it."""
         release, session = seeds.spawn(2)
         state = self.physics.let_go(np.random.default_rng(release))
         system, period = self.system, self.frame_period
@@ -189,7 +201,10 @@ class SensedRobot(SimulatedRobot):
                 for _ in range(self.dynamics.repeats):
                     readings.append(connection.reading)
                     controls.append(control)
-                    connection.measure(period)
+                    with stops.answer(self.name):
+                        connection.measure(period)
+                if stops.reason is not None:
+                    break
         measured = dict(zip(self.physics.read, np.array(readings).T, strict=True))
         rates = {name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.rates.items()}
         time = period * np.arange(len(readings), dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
@@ -96,7 +97,8 @@ def record(
             if connection is None or robot.dynamics is not None:
                 stack.close()
                 own = np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)
-                connection = stack.enter_context(robot.connect(seed=int(own[0])))
+                with stops.answer(robot.name, math.inf):
+                    connection = stack.enter_context(robot.connect(seed=int(own[0])))
             else:
                 rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
                 report = _run(connection, robot, rest, (), stops)

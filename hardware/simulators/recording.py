@@ -11,7 +11,7 @@ from hardware.recording.record import Recorded
 from hardware.run_report import LoopReport, Reason, Stops
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -48,26 +48,30 @@ def record_simulator(
     rng = np.random.default_rng(seed)
     episodes: list[Trajectory] = []
     tried: list[tuple[int, Array]] = []
-    reason = Reason.SAMPLES
-    with simulator.open() as session:
-        for number, name in enumerate(SCRIPTS):
-            script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
-            counted = _counter(progress, number * each, len(SCRIPTS) * each)
-            made = enumerate(_episodes(session, simulator, script, each, rng, counted), start=1)
-            for count, (states, controls) in made:
-                if len(controls) >= SHORTEST:
-                    of = f"{name}-{count}"
-                    episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of))
-                if stops is not None and stops.reason is not None:
+    reason, detail = Reason.SAMPLES, ""
+    stops = Stops() if stops is None else stops
+    try:
+        with simulator.open() as session:
+            for number, name in enumerate(SCRIPTS):
+                script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
+                counted = _counter(progress, number * each, len(SCRIPTS) * each)
+                made = enumerate(_episodes(session, simulator, script, each, rng, counted, stops), start=1)
+                for count, (states, controls) in made:
+                    if len(controls) >= SHORTEST:
+                        of = f"{name}-{count}"
+                        episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of))
+                if stops.reason is not None:
                     reason = stops.reason
                     break
-            if reason.is_fault:
-                break
+    except LinkLost as error:
+        reason, detail = stops.reason or Reason.LINK_LOST, str(error)
+    report = LoopReport(reason, detail, np.zeros(0), np.zeros(0))
+    if reason.is_fault and not episodes:
+        raise LinkLost(f"{simulator.name}: {report.sentence}; nothing was recorded")
     if not episodes:
         raise InvalidData(
             f"{simulator.name}: every episode ended within {SHORTEST} steps, so that nothing was recorded"
         )
-    report = LoopReport(reason, "", np.zeros(0), np.zeros(0))
     return Recorded((), Dataset(system, tuple(episodes)), report)
 
 
@@ -107,16 +111,19 @@ def _episodes(
     steps: int,
     rng: np.random.Generator,
     counted: Callable[[int], None],
+    stops: Stops,
 ) -> Iterator[tuple[list[Array], list[Array]]]:
-    """Yield states and controls of one episode after the other, ``steps`` in all."""
+    """Yield states and controls of one episode after the other, ``steps`` in all, fewer if it is stopped."""
     system, done, lasted = simulator.system, 0, 0
-    while done < steps:
-        states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
+    while done < steps and stops.reason is None:
+        with stops.answer(simulator.name):
+            states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
         script.begin(lasted)
         ended = False
-        while done < steps and not ended:
+        while done < steps and not ended and stops.reason is None:
             control = system.actuate(script.next(states[-1]))
-            state, _, over, late = session.step(control)
+            with stops.answer(simulator.name):
+                state, _, over, late = session.step(control)
             states.append(state)
             controls.append(control)
             ended = over or late

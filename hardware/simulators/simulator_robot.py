@@ -92,18 +92,23 @@ def examine(
     rng, steps = np.random.default_rng(seed), max(FEWEST, round(seconds / system.dt))
     lengths, seen, rewards = [0], [], []
     began = time.perf_counter()
+    stops = Stops() if stops is None else stops
     with simulator.open() as session:
-        seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
+        with stops.answer(simulator.name):
+            seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
         for _ in range(steps):
-            if stops is not None and stops.reason is not None:
+            if stops.reason is not None:
                 break
-            state, reward, ended, late = session.step(system.actuate(rng.uniform(-1.0, 1.0, system.nu)))
+            control = system.actuate(rng.uniform(-1.0, 1.0, system.nu))
+            with stops.answer(simulator.name):
+                state, reward, ended, late = session.step(control)
             lengths[-1] += 1
             seen.append(state)
             rewards.append(reward)
             if ended or late:
                 lengths.append(0)
-                seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
+                with stops.answer(simulator.name):
+                    seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
     took = time.perf_counter() - began
     low, high = np.min(seen, axis=0), np.max(seen, axis=0)
     ranges = [f"{c.name} {a:.3g} to {b:.3g}" for c, a, b in zip(system.states, low, high, strict=True)]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -63,7 +64,7 @@ def check_robot(
     """
     load_plugins(plugin)
     machine = hardware.find_robot(robot)
-    with hardware.Stops() as stops:
+    with hardware.Stops(machine.answers_within) as stops, _ended_by(stops):
         findings = machine.look_at(seconds=seconds, stops=stops)
     if as_json:
         out.print_json(data=[asdict(finding) for finding in findings])
@@ -73,9 +74,21 @@ def check_robot(
             out.print(Text.assemble(word, (f"{finding.what}: ", "bold"), finding.sentence))
     if stops.reason is not None:
         err.print(stops.reason.sentence)
-        raise typer.Exit(exit_code_of(stops.reason))
+        raise typer.Exit(stops.reason.exit_code)
     if not all(finding.ok for finding in findings):
         raise typer.Exit(ROBOT)
+
+
+@contextmanager
+def _ended_by(stops: hardware.Stops) -> Iterator[None]:
+    """End the command with the exit code of the signal after which the robot did not answer any more."""
+    try:
+        yield
+    except LinkLost as error:
+        if stops.reason is None:
+            raise
+        tell(str(error))
+        raise typer.Exit(stops.reason.exit_code) from error
 
 
 def record(
@@ -103,7 +116,7 @@ def record(
     hardware.check_recording(machine, journal, duration=60.0 * minutes)
     manoeuvres = None if manoeuvre is None else hardware.measuring(machine.system, manoeuvre)
     title = f"record {robot}"
-    with Bars() as bars, hardware.Stops() as stops:
+    with Bars() as bars, hardware.Stops(machine.answers_within) as stops, _ended_by(stops):
         bars.begin(title)
         drive = (
             partial(machine.record, duration=60.0 * minutes)
@@ -124,7 +137,7 @@ def record(
     say(f"data set stored in {folder}")
     if ended is not None:
         tell(f"the recording was cut short: {ended}")
-        raise typer.Exit(exit_code_of(recorded.report.reason))
+        raise typer.Exit(recorded.report.reason.exit_code)
 
 
 DEFAULT_ROBOT = "emulated_car"
@@ -189,11 +202,15 @@ def drive(
         if name is not None and driven.run is not None:
             add_row(driven, driven.run, name, ended)
         raise typer.Exit(code)
-    if model is not None or name is not None or (task is not None and is_stored(controller, "controller")):
+    if model is not None:
+        words = ["sysid-evo", "transfer", controller, "--on", model, *(["--run", str(run)] if run else [])]
+        raise InvalidArgument(f"drive: --controller drives a robot. To run it on a model: {shlex.join(words)}")
+    if name is not None:
         raise InvalidArgument(
-            "drive: --controller drives a robot and has a row, and one that was evolved a task; leave out "
-            "--model, --name and --task"
+            "drive: --name is for who drives by hand; a controller has a row of its own. Leave it out"
         )
+    if task is not None and is_stored(controller, "controller"):
+        raise InvalidArgument(f"drive: {controller} was evolved for a task and drives that one; leave --task out")
     code = drive_controller(
         controller,
         hardware.find_robot(robot or DEFAULT_ROBOT),
@@ -285,7 +302,7 @@ def _loop(
             rollouts, report = runner.drive(law, champion.parameters[None], task, seeds)
         except LinkLost as error:
             bars.end(title, str(error))
-            return exit_code_of(hardware.Reason.LINK_LOST)
+            return hardware.Reason.LINK_LOST.exit_code
         cell = evaluation.cell_of(champion, column, rollouts, task, traces=TRACES)
         bars.end(title, report.sentence if report.reason.is_fault else None)
     out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)
@@ -293,7 +310,7 @@ def _loop(
     out.print(report.punctuality, highlight=False)
     if run is not None and not cell.failed:
         add_measured(run, evaluation.MeasuredResult(champion, cell, on_robot=True, physical=robot.physical))
-    return exit_code_of(report.reason)
+    return report.reason.exit_code
 
 
 def _step(
@@ -324,7 +341,7 @@ def _step(
     if page is None:
         return 0
     stopped = hardware.play_back(champion, robot, seeds, rollouts, page, announce=_watch_at)
-    return 0 if stopped is None else exit_code_of(stopped)
+    return 0 if stopped is None else stopped.exit_code
 
 
 def _watch_at(url: str) -> None:
@@ -427,7 +444,7 @@ def drive_by_hand(
             tell(f"{made.lost} records are lost: {made.problem}")
     reason = stops.reason or hardware.Reason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
-    return ended, 0 if reason is hardware.Reason.SIGINT and not under_way else exit_code_of(reason)
+    return ended, 0 if reason is hardware.Reason.SIGINT and not under_way else reason.exit_code
 
 
 def _tell(trial: hardware.HandTrial, unit: str) -> None:
@@ -472,8 +489,3 @@ def _store(folder: Path, runs: Sequence[tuple[str, hardware.GateLimits | None]],
         tell(f"note: {note}")
     out.print(episode_table(dataset))
     say(f"data set stored in {folder}")
-
-
-def exit_code_of(reason: hardware.Reason) -> int:
-    """Return the exit code of a command that drove a robot until ``reason``: a signal keeps its own."""
-    return reason.exit_code if reason.exit_code == 0 or reason.exit_code >= 128 else ROBOT

@@ -9,7 +9,7 @@ from hardware.preflight import check_recording
 from hardware.run_report import Reason, Stops
 from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.models.base import make_model
 
 from .small import BREAKS, NAME, register
@@ -74,11 +74,15 @@ def test_a_recording_that_is_too_short_is_refused_and_says_how_long_it_must_be()
 
 
 def test_a_stop_ends_the_recording_and_keeps_what_there_is() -> None:
+    robot = GymnasiumRobot(id="Pendulum-v1")
     with Stops() as stops:
-        stops.request(Reason.SIGINT)
-        made = GymnasiumRobot(id="Pendulum-v1").record(seed=0, duration=60.0, stops=stops)
+        made = robot.record(
+            seed=0, duration=60.0, stops=stops, progress=lambda done, total: stops.request(Reason.SIGINT)
+        )
     assert made.report.reason is Reason.SIGINT
     assert len(made.dataset) == 1
+    with pytest.raises(LinkLost, match="Pendulum-v1: interrupted; nothing was recorded"):
+        robot.record(seed=0, duration=60.0, stops=stops)
 
 
 def test_a_recording_needs_no_loop_and_no_tracker() -> None:

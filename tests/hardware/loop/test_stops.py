@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hardware.control_loop import ControlLoop
-from hardware.run_report import SIGNALS, LoopReport, Reason, Stops
+from hardware.run_report import ROBOT, SIGNALS, LoopReport, Reason, Stops
+from sysid_evo.cli import console
+from sysid_evo.errors import LinkLost
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
 
@@ -21,7 +27,6 @@ from .through import Script
 
 FORWARD = np.array([1.0, 0.0])
 PROMPT = 0.05  # s
-DEAD = 137
 
 
 def run_until(stops: Stops, act: Callable[[], None], control: Callable[[int], Array]) -> tuple[LoopReport, float]:
@@ -125,8 +130,41 @@ def test_drift_is_how_much_later_the_last_ticks_are_than_the_first() -> None:
     assert LoopReport(Reason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
 
 
-def test_every_fault_has_an_exit_code_of_its_own_and_an_orderly_end_none() -> None:
-    codes = [reason.exit_code for reason in Reason if reason.is_fault]
-    assert len(set(codes)) == len(codes)
-    assert not {0, 1, 2, DEAD} & set(codes)
+def test_the_page_on_hardware_lists_the_exit_code_of_every_reason() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "hardware.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (.+) \|$", page[page.index("| code | why |") :], re.MULTILINE)
+    listed = {reason: [int(code) for code, why in rows if reason.sentence in why] for reason in Reason}
+    assert listed == {reason: [reason.exit_code] for reason in Reason}
+    assert {int(code) for code, _ in rows} == {reason.exit_code for reason in Reason} | {console.WRONG_INPUT}
+    assert Reason.LINK_LOST.exit_code == ROBOT == console.ROBOT
+    assert all(f"{code} " in console.EXIT_CODES for code in {int(code) for code, _ in rows} - {129, 143})
     assert {reason for reason in Reason if not reason.is_fault} == {Reason.SAMPLES, Reason.PILOT}
+
+
+@pytest.mark.parametrize("catches", [0, 1])
+def test_a_call_that_does_not_come_back_ends_after_its_patience(catches: int) -> None:
+    with Stops(patience=0.2) as stops:
+
+        def call() -> None:
+            for _ in range(catches):  # a robot's own loop may catch it, and go on
+                with suppress(LinkLost):
+                    time.sleep(30.0)
+            time.sleep(30.0)
+
+        with pytest.raises(LinkLost, match=r"the arm: no answer for 0\.2 s"), stops.answer("the arm"):
+            call()
+        with stops.answer("the arm"):
+            pass
+        time.sleep(0.4)  # one that has answered is not waited for any more
+    assert stops.reason is None
+    assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+    with Stops().answer("the arm"):  # where nobody looks after signals nothing is raised
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_a_signal_ends_a_call_that_may_wait_for_ever() -> None:
+    with Stops() as stops:
+        threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGTERM)).start()
+        with pytest.raises(LinkLost, match="no answer within 1 s of the signal"), stops.answer("the arm", math.inf):
+            time.sleep(30.0)
+    assert stops.reason is Reason.SIGTERM

@@ -103,6 +103,18 @@ def test_a_controller_written_by_hand_drives_without_a_file(tmp_path: Path) -> N
     assert (refused.returncode, "'recurrent' must be evolved before it can drive" in refused.stderr) == (2, True)
 
 
+def test_what_a_controller_cannot_be_combined_with_is_refused_with_what_to_do(evolved: Path) -> None:
+    file = controller(evolved / "mine", "emulated_car")
+    for option, told in (
+        (("--model", "linear", "--run", "my run"), f"sysid-evo transfer {file} --on linear --run 'my run'"),
+        (("--name", "human"), "--name is for who drives by hand"),
+        (("--task", "point_to_point"), "was evolved for a task and drives that one; leave --task out"),
+    ):
+        refused = drive(evolved, *option)
+        assert refused.returncode == 2
+        assert "".join(told.split()) in "".join(refused.stderr.split())
+
+
 def test_trials_that_a_fault_cuts_short_are_missing_and_the_exit_code_says_why(evolved: Path) -> None:
     done = drive(evolved, "--robot", "unseen", "--plugin", "unseen.py", "--trials", "2")
     assert done.returncode == 4, done.stderr
