@@ -1,4 +1,4 @@
-"""Every error and warning of the library, and the "Did you mean" part of a message.
+"""Every error and warning of the library, the "Did you mean" part of a message, and text that is safe to print.
 
 Each error is a `SysidEvoError` and a builtin exception.
 """
@@ -113,3 +113,13 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """Return which of the ``known`` names ``name`` may stand for, the more alike the higher ``cutoff``; else ""."""
     return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)), "")
+
+
+UNSEEN = {number: None for number in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+          if chr(number) not in "\t\n"}  # fmt: skip
+"""What is not printed: control characters, which command terminals, and those that turn the direction of writing."""
+
+
+def printable(text: str) -> str:
+    """Return ``text``, which may hold names from anybody's files, so that it can be shown on a terminal."""
+    return text.translate(UNSEEN)

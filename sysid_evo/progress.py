@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol, TypeAlias
 
+from sysid_evo.errors import printable
 from sysid_evo.types import Array
 
 
@@ -45,12 +46,14 @@ def shown(title: str) -> Iterator[Progress]:
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"))
+    described = TextColumn("{task.description}", markup=False)
+    columns = (described, BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"))
     with Bars(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
-        task = bars.add_task(title, total=None)
+        task = bars.add_task(printable(title), total=None)
 
         def update(done: int, total: int, note: str = "") -> None:
-            bars.update(task, completed=done, total=total, description=f"{title}: {note}" if note else title)
+            described = printable(f"{title}: {note}" if note else title)
+            bars.update(task, completed=done, total=total, description=described)
 
         yield update
 

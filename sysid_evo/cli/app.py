@@ -14,7 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
 from sysid_evo.cli.console import EXIT_CODES, code_of, complain, err, out, session, tell
-from sysid_evo.errors import SysidEvoError
+from sysid_evo.errors import SysidEvoError, printable
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
 
@@ -115,6 +115,14 @@ class LazyGroup(TyperGroup):
         super().__init__(**settings)
         for name, entry in COMMANDS.items():
             self.add_command(TyperCommand(name, help=entry.summary, rich_markup_mode=MARKUP))
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except Exception as error:
+            if isinstance(getattr(error, "message", None), str):  # wrong usage: Typer prints it itself
+                error.message = printable(error.message)  # type: ignore[attr-defined]
+            raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, _, rest = super().resolve_command(ctx, args)

@@ -8,14 +8,17 @@ from __future__ import annotations
 import errno
 import signal
 import traceback
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+
+from sysid_evo.errors import printable
 
 WRONG_INPUT = 2
 SOME_FAILED = 3
@@ -32,9 +35,22 @@ EXIT_CODES = (
 INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)
 """What stops a work that was going on: no space, no quota, a failing disk, too many open files."""
 
-out = Console()
-err = Console(stderr=True)
-problems = Console(stderr=True)
+
+class Printer(Console):
+    """A console for text with names from anybody's files: they neither command the terminal nor count as markup."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(markup=False, emoji=False, **settings)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield what is shown of ``renderable``, of which all that is printed is made."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=printable(segment.text))
+
+
+out = Printer()
+err = Printer(stderr=True)
+problems = Printer(stderr=True)
 
 
 class RunLog(Protocol):

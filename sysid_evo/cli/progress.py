@@ -75,9 +75,9 @@ class Bars(Observer):
     ) -> None:
         self._go_on, self._where, self._elsewhere = go_on, where, elsewhere
         self._bars = _Bars(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=12),
-            TextColumn("{task.fields[note]}", justify="right"),
+            TextColumn("{task.fields[note]}", justify="right", markup=False),
             TimeElapsedColumn(),
             console=err,
             transient=True,

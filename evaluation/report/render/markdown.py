@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 
 from evaluation.report.elements import Cards, Picture, Section, Sheet, Story
+from sysid_evo.errors import printable
 
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
 
@@ -71,8 +72,8 @@ def _cell(text: str, joint: str = "<br>") -> str:
 
 
 def _code(text: str) -> str:
-    return "`" + text.replace("|", "\\|") + "`"
+    return "`" + printable(text).replace("|", "\\|") + "`"
 
 
 def _text(text: str) -> str:
-    return SPECIAL.sub(r"\\\1", text)
+    return SPECIAL.sub(r"\\\1", printable(text))

@@ -1,0 +1,97 @@
+"""Names from anybody's files reach a terminal as text: no control characters, no markup."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sysid_evo.cli import console, progress
+from sysid_evo.cli.console import Printer
+from sysid_evo.cli.progress import Bars
+from sysid_evo.errors import UNSEEN
+from sysid_evo.progress import shown
+from tests.sysid_evo.cli.calling import run_here
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e[link=file:///]:boom:"
+QUOTED = EVIL.encode("unicode_escape").decode().replace("\\x", "\\u00")
+MAP = f"""
+name = "{QUOTED}"
+dt = 0.05
+[time]
+column = "t"
+[states."speed{QUOTED}"]
+column = "v{QUOTED}"
+unit = "m/s"
+[controls."push{QUOTED}"]
+column = "u"
+"""
+
+
+def unseen(*texts: str) -> set[str]:
+    """Return the characters of ``texts`` that must not be printed."""
+    return {character for text in texts for character in text if ord(character) in UNSEEN}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log and a map whose name, headers and channels hold escapes."""
+    folder = tmp_path_factory.mktemp("hostile")
+    rng = np.random.default_rng(0)
+    push, speed = rng.choice([-1.0, 1.0], 400), np.zeros(400)
+    for i in range(399):
+        speed[i + 1] = 0.95 * speed[i] + 0.1 * push[i]
+    rows = "".join(f"{0.05 * i},{speed[i]},{push[i]}\n" for i in range(400))
+    (folder / f"log{EVIL.replace('/', '')}.csv").write_text(f"t,v{EVIL.replace(chr(13), '')},u\n" + rows)
+    (folder / "map.toml").write_text(MAP.replace(f'"v{QUOTED}"', f'"v{QUOTED}"'.replace("\\r", "")))
+    done = run_here("fit", ".", "--columns", "map.toml", "--models", "linear", "--out", "run", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert not unseen(done.stdout, done.stderr)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "stays"),
+    [
+        (("inspect", ".", "--columns", "map.toml"), 0, "speed]0;owned"),
+        (("import", ".", "--columns", "map.toml", "--out", "data"), 0, "log]0;owned"),
+        (("import", ".", "--out", "data"), 2, "v]0;owned"),
+        (("models", "show", "run/models/linear"), 0, "push]0;owned"),
+        (("runs", "show", "run"), 0, "linear"),
+        (("fit", ".", "--columns", "map.toml", "--models", f"'{EVIL}'"), 2, "owned"),
+        (("robots", "check", f"{EVIL}.toml"), 2, "robot file ]0;owned"),
+        (("report", EVIL), 2, "owned"),
+        (("report", "run", EVIL), 2, "owned"),
+        ((EVIL,), 2, "owned"),
+    ],
+)
+def test_no_command_prints_a_control_character(
+    command: tuple[str, ...], code: int, stays: str, logs: Path, tmp_path: Path
+) -> None:
+    done = run_here(*(str(tmp_path / "data") if word == "data" else word for word in command), cwd=logs)
+    assert done.returncode == code, done.stderr
+    said = done.stdout + done.stderr
+    assert "".join(stays.split()) in "".join(said.split())
+    assert not unseen(said)
+
+
+def test_bars_show_titles_and_remarks_as_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    written = io.StringIO()
+    for module in (console, progress):
+        monkeypatch.setattr(module, "err", Printer(file=written, force_terminal=True, width=200))
+    with Bars() as bars:
+        bars.begin(EVIL)
+        bars.advance(1, 2, EVIL)
+        bars._bars.refresh()
+        bars.end(EVIL, EVIL)
+    said = written.getvalue()
+    assert "]0;owned[2J31m[link=file:///]:boom:" in said
+    for command in ("\x1b]", "\x07", "\x1b[2J\x9b", "\u202e"):
+        assert command not in said
+    with shown(EVIL) as update:
+        update(1, 2, EVIL)
+    assert not unseen(capsys.readouterr().err)
