@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Protocol, TypeAlias
@@ -41,11 +43,17 @@ def told(progress: Progress | bool | None, title: str) -> AbstractContextManager
 
 @contextmanager
 def shown(title: str) -> Iterator[Progress]:
-    """Draw a bar with rate and time left on standard error while the work inside goes on."""
+    """Draw a bar with rate and time left on standard error while the work inside goes on.
+
+    Where that is no terminal, a notebook or a file, there is a line every few seconds.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
+    if not sys.stderr.isatty():  # a kernel of Jupyter makes rich believe in one
+        yield _lines(title)
+        return
     described = TextColumn("{task.description}", markup=False)
     columns = (described, BarColumn(bar_width=24), TextColumn("{task.percentage:>3.0f} %"))
     with Bars(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bars:
@@ -56,6 +64,25 @@ def shown(title: str) -> Iterator[Progress]:
             bars.update(task, completed=done, total=total, description=described)
 
         yield update
+
+
+EVERY = 5.0
+"""Seconds between two lines where there is no bar."""
+
+
+def _lines(title: str) -> Progress:
+    """Return what writes now and then how far the work is, and when it has ended."""
+    last = time.monotonic()
+
+    def update(done: int, total: int, note: str = "") -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= EVERY or done == total:
+            last = now
+            line = f"{title}: {done} of {total}{f', {note}' if note else ''}"
+            print(printable(line), file=sys.stderr, flush=True)
+
+    return update
 
 
 State: TypeAlias = Mapping[str, Array | int | float | str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from evaluation.prediction.cases import MeasuredCases
 from evaluation.prediction.regions import Region, RegionError
 from evaluation.prediction.residuals import Residuals
 from evaluation.storage import DAMAGED, plain, read_with_arrays, write_with_arrays
+from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import ArtefactError, InvalidArgument
 from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import Interval, interval
@@ -151,12 +153,16 @@ class ConditionErrors:
     across: float | None
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Displayed):
     """The prediction errors of several models on the same cases; persistence comes first."""
 
     cases: MeasuredCases
     models: tuple[ModelPrediction, ...]
+
+    def facts(self) -> Mapping[str, str]:
+        horizons = ("free run" if horizon is None else f"{horizon} steps" for horizon in self.horizons)
+        return {"models": listed(self.names), "scored over": listed(horizons)}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from evaluation.storage import DAMAGED, read_with_arrays, write_with_arrays
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
+from sysid_evo.display import Displayed, listed
 from sysid_evo.engine import Rollouts, Runner, as_runners
 from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
 from sysid_evo.evolution import Champion
@@ -36,8 +37,8 @@ NOT_RUN = "not run"
 """The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
 
 
-@dataclass(frozen=True)
-class TransferMatrix:
+@dataclass(frozen=True, repr=False)
+class TransferMatrix(Displayed):
     """Cells by row and column; the ``robot``, if there is one, is the last column.
 
     ``families`` names the family of each model column, and of other models that a controller was evolved against, if it
@@ -108,6 +109,10 @@ class TransferMatrix:
 
     def cell(self, champion: str, column: str) -> TransferResult:
         return self.cells[champion, column]
+
+    def facts(self) -> Mapping[str, str]:
+        means = [[f"{mean:.4g} on {on}" for mean, on in zip(row, self.columns, strict=True)] for row in self.means()]
+        return {name: listed(row) for name, row in zip(self.rows, means, strict=True)}
 
     def means(self) -> Array:
         """Mean fitness (rows, columns), nan for a failed cell."""
