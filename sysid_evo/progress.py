@@ -79,8 +79,8 @@ def _lines(title: str) -> Progress:
         now = time.monotonic()
         if now - last >= EVERY or done == total:
             last = now
-            line = f"{title}: {done} of {total}{f', {note}' if note else ''}"
-            print(printable(line), file=sys.stderr, flush=True)
+            sys.stderr.write(printable(f"{title}: {done} of {total}{f', {note}' if note else ''}") + "\n")
+            sys.stderr.flush()
 
     return update
 

@@ -66,8 +66,8 @@ class TransferMatrix(Displayed):
     ) -> TransferMatrix:
         """Put ``cells`` in their places; a missing one was not run. Raises `InvalidArgument`."""
         names = [champion.name for champion in champions]
-        for what, listed in (("controllers", names), ("columns", list(columns))):
-            repeated = sorted({name for name in listed if listed.count(name) > 1})
+        for what, found in (("controllers", names), ("columns", list(columns))):
+            repeated = sorted({name for name in found if found.count(name) > 1})
             if repeated:
                 raise InvalidArgument(f"transfer: names of {what} must differ, repeated: {', '.join(repeated)}")
         last = (*other_robots, *((robot,) if robot is not None else ()))

@@ -16,7 +16,8 @@ from sysid_evo.testing import example_dataset
 from tests.evaluation.made_up import matrix, prediction, report
 
 CELLS = (
-    "from evaluation import Study, compare\nfrom sysid_evo import make_model\nfrom sysid_evo.testing import example_dataset",
+    "from evaluation import Study, compare",
+    "from sysid_evo import make_model\nfrom sysid_evo.testing import example_dataset",
     "data = example_dataset()\ndata",
     "data.episodes[0]",
     "make_model('linear').fit(data)",
@@ -73,8 +74,8 @@ def test_all_that_a_notebook_shows_is_small(tmp_path: Path) -> None:
     shown = [
         [one for one in cell.outputs if one.output_type in ("execute_result", "stream")] for cell in notebook.cells
     ]
-    assert "".join(one.text for one in shown[4] if one.get("name") == "stderr").startswith("compare: ")
-    for outputs, title in zip(shown[1:], SHOWN, strict=True):
+    assert "".join(one.text for one in shown[5] if one.get("name") == "stderr").startswith("compare: ")
+    for outputs, title in zip(shown[2:], SHOWN, strict=True):
         (result,) = [one for one in outputs if one.output_type == "execute_result" or one.name == "stdout"]
         if result.output_type == "stream":
             assert "In short" in result.text
