@@ -54,6 +54,10 @@ HEADERS = {
 PERIOD = 0.02  # s between two readings that the page is sent
 WORD_BYTES = 256  # the longest thing that a page says
 MOST_CONNECTIONS = 32
+"""Requests and web sockets at the same time; only those with the secret count."""
+SILENCE = 5.0  # s within which a connection must have sent a whole request
+MOST_SILENT = 64
+"""Connections that have sent none yet: of more the oldest is closed, so that they do not use up the system's files."""
 PING = 1.0  # s after which a page that does not answer is gone
 START_UP = 5.0  # s
 INVALID = 1008  # the web socket's code for a message that breaks the rules
@@ -122,6 +126,7 @@ class PageServer(Closeable):
         self._server = uvicorn.Server(
             uvicorn.Config(
                 make_app(panel, self.seats, token=token, host=host),
+                http=impatient_http(),
                 ws="websockets-sansio",
                 ws_max_size=WORD_BYTES,
                 ws_ping_interval=PING,
@@ -132,7 +137,6 @@ class PageServer(Closeable):
                 access_log=False,
                 server_header=False,
                 proxy_headers=False,
-                limit_concurrency=MOST_CONNECTIONS,
                 timeout_graceful_shutdown=1,
             )
         )
@@ -158,6 +162,39 @@ class PageServer(Closeable):
             self._keyboard.release()
             if not self._closing:
                 self._died("the page's server ended")
+
+
+def impatient_http() -> type[asyncio.Protocol]:
+    """Return HTTP as uvicorn speaks it, but for connections that send no whole request: they are closed soon."""
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    silent: dict[H11Protocol, asyncio.TimerHandle] = {}
+
+    class ImpatientHttp(H11Protocol):
+        """A connection of one client."""
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+            super().connection_made(transport)
+            if len(silent) >= MOST_SILENT:
+                first = next(iter(silent))
+                first.transport.abort()
+                silent.pop(first).cancel()
+            silent[self] = self.loop.call_later(SILENCE, transport.abort)
+
+        def handle_events(self) -> None:
+            super().handle_events()
+            if self.scope is not None:  # a request has come
+                self._heard()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._heard()
+            super().connection_lost(exc)
+
+        def _heard(self) -> None:
+            if self in silent:
+                silent.pop(self).cancel()
+
+    return ImpatientHttp
 
 
 def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starlette:
@@ -221,11 +258,13 @@ async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: DrivePanel) ->
 
 
 TOKEN_BYTES = 16
-FORBIDDEN = 403
+FORBIDDEN, BUSY = 403, 503
 
 
 class Guard:
     """Answers 403 unless the first part of the path is ``token`` and the request comes from our own page.
+
+    Whoever is refused is also disconnected. Of those let in, more than `MOST_CONNECTIONS` at once get 503.
 
     Any web page can make a browser send requests to this machine. It does not know the token. A
     page whose name was pointed at this machine after it was loaded (DNS rebinding) names itself in
@@ -237,19 +276,29 @@ class Guard:
         self._app = app
         self._token = token.encode()
         self._names = {"localhost", host.lower(), socket.gethostname().lower()}
+        self._open = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         from starlette.responses import PlainTextResponse
         from starlette.websockets import WebSocketClose
 
-        if scope["type"] == "lifespan" or self._allows(scope):
-            await self._app(scope, receive, send)
+        refused = None
+        if scope["type"] != "lifespan" and not self._allows(scope):
+            refused = FORBIDDEN, "open the address that sysid-evo drive printed"
+        elif self._open >= MOST_CONNECTIONS:
+            refused = BUSY, "too many pages are open: close one"
+        if refused is None:
+            self._open += 1
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                self._open -= 1
         elif scope["type"] == "websocket":
             await WebSocketClose()(scope, receive, send)
         else:
-            await PlainTextResponse("403: open the address that sysid-evo drive printed.\n", FORBIDDEN)(
-                scope, receive, send
-            )
+            code, why = refused
+            answer = PlainTextResponse(f"{code}: {why}.\n", code, {"Connection": "close"})
+            await answer(scope, receive, send)
 
     def _allows(self, scope: Scope) -> bool:
         headers = [(name, value.decode("latin-1")) for name, value in scope["headers"]]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from urllib.parse import urlsplit
 
 import pytest
@@ -15,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from hardware.connection import Command, Listener
+from hardware.driving import server
 from hardware.driving.hand_driving import HandDriving, Instruments, Phase
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
 from hardware.driving.page_messages import FORWARD
@@ -121,6 +124,51 @@ def test_another_page_may_not_open_the_socket(desk: Desk) -> None:
     assert status_of(desk.page.url, Origin="http://evil.example") == 403
     with talk(desk) as line:
         assert json.loads(line.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
+
+
+def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "SILENCE", 0.5)
+    monkeypatch.setattr(server, "MOST_SILENT", 50)
+    desk = Desk()
+    base = urlsplit(desk.page.url)
+    with desk.page, ExitStack() as stack:
+        lines = [
+            stack.enter_context(socket.create_connection((base.hostname or "", base.port or 0))) for _ in range(60)
+        ]
+        with talk(desk) as page:
+            assert json.loads(page.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
+            assert status_of(desk.page.url) == 200
+            refused = lines.pop()
+            refused.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            refused.settimeout(5.0)
+            assert b"".join(iter(lambda: refused.recv(1000), b"")).startswith(b"HTTP/1.1 403")
+            assert gone(lines[0])  # too many: the oldest makes room
+            assert not gone(lines[-1])
+            since = time.monotonic()
+            while not all(map(gone, lines)):
+                with suppress(OSError):
+                    lines[-1].sendall(b"G")  # slow is as good as silent
+                time.sleep(0.05)
+                assert time.monotonic() < since + 5.0
+            time.sleep(0.6)
+            page.recv(timeout=5.0)
+        pages = [stack.enter_context(talk(desk)) for _ in range(server.MOST_CONNECTIONS)]
+        for page in pages:
+            page.recv(timeout=5.0)
+        assert status_of(desk.page.url) == 503
+        pages[0].close()
+        wait_for(lambda: status_of(desk.page.url) == 200)
+
+
+def gone(line: socket.socket) -> bool:
+    """Whether the other side has closed this connection."""
+    line.settimeout(0.001)
+    try:
+        return not line.recv(1)
+    except TimeoutError:
+        return False
+    except OSError:
+        return True
 
 
 def test_nonsense_ends_the_conversation(desk: Desk) -> None:
