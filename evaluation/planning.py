@@ -129,6 +129,9 @@ def plan_comparison(
         farthest = _farthest(dataset, robot)
         if farthest is not None:
             remarks += evolution.make_task(system).doubts(farthest)
+        # recorded here, or when the run was made
+        recorded = isinstance(data, RecordedData) or "robot" in data.inputs()
+        yardstick = _has_yardstick(experiment, column, remarks, recorded=recorded)
         matrix = _matrix(
             experiment,
             evolution,
@@ -137,9 +140,10 @@ def plan_comparison(
             ensembles,
             tuple(measured),
             _by_hand(experiment, evolution, system, fits, floor=column is not None),
-            # here, or when the run was made
-            recorded=isinstance(data, RecordedData) or "robot" in data.inputs(),
+            yardstick=yardstick,
         )
+        if column is not None and column.timed:
+            experiment = experiment.model_copy(update={"yardstick": yardstick})  # it is not decided again elsewhere
         exploitability = ExploitCell(matrix, data, experiment.seed)
     several = _conditions(experiment, dataset)
     without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
@@ -247,10 +251,36 @@ def _check_control(evolution: ControllerEvolution, system: System) -> None:
 
 
 def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
-    """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet."""
+    """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet.
+
+    A robot that is too slow to be tried is not.
+    """
     if dataset is not None:
         return farthest_recorded(dataset)
-    return None if robot is None else _farthest_driven(robots.get(robot.name), str(robot))
+    if robot is None or Plant(robot.label, robot.name, robot=robot).step_seconds() > SLOW:
+        return None
+    return _farthest_driven(robots.get(robot.name), str(robot))
+
+
+SLOW = 1e-3
+"""Seconds of a step from which on a robot is not driven before a plan is shown: 1 s for two controls, 24 for five."""
+
+LONGEST_YARDSTICK = 600.0
+"""Seconds, about, that evolution on the robot itself may take to be part of a comparison without being asked for."""
+
+
+def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
+    """Return whether a controller is evolved on the robot itself; a remark says that it would take too long."""
+    if robot is None or robot.robot is None or experiment.yardstick is not None:
+        return robot is not None and bool(experiment.yardstick)
+    usual = recorded and experiment.budget.recipe == "recommended" and make_robot(robot.robot).dynamics is not None
+    about = EvolveCell((robot,), evolution_on(experiment, (robot,)), experiment.seed).seconds() if usual else 0.0
+    if about > LONGEST_YARDSTICK:
+        remarks.append(
+            f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
+            f"so that this would take about {about / 3600.0:.1f} hours. --yardstick does it all the same"
+        )
+    return usual and about <= LONGEST_YARDSTICK
 
 
 @lru_cache(maxsize=64)
@@ -367,15 +397,13 @@ def _matrix(
     measured: tuple[MeasuredResult, ...],
     by_hand: tuple[HandWrittenCell, ...],
     *,
-    recorded: bool,
+    yardstick: bool,
 ) -> Matrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Plant, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
-    quick = robot is not None and robot.robot is not None and make_robot(robot.robot).dynamics is not None
-    usual = quick and recorded and experiment.budget.recipe == "recommended"
-    if robot is not None and (usual if experiment.yardstick is None else experiment.yardstick):
+    if robot is not None and yardstick:
         groups.append((robot,))
     evolved = tuple(EvolveCell(members, evolution_on(experiment, members), experiment.seed) for members in groups)
     champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,6 +21,7 @@ from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.models import Dynamics
+from sysid_evo.models.dynamics import started
 from sysid_evo.progress import Progress, told
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
@@ -51,6 +54,22 @@ class Robot(ABC):
     def runner(self) -> Runner | None:
         """Return how a comparison runs controllers on it; None for a physical robot, which is driven on its own."""
         return None if self.dynamics is None else DynamicsRunner(self.dynamics)
+
+    def step_seconds(self) -> float:
+        """Return how long one step of one trial takes its `runner`, timed here; 0 of one that is compiled."""
+        if self.dynamics is None or self.dynamics.kernel() is not None:
+            return 0.0
+        alone = self._step_seconds(1)
+        trials = int(np.clip(LOOK / alone, 1, AT_ONCE))
+        return self._step_seconds(trials) / trials
+
+    def _step_seconds(self, trials: int) -> float:
+        """Return how long the equations take to step so many trials at once."""
+        dynamics, system = self.dynamics, self.system
+        assert dynamics is not None
+        carry = started(dynamics, np.tile(system.neutral_state, (trials, 1)))
+        control, noise = np.tile(system.neutral_control, (trials, 1)), np.zeros((trials, dynamics.n_noise))
+        return fastest(lambda: dynamics.step(carry, control, noise))
 
     def check(self) -> None:
         """Raise what `connect` would raise and what can be known without opening anything.
@@ -103,6 +122,24 @@ class Robot(ABC):
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
         with told(progress, "record") as report:
             return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=report)
+
+
+AT_ONCE = 300
+"""Trials that are stepped at once where a step is timed: about those of a generation, which NumPy takes together."""
+LOOK = 2.0
+"""Seconds for which a step may be looked at, if so many trials take as long as one after the other."""
+
+
+def fastest(step: Callable[[], object], *, within: float = 0.02) -> float:
+    """Return the least of the seconds that ``step`` takes, once or as often as there is time for ``within`` s."""
+    least, until = math.inf, time.perf_counter() + within
+    while True:
+        began = time.perf_counter()
+        step()
+        ended = time.perf_counter()
+        least = min(least, ended - began)
+        if ended > until:
+            return least
 
 
 def find_robot(spec: str | Spec) -> Robot:

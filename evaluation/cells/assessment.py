@@ -12,7 +12,7 @@ from evaluation.advice.evidence import Evidence, ModelAdvice, advice_from_json, 
 from evaluation.cells.controllers import ChampionCell, ControllerFiles, HandWrittenCell, conditions
 from evaluation.cells.data import Parts
 from evaluation.cells.models import FitCell, PredictCell
-from evaluation.cells.plants import BELIEVED, Plant, believed
+from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import (
     ModelExploitability,
@@ -105,7 +105,7 @@ class RunCell(Cell):
         return replace(value, champion=self.champion.name, column=self.column.label)
 
     def seconds(self) -> float:
-        return 0.05
+        return 0.05 + self.trials * STEPS * self.column.step_seconds()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
-from evaluation.cells.plants import BELIEVED, Plant, believed, prediction_error
+from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, prediction_error
 from evaluation.experiment import NONE, Experiment
 from evaluation.transfer.forecast import RULE, worth_by
 from sysid_evo.artefacts import CheckpointFile
@@ -21,7 +21,6 @@ from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
 from sysid_evo.registry.registry import cautions, noises
 from sysid_evo.system import System
 
-ROLLOUT_STEPS_PER_SECOND = 2e7
 RECOMMENDED = "recommended"
 """What the controller of the recommended recipe is called."""
 
@@ -134,8 +133,8 @@ class EvolveCell(ControllerFiles):
 
     def seconds(self) -> float:
         settings = self.settings
-        rollouts = settings.runs * settings.generations * settings.trials * len(self.members) * 100
-        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+        rollouts = settings.runs * settings.generations * settings.trials * 100
+        return rollouts * STEPS * sum(member.step_seconds() for member in self.members)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +278,8 @@ class PolishCell(ControllerFiles):
         return replace(value, name=self.name, against=labels if len(labels) == len(value.against) else value.against)
 
     def seconds(self) -> float:
-        rollouts = self.starts * self.generations * self.settings.trials * len(self.members) * 50
-        return rollouts * 500 / ROLLOUT_STEPS_PER_SECOND
+        rollouts = self.starts * self.generations * self.settings.trials * 50
+        return rollouts * STEPS * sum(member.step_seconds() for member in self.members)
 
 
 ChampionCell: TypeAlias = EvolveCell | ChooseCell | PolishCell

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
 from sysid_evo.errors import LinkLost
 from sysid_evo.plan import Cell, Work
@@ -145,4 +146,8 @@ class RecordedData(DataCell):
         return self.split.of(recorded.dataset)
 
     def seconds(self) -> float:
-        return 60.0 * self.minutes if make_robot(self.robot).physical else 0.5 * self.minutes
+        robot = make_robot(self.robot)
+        if robot.physical:
+            return 60.0 * self.minutes
+        steps = 60.0 * self.minutes / robot.system.dt
+        return 0.5 * self.minutes + steps * Plant(self.robot.label, self.robot.name, robot=self.robot).step_seconds()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from evaluation.prediction.scores import error_of
@@ -12,8 +13,13 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import observed_late
 from sysid_evo.models import Dynamics
 from sysid_evo.plan import Cell, Work
-from sysid_evo.registry import Spec, make_robot, robots
+from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
+
+ROLLOUT_STEPS_PER_SECOND = 2e7
+"""Of compiled models with a small controller, about, on one core."""
+STEPS = 500
+"""Steps of a trial, about."""
 
 
 @dataclass(frozen=True)
@@ -62,12 +68,27 @@ class Plant:
         system: System = make_robot(self.robot).system
         return system
 
+    @property
+    def timed(self) -> float:
+        """Seconds of one step of one trial on a robot that is not compiled, measured; else 0."""
+        return 0.0 if self.robot is None else _timed(robots.get(self.robot.name), str(self.robot))
+
+    def step_seconds(self) -> float:
+        """Return about how long one step of one trial takes."""
+        return self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
+
     def runner(self, work: Work, *, delay: float) -> Runner:
         """Return how controllers are run here, with states observed ``delay`` s late."""
         if self.model is not None:
             return observed_late(self.label, DynamicsRunner(work.result(self.model)), delay)
         assert self.robot is not None
         return observed_late(self.label, runner_of(self.robot), delay)
+
+
+@lru_cache(maxsize=64)
+def _timed(_factory: Callable[..., Any], robot: str) -> float:
+    """Return `Robot.step_seconds`, once for all cells; its factory tells namesakes apart."""
+    return float(make_robot(robot_spec(robot)).step_seconds())
 
 
 def runner_of(spec: Spec) -> Runner:

@@ -12,7 +12,7 @@ import numpy as np
 from hardware.connection import Connection
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import Recorded
-from hardware.robot import Robot
+from hardware.robot import Robot, fastest
 from hardware.run_report import Stops
 from hardware.self_test import SelfTestFinding, described
 from hardware.simulators.recording import record_simulator, samples_each
@@ -40,6 +40,18 @@ class SimulatorRobot(Robot):
 
     def runner(self) -> SimulatorRunner:
         return SimulatorRunner(self.simulator)
+
+    def step_seconds(self) -> float:
+        neutral = self.system.actuate(np.zeros(self.system.nu))
+
+        def step() -> None:
+            _, _, ended, late = session.step(neutral)
+            if ended or late:
+                session.reset(0)
+
+        with self.simulator.open() as session:
+            session.reset(0)
+            return fastest(step)
 
     def look_at(
         self, *, seconds: float, seed: int | None = None, stops: Stops | None = None

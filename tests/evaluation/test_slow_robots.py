@@ -1,0 +1,112 @@
+"""A robot whose step takes long is timed before a comparison with it is planned."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from evaluation.cells.assessment import RunCell
+from evaluation.cells.controllers import EvolveCell
+from evaluation.experiment import Experiment
+from evaluation.planning import Comparison, plan_comparison
+from hardware.emulation.sensed_robot import Equations, SensedRobot
+from hardware.simulators.simulator import ExternalSimulator, SimulatorSession
+from hardware.simulators.simulator_robot import SimulatorRobot
+from sysid_evo.registry import robots
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+
+SYSTEM = System([Channel("x", "m"), Channel("v", "m/s")], [Channel("u", "N", low=-1.0, high=1.0)], dt=0.05)
+EACH = 0.002  # s that a step of one trial takes
+
+
+class Cart(Equations):
+    """A cart in NumPy, all trials at once."""
+
+    system = SYSTEM
+    substeps = 1
+
+    def rates_of_change(self, states: Array, controls: Array) -> Array:
+        return np.column_stack([states[:, 1], controls[:, 0] - states[:, 1]])
+
+
+class OneByOne(Cart):
+    """The same cart, which computes one trial after the other, and long."""
+
+    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        time.sleep(EACH * len(carry))
+        return super().step(carry, control, noise)
+
+
+class Slow(ExternalSimulator, SimulatorSession):
+    """A simulator that takes its time."""
+
+    name, system, settable = "slow", SYSTEM, False
+
+    def open(self) -> SimulatorSession:
+        return self
+
+    def reset(self, seed: int, at: Array | None = None) -> Array:
+        return np.zeros(2)
+
+    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+        time.sleep(EACH)
+        return np.zeros(2), 0.0, False, False
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(autouse=True)
+def carts() -> Iterator[None]:
+    robots.register("cart")(lambda: SensedRobot("cart", Cart()))
+    robots.register("slow_cart")(lambda: SensedRobot("slow_cart", OneByOne()))
+    yield
+    for name in ("cart", "slow_cart"):
+        del robots._entries[name]
+
+
+def planned(robot: str, yardstick: bool | None = None, channel: str = "x") -> Comparison:
+    task = f"set_point(channels={channel}, low=-1, high=1)"
+    return plan_comparison(Experiment(robot=robot, models=("linear",), minutes=2.0, task=task, yardstick=yardstick))
+
+
+def on_itself(comparison: Comparison) -> list[EvolveCell]:
+    return [cell for cell in comparison.plan if isinstance(cell, EvolveCell) and cell.members[0].robot is not None]
+
+
+def seconds_on(comparison: Comparison, robot: str) -> float:
+    return next(c for c in comparison.plan if isinstance(c, RunCell) and c.column.label == robot).seconds()
+
+
+def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for() -> None:
+    began = time.monotonic()
+    slow = planned("slow_cart")
+    assert time.monotonic() - began < 20.0
+    assert on_itself(slow) == []
+    (remark,) = (text for text in slow.plan.remarks if "itself" in text)
+    assert "no controller is evolved on slow_cart itself: a step of it takes 2" in remark
+    assert "hours. --yardstick does it all the same" in remark
+    assert slow.experiment.yardstick is False, "a busier machine that plans it again decides the same"
+    assert seconds_on(slow, "slow_cart") >= 100 * 500 * EACH
+    assert slow.data.seconds() >= 2 * 60 / SYSTEM.dt * EACH
+    (asked,) = on_itself(planned("slow_cart", yardstick=True))
+    assert asked.seconds() > 3600.0
+
+
+def test_what_numpy_steps_for_all_trials_at_once_is_not_slow() -> None:
+    quick = planned("cart")
+    assert len(on_itself(quick)) == 1
+    assert quick.experiment.yardstick is True
+    assert seconds_on(quick, "cart") < 10.0
+    assert planned("cart", yardstick=False).experiment.yardstick is False
+    compiled = planned("pendulum", channel="angle")
+    assert len(on_itself(compiled)) == 1
+    assert compiled.experiment.yardstick is None, "what is compiled need not be timed"
+
+
+def test_a_simulator_is_timed_step_by_step() -> None:
+    assert EACH <= SimulatorRobot(Slow()).step_seconds() < 10 * EACH
