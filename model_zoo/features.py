@@ -23,11 +23,12 @@ from sysid_evo.types import Array, BoolArray
 
 
 class Row(NamedTuple):
-    """One feature: ``function`` ("" for none) of ``factor`` times number ``place`` of (carry, control)."""
+    """One feature: ``function`` ("" for none) of ``factor`` times number ``place`` of (carry, control) - ``offset``."""
 
     function: str
     place: int
     factor: float
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,14 @@ class Features:
     """What a regression or a network sees of (carry, control).
 
     States, earlier states, earlier controls, the control, then ``functions`` of one of these, such as ``abs(speed)``
-    or ``sin(2*drive[-1])``. A periodic state stands as its sine and cosine, so that equal angles are equal.
+    or ``sin(2*drive[-1])``. A periodic state stands as its sine and cosine, so that equal angles are equal. From states
+    and controls, not from what functions are of, their ``offsets`` (nx + nu) are subtracted, see `offsets_of`.
     """
 
     system: System
     lags: tuple[int, int]
     functions: tuple[str, ...] = ()
+    offsets: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         known = self.input_names if self.functions else []
@@ -55,7 +58,7 @@ class Features:
     @property
     def plain(self) -> bool:
         """Whether the features are (carry, control) as they are, which is what compiled forms read."""
-        return not self.functions and not self.system.periods
+        return not self.functions and not self.system.periods and not self.offsets
 
     @property
     def n_carry(self) -> int:
@@ -70,7 +73,8 @@ class Features:
             for function, place in self._functions:
                 side, column = (carry, place) if place < width else (control, place - width)
                 parts.append(function(side[..., column : column + 1]))
-        return np.concatenate(parts, axis=-1)
+        features = np.concatenate(parts, axis=-1)
+        return features - np.array([row.offset for row in self.rows]) if self.offsets else features
 
     def parts(self, carry: Array, control: Array) -> list[Array]:
         """Return the features without functions as parts, to be joined along the last axis."""
@@ -96,13 +100,14 @@ class Features:
     def rows(self) -> list[Row]:
         """What every feature is a function of, in the order of the features."""
         nx, periods, past = self.system.nx, self.system.periods, self._layout.earlier_controls.start
-        found = []
+        offsets = self.offsets or (0.0,) * (nx + self.system.nu)
+        offset, found = self._layout.each_input(offsets[:nx], offsets[nx:]), list[Row]()
         for place in range(self._layout.size + self.system.nu):
             if place < past and place % nx in periods:
                 turn = TURN / periods[place % nx]
                 found += [Row("sin", place, turn), Row("cos", place, turn)]
             else:
-                found.append(Row("", place, 1.0))
+                found.append(Row("", place, 1.0, offset[place]))
         return [*found, *(Row(function.function, place, function.factor) for function, place in self._functions)]
 
     @cached_property
@@ -114,6 +119,12 @@ class Features:
     def names(self) -> list[str]:
         """The name of every feature."""
         return [*self.plain_names, *(function.name for function, _ in self._functions)]
+
+    @property
+    def shown_names(self) -> list[str]:
+        """The name of every feature in an equation, such as ``(temperature - 293)``."""
+        pairs = zip(self.names, self.rows, strict=True)
+        return [f"({less(name, row.offset)})" if row.offset else name for name, row in pairs]
 
     @cached_property
     def units(self) -> list[str]:
@@ -209,6 +220,33 @@ class FunctionOf(NamedTuple):
     def __call__(self, values: Array) -> Array:
         """Return the function of ``values``."""
         return FUNCTIONS[self.function](values if self.factor == 1.0 else self.factor * values)
+
+
+FAR = 10.0
+"""Standard deviations from zero beyond which monomials of a channel are too much alike: errors begin to rise there.
+
+Of a made-up vehicle and tank (1,800 samples): those of `sindy_discrete` from 0.02 to 0.31 at 12 deviations, of `sindy`
+from 0.004 to 0.006 at 40 and 0.03 at 1e6, of `narx` from 0.004 to 0.009 at 1e4. At 3 deviations nothing is gained.
+"""
+
+
+def offsets_of(dataset: Dataset) -> tuple[float, ...]:
+    """Return what is subtracted from states and controls (nx + nu) before monomials are made; () if nothing is.
+
+    That of a channel further than `FAR` from zero is its mean, rounded to the leading digit of its deviation; of a
+    periodic state nothing is.
+    """
+    values = np.concatenate([np.column_stack([e.states[:-1], e.controls]) for e in dataset])
+    mean, spread = values.mean(axis=0), deviation(values)
+    digit = 10.0 ** np.floor(np.log10(spread))
+    far = np.abs(mean) > FAR * spread
+    far[list(dataset.system.periods)] = False
+    return tuple(np.where(far, np.round(mean / digit) * digit, 0.0).tolist()) if far.any() else ()
+
+
+def less(name: str, offset: float) -> str:
+    """Return ``temperature - 293`` for an offset of 293, ``temperature + 40`` for -40, the name alone for 0."""
+    return f"{name} {'-' if offset > 0 else '+'} {abs(offset):.10g}" if offset else name
 
 
 OWN = 0.005

@@ -10,7 +10,16 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from model_zoo.features import Features, between_limits, integrals, next_state, next_state_predictor, quotient
+from model_zoo.features import (
+    Features,
+    between_limits,
+    integrals,
+    less,
+    next_state,
+    next_state_predictor,
+    offsets_of,
+    quotient,
+)
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, with_angles, within
@@ -46,14 +55,27 @@ class PolynomialFamily(Uncertain):
 
     The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
     in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
+    Channels far from zero, such as a map coordinate or a temperature in kelvin, stand without their offset: monomials
+    of 1e6 + x hardly differ, and neither fits nor thresholds could tell them apart.
     """
 
     structure = "polynomial"
     periodic = True
 
+    def record(self, dataset: Dataset) -> None:
+        super().record(dataset)
+        self.__dict__.pop("offsets_", None)
+        if offsets := offsets_of(dataset):
+            self.offsets_ = list(offsets)
+
+    @property
+    def offsets(self) -> tuple[float, ...]:
+        """What is subtracted from states and controls (nx + nu); () if nothing is, as in older stored models."""
+        return tuple(getattr(self, "offsets_", ()))
+
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
         """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
-        return Features(system, lags)
+        return Features(system, lags, offsets=self.offsets)
 
     @property
     def features(self) -> Features:
@@ -65,11 +87,22 @@ class PolynomialFamily(Uncertain):
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
         features, added = self.features_of(dataset.system, lags), integrals(dataset)
         seen = features(data.carry, data.control)
-        found = Regression(seen, data.after - np.where(added, data.state, 0.0), seen, data.state, added)
+        targets = data.after - np.where(added, data.state, self.zero_of(added))
+        found = Regression(seen, targets, seen, data.state, added)
         return found[np.flatnonzero(between_limits(dataset.system, data.after))]
+
+    def zero_of(self, added: Array | BoolArray) -> Array:
+        """Return from where targets (nx,) are measured: changes of the states ``added`` from 0, others from offsets."""
+        return np.where(added, 0.0, self.offsets[: len(added)] or 0.0)
 
     def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
+        zero = self.zero_of(data.added)
+        if zero.any():  # what was taken from the targets is a constant
+            if exponents.any(axis=1).all():
+                exponents = np.concatenate([np.zeros_like(exponents[:1]), exponents])
+                coefficients = np.concatenate([np.zeros_like(coefficients[:1]), coefficients])
+            coefficients = coefficients + zero * ~exponents.any(axis=1, keepdims=True)
         used = np.flatnonzero(np.any(coefficients != 0, axis=1))
         used = used if len(used) else np.array([0])
         seen = self.kept_features(exponents[used])
@@ -96,18 +129,18 @@ class PolynomialFamily(Uncertain):
 
     def right_side(self) -> Predictor | None:
         """Return the compiled form of the polynomial of the clipped features."""
-        if self.features.functions:
-            return self._of_functions()
+        if self.features.functions or self.offsets:
+            return self._of_rows()
         seen = len(self.features.names) - self.system.nu
         sums = polynomial_predictor(self.exponents_, self.coefficients_, seen, self.system.nu)
         clipped = within(sums, self.low_, self.high_, seen)
         return with_angles(clipped, self.system, self.lags)
 
-    def _of_functions(self) -> Predictor:
-        """Return the compiled form where some features are functions of (carry, control)."""
+    def _of_rows(self) -> Predictor:
+        """Return the compiled form where some features are functions of (carry, control), or stand without offset."""
         rows, held = self.features.rows, self.layout.size
         found = [
-            SeenRow(row.function, row.place if row.place < held else row.place - held, row.factor, low, high)
+            SeenRow(row.function, row.place if row.place < held else row.place - held, *row[2:], low, high)
             for row, low, high in zip(rows, self.low_, self.high_, strict=True)
         ]
         of_carry = [i for i, row in enumerate(rows) if row.place < held]
@@ -128,14 +161,15 @@ class PolynomialFamily(Uncertain):
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
-        pairs = zip(self.system.states, self.added_, strict=True)
-        return [(f"{c.name}[+1]" + (f" - {c.name}" if added else ""), c.unit) for c, added in pairs]
+        states = zip(self.system.states, self.added_, self.zero_of(self.added_), strict=True)
+        return [(less(f"{c.name}[+1]", zero) + (f" - {c.name}" if added else ""), c.unit) for c, added, zero in states]
 
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        features = self.features
+        features, constant = self.features, ~self.exponents_.any(axis=1, keepdims=True)
+        coefficients = self.coefficients_ - constant * self.zero_of(self.added_)
         return [
-            equation(left, unit, self.coefficients_[:, channel], self.exponents_, features.names, features.units)
+            equation(left, unit, coefficients[:, channel], self.exponents_, features.shown_names, features.units)
             for channel, (left, unit) in enumerate(self.left_sides())
         ]
 

@@ -55,6 +55,7 @@ class Narx(PolynomialFamily):
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
     rest_hold: bool = False
+    most_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
@@ -110,17 +110,17 @@ class SparsePolynomial(PolynomialFamily):
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
         asked = tuple(self.functions or ())
-        features = Features(system, lags, asked)
+        features = Features(system, lags, asked, self.offsets)
         if self.library is None:
             return features
-        return Features(system, lags, (*asked, *basis_of(self.library, features).functions))
+        return replace(features, functions=(*asked, *basis_of(self.library, features).functions))
 
     @property
     def features(self) -> Features:
         """What the polynomial sees of (carry, control): of a library's functions those that it has a term of."""
         if self.library is None:
             return super().features
-        return Features(self.system, self.lags, tuple(self.used_functions_))
+        return Features(self.system, self.lags, tuple(self.used_functions_), self.offsets)
 
     def terms_of(self, system: System, lags: tuple[int, int], degree: int) -> IntArray:
         """Return the exponents (T, n) of the candidate terms over `features_of`."""

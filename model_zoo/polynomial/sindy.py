@@ -45,6 +45,9 @@ class Sindy(SparsePolynomial):
         super().adopt(data, coefficients, exponents)
         self.continuation_ = continuation_limits(data.states, data.targets, data.added)
 
+    def zero_of(self, added: Array | BoolArray) -> Array:
+        return np.zeros(len(added))  # rates are no smaller far from zero
+
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]
 

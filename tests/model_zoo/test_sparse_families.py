@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -11,7 +15,9 @@ from model_zoo.polynomial.regression import Library
 from model_zoo.polynomial.sindy import Sindy, SindyDiscrete
 from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
+from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
+from sysid_evo.testing import run_checks
 from sysid_evo.types import Array
 
 SYSTEM = System(
@@ -94,6 +100,38 @@ def test_equations_carry_units() -> None:
     assert "1.5 [1/s] speed" in first
     assert "2 [m/s^2] drive" in first
     assert "4 [rad/m] speed drive" in second
+
+
+@pytest.mark.parametrize(
+    ("family", "found"), [("sindy", "threshold"), ("sindy_discrete", "threshold"), ("narx", "terms")]
+)
+def test_states_far_from_zero_are_learned_as_well_as_those_near_it(family: str, found: str) -> None:
+    """As coordinates of a map are; in both forms of the step."""
+    data = recording_of(through_rk4)
+    far = data.with_episodes([replace(e, states=e.states + 1e6) for e in data])
+    settings = {"degree": 2, "control_lags": 0, "state_lags": 0, found: 0.01 if found == "threshold" else 8}
+    near = make_model(family, **settings).fit(data, rng=0)
+    assert -make_model(family, **settings).fit(far, rng=0).score(far) < 0.001 - 1.2 * near.score(data)
+    assert not [f"{one.sentence}: {one.failure}" for one in run_checks(family, far, **settings) if one.failure]
+    assert not hasattr(near, "offsets_"), "what is near zero is stored as it was before"
+
+
+@pytest.mark.parametrize("settings", [{"degree": 1}, {"library": "custom(functions=[abs]) + identity"}])
+def test_an_equation_far_from_zero_says_from_where_it_counts(settings: dict[str, Any]) -> None:
+    """A tank that cools down to 293 K: what is printed is what is stepped, also where the library has no constant."""
+    system = System((Channel("temperature", "K"),), (Channel("heater", "W", low=0.0, high=1.0),), dt=1.0)
+    heater, states = np.repeat(np.random.default_rng(0).uniform(size=40), 10), [300.0]
+    for u in heater:
+        states.append(293.0 + 0.95 * (states[-1] - 293.0) + 0.9 * u)
+    model = SindyDiscrete(threshold=0.0, ridge=0.0, control_lags=0, state_lags=0, **settings)
+    model.fit(Dataset.from_arrays(system, states, heater))
+    left, right = model.equations()[0].split(" = ")
+    offset = float(left.removeprefix("temperature[+1] - "))
+    right = re.sub(r"(\d) (?:\[[^]]*\] )?([(ha])", r"\1 * \2", re.sub(r" \[[^]]*\]", "", right))
+    printed = eval(right, {"temperature": 302.0, "heater": 0.5, "abs": abs})
+    (after,) = model.simulate([302.0], [0.5])[0]
+    assert after == pytest.approx(293.0 + 0.95 * 9.0 + 0.45, abs=1e-6)
+    assert after == pytest.approx(offset + printed, abs=1e-3)
 
 
 def test_coefficients_are_those_of_pysindy() -> None:

@@ -240,7 +240,7 @@ def seen_as_angles(x, u, p, y, scratch):
 
 FUNCTIONS = Layout("n_carry", "n_control", "of_control", "own", align=CACHE_LINE)
 
-NUMBERS = 5
+NUMBERS = 6
 PLAIN, ABS, SIGN, SIN, COS, TANH, EXP, SQRT_ABS, X_ABS = range(9)
 
 CODES = {
@@ -257,11 +257,12 @@ CODES = {
 
 
 class SeenRow(NamedTuple):
-    """``function`` ("" for none) of ``factor`` times a row, within ``low`` and ``high``."""
+    """``function`` ("" for none) of ``factor`` times a row without its ``offset``, within ``low`` and ``high``."""
 
     function: str
     place: int
     factor: float
+    offset: float
     low: float
     high: float
 
@@ -305,10 +306,10 @@ def write_functions(x, rows, count, y):
     """y = a function of a row of x, row by row, within a range."""
     for row in range(count):
         about = view(rows, row * NUMBERS)
-        kind, factor, low, high = int(about[0]), about[2], about[3], about[4]
+        kind, factor, offset, low, high = int(about[0]), about[2], about[3], about[4], about[5]
         here, there = view(x, int(about[1]) * LANES), view(y, row * LANES)
         for lane in range(LANES):
-            there[lane] = factor * here[lane]
+            there[lane] = factor * (here[lane] - offset)
         if kind == ABS:
             for lane in range(LANES):
                 there[lane] = abs(there[lane])
