@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.linalg import blas, cho_solve, cholesky, lapack
 from scipy.optimize import Bounds, minimize
-from threadpoolctl import threadpool_limits
 
 from model_zoo.features import Features
 from model_zoo.scaling import Standard, positive
@@ -70,20 +69,19 @@ class GaussianProcess(Uncertain):
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counter = Counter(progress, (trials(options) + 1) * dataset.system.nx + 1)
         blocks = HeldOut.of(dataset, 1)
-        with threadpool_limits(1, user_api="blas"):  # the same model for any number of threads
-            lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
-            self.keep_lags(lags)
-            self._learn(dataset, rng, counter)
-            parts = []  # models with the same hyper-parameters and inducing points
-            for seen, unseen in unseen_parts(dataset):
-                parts.append((self.variant(stochastic=False), unseen))
-                parts[-1][0]._condition(seen)
-            if self.stochastic:
-                self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
-                return self
-            self.keep_one_scale(np.ones(self.system.nx))
-            cases = [(model, judging_windows(unseen, self.n_lags)) for model, unseen in parts]
-            self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
+        lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
+        self.keep_lags(lags)
+        self._learn(dataset, rng, counter)
+        parts = []  # models with the same hyper-parameters and inducing points
+        for seen, unseen in unseen_parts(dataset):
+            parts.append((self.variant(stochastic=False), unseen))
+            parts[-1][0]._condition(seen)
+        if self.stochastic:
+            self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
+            return self
+        self.keep_one_scale(np.ones(self.system.nx))
+        cases = [(model, judging_windows(unseen, self.n_lags)) for model, unseen in parts]
+        self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
         return self
 
     def acceleration(self, carry: Array, control: Array) -> Array:

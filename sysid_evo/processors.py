@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+from threadpoolctl import ThreadpoolController
 
 INNER_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Libraries work on one thread: the matrices are small, and the engine spreads its blocks over all processors.
@@ -30,6 +33,25 @@ def usable_processors() -> int:
 def use_processors(count: int) -> None:
     """Let what begins from now on in this process use ``count`` processors; 0 for all. No result depends on it."""
     _Share.count = count
+
+
+class _LinearAlgebra:
+    """The libraries of linear algebra, and how many modules there were when they were looked for."""
+
+    modules = 0
+    found: ThreadpoolController
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let linear algebra work on one thread, then as before; torch is not asked, see `one_thread`.
+
+    With several threads sums are rounded differently, and small matrices take many times as long on a busy machine.
+    """
+    if len(sys.modules) != _LinearAlgebra.modules:  # only imports bring libraries, and to look for them takes 6 ms
+        _LinearAlgebra.found, _LinearAlgebra.modules = ThreadpoolController(), len(sys.modules)
+    with _LinearAlgebra.found.limit(limits=1, user_api="blas"):
+        yield
 
 
 @contextmanager

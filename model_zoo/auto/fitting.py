@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
@@ -69,7 +68,7 @@ class Stopped(BaseException):
 def fitted(task: FitTask, progress: Progress | None = None) -> FitOutcome:
     """Return what becomes of ``task``. Raises only `Stopped`, and what stops a program."""
     try:
-        with warnings.catch_warnings(), threadpool_limits(1, user_api="blas"):
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what a candidate warns of is no concern of who asked for their mean
             model = make_model(task.name, **task.parameters)
             model.fit(task.dataset, rng=np.random.default_rng(task.seed), progress=progress)

@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 from scipy.linalg import cho_solve
-from threadpoolctl import threadpool_limits
 
 from model_zoo.features import Features
 from model_zoo.gaussian_process import JITTER, factor, most_likely, squared_exponential
@@ -66,26 +65,24 @@ def learned_shape(
     scale, size = deviation(inputs)[:counted], positive(targets.std(axis=0))
     nx = targets.shape[1]
     lengths, amplitude, noise = np.full((nx, inputs.shape[1]), np.inf), np.empty(nx), np.empty(nx)
-    with threadpool_limits(1, user_api="blas"):  # the same model for any number of threads
-        for j in range(nx):
-            found = most_likely(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
-            lengths[j, :counted], amplitude[j], noise[j] = (
-                found.lengths * scale,
-                found.amplitude * size[j],
-                found.noise * size[j],
-            )
+    for j in range(nx):
+        found = most_likely(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
+        lengths[j, :counted], amplitude[j], noise[j] = (
+            found.lengths * scale,
+            found.amplitude * size[j],
+            found.noise * size[j],
+        )
     return Residual(inputs[rows], lengths, np.repeat(amplitude[:, None], len(rows), axis=1)), noise
 
 
 def conditioned(shape: Residual, noise: Array, inputs: Array, targets: Array) -> Residual:
     """Return the residual of this shape that learned from all of ``inputs`` (N, n) and ``targets`` (N, nx)."""
     weights = np.empty_like(shape.weights)
-    with threadpool_limits(1, user_api="blas"):
-        for j, length in enumerate(shape.lengths):
-            square = shape.weights[j, 0] ** 2
-            points = shape.points / length
-            own = square * (squared_exponential(points, points) + JITTER * np.eye(len(points)))
-            cross = square * squared_exponential(points, inputs / length)
-            posterior = factor(own + cross @ cross.T / noise[j] ** 2)
-            weights[j] = square * cho_solve((posterior, True), cross @ targets[:, j]) / noise[j] ** 2
+    for j, length in enumerate(shape.lengths):
+        square = shape.weights[j, 0] ** 2
+        points = shape.points / length
+        own = square * (squared_exponential(points, points) + JITTER * np.eye(len(points)))
+        cross = square * squared_exponential(points, inputs / length)
+        posterior = factor(own + cross @ cross.T / noise[j] ** 2)
+        weights[j] = square * cho_solve((posterior, True), cross @ targets[:, j]) / noise[j] ** 2
     return replace(shape, weights=weights)

@@ -17,7 +17,6 @@ from types import TracebackType
 from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from model_zoo.networks.network import Single
 from sysid_evo.carry import CarryLayout
@@ -158,26 +157,12 @@ def train(
 
     ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
     had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. It is the next of ``trainings``: done
-    already, stopped before its end, or not begun. Matrices are multiplied on one thread: they are small, and the
-    result is the same for any number of threads.
+    already, stopped before its end, or not begun.
     """
     done = trainings.ended()
     if done is not None:
         trainings.report(plan.total)
         return done
-    with threadpool_limits(1, user_api="blas"):
-        return _trained(model, shots, plan, state_scale, change_scale, trainings, judge)
-
-
-def _trained(
-    model: FreeRunning,
-    shots: Sequence[Shots],
-    plan: TrainingSchedule,
-    state_scale: Array,
-    change_scale: Array,
-    trainings: Trainings,
-    judge: Callable[[Single], Array] | None,
-) -> Single:
     rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.history)
     state = TrainingState.at(model.parameters)
     scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)

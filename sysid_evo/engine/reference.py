@@ -9,6 +9,7 @@ from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.engine.compiled.closed_loop import LoopResults
 from sysid_evo.engine.results import Rollouts, finished, neutral, sampled, sides
 from sysid_evo.models.dynamics import Dynamics, started
+from sysid_evo.processors import one_blas_thread
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds
@@ -16,6 +17,7 @@ from sysid_evo.types import Array, Seeds
 ENGINE = "reference"
 
 
+@one_blas_thread()
 def run(
     dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool
 ) -> Rollouts:

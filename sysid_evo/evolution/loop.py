@@ -13,6 +13,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.processors import one_blas_thread
 from sysid_evo.registry.grammar import Spec, split
 from sysid_evo.registry.registry import tasks
 from sysid_evo.types import Array, Converted, check_shape
@@ -57,10 +58,11 @@ def evolve(
     A strategy that was restored goes on from the generation ``start``, the number of those it has behind it.
     """
     for index in range(start, generations):
-        population = strategy.ask()
-        scored = objective(population, index)
-        scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))
-        strategy.tell(population, scores.fitness, scores.behaviour)
+        with one_blas_thread():
+            population = strategy.ask()
+            scored = objective(population, index)
+            scores = scored if isinstance(scored, Scores) else Scores(np.asarray(scored, dtype=np.float64))
+            strategy.tell(population, scores.fitness, scores.behaviour)
         yield Generation(index, population, scores.fitness, scores.by_model)
 
 

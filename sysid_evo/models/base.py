@@ -34,6 +34,7 @@ from sysid_evo.models.parameters import (
     checked,
     declare,
 )
+from sysid_evo.processors import one_blas_thread
 from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import as_generator
 from sysid_evo.registry.grammar import Spec
@@ -469,7 +470,7 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
-        with told(progress, f"fit {type(self).__name__}") as report:
+        with told(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)
 
     del wrapped.__wrapped__  # so that its signature says what may be given

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from sysid_evo.carry import clip_state, pad_history, recent
 from sysid_evo.errors import InvalidData, ShapeError
 from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.processors import one_blas_thread
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
@@ -163,6 +164,7 @@ def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
     return array
 
 
+@one_blas_thread()
 def many_runs(
     model: Dynamics,
     states: npt.ArrayLike,

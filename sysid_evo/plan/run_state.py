@@ -12,6 +12,7 @@ from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoEr
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
+from sysid_evo.processors import one_blas_thread
 
 PATIENCE = 0.1  # s between two looks at cells that another process computes
 
@@ -163,7 +164,8 @@ class Here:
         progress = partial(ledger.observer.progress, cell)
         work = Work(self._result, progress, self.store.place(cell), checkpoint, self.store.where)
         try:
-            value = cell.compute(work)
+            with one_blas_thread():  # as in the processes that compute other cells
+                value = cell.compute(work)
         except Blocked as blocked:  # no failure of its own, so that none is stored
             ledger.end(cell, str(blocked), 0.0)
             return

@@ -1,0 +1,114 @@
+"""What is computed does not depend on the number of threads of linear algebra, and that is as before afterwards."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+import torch
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from sysid_evo.data import Dataset
+from sysid_evo.evolution import ControllerEvolution, evolve_controller
+from sysid_evo.models.base import make_model
+from sysid_evo.models.storage import save_model
+from sysid_evo.processors import _LinearAlgebra, one_blas_thread
+from sysid_evo.testing import example_dataset
+
+NETWORK: dict[str, Any] = {"hidden": [24], "one_step_updates": 30, "updates": 4, "horizon": 5, "state_lags": 1}
+FAMILIES: dict[str, dict[str, Any]] = {
+    "linear": {"state_lags": 3, "control_lags": 3},
+    "nearest_neighbour": {},
+    "k_neighbours": {},
+    "narx": {},
+    "sindy": {},
+    "sindy_discrete": {},
+    "linear_state_space": {"iterations": 5, "folds": 1, "horizon": 200},
+    "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
+    "gaussian_process": {"inducing": 60},
+    "neural_ode": {**NETWORK, "control_lags": 1},
+    "mlp_ensemble": {**NETWORK, "members": 2, "control_lags": 1},
+    "torch_ode": {"hidden": [32], "updates": 4, "horizon": 5},
+    "single_track": {"starts": 1, "windows": 15},
+    "parametrised": {"generations": 20},
+}
+
+
+@contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """Let linear algebra and torch use so many threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    with threadpool_limits(count, user_api="blas"):
+        yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Dataset:
+    return example_dataset(episodes=2, steps=1000)
+
+
+def blas_threads() -> set[int]:
+    return {
+        library["num_threads"]
+        for library in threadpool_info()
+        if library.get("threading_layer", "disabled") != "disabled"
+    }
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_model_is_the_same_for_any_number_of_threads(family: str, recording: Dataset, tmp_path: Path) -> None:
+    found = []
+    for count in (1, 4):
+        with on_threads(count):
+            model = make_model(family, **FAMILIES[family]).fit(recording, rng=0)
+            simulated = model.simulate(recording.episodes[1])
+        save_model(model, tmp_path / family)
+        found.append(((tmp_path / f"{family}.safetensors").read_bytes(), simulated.tobytes()))
+    assert found[0] == found[1]
+
+
+def test_a_champion_is_the_same_for_any_number_of_threads(recording: Dataset) -> None:
+    settings = ControllerEvolution(
+        generations=24,
+        trials=2,
+        runs=1,
+        controller="recurrent(hidden=15)",  # 330 parameters; C of fewer than 240 came out the same on four threads
+        strategy="cma_es",
+        task="point_to_point(horizon=50)",
+        selection_trials=3,
+    )
+    model = make_model("linear").fit(recording, rng=0)
+    found = []
+    for count in (1, 4):
+        with on_threads(count):
+            champion = evolve_controller("c", {"linear": model}, recording.system, settings, seed=0)
+        found.append({name: tensor.tobytes() for name, tensor in champion.tensors.items()})
+    assert found[0] == found[1]
+
+
+def test_afterwards_linear_algebra_works_on_as_many_threads_as_before() -> None:
+    scipy.linalg.eigh(np.eye(2))  # its library is one of those
+    with on_threads(3):
+        with one_blas_thread():
+            assert blas_threads() == {1}
+        with pytest.raises(ZeroDivisionError), one_blas_thread():
+            raise ZeroDivisionError
+        assert blas_threads() == {3}
+
+
+def test_a_library_that_is_imported_meanwhile_works_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    with on_threads(3), one_blas_thread(), on_threads(3):  # it is loaded with as many as there are processors
+        monkeypatch.setitem(sys.modules, "loaded_meanwhile", ModuleType("loaded_meanwhile"))
+        known = _LinearAlgebra.found
+        with one_blas_thread():
+            assert blas_threads() == {1}
+        assert _LinearAlgebra.found is not known
