@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import queue
+import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -16,8 +18,12 @@ from hardware.arguments import flag, number, text, whole
 from hardware.connection import Measurement
 from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import Axes, SourceClock
+from hardware.trackers.udp import LARGEST
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import register_tracker
+
+if TYPE_CHECKING:
+    from natnet import NatNetClient
 
 
 @dataclass(frozen=True)
@@ -142,9 +148,13 @@ class NatNetTracker(ProcessTracker):
         self._axes()
 
     def frames(self) -> Iterator[Measurement | None]:
-        from natnet import NatNetClient, NatNetError
+        from natnet import NatNetError
 
-        client = NatNetClient(
+        try:
+            client_of, ignored = listening_to(socket.gethostbyname_ex(self.server)[2])
+        except OSError as error:
+            raise LinkLost(f"tracker natnet: no host is called {self.server!r} ({error})") from error
+        client = client_of(
             server_ip_address=self.server,
             local_ip_address=self.local,
             multicast_address=self.multicast_address,
@@ -163,14 +173,13 @@ class NatNetTracker(ProcessTracker):
 
         client.on_data_frame_received_event.handlers.append(lambda frame: came.put((time.monotonic(), frame)))
         client.on_data_description_received_event.handlers.append(describe)
-        broken = threading.Event()
-        threading.excepthook = lambda _: broken.set()  # a packet that the client cannot read ends its thread
         try:
             client.connect(timeout=ANSWER)
         except (TimeoutError, NatNetError, OSError) as error:
+            others = f" Packets came from {', '.join(sorted(ignored))}, which is not the server." if ignored else ""
             raise LinkLost(
                 f"no NatNet server answers at {self.server}:{self.command_port} ({type(error).__name__}): is Motive "
-                f"streaming to {self.local}, and is it set to {'multicast' if self.multicast else 'unicast'}?"
+                f"streaming to {self.local}, and is it set to {'multicast' if self.multicast else 'unicast'}?{others}"
             ) from error
         client.run_async()
         client.request_modeldef()
@@ -181,10 +190,6 @@ class NatNetTracker(ProcessTracker):
         yield None
         clock, axes = SourceClock(), self._axes()
         while True:
-            if broken.is_set():
-                client.stop_async()
-                broken.clear()
-                client.run_async()
             try:
                 arrival, frame = came.get(timeout=SILENCE)
             except queue.Empty:
@@ -192,6 +197,8 @@ class NatNetTracker(ProcessTracker):
                 continue
             if frame.suffix.tracked_models_changed:
                 client.request_modeldef()
+            if not abs(frame.suffix.timestamp) < LARGEST:  # or nan: no time at all
+                continue
             yield self._measurement(frame, arrival, bodies.get(self.body), clock, axes)
 
     def _axes(self) -> Axes:
@@ -208,3 +215,39 @@ class NatNetTracker(ProcessTracker):
         pose = np.full(3, math.nan) if seen is None else axes.planar(seen.pos, seen.rot)
         valid = bool(np.isfinite(pose).all())
         return Measurement(source, arrival, frame.prefix.frame_number, self.body, valid, pose)
+
+
+MOST_IGNORED = 5
+"""Senders that are kept to be named in an error."""
+
+
+def listening_to(addresses: Collection[str]) -> tuple[type[NatNetClient], set[str]]:
+    """Return natnet's client that hears these addresses alone, and the set in which it notes others.
+
+    The package takes packets from anybody, and one that it cannot read ends the thread that reads.
+    """
+    from natnet import NatNetClient
+    from natnet.packet_buffer import PacketBuffer
+
+    ignored: set[str] = set()
+
+    class OnlyOneServer(NatNetClient):  # type: ignore[misc]  # the package has no types
+        """Overrides the private method of the package (0.3) through which every packet comes."""
+
+        def _NatNetClient__process_socket(  # noqa: N802
+            self, in_socket: socket.socket, recv_buffer_size: int = 2**16, send_keep_alive: bool = False
+        ) -> bool:
+            try:
+                if send_keep_alive:
+                    self.send_request(self.NAT_KEEPALIVE)
+                data, (sender, _) = in_socket.recvfrom(recv_buffer_size)
+            except OSError:  # nothing came, or the network is away for a while
+                return False
+            if sender in addresses:
+                with suppress(Exception):  # whatever a packet does that is damaged
+                    self._NatNetClient__process_message(PacketBuffer(data))
+            elif len(ignored) < MOST_IGNORED:
+                ignored.add(sender)
+            return True
+
+    return OnlyOneServer, ignored

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import socket
 import struct
@@ -39,7 +40,7 @@ class MotiveServer:
         self.port = self.socket.getsockname()[1]
         self.client = None
         self.number = 0
-        self.garbage = False
+        self.garbage: list[bytes] = []
         self.lost = range(0)
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.serve)
@@ -68,9 +69,8 @@ class MotiveServer:
             if described and time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
                 self.number += 1
-                if self.garbage:
-                    self.garbage = False
-                    self.socket.sendto(b"\x07\x00\x10\x00short", self.client)
+                for packet in self.garbage:
+                    self.socket.sendto(packet, self.client)
                 self.socket.sendto(self.packet(7, self.frame()), self.client)
 
     @staticmethod
@@ -91,17 +91,17 @@ class MotiveServer:
             out += struct.pack("<I", 1) + self.sized(body + struct.pack("<I", 0))
         return out
 
-    def frame(self) -> bytes:
+    def frame(self, place: float = 0.5, time: float = 0.0) -> bytes:
         nothing = struct.pack("<I", 0) + self.sized(b"")
         angle = 0.01 * self.number
-        poses = {7: ((9.0, 9.0, 9.0), about(1, 0.0)), 12: ((0.5, 0.1, -0.001 * self.number), about(1, angle))}
+        poses = {7: ((9.0, 9.0, 9.0), about(1, 0.0)), 12: ((place, 0.1, -0.001 * self.number), about(1, angle))}
         bodies = b"".join(
             struct.pack("<I3f4ffH", number, *position, *rotation, 0.0, self.number not in self.lost)
             for number, (position, rotation) in poses.items()
         )
         rigid = struct.pack("<I", len(poses)) + self.sized(bodies)
         others = nothing * (5 if self.version >= (4, 1) else 4)
-        suffix = struct.pack("<IIdQQQH", 0, 0, 1000.0 + PERIOD * self.number, 0, 0, 0, 0)
+        suffix = struct.pack("<IIdQQQH", 0, 0, time + 1000.0 + PERIOD * self.number, 0, 0, 0, 0)
         return struct.pack("<I", self.number) + nothing * 2 + rigid + others + suffix
 
 
@@ -132,11 +132,32 @@ def test_body_that_is_lost_is_not_valid_and_garbage_is_survived(server):
         server.lost = range(first + 10, first + 15)
         frames = [stream.read(5.0) for _ in range(30)]
         assert [frame.frame for frame in frames if not frame.valid] == list(server.lost)
-        server.garbage = True
+        endless = struct.pack("<HHII", 7, 8, 1, 2**32 - 1)
+        nowhere = server.packet(7, server.frame(time=math.nan))
+        server.garbage = [b"", b"\x07", b"\x07\x00\x10\x00short", b"\x05\x00\x00\x00", b"\x01\x00", endless, nowhere]
+        frames = [stream.read(1.0) for _ in range(60)]
+    assert all(frame.valid for frame in frames)
+    assert {int(after.frame - before.frame) for before, after in itertools.pairwise(frames)} == {1}
+
+
+def test_what_others_send_is_no_frame(server):
+    with (
+        trackers.make("natnet", body="car", command_port=server.port).open() as stream,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        other.bind(("127.0.0.2", 0))
+        assert stream.read(5.0).valid
+        frames = []
         for _ in range(60):
-            frame = stream.read(1.0)
-            assert frame is not None
-            assert frame.valid
+            for packet in (
+                server.packet(7, server.frame(place=100.0)),
+                server.packet(5, struct.pack("<I", 0)),
+                b"\x01",
+            ):
+                other.sendto(packet, server.client)
+            frames.append(stream.read(1.0))
+    assert all(frame.valid and frame.pose[0] == pytest.approx(0.5) for frame in frames)
+    assert {int(after.frame - before.frame) for before, after in itertools.pairwise(frames)} == {1}
 
 
 def test_unknown_body_and_silent_server_are_a_lost_link(server):
