@@ -11,14 +11,35 @@ from evaluation.transfer.uncertainty import Estimate, PairedEstimate
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """Return ``value`` with that many decimals, a dash for None and nan."""
-    return f"{value:.{digits}f}" if value is not None and np.isfinite(value) else "–"
+    """Return ``value`` with that many decimals, a dash for None and nan; what is rounded to zero has no sign."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    return f"{value:z.{digits}f}"
 
 
 def three_digits(value: float | None) -> str:
     """Return ``value`` with about three digits: 0.123, 1.23, 12.3, 123; a dash for None and nan."""
     size = abs(value or 0.0)
     return number(value, 3 if size < 0.9995 else 2 if size < 9.995 else 1 if size < 99.95 else 0)
+
+
+MOST_DECIMALS = 6
+"""More of them nobody reads: a smaller error shows as zero."""
+
+
+def by_error(value: float | None, error: float) -> str:
+    """Return ``value`` with the decimals that its standard ``error`` leaves: two digits of one that begins with 1.
+
+    With no error (zero, nan) it has about three digits.
+    """
+    return three_digits(value) if (digits := _decimals(error)) is None else number(value, digits)
+
+
+def _decimals(error: float) -> int | None:
+    if not np.isfinite(error) or error <= 0.0:
+        return None
+    power = int(np.floor(np.log10(error)))
+    return int(np.clip(-power + (error < 2.0 * 10.0**power), 0, MOST_DECIMALS))
 
 
 def percent(share: float | None) -> str:
@@ -31,22 +52,39 @@ def percent(share: float | None) -> str:
 
 
 def plus_minus(estimate: Estimate | PairedEstimate | None) -> str:
-    """Return ``11.5 ±0.3``, the value and its standard error; a dash for None."""
-    return "–" if estimate is None else f"{number(estimate.value)} ±{number(estimate.standard_error)}"
+    """Return ``11.5 ±0.3``, the value and its standard error, where it is known; a dash for None."""
+    if estimate is None:
+        return "–"
+    error = estimate.standard_error
+    value = value_of(estimate)
+    return f"{value} ±{by_error(error, error) if error > 0.0 else 0}" if np.isfinite(error) else value
 
 
-def within(estimate: Estimate | None, digits: int = 1) -> str:
+def value_of(estimate: Estimate | PairedEstimate) -> str:
+    """Return ``11.5``, the value alone with the digits that its standard error leaves."""
+    return by_error(estimate.value, estimate.standard_error)
+
+
+def within(estimate: Estimate | None) -> str:
     """Return the value, and below it its interval: ``11.5`` over ``11.2 to 11.9``; a dash for None."""
     if estimate is None:
         return "–"
     ends = (estimate.low, estimate.high)
     known = all(map(np.isfinite, ends))
-    return lines(number(estimate.value, digits), " to ".join(number(end, digits) for end in ends) if known else "")
+    between = " to ".join(by_error(end, estimate.standard_error) for end in ends) if known else ""
+    return lines(value_of(estimate), between)
+
+
+ERRORS_WIDE = 3.3
+"""Standard errors in the width of a 90 % interval of a normal figure."""
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return ``11.5 (11.2 to 11.9)``."""
-    return f"{number(value)} ({number(low)} to {number(high)})"
+    """Return ``11.5 (11.2 to 11.9)``; the value alone where the 90 % interval is not known or has no width."""
+    error = (high - low) / ERRORS_WIDE
+    if not error > 0.0:
+        return three_digits(value)
+    return f"{by_error(value, error)} ({by_error(low, error)} to {by_error(high, error)})"
 
 
 def horizon_name(horizon: int | None, dt: float) -> str:

@@ -139,7 +139,7 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system, fits, floor=column is not None),
+            _by_hand(experiment, evolution, system, fits),
             yardstick=yardstick,
         )
         if column is not None and column.timed:
@@ -362,16 +362,16 @@ def _by_hand(
     evolution: ControllerEvolution,
     system: System,
     fits: Mapping[str, FitCell],
-    *,
-    floor: bool,
 ) -> tuple[HandWrittenCell, ...]:
     """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
 
-    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Where fitness
-    may be negative and there is a robot, its ``floor``, controls at rest are among them: shares are measured from it.
+    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Controls at
+    rest are among them, unless they are known to bring nothing: who is no better is of no use, and shares are measured
+    from there.
     """
     specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
-    if floor and evolution.make_task(system).worst < 0.0 and all(spec.name != AT_REST for spec in specs):
+    task = evolution.make_task(system)
+    if not task.rest_is_zero and all(spec.name != AT_REST for spec in specs):
         specs = (*specs, Spec.parse(f"rest={AT_REST}"))
     cells = []
     for spec in specs:

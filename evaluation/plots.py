@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evaluation.exploitability.results import ModelExploitability
-from evaluation.formatting import folded
+from evaluation.formatting import by_error, folded
 from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, axes_or_new, draw_band, line_style
 from evaluation.prediction.scores import PERSISTENCE, Prediction
+from evaluation.sufficiency import tells_apart
 from evaluation.transfer.matrix import NOT_RUN, Trace, TransferMatrix
 from evaluation.transfer.summary import TransferSummary
 from sysid_evo.angles import rotate, wrap
@@ -49,8 +50,9 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
             if column in champion.against:
                 ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor=MEASURED, linewidth=1.6))
             dark = np.isfinite(means[i, j]) and (means[i, j] - low) > 0.6 * (top - low)
-            spread = f"\n({stds[i, j]:.1f})" if np.isfinite(stds[i, j]) else ""
-            text = f"{means[i, j]:.1f}{spread}"
+            error = matrix.cell(champion.name, column).standard_error
+            spread = f"\n({by_error(stds[i, j], error)})" if np.isfinite(stds[i, j]) else ""
+            text = f"{by_error(means[i, j], error)}{spread}"
             if not np.isfinite(means[i, j]):
                 text = "–" if matrix.cell(champion.name, column).reason == NOT_RUN else "failed"
             ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
@@ -175,14 +177,14 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax = axes_or_new(ax)
-    dt = prediction.cases.system.dt
-    drawn = []
+    dt, last = prediction.cases.system.dt, max(prediction.cases.horizons, default=None)
+    drawn, banded = [], tells_apart(prediction, last)
     for model in prediction.models:
         if len(model.curve) and np.isfinite(model.curve).any():
             seconds = dt * np.arange(1.0, len(model.curve) + 1.0)
             curve = np.maximum(model.curve, LOWEST_N)
             ax.plot(seconds, curve, label=model.name, linewidth=1.6, **model_style(prediction, model.name))
-            if model.curve_interval.shape[1] == len(curve):
+            if banded and model.curve_interval.shape[1] == len(curve):
                 low, high = np.maximum(model.curve_interval, LOWEST_N)
                 colour = model_style(prediction, model.name)["color"]
                 draw_band(ax, model.name, seconds, low, high, color=colour, alpha=OPAQUE)

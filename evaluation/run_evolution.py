@@ -16,6 +16,7 @@ from evaluation.coverage import UncoveredBox, what_to_record
 from evaluation.experiment import Experiment
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
+from evaluation.formatting import with_interval
 from evaluation.members import (
     check_evolution,
     dynamics_of,
@@ -85,7 +86,7 @@ class EvolutionResult:
         if self.forecast is None:
             return ""
         found = self.forecast
-        size = f"{found.value:.1f} ({found.low:.1f} to {found.high:.1f}) {self.unit}".rstrip()
+        size = f"{with_interval(found.value, found.low, found.high)} {self.unit}".rstrip()
         among = f"; it was chosen among {self.chosen} finalists by their forecasts" if self.chosen > 1 else ""
         return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
 

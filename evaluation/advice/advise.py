@@ -12,6 +12,7 @@ from evaluation.advice.generalisation import halved, overfit, shift, too_few_dat
 from evaluation.advice.one_step import hidden_state, late_controls, noise_floor
 from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
 from evaluation.steps import Steps
+from evaluation.sufficiency import enough_blocks
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
@@ -36,6 +37,8 @@ EXPLAINS = {
 }
 """What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
 to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
+BY_INTERVAL = ("shift", "overfit", "few data", "weak region")
+"""What rests on an interval by blocks of time: not said where there are too few of them."""
 LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,
@@ -76,6 +79,8 @@ def advise_model(
         remarks.append(more)
     if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
         remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
+    if not enough_blocks(len(np.unique(where.test_windows.blocks))):
+        remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
     explained = {topic for remark in remarks for topic in EXPLAINS.get(remark.topic, ())}
     ordered = sorted((one for one in remarks if one.topic not in explained), key=lambda remark: -remark.weight)
     return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)

@@ -40,7 +40,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import Cell, Outcome, Work, cell_seed
 from sysid_evo.registry import controllers, strategies, tasks
 
-ASSESSMENT = 5
+ASSESSMENT = 6
 """What is found out about models: results of another number are made anew."""
 
 
@@ -196,7 +196,7 @@ class ExploitCell(Cell):
         return tuple(exploitability_from_json(model) for model in read_json(path))
 
 
-FORM = 2
+FORM = 3
 """Raised whenever other advice is given on the same than before."""
 
 

@@ -219,7 +219,7 @@ class ConditionsCell(Cell):
 
     def inputs(self) -> dict[str, Any]:
         protocol = {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}
-        return {"model": models.identity(self.fit.spec), "protocol": protocol}
+        return {"form": FORM, "model": models.identity(self.fit.spec), "protocol": protocol}
 
     def compute(self, work: Work) -> tuple[ConditionErrors, ...]:
         parts = work.result(self.fit.data)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,6 +68,15 @@ class PredictionProtocol:
         """How much history models are given."""
         return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
 
+    def at(self, dt: float) -> PredictionProtocol:
+        """Return the protocol for samples ``dt`` seconds apart.
+
+        Where the default horizons have none from half of `headline_steps` on, that one is added to them.
+        """
+        wanted, chosen = headline_steps(dt), main_horizon(self.horizons, dt)
+        far = self.horizons == PredictionProtocol.horizons and chosen is not None and 2 * chosen < wanted
+        return replace(self, horizons=(*self.horizons, wanted)) if far else self
+
     def describe(self, dt: float) -> str:
         """Return the rules in one sentence; ``dt`` is in seconds."""
         return (
@@ -76,7 +86,23 @@ class PredictionProtocol:
         )
 
 
-SECOND = 1.0
+SECOND, FEW, MANY = 1.0, 2, 10
+
+
+def headline_steps(dt: float) -> int:
+    """Return the steps after which errors count most: those nearest to one second.
+
+    Ten where a second has fewer than two: after a single step no model is told from persistence. It is the least that
+    `simulation_error` simulates, too.
+    """
+    steps = round(SECOND / dt)
+    return steps if steps >= FEW else MANY
+
+
+def main_horizon(horizons: Sequence[int], dt: float) -> int | None:
+    """Return the longest of the ``horizons`` up to `headline_steps`, else the shortest; None without any."""
+    near = [horizon for horizon in horizons if horizon <= headline_steps(dt)]
+    return max(near) if near else min(horizons, default=None)
 
 
 @dataclass(frozen=True)
@@ -105,9 +131,15 @@ class MeasuredCases:
 
     @property
     def main_horizon(self) -> int | None:
-        """The longest scored horizon of at most one second, in steps, else the shortest; None without any."""
-        near = [horizon for horizon in self.horizons if horizon * self.system.dt <= SECOND + 1e-9]
-        return max(near) if near else min(self.horizons, default=None)
+        """The scored horizon that answers are given at, in steps, see `main_horizon`; None without any."""
+        return main_horizon(self.horizons, self.system.dt)
+
+    def blocks(self, horizon: int | None) -> int:
+        """Return over how many bootstrap blocks errors count after ``horizon`` steps, or in free run (None)."""
+        if horizon is not None:
+            return len(np.unique(self.window_block[self.moving[:, horizon - 1]]))
+        size = self.protocol.block_samples
+        return sum(len(np.unique(np.flatnonzero(run.moving) // size)) for run in self.free_runs)
 
     @property
     def near_horizon(self) -> int | None:
@@ -168,7 +200,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     """
     if training.system != test.system:
         raise InvalidData("prediction: training and test set must have the same system, got two different ones")
-    system = test.system
+    system, protocol = test.system, protocol.at(test.system.dt)
     notes = []
     windows, horizons = _windows(test, protocol)
     ahead = windows.start[:, None] + 1 + np.arange(windows.states.shape[1])
@@ -186,6 +218,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     if not len(truth):
         raise InvalidData("prediction: the test set stands still throughout; hold back an episode that moves")
     std, rms = system.spread(truth), np.sqrt(np.mean(system.wrapped(truth) ** 2, axis=0))
+    std = np.where(std > ROUNDING * rms, std, 0.0)
     constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
     if constant:
         notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
@@ -255,6 +288,9 @@ def _guard(training: Dataset, multiple: float) -> Array:
     limit[list(training.system.periods)] = np.inf
     return np.stack([-limit, limit])
 
+
+ROUNDING = 1e-12
+"""Share of its size up to which the spread of a constant is rounding: some thousand times that of one number."""
 
 MOST_LISTED = 6
 """Names in a note; how many more there are is said in a number."""

@@ -237,7 +237,7 @@ def error_of(found: ModelPrediction | None) -> float | None:
     return (found.score(HORIZON) or found.at[-1]).n
 
 
-FORM = 4
+FORM = 5
 """Raised whenever stored scores hold something else than before."""
 
 ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")

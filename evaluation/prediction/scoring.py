@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
+from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, main_horizon, measured_cases
 from evaluation.prediction.regions import region_errors
 from evaluation.prediction.residuals import analyse, step_errors
 from evaluation.prediction.scores import (
@@ -313,7 +313,8 @@ def within_and_across(
 ) -> tuple[ConditionErrors, ...]:
     """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
     found = []
-    horizon = min(protocol.horizons, key=lambda steps: abs(steps * test.system.dt - 1.0))  # nearest to one second
+    dt = test.system.dt
+    horizon = main_horizon(protocol.at(dt).horizons, dt) or 1
     for condition in test.conditions:
         here = test.of_condition(condition)
         others = [episode for episode in training if episode.condition != condition]

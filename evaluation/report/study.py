@@ -7,10 +7,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
-from evaluation.formatting import lines, number, percent
+from evaluation.formatting import ERRORS_WIDE, by_error, lines, number, percent, three_digits
 from evaluation.plots import MeanAndInterval, plot_spreads
 from evaluation.report.elements import (
     NARROW,
@@ -195,7 +196,7 @@ def findings(results: StudyResults) -> list[Finding]:
             yardsticks[results.point(row.point).where] = row.yardstick
     found = [Finding("What do the numbers rest on?", tuple(done))]
     if yardsticks:
-        told = ", ".join(f"{robot} {value:.1f}" for robot, value in yardsticks.items())
+        told = ", ".join(f"{robot} {three_digits(value)}" for robot, value in yardsticks.items())
         found.append(Finding("What is possible?", (f"Best achieved on each robot, its yardstick: {told}.",)))
     return found
 
@@ -215,7 +216,7 @@ def short_sheet(results: StudyResults) -> Sheet | None:
         for one in shown:
             name = f"{one.controller} (best family alone)" if one in singles else one.controller
             worst = number(None if one.share is None else one.share.lowest, 2)
-            rows.append((name, *labels(one.group), _spread(one.share, 2), worst, _spread(one.gap, 1, sign=True)))
+            rows.append((name, *labels(one.group), _spread(one.share, 2), worst, _spread(one.gap, sign=True)))
     if not rows:
         return None
     heads = ("controller", *axes, "share", "worst", "claimed -\nachieved")
@@ -239,7 +240,7 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
             *labels(one.group),
             _spread(one.share, 2),
         ]
-        row += [number(None if one.share is None else one.share.lowest, 2), _spread(one.gap, 1, sign=True)]
+        row += [number(None if one.share is None else one.share.lowest, 2), _spread(one.gap, sign=True)]
         row += [_spread(one.difference, 2, sign=True)] if compared else []
         points = 0 if one.share is None else one.share.points
         rows.append((*row, f"{points}, {one.failed} failed" if one.failed else str(points)))
@@ -313,7 +314,7 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
             _spread(one.correlation, 2),
             number(None if one.correlation is None else one.correlation.lowest, 2),
             _spread(one.loss, 3),
-            number(one.rmse, 2),
+            three_digits(one.rmse),
             "–" if one.inside is None else lines(percent(one.inside.mean), _between(one.inside, 2)),
             str(one.controllers),
         )
@@ -353,7 +354,12 @@ def point_sheet(results: StudyResults) -> Sheet:
         state = f"{point.done} of {point.cells}" + (f", {point.failed} failed" if point.failed else "")
         picked = ("–",) * 4
         if row is not None:
-            picked = (row.controller, number(row.forecast), number(row.achieved), number(row.yardstick))
+            picked = (
+                row.controller,
+                three_digits(row.forecast),
+                three_digits(row.achieved),
+                three_digits(row.yardstick),
+            )
         rows.append((point.name, state, *picked))
     heads = ("point", "cells", "picked", "forecast", "achieved", "yardstick")
     return Sheet("Points", heads, tuple(rows), details=len(rows) > 12)
@@ -369,19 +375,23 @@ def settings_sheet(results: StudyResults) -> Sheet:
     return Sheet("Settings", ("name", "value"), tuple(rows), prose=True, details=True)
 
 
-def _spread(found: Spread | None, digits: int, *, sign: bool = False) -> str:
-    """Return a mean, and below it its interval where there is one."""
+def _spread(found: Spread | None, digits: int | None = None, *, sign: bool = False) -> str:
+    """Return a mean, and below it its interval where there is one; without ``digits`` those that it leaves."""
     if found is None:
         return "–"
-    mean = f"{found.mean:+.{digits}f}" if sign else number(found.mean, digits)
-    return lines(mean, _between(found, digits, sign=sign))
+    return lines(_written(found.mean, found, digits, sign=sign), _between(found, digits, sign=sign))
 
 
-def _between(found: Spread, digits: int, *, sign: bool = False) -> str:
+def _between(found: Spread, digits: int | None, *, sign: bool = False) -> str:
     if found.low is None or found.high is None:
         return ""
-    low, high = (f"{end:+.{digits}f}" if sign else number(end, digits) for end in (found.low, found.high))
-    return f"{low} to {high}"
+    return " to ".join(_written(end, found, digits, sign=sign) for end in (found.low, found.high))
+
+
+def _written(value: float, found: Spread, digits: int | None, *, sign: bool) -> str:
+    error = np.nan if found.low is None or found.high is None else (found.high - found.low) / ERRORS_WIDE
+    text = by_error(value, error) if digits is None else number(value, digits)
+    return f"+{text}" if sign and not text.startswith("-") else text
 
 
 def _basis(results: StudyResults) -> str:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 import evaluation
 from evaluation.experiment import Experiment
+from evaluation.formatting import by_error
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
 from sysid_evo.cli.options import given, listed, load_plugins, resolved, seconds
@@ -114,8 +115,9 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
         out.print_json(data=document)
         return
     for label, claim in result.claims.items():
-        fresh = f"{claim.trials} fresh trials, whose standard deviation is {claim.std:.1f}"
-        out.print(f"{label}: {claim.mean:.1f} {result.unit} in {fresh}", highlight=False, markup=False)
+        fresh = f"{claim.trials} fresh trials, whose standard deviation is {by_error(claim.std, claim.standard_error)}"
+        mean = by_error(claim.mean, claim.standard_error)
+        out.print(f"{label}: {mean} {result.unit} in {fresh}", highlight=False, markup=False)
     if result.forecast is not None:
         out.print(result.forecast_sentence, highlight=False, markup=False)
     print_regions(name, result.regions)
@@ -166,13 +168,13 @@ def exploit(
         raise typer.Exit(SOME_FAILED)
     matrix, found = evaluation.exploit_result(planned, store, seed=experiment.seed, robot=robot)
     (name,) = matrix.rows
-    shown = {column: matrix.cell(name, column).mean for column in matrix.columns}
+    cells = {column: matrix.cell(name, column) for column in matrix.columns}
     card = () if found is None else evaluation.exploitability_card(found)
     file = f"{store.where(planned.cell)}.json"
     if as_json:
         document = {
             "model": planned.target.label,
-            "fitness": shown,
+            "fitness": {column: cell.mean for column, cell in cells.items()},
             "unit": matrix.unit,
             "file": file,
             "card": list(card),
@@ -180,9 +182,9 @@ def exploit(
         }
         out.print_json(data=document)
         return
-    (target, here), *others = shown.items()
-    elsewhere = ", ".join(f"{label} {value:.1f}" for label, value in others)
-    out.print(Text(f"{name}: {here:.1f} {matrix.unit} in {target}; {elsewhere}"))
+    (target, here), *others = ((column, by_error(cell.mean, cell.standard_error)) for column, cell in cells.items())
+    elsewhere = ", ".join(f"{label} {value}" for label, value in others)
+    out.print(Text(f"{name}: {here} {matrix.unit} in {target}; {elsewhere}"))
     for sentence in card[1:]:
         out.print(Text(f"  {sentence}"))
     say(f"stored as {file}")

@@ -81,6 +81,7 @@ class PointToPoint(Task):
     """
 
     fitness_unit = "waypoints"
+    rest_is_zero = True
     observations = (
         Channel("bias", neutral=1.0),
         Channel("forward_speed", "m/s"),

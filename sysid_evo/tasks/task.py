@@ -62,6 +62,7 @@ class Task(ABC):
     """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``.
 
     ``most`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by default.
+    ``rest_is_zero`` says that controls at rest are known to bring nothing, so that they need not be tried.
     """
 
     usual_noise: ClassVar[str] = ""
@@ -70,6 +71,7 @@ class Task(ABC):
     horizon: int
     worst: float = 0.0
     most: float = np.inf
+    rest_is_zero: bool = False
     fitness_unit: str = ""
     observations: tuple[Channel, ...]
     system: System

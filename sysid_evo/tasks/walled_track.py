@@ -81,6 +81,7 @@ class WalledTrack(Task):
     """
 
     fitness_unit = "m"
+    rest_is_zero = True
 
     def __init__(
         self,

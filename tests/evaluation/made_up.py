@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +21,10 @@ from evaluation.prediction import (
     measured_cases,
 )
 from evaluation.report import DataSummary, Failure, Report
+from evaluation.sufficiency import FEWEST_BLOCKS
 from evaluation.transfer import Cell, TransferMatrix
 from sysid_evo.evolution import Champion
+from sysid_evo.registry import Spec
 from tests.evaluation.known_models import recording
 from tests.evaluation.test_transfer import champion
 
@@ -31,9 +34,12 @@ SECOND = 20
 
 
 @functools.cache
-def cases(steps: int = 80) -> MeasuredCases:
-    """Return cases with a horizon of one second and a free run; with 20 steps the free run alone, with 5 neither."""
-    test = recording(1, steps=steps, seed=8)
+def cases(steps: int = 80, episodes: int = FEWEST_BLOCKS) -> MeasuredCases:
+    """Return cases with a horizon of one second and a free run; with 20 steps the free run alone, with 5 neither.
+
+    Each episode is one block of the bootstrap.
+    """
+    test = recording(episodes, steps=steps, seed=8)
     return measured_cases(recording(1, steps=80), test, PredictionProtocol(horizons=(SECOND,), resamples=50))
 
 
@@ -45,6 +51,7 @@ def prediction(
     failed: Sequence[str] = (),
     spread: float = 0.01,
     steps: int = 80,
+    episodes: int = FEWEST_BLOCKS,
 ) -> Prediction:
     """Return a prediction with these N; the draws of the bootstrap spread around them by ``spread``."""
     at_a_second, free, clipped = at_a_second or {}, free or {}, clipped or {}
@@ -55,13 +62,13 @@ def prediction(
             name,
             at=(_score(name, SECOND, at_a_second[name], spread),) if name in at_a_second else (),
             free_run=_score(name, FREE, free[name], spread) if name in free else None,
-            free_states=tuple(run.states for run in cases(steps).free_runs) if name in free else (),
+            free_states=tuple(run.states for run in cases(steps, episodes).free_runs) if name in free else (),
             divergence=Divergence(clipped.get(name, 0.0), 0.5, ()),
             reason="it broke" if name in failed else "",
         )
         for name in names
     ]
-    return Prediction(cases(steps), tuple(rows))
+    return Prediction(cases(steps, episodes), tuple(rows))
 
 
 def _score(name: str, horizon: int | None, n: float, spread: float) -> ErrorScore:
@@ -90,9 +97,14 @@ def matrix(
                 if np.isfinite(mean)
                 else Cell(row, column, reason="it stopped")
             )
-    champions = [evolved(row, tuple((against or {}).get(row, (row,))), seeds) for row in fitness]
+    champions = [evolved(row, tuple((against or {}).get(row, () if row == REST else (row,))), seeds) for row in fitness]
     columns = dict.fromkeys(column for row in fitness.values() for column in row)
+    champions = [replace(one, controller=Spec("constant")) if one.name == REST else one for one in champions]
     return TransferMatrix.of(champions, tuple(columns), cells, robot=robot)
+
+
+REST = "rest"
+"""The row that is not evolved: controls at rest."""
 
 
 def evolved(name: str, against: tuple[str, ...], seeds: Sequence[float] = ()) -> Champion:

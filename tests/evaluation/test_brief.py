@@ -43,14 +43,14 @@ def row(made: Report, name: str) -> tuple[str, ...]:
 
 def test_each_row_says_how_a_model_predicts_and_whether_its_controller_is_exploited() -> None:
     assert row(compared(), "persistence") == ("persistence", "0.900", "–", "–", "–")
-    assert row(compared(), "linear") == ("linear", "0.300", "12.0 ±0.0", "4.0 ±0.0", "yes")
-    assert row(compared(), "sindy") == ("sindy", "0.060", "10.0 ±0.0", "9.8 ±0.0", "no")
-    assert row(compared(), LONG) == (LONG, "–", "9.0 ±0.0", "9.1 ±0.0", "no")
+    assert row(compared(), "linear") == ("linear", "0.300", "12.00 ±0.03", "4.00 ±0.03", "yes")
+    assert row(compared(), "sindy") == ("sindy", "0.060", "10.00 ±0.03", "9.80 ±0.03", "no")
+    assert row(compared(), LONG) == (LONG, "–", "9.00 ±0.03", "9.10 ±0.03", "no")
 
 
 def test_claims_stand_with_those_of_all_evolution_runs() -> None:
     made = compared(seeds=(10.8, 12.06, 11.0))
-    assert row(made, "linear")[2] == "12.0 ±0.0\n10.8, 12.1, 11.0"
+    assert row(made, "linear")[2] == "12.00 ±0.03\n10.80, 12.06, 11.00"
     assert "the champion of each of 3 evolution runs" in " ".join(" ".join(printed(brief(made))).split())
     assert "evolution runs" not in " ".join(printed(brief(compared())))
 
@@ -61,7 +61,7 @@ def test_the_brief_is_a_screenful_and_nothing_in_its_table_wraps() -> None:
     assert len(lines) < 45
     assert max(map(len, lines)) <= 80
     (linear,) = [line for line in lines if line.startswith(" linear ")]
-    assert linear.split() == ["linear", "0.300", "12.0", "±0.0", "4.0", "±0.0", "yes"]
+    assert linear.split() == ["linear", "0.300", "12.00", "±0.03", "4.00", "±0.03", "yes"]
     assert any(line.startswith(" N: the mean error in standard deviations") for line in lines)
 
 
@@ -83,7 +83,7 @@ def test_a_controller_evolved_against_another_model_has_a_row_of_its_own() -> No
         matrix({"linear": {"linear": 3.0, "other": 8.0}}, against={"linear": ("other",)}),
     )
     assert row(made, "linear") == ("linear", "0.300", "–", "–", "–")
-    assert row(made, "linear (controller)")[2] == "8.0 ±0.0"
+    assert row(made, "linear (controller)")[2] == "8.00 ±0.03"
 
 
 def test_without_controllers_the_table_holds_predictions_alone() -> None:
@@ -99,7 +99,7 @@ def test_without_a_robot_achieved_means_on_other_models() -> None:
     sheet = overview_sheet(made)
     assert sheet is not None
     assert sheet.columns == ("model or\ncontroller", "claimed", "on other\nmodels", "exploited")
-    assert sheet.rows == (("a", "10.0 ±0.0", "2.0 ±0.0", "yes"),)
+    assert sheet.rows == (("a", "10.00 ±0.03", "2.00 ±0.03", "yes"),)
 
 
 def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reasons() -> None:

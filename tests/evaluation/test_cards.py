@@ -31,7 +31,7 @@ def helped(trial: int, value: float = 2.0) -> Optimism:
 def test_a_card_begins_with_its_verdict_and_keeps_the_other_sentences(kept: TransferMatrix) -> None:
     (card,) = exploitability_cards([exploited()], kept).cards
     assert (card.title, card.tone) == ("linear", "bad")
-    assert card.verdict.startswith("Exploited: its controllers claim 10.0 waypoints")
+    assert card.verdict.startswith("Exploited: its controllers claim 10.00 waypoints")
     assert any("turn on the spot" in sentence for sentence in card.sentences)
     tones = [exploited(gap=Estimate(0.1, 0.1)), exploited(gap=None)]
     assert [card.tone for card in exploitability_cards(tones, kept).cards] == ["good", "open"]

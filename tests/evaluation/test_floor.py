@@ -1,4 +1,4 @@
-"""Controls at rest are a row of the matrix where fitness may be negative."""
+"""Controls at rest are a row of the matrix where they may bring something."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
+from tests.evaluation.known_models import recording
 
 
 @pytest.mark.parametrize(
@@ -13,10 +14,10 @@ from evaluation.planning import plan_comparison
     [
         ("Pendulum-v1", (), ["linear", "rest"]),
         ("Pendulum-v1", ("still=constant",), ["linear", "still"]),
-        ("CartPole-v1", (), ["linear"]),
+        ("CartPole-v1", (), ["linear", "rest"]),
     ],
 )
-def test_controls_at_rest_are_a_row_where_fitness_may_be_negative(
+def test_controls_at_rest_are_a_row_where_they_may_bring_something(
     id: str,  # noqa: A002  # as Gymnasium calls it
     by_hand: tuple[str, ...],
     rows: list[str],
@@ -27,3 +28,16 @@ def test_controls_at_rest_are_a_row_where_fitness_may_be_negative(
     assert [champion.name for champion in planned.matrix.champions] == rows
     only = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), only="fit"))
     assert only.matrix is None
+
+
+def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing() -> None:
+    planned = plan_comparison(Experiment(models=("linear",), yardstick=False))
+    assert planned.matrix is not None
+    assert [champion.name for champion in planned.matrix.champions] == ["linear"]
+
+
+def test_controls_at_rest_are_a_row_without_a_robot() -> None:
+    task = 'set_point(channels="forward_speed")'
+    without_robot = plan_comparison(Experiment(models=("linear",), task=task), dataset=recording(3, steps=400))
+    assert without_robot.matrix is not None
+    assert [champion.name for champion in without_robot.matrix.champions] == ["linear", "rest"]

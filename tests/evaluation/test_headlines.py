@@ -46,7 +46,7 @@ def test_a_comparison_in_which_nothing_predicts_says_so() -> None:
 def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named() -> None:
     trusted = answers(made())["Which models can be trusted?"]
     assert (trusted.answer, trusted.tone) == ("b", "good")
-    assert "Exploited: a (claims 10.0, achieves 4.0)." in trusted.sentence
+    assert "Exploited: a (claims 10.00, achieves 4.00)." in trusted.sentence
     none = answers(replace(made(), exploitability=(exploited(model="a"),)))["Which models can be trusted?"]
     assert (none.answer, none.tone) == ("None", "bad")
 
@@ -54,15 +54,17 @@ def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named() 
 def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that_drives_it() -> None:
     taken = answers(made())["Which controller to take?"]
     assert taken.answer == "a"
-    assert taken.sentence.startswith("Claims 10.0 (9.9 to 10.1) waypoints, forecast ")
-    assert taken.sentence.endswith("), achieves 4.0 (3.9 to 4.1) on the robot. b does better there: 8.1 (8.0 to 8.2).")
+    assert taken.sentence.startswith("Claims 10.00 (9.94 to 10.06) waypoints, forecast ")
+    assert taken.sentence.endswith(
+        "), achieves 4.00 (3.94 to 4.06) on the robot. b does better there: 8.10 (8.04 to 8.16)."
+    )
     assert taken.command == "sysid-evo drive --controller controllers/a.json --robot car"
     assert taken.tone == "bad"
 
 
 def test_without_a_robot_the_answers_say_what_they_rest_on() -> None:
     taken = answers(made(None))["Which controller to take?"]
-    assert taken.sentence.endswith("reaches 9.0 (8.9 to 9.1) on the other models. Nothing was run on the robot.")
+    assert taken.sentence.endswith("reaches 9.00 (8.94 to 9.06) on the other models. Nothing was run on the robot.")
     assert " --robot ROBOT" in taken.command
 
 

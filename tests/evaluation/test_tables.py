@@ -57,18 +57,21 @@ def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **cha
 @pytest.mark.parametrize(
     "model, said",
     [
-        (exploited(), "linear: exploited: its controllers claim 10.0 waypoints and achieve 4.0 on the robot."),
+        (exploited(), "linear: exploited: its controllers claim 10.00 waypoints and achieve 4.00 on the robot."),
         (exploited(), "They turn on the spot in 50 % of steps (held-out driving 1.0 %, the same on the robot 0 %)."),
         (exploited(), "10 % of what they visit lies outside the data (held-out driving 1.0 %, the same on the robot"),
         (exploited(visited=0.0), "No single step of it is wrong: small errors add up over a trial."),
-        (exploited(gap=Estimate(0.5, 0.1)), "the claim holds: its controllers claim 10.0 waypoints and achieve 4.0"),
-        (exploited(achieved=None, gap=Estimate(2.0, 0.1)), "claim 10.0 waypoints and achieve 8.0 on the other models."),
+        (exploited(gap=Estimate(0.5, 0.1)), "the claim holds: its controllers claim 10.00 waypoints and achieve 4.00"),
+        (
+            exploited(achieved=None, gap=Estimate(2.0, 0.1)),
+            "claim 10.00 waypoints and achieve 8.00 on the other models.",
+        ),
         (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),
         (exploited(gap=Estimate(6.0, float("nan"))), "One trial cannot show whether the claim holds."),
         (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
         (
             exploited(seed_fitness=(9.0, 10.04, 8.0)),
-            "claim 10.0 waypoints (3 evolution runs: 9.0, 10.0, 8.0) and achieve 4.0",
+            "claim 10.00 waypoints (3 evolution runs: 9.00, 10.04, 8.00) and achieve 4.00",
         ),
     ],
 )
@@ -155,7 +158,7 @@ def test_claims_stand_with_those_of_all_evolution_runs_or_with_a_word_that_their
     assert "evolution runs" not in claims_note(one)
     assert ONE_SEED not in claims_note(three)
     assert "the champion of each of 3 evolution runs" in claims_note(three)
-    assert controller_sheet(three, summarise(three)).rows[0][1].split("\n")[1] == "9.0, 8.0, 10.0"
+    assert controller_sheet(three, summarise(three)).rows[0][1].split("\n")[1] == "9.00, 8.00, 9.96"
     people = matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")
     assert ONE_SEED not in claims_note(people)
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import pytest
 
+from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.report import Report, tells_nothing, verdict
-from sysid_evo.registry import Spec
+from sysid_evo.data import Dataset
+from tests.evaluation.known_models import recording
 from tests.evaluation.made_up import matrix, prediction, report
 
 GOOD = {"persistence": 0.9, "linear": 0.3, "sindy": 0.6}
@@ -98,8 +100,8 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         lambda: report(transfer=matrix({"a": {"a": 9.0, "car": float("nan")}}, robot="car")),
         driven,
     ),
-    "Most on the robot: a, 9.5 (9.4 to 9.6) waypoints.": (driven, lambda: driven(robot_trials=1)),
-    "Most on the robot: a, 9.5 waypoints.": (lambda: driven(robot_trials=1), driven),
+    "Most on the robot: a, 9.50 (9.44 to 9.56) waypoints.": (driven, lambda: driven(robot_trials=1)),
+    "Most on the robot: a, 9.50 waypoints.": (lambda: driven(robot_trials=1), driven),
     "At least nine tenths of their claim is kept on the robot by a.": (
         driven,
         lambda: report(transfer=matrix({"a": {"a": 10.0, "car": 8.9}}, robot="car")),
@@ -121,7 +123,7 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         driven,
     ),
     "no controller keeps at least nine tenths of the claim.": (lambda: on_models(8.9), lambda: on_models(9.1)),
-    "Less than half of it, in mean fitness (waypoints): a (10.0 to 4.9).": (
+    "Less than half of it, in mean fitness (waypoints): a (10.00 to 4.90).": (
         lambda: on_models(4.9, 5.1),
         lambda: on_models(5.1, 5.1),
     ),
@@ -130,8 +132,8 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         driven,
     ),
     "Chosen without the robot: a, the highest of 3 forecasts: 8.8 (7.6 to 9.4) waypoints are expected of it; "
-    "it achieves 9.5 on the robot, outside the interval.": (driven, lambda: on_models(8.5)),
-    "it achieves 8.2 on the robot, as forecast.": (
+    "it achieves 9.50 on the robot, outside the interval.": (driven, lambda: on_models(8.5)),
+    "it achieves 8.20 on the robot, as forecast.": (
         lambda: report(transfer=matrix({"a": {"a": 9.0, "b": 8.0, "car": 8.2}}, robot="car")),
         driven,
     ),
@@ -139,7 +141,7 @@ SENTENCES: dict[str, tuple[Made, Made]] = {
         lambda: on_models(8.5),
         driven,
     ),
-    "Chosen with the robot: b, 9.0 on it.": (
+    "Chosen with the robot: b, 9.00 on it.": (
         lambda: report(
             transfer=matrix({"a": {"a": 9.0, "b": 8.0, "car": 5.0}, "b": {"a": 7.0, "b": 9.0, "car": 9.0}}, robot="car")
         ),
@@ -210,6 +212,30 @@ def test_the_verdict_stands_at_the_longest_horizon_of_at_most_one_second(
     assert replace(made.cases, horizons=horizons).main_horizon == chosen
 
 
+@pytest.mark.parametrize(
+    "dt, chosen, horizons",
+    [
+        (0.005, 200, (1, 10, 20, 60, 200)),
+        (0.02, 50, (1, 10, 20, 50, 60)),
+        (0.05, 20, (1, 10, 20, 60)),
+        (0.1, 10, (1, 10, 20, 60)),
+        (0.3, 3, (1, 3, 10, 20, 60)),
+        (0.7, 10, (1, 10, 20, 60)),
+        (30.0, 10, (1, 10, 20, 60)),
+    ],
+)
+def test_the_verdict_stands_at_the_step_nearest_to_one_second_and_never_at_the_first(
+    dt: float, chosen: int, horizons: tuple[int, ...]
+) -> None:
+    data = recording(2, steps=250)
+    slower = [replace(episode, dt=dt, pose=None) for episode in data]
+    dataset = Dataset(replace(data.system, dt=dt, motion=None), tuple(slower))
+    made = measured_cases(dataset, dataset, PredictionProtocol())
+    assert (made.main_horizon, made.horizons) == (chosen, horizons)
+    asked = measured_cases(dataset, dataset, PredictionProtocol(horizons=(1, 5)))
+    assert asked.horizons == (1, 5)
+
+
 def test_n_is_spelled_out_where_it_first_stands() -> None:
     for made in (report(prediction(GOOD, GOOD)), predicted(linear=1.2)):
         text = told(made)
@@ -238,7 +264,7 @@ def test_a_controller_that_was_polished_on_all_models_is_chosen_although_no_othe
     }
     text = told(report(transfer=matrix(fitness, against={"best": ("a", "b")}, robot="car")))
     assert "Chosen without the robot: best, the highest of 3 forecasts: 9.2 (" in text
-    assert "Chosen with the robot: b, 8.5 on it." in text
+    assert "Chosen with the robot: b, 8.50 on it." in text
 
 
 def test_a_report_tells_something_with_one_score_or_one_finished_cell() -> None:
@@ -264,11 +290,8 @@ def below_zero(rest: float | None) -> str:
     fitness = {"a": {"a": -200.0, "b": -250.0, "car": -220.0}, "car": {"a": -300.0, "b": -300.0, "car": -200.0}}
     if rest is not None:
         fitness["rest"] = {"a": rest, "b": rest, "car": rest}
-    made = matrix(fitness, against={"rest": ()}, robot="car")
-    champions = tuple(
-        replace(c, controller=Spec.parse("rest=constant")) if c.name == "rest" else replace(c, polished=c.name == "a")
-        for c in made.champions
-    )
+    made = matrix(fitness, robot="car")
+    champions = tuple(replace(c, polished=c.name == "a") for c in made.champions)
     return told(report(transfer=replace(made, champions=champions)))
 
 
@@ -276,7 +299,7 @@ def test_shares_of_a_negative_fitness_are_measured_from_controls_at_rest() -> No
     text = below_zero(-1200.0)
     assert "a achieves 98 % of that." in text
     assert "At least nine tenths of their claim is kept on the robot by a." in text
-    assert "Shares are measured from controls at rest: -1200.0 waypoints." in text
+    assert "Shares are measured from controls at rest: -1200 waypoints." in text
     far = below_zero(-230.0)
     assert "a achieves 33 % of that" in far
     assert "No controller keeps nine tenths of its claim" in far

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.formatting import (
+    by_error,
     few,
     folded,
     horizon_name,
@@ -19,14 +20,27 @@ from evaluation.formatting import (
     percent,
     plus_minus,
     three_digits,
+    value_of,
     with_interval,
     within,
 )
 from evaluation.plots import plot_claims
 from evaluation.prediction.scores import Prediction
-from evaluation.report.elements import NARROW, WIDE, Drawing, DrawingPair, Headline, Picture, Section, Sheet, present
+from evaluation.report.elements import (
+    NARROW,
+    WIDE,
+    Drawing,
+    DrawingPair,
+    Headline,
+    Picture,
+    Section,
+    Sheet,
+    Tone,
+    present,
+)
 from evaluation.report.sections.prediction import N_IN_WORDS
 from evaluation.results import Report
+from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, guessed_share, none_beats_rest
 from evaluation.transfer.forecast import RULE, Forecast, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, TransferSummary
@@ -65,6 +79,12 @@ def forecast_sheet(report: Report) -> Sheet | None:
     heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
     judged = [report.forecasts[one.name].holds(one.achieved) for one in known if one.achieved is not None]
     held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
+    guesses = [
+        f"{one.name} ({percent(share)})"
+        for one in known
+        if (share := guessed_share(report.exploitability, one.name)) is not None
+    ]
+    held += f" Guesses, as so much of its time lies outside the data: {few(guesses)}." if guesses else ""
     return Sheet(
         title=f"Forecast for the robot ({report.matrix.unit or 'fitness'})",
         columns=heads,
@@ -90,7 +110,7 @@ def model_forecast_sheet(report: Report) -> Sheet | None:
         rows.append(
             (
                 lines(name, "" if found.controllers == (name,) else f"({listed(found.controllers)})"),
-                number(found.claimed),
+                three_digits(found.claimed),
                 forecast_text(found),
                 share,
                 "–" if weight is None else percent(weight),
@@ -276,7 +296,8 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
 
 def of_each_run(controller: ControllerSummary) -> str:
     """Return the fitness of the champion of each evolution run, three a line; empty for fewer than two runs."""
-    found = [f"{fitness:.1f}" for fitness in controller.seed_fitness]
+    error = np.nan if controller.claimed is None else controller.claimed.standard_error
+    found = [by_error(fitness, error) for fitness in controller.seed_fitness]
     return "\n".join(", ".join(found[i : i + 3]) for i in range(0, len(found), 3)) if len(found) > 1 else ""
 
 
@@ -310,11 +331,13 @@ def headline(report: Report) -> Headline:
     question, summary = "Which controller to take?", report.transfer
     if summary is None:
         return Headline(question, "None", "No controller was evolved.", "open")
+    assert report.matrix is not None
+    if none_beats_rest(report.matrix):
+        return Headline(question, "None", LOOK_AT_THE_REWARD, "bad")
     if summary.pick is None:
         return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
     pick = summary.controller(summary.pick)
     command = drive_command(report, pick.name) or ""
-    assert report.matrix is not None
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     shown = pick.shown
     claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
@@ -326,7 +349,23 @@ def headline(report: Report) -> Headline:
         worth = f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
     else:
         worth = f"{claim}. Nothing was run on the robot."
-    return Headline(question, pick.name, worth, "bad" if pick.exploited else "good", command)
+    idle, guess = _idle(report.matrix, pick.name), guess_warning(report.exploitability, pick.name)
+    said = " ".join(filter(None, (idle, worth, guess)))
+    kept = pick.achieved is not None and found is not None and found.holds(pick.achieved)
+    tone: Tone = "bad" if pick.exploited or idle else "open" if guess and not kept else "good"
+    return Headline(question, pick.name, said, tone, command)
+
+
+LOOK_AT_THE_REWARD = "No controller does better than controls at rest: look at the reward, or evolve longer."
+
+
+def _idle(matrix: TransferMatrix, name: str) -> str:
+    """Say that a controller is no better than controls at rest; empty where it is, or that is not known."""
+    gain = gain_over_rest(matrix, name)
+    if gain is None or beats_rest(matrix, name) is not False:
+        return ""
+    worse = "worse" if gain.interval()[1] < 0.0 else "no better"
+    return f"{name} is {worse} than controls at rest ({plus_minus(gain)} beside them): do not use it."
 
 
 def _better(pick: ControllerSummary, report: Report) -> str:
@@ -386,16 +425,20 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
             answers.append(f"Less than half of it: {', '.join(failing)}.")
     floor = tested[0].floor
     if floor is not None:
-        answers.append(f"Shares are measured from controls at rest: {floor:.1f}{unit}.")
+        answers.append(f"Shares are measured from controls at rest: {three_digits(floor)}{unit}.")
     return tuple(answers)
 
 
 def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
-    pairs = [(c.name, c.claimed.value, c.others.value) for c in summary.controllers if c.claimed and c.others]
+    pairs = [(c.name, c.claimed, c.others) for c in summary.controllers if c.claimed and c.others]
     if not pairs:
         return ("There is no robot and no other model to transfer to.",)
-    holding = [name for name, claimed, others in pairs if others >= KEPT * claimed]
-    falling = [f"{name} ({claimed:.1f} to {others:.1f})" for name, claimed, others in pairs if others < LOST * claimed]
+    holding = [name for name, claimed, others in pairs if others.value >= KEPT * claimed.value]
+    falling = [
+        f"{name} ({value_of(claimed)} to {value_of(others)})"
+        for name, claimed, others in pairs
+        if others.value < LOST * claimed.value
+    ]
     keeping = f"{', '.join(holding)} keep" if holding else "no controller keeps"
     answers = [
         "Nothing was run on the robot. On the other models (mean fitness), "
@@ -413,19 +456,23 @@ def _achieved(controller: ControllerSummary, unit: str) -> str:
 
 def sized(estimate: Estimate) -> str:
     """Return a value with its 90 % interval, alone where it has none."""
-    if not estimate.low < estimate.high:
-        return number(estimate.value)
     return with_interval(estimate.value, estimate.low, estimate.high)
 
 
-def recommended(matrix: TransferMatrix, summary: TransferSummary, why: str | None) -> tuple[str, ...]:
-    """Answer what to use; ``why`` says by what the controller to drive was chosen."""
-    answers = [why or "No controller can be judged by models of other families; add a family to choose by."]
+def recommended(report: Report) -> tuple[str, ...]:
+    """Answer what to use: first that it is of no use where it is not, then by what it was chosen."""
+    matrix, summary = report.matrix, report.transfer
+    assert matrix is not None
+    assert summary is not None
+    why = why_chosen(report) or "No controller can be judged by models of other families; add a family to choose by."
+    pick = summary.pick
+    warnings = [] if pick is None else [_idle(matrix, pick), guess_warning(report.exploitability, pick)]
+    answers = list(filter(None, (*warnings[:1], why, *warnings[1:])))
     if matrix.robot is not None:
         tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
         best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
         if best is not None and best.achieved is not None and best.name != summary.pick:
-            answers.append(f"Chosen with the robot: {best.name}, {best.achieved.value:.1f} on it.")
+            answers.append(f"Chosen with the robot: {best.name}, {value_of(best.achieved)} on it.")
         answers += [
             f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
             f"({correlation.controllers} controllers)."
@@ -449,7 +496,7 @@ def why_chosen(report: Report) -> str | None:
     if picked.achieved is None:
         return f"{said}."
     inside = "as forecast" if found.holds(picked.achieved) else "outside the interval"
-    return f"{said}; it achieves {picked.achieved.value:.1f} on the robot, {inside}."
+    return f"{said}; it achieves {value_of(picked.achieved)} on the robot, {inside}."
 
 
 ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."

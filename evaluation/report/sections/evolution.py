@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.formatting import lines, number
+from evaluation.formatting import lines, three_digits
 from evaluation.plots import plot_fitness
 from evaluation.report.elements import THIRD, Drawing, DrawingPair, Picture, Sheet
 from evaluation.transfer.matrix import TransferMatrix
@@ -53,8 +53,8 @@ def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
                 best[kind] = finalist
         for kind, finalist in best.items():
             chosen = np.array_equal(finalist.parameters, champion.parameters)
-            elsewhere = "–" if finalist.elsewhere is None else number(finalist.elsewhere)
-            rows.append((champion.name, lines(kind, "(chosen)" if chosen else ""), number(finalist.fitness), elsewhere))
+            scores = (three_digits(finalist.fitness), three_digits(finalist.elsewhere))
+            rows.append((champion.name, lines(kind, "(chosen)" if chosen else ""), *scores))
     if not any(kind for _, kind, _, _ in rows):
         return None
     return Sheet(

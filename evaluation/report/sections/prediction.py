@@ -28,7 +28,16 @@ from evaluation.report.sections.error_analysis import (
     residuals_to_json,
 )
 from evaluation.results import Report
-from sysid_evo.system import System
+from evaluation.sufficiency import (
+    USELESS,
+    beats_mean,
+    beats_persistence,
+    leads,
+    no_worse,
+    predicts,
+    tells_apart,
+    too_little,
+)
 from sysid_evo.validation.measures import mean_over_channels
 
 if TYPE_CHECKING:
@@ -85,16 +94,8 @@ N_IN_WORDS = "the mean error in standard deviations"
 def prediction_sheet(prediction: Prediction) -> Sheet:
     """N of every model at every horizon and in free run, with intervals."""
     horizons = prediction.horizons
-    leaders: dict[int | None, set[str]] = {}
-    for horizon in horizons:
-        ranking = prediction.ranking(horizon)
-        equal = {d.first for d in prediction.differences(horizon) if not d.significant}
-        leaders[horizon] = equal | ({ranking[0].name} if ranking else set())
     rows = [
-        (
-            lines(model.name, _divergence(model)),
-            *(_n_cell(model, model.score(horizon), model.name in leaders[horizon]) for horizon in horizons),
-        )
+        (lines(model.name, _divergence(model)), *(_n_cell(prediction, model, horizon) for horizon in horizons))
         for model in prediction.models
     ]
     protocol = prediction.cases.protocol
@@ -108,6 +109,7 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
             f"free run: each whole episode from sample {protocol.first}. "
             "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
             "clip: windows in which the simulation reached its clip, and the median time until then."
+            f"{_said(too_little(prediction, prediction.cases.main_horizon))}"
         ),
     )
 
@@ -116,13 +118,19 @@ def _heads(prediction: Prediction, horizons: Sequence[int | None]) -> list[str]:
     return [horizon_name(horizon, prediction.cases.system.dt).replace(" (", "\n(") for horizon in horizons]
 
 
-def _n_cell(model: ModelPrediction, score: ErrorScore | None, leads: bool) -> str:
+def _said(sentence: str) -> str:
+    return f" {sentence}" if sentence else ""
+
+
+def _n_cell(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> str:
+    score = model.score(horizon)
     if model.failed:
         return "failed"
     if score is None:
         return "–"
     low, high = score.interval
-    return lines(f"{'* ' if leads else ''}{three_digits(score.n)}", f"{three_digits(low)}-{three_digits(high)}")
+    between = f"{three_digits(low)}-{three_digits(high)}" if tells_apart(prediction, horizon) else ""
+    return lines(f"{'* ' if leads(prediction, model, horizon) else ''}{three_digits(score.n)}", between)
 
 
 def _divergence(model: ModelPrediction) -> str:
@@ -178,13 +186,13 @@ def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sh
 
 
 def difference_sheet(prediction: Prediction) -> Sheet | None:
-    """Each model against the best at every horizon, with the interval of the difference; None with fewer than two."""
-    horizons = prediction.horizons
+    """Each model against the best where models can be told apart, with intervals; None with fewer than two."""
+    horizons = [horizon for horizon in prediction.horizons if tells_apart(prediction, horizon)]
     rankings = {horizon: prediction.ranking(horizon) for horizon in horizons}
     if not horizons or max(len(ranking) for ranking in rankings.values()) < 2:
         return None
     compared = {h: {d.first: d for d in prediction.differences(h)} for h in horizons}
-    main = rankings[prediction.cases.main_horizon]
+    main = rankings.get(prediction.cases.main_horizon, next(iter(rankings.values())))
     names = [model.name for model in main] + [name for name in prediction.names if name not in {m.name for m in main}]
     rows = [
         (name, *(_against(compared[h].get(name), bool(rankings[h]) and rankings[h][0].name == name) for h in horizons))
@@ -300,31 +308,24 @@ def headline(report: Report) -> Headline:
         return Headline(question, "Not known", "No model has a score; the notes and failures say why.", "open")
     best = models[0]
     score = _score(best, horizon)
+    if few_data := too_little(prediction, horizon):
+        lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
+        return Headline(question, "Too little test data", f"{few_data} {lowest}", "open")
     size = f"N {three_digits(score.n)} ({three_digits(score.interval.low)} to {three_digits(score.interval.high)})"
     where = horizon_name(horizon, prediction.cases.system.dt)
     good = [model.name for model in models if predicts(prediction, model, horizon)]
     if not good:
         return Headline(question, "None", f"The lowest error, {size} at {where}, is that of {best.name}.", "bad")
-    equal = [m.name for m in models[1:] if m.name in good and _no_worse(prediction, m, best, horizon)]
+    equal = [m.name for m in models[1:] if m.name in good and no_worse(prediction, m, best, horizon)]
     leaders = [best.name, *equal]
     more = f"; {len(good)} of {len(models)} predict" if len(models) > 1 else ""
     alike = ", no significant difference between them" if len(leaders) > 1 else ""
     return Headline(question, few(leaders), f"Best at {where}: {size}{alike}{more}.", "good")
 
 
-USELESS = 1.0
-"""The N of the mean of what was measured, as a prediction."""
-
-
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:
     """Return the models with a score at ``horizon``, lowest N first, without persistence."""
     return tuple(model for model in prediction.ranking(horizon) if model.name != PERSISTENCE)
-
-
-def predicts(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model is significantly better than the mean and than persistence."""
-    score = model.score(horizon)
-    return score is not None and _beats_mean(score) and _beats_persistence(prediction, model, horizon)
 
 
 def predicting(prediction: Prediction) -> tuple[str, ...]:
@@ -335,15 +336,19 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
     models = scored(prediction, horizon)
     if not models:
         return ("No model could be scored.",)
+    if few_data := too_little(prediction, horizon):
+        where, n = _at(prediction, horizon), three_digits(_score(models[0], horizon).n)
+        lowest = f"{where.capitalize()} the lowest N, {N_IN_WORDS}, is {n}, of {models[0].name}."
+        return (few_data, lowest)
     answers = [_best(prediction, models, horizon)]
     if any(predicts(prediction, model, horizon) for model in models):
-        equal = [model.name for model in models[1:] if _no_worse(prediction, model, models[0], horizon)]
+        equal = [model.name for model in models[1:] if no_worse(prediction, model, models[0], horizon)]
         if equal:
             answers.append(f"No significant difference from it: {', '.join(equal)}.")
-        beaten = [model.name for model in models if not _beats_persistence(prediction, model, horizon)]
+        beaten = [model.name for model in models if not beats_persistence(prediction, model, horizon)]
         if beaten:
             answers.append(f"Not significantly better than persistence: {', '.join(beaten)}.")
-    if horizon is not None and (free := scored(prediction, None)):
+    if horizon is not None and (free := scored(prediction, None)) and tells_apart(prediction, None):
         best, n = free[0].name, _score(free[0], None).n
         found = f"{best} is best: N {n:.3f}"
         if not any(predicts(prediction, model, None) for model in free):
@@ -385,38 +390,28 @@ def intervals_hold(prediction: Prediction, model: ModelPrediction) -> str:
 def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: int | None) -> str:
     best, score = models[0], _score(models[0], horizon)
     still = prediction.model(PERSISTENCE).score(horizon)
-    where = "in free run" if horizon is None else f"at {horizon_name(horizon, prediction.cases.system.dt)}"
+    where = _at(prediction, horizon)
     size = f"{score.n:.3f} ({score.interval.low:.3f} to {score.interval.high:.3f})"
     beside = f"; persistence has {still.n:.3f}" if still else ""
     if any(predicts(prediction, model, horizon) for model in models):
         return f"{where.capitalize()}, {best.name} is best: N, {N_IN_WORDS}, is {size}{beside}."
     if score.n >= USELESS:
         why = "from 1 on, a constant would do as well"
-    elif not any(_beats_mean(_score(model, horizon)) for model in models):
+    elif not any(beats_mean(model.score(horizon)) for model in models):
         why = "no model is significantly better than a constant, which has 1"
     else:
         why = "no model is significantly better than that"
     return f"No model predicts here: {where} the lowest N, {N_IN_WORDS}, is {size}, of {best.name}{beside}; {why}."
 
 
+def _at(prediction: Prediction, horizon: int | None) -> str:
+    return "in free run" if horizon is None else f"at {horizon_name(horizon, prediction.cases.system.dt)}"
+
+
 def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
     score = model.score(horizon)
     assert score is not None
     return score
-
-
-def _beats_mean(score: ErrorScore) -> bool:
-    return score.interval.high < USELESS
-
-
-def _no_worse(prediction: Prediction, model: ModelPrediction, best: ModelPrediction, horizon: int | None) -> bool:
-    difference = prediction.compare(model.name, best.name, horizon)
-    return difference is not None and not difference.significant
-
-
-def _beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    difference = prediction.compare(model.name, PERSISTENCE, horizon)
-    return difference is not None and difference.significant and difference.difference < 0
 
 
 def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
@@ -428,7 +423,7 @@ def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
         "windows": len(cases.windows),
         "std": dict(zip(cases.system.state_names, cases.std, strict=True)),
         "rms": dict(zip(cases.system.state_names, cases.rms, strict=True)),
-        "models": [_model_to_json(model, cases.horizons, cases.system) for model in prediction.models],
+        "models": [_model_to_json(model, prediction) for model in prediction.models],
         "differences": [
             {
                 "first": difference.first,
@@ -439,20 +434,24 @@ def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
                 "verdict": difference.verdict,
             }
             for horizon in prediction.horizons
+            if tells_apart(prediction, horizon)
             for difference in prediction.differences(horizon)
         ],
     }
 
 
-def _model_to_json(model: ModelPrediction, horizons: Sequence[int], system: System) -> dict[str, Any]:
+def _model_to_json(model: ModelPrediction, prediction: Prediction) -> dict[str, Any]:
+    horizons, system = prediction.cases.horizons, prediction.cases.system
+    last = max(horizons, default=None)
+    band = model.curve_interval if tells_apart(prediction, last) else np.full_like(model.curve_interval, np.nan)
     return {
         "name": model.name,
         "family": model.family,
         "reason": model.reason or None,
-        "horizons": [_score_to_json(score, system) for score in model.at],
-        "free_run": None if model.free_run is None else _score_to_json(model.free_run, system),
+        "horizons": [_score_to_json(score, prediction) for score in model.at],
+        "free_run": None if model.free_run is None else _score_to_json(model.free_run, prediction),
         "curve": model.curve,
-        "curve_interval": model.curve_interval,
+        "curve_interval": band,
         "residuals": None if model.residuals is None else residuals_to_json(model.residuals, system),
         "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
         "episodes": [episode_to_json(episode, horizons, system) for episode in model.episodes],
@@ -473,7 +472,8 @@ def _model_to_json(model: ModelPrediction, horizons: Sequence[int], system: Syst
     }
 
 
-def _score_to_json(score: ErrorScore, system: System) -> dict[str, Any]:
+def _score_to_json(score: ErrorScore, prediction: Prediction) -> dict[str, Any]:
+    system = prediction.cases.system
     channels = {
         channel.name: {
             "unit": channel.unit,
@@ -491,6 +491,6 @@ def _score_to_json(score: ErrorScore, system: System) -> dict[str, Any]:
         "initialisation": "measured states and controls",
         "samples": score.samples,
         "n": score.n,
-        "interval": list(score.interval),
+        "interval": list(score.interval) if tells_apart(prediction, score.horizon) else [None, None],
         "channels": channels,
     }

@@ -5,14 +5,17 @@ from __future__ import annotations
 from evaluation.report.elements import Finding, Headline
 from evaluation.report.sections import controllers, exploitability, prediction
 from evaluation.report.sections.advice import limits_question
-from evaluation.report.sections.controllers import recommended, transferring, unknown, why_chosen
+from evaluation.report.sections.controllers import LOOK_AT_THE_REWARD, recommended, transferring, unknown
 from evaluation.report.sections.prediction import predicting, scored
 from evaluation.results import Report
+from evaluation.sufficiency import none_beats_rest
 
 
 def headlines(report: Report) -> tuple[Headline, ...]:
-    """Return the three answers that the page begins with."""
-    return prediction.headline(report), exploitability.headline(report), controllers.headline(report)
+    """Return the three answers that the page begins with; that on controllers first, where none is of use."""
+    found = prediction.headline(report), exploitability.headline(report), controllers.headline(report)
+    useless = report.matrix is not None and none_beats_rest(report.matrix)
+    return (found[2], *found[:2]) if useless else found
 
 
 SAID = 2
@@ -27,12 +30,14 @@ def verdict(report: Report) -> tuple[Finding, ...]:
         said = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
         compared = report.prediction is not None or report.matrix is not None
         findings.append(Finding("What was found?", (said if compared else "Nothing was compared.",)))
+    if report.matrix is not None and none_beats_rest(report.matrix):
+        findings.append(Finding("Is there anything to choose?", (LOOK_AT_THE_REWARD,)))
     if report.prediction is not None:
         findings.append(Finding("Which models predict?", predicting(report.prediction)))
     if report.matrix is not None:
         findings.append(Finding("Which controllers transfer?", transferring(report.matrix, report.transfer)))
         if report.transfer is not None and not all(cell.failed for cell in report.matrix.cells.values()):
-            findings.append(Finding("What to use?", recommended(report.matrix, report.transfer, why_chosen(report))))
+            findings.append(Finding("What to use?", recommended(report)))
             if open_questions := unknown(report.transfer):
                 findings.append(Finding("What is not known?", open_questions))
     if report.advice is not None and report.advice.remarks:

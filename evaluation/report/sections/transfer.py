@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.formatting import folded, lines, number, percent, plus_minus
+from evaluation.formatting import by_error, folded, lines, number, percent, plus_minus, three_digits
 from evaluation.report.elements import Heat, Section, Sheet, present
 from evaluation.report.sections.controllers import (
     claims_picture,
@@ -128,8 +128,9 @@ def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
 def _fitness_cell(cell: TransferResult, own: bool) -> str:
     if cell.failed:
         return "–" if cell.reason == NOT_RUN else "failed"
+    error = cell.standard_error
     return lines(
-        f"{'= ' if own else ''}{number(cell.mean)} ({number(cell.std)})",
+        f"{'= ' if own else ''}{by_error(cell.mean, error)} ({by_error(cell.std, error)})",
         f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
         f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
         f"{len(cell.missing)} missing" if cell.missing else "",
@@ -152,7 +153,7 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
         places = dict.fromkeys(column for column in (own, matrix.robot) if column is not None)
         for column in places:
             told = matrix.cell(champion.name, column).measures
-            shown = ["–" if told.get(name) is None else number(told[name]) for name in names]
+            shown = [three_digits(told.get(name)) for name in names]
             rows.append((champion.name, folded(column), *shown))
     if not names:
         return None

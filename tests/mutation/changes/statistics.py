@@ -195,22 +195,22 @@ CHANGES = (
     Change(
         "the verdict stands at a horizon below one second",
         "evaluation/prediction/cases.py",
-        "<= SECOND + 1e-9",
-        "< SECOND - 1e-9",
+        "if horizon <= headline_steps(dt)]",
+        "if horizon < headline_steps(dt)]",
         (TEST_VERDICT,),
     ),
     Change(
         "a model no better than a constant is called best",
-        "evaluation/report/sections/prediction.py",
+        "evaluation/sufficiency.py",
         "USELESS = 1.0",
         "USELESS = 1.5",
         (TEST_VERDICT,),
     ),
     Change(
         "a model whose interval holds that of the mean is called best",
-        "evaluation/report/sections/prediction.py",
-        "return score.interval.high < USELESS",
-        "return score.n < USELESS",
+        "evaluation/sufficiency.py",
+        "score.interval.high < USELESS",
+        "score.n < USELESS",
         (TEST_VERDICT,),
     ),
     Change(

@@ -1,0 +1,153 @@
+"""A figure is stated only with enough data behind it, and a choice praised only if it beats doing nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evaluation.advice.advise import BY_INTERVAL, advise_model
+from evaluation.prediction import PredictionProtocol, assess_prediction, measured_cases
+from evaluation.report import Report, verdict
+from evaluation.report.elements import Headline
+from evaluation.report.report import brief, to_json
+from evaluation.report.sections.controllers import forecast_sheet
+from evaluation.report.sections.prediction import difference_sheet, prediction_sheet
+from evaluation.report.sections.summary import headlines
+from evaluation.sufficiency import FEWEST_BLOCKS, beats_rest, none_beats_rest
+from sysid_evo.data import Dataset
+from sysid_evo.models.base import make_model
+from tests.evaluation.known_models import SYSTEM, Known, fitted, recording
+from tests.evaluation.made_up import matrix, prediction, report
+from tests.evaluation.test_tables import exploited
+
+GOOD = {"persistence": 0.9, "linear": 0.036, "sindy": 0.6}
+
+
+def headline(made: Report, question: str) -> Headline:
+    return next(one for one in headlines(made) if one.question.startswith(question))
+
+
+def first_sentence(made: Report, question: str) -> str:
+    return next(finding.answers[0] for finding in verdict(made) if finding.question == question)
+
+
+@pytest.mark.parametrize("episodes", [2, FEWEST_BLOCKS - 1, FEWEST_BLOCKS])
+def test_models_are_told_apart_from_ten_blocks_of_test_data_on(episodes: int) -> None:
+    made = report(prediction(GOOD, GOOD, episodes=episodes))
+    assert made.prediction is not None
+    enough = episodes >= FEWEST_BLOCKS
+    card, said = headline(made, "Which models predict?"), first_sentence(made, "Which models predict?")
+    assert (card.tone == "good") == enough
+    assert ("is best" in said) == enough
+    assert (f"Too little test data to tell models apart: {episodes} blocks of 3 s, 10 are needed." in said) != enough
+    rows = {row[0]: row[1:] for row in prediction_sheet(made.prediction).rows}
+    assert rows["linear"] == (("* 0.036\n0.016-0.056",) * 2 if enough else ("0.036",) * 2)
+    assert (difference_sheet(made.prediction) is not None) == enough
+    document = to_json(made)["prediction"]
+    (score,) = next(model["horizons"] for model in document["models"] if model["name"] == "linear")
+    assert (score["interval"] != [None, None]) == enough
+    assert bool(document["differences"]) == enough
+
+
+def test_blocks_are_those_in_which_targets_move() -> None:
+    training, test = recording(2, steps=200), recording(3, steps=200)
+    cases = measured_cases(training, test, PredictionProtocol(horizons=(20,)))
+    assert cases.blocks(20) == len(np.unique(cases.window_block))
+    still = replace(cases, moving=cases.moving & (cases.windows.episode == 0)[:, None])
+    assert still.blocks(20) == len(np.unique(cases.window_block[cases.windows.episode == 0]))
+    assert cases.blocks(None) == 3 * 2
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 1e6 / 3.0])
+def test_a_state_that_is_constant_but_for_rounding_has_no_score(value: float) -> None:
+    states = np.full((400, 3), value) * (1.0 + 1e-16 * np.arange(1200).reshape(400, 3))
+    states[:, 0] = np.sin(0.1 * np.arange(400))
+    constant = Dataset.from_arrays(SYSTEM, [states], [np.ones((399, 2))])
+    found = assess_prediction({"known": fitted(Known())}, constant, constant)
+    score = found.model("known").score(20)
+    assert score is not None
+    assert np.isnan(score.nrmse[1:]).all()
+    assert "lateral_speed, yaw_rate is constant in the test set and left out of N" in found.cases.notes
+
+
+def test_advice_that_rests_on_an_interval_wants_ten_blocks() -> None:
+    training, short, long = recording(1, steps=60), recording(1, steps=540, seed=8), recording(3, steps=400, seed=8)
+    (episode,), noise = training.episodes, 0.05 * np.random.default_rng(0).normal(size=(61, 3))
+    training = training.with_episodes([replace(episode, states=episode.states + noise)])
+    model = make_model("linear").fit(training, rng=np.random.default_rng(0))
+    topics = [{one.topic for one in advise_model(model, training, test).remarks} for test in (short, long)]
+    assert not topics[0] & set(BY_INTERVAL)
+    assert topics[1] & set(BY_INTERVAL)
+
+
+def idle(rest: float, robot: str | None = "car") -> Report:
+    """Two controllers that reach 9.5 and 5, and controls at rest."""
+    fitness = {
+        "a": {"a": 10.0, "b": 9.0, "car": 9.5},
+        "b": {"a": 3.0, "b": 9.5, "car": 5.0},
+        "rest": {"a": rest, "b": rest, "car": rest},
+    }
+    if robot is None:
+        fitness = {row: {c: v for c, v in cells.items() if c != "car"} for row, cells in fitness.items()}
+    return report(transfer=matrix(fitness, robot=robot))
+
+
+@pytest.mark.parametrize("robot", ["car", None])
+def test_that_rest_scores_best_is_the_first_thing_that_is_said(robot: str | None) -> None:
+    useless, fine = idle(12.0, robot), idle(1.0, robot)
+    assert useless.matrix is not None
+    assert none_beats_rest(useless.matrix)
+    assert headlines(useless)[0].tone == "bad"
+    assert headlines(useless)[0].sentence.startswith("No controller does better than controls at rest: look at the rew")
+    assert verdict(useless)[0].answers[0].startswith("No controller does better than controls at rest")
+    assert "at rest" not in verdict(fine)[0].answers[0]
+    assert headline(fine, "Which controller").tone == "good"
+
+
+def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_sentence_says_so() -> None:
+    fitness = {
+        "a": {"a": 10.0, "b": 9.0, "car": 4.0},
+        "b": {"a": 3.0, "b": 8.0, "car": 7.0},
+        "rest": {"a": 6.0, "b": 6.0, "car": 6.0},
+    }
+    made = report(transfer=matrix(fitness, robot="car"))
+    assert made.transfer is not None
+    assert made.transfer.pick == "a"
+    card = headline(made, "Which controller")
+    assert card.tone == "bad"
+    assert card.sentence.startswith("a is worse than controls at rest (-2.00 ±")
+    assert first_sentence(made, "What to use?").startswith("a is worse than controls at rest")
+
+
+def test_as_good_as_rest_is_no_better_and_one_trial_goes_by_its_value() -> None:
+    level = idle(9.5).matrix
+    assert level is not None
+    assert beats_rest(level, "a") is False
+    assert beats_rest(replace(level, robot=None, other_robots=("car",)), "b") is False
+    single = report(transfer=matrix({"a": {"a": 3.0, "b": 2.0}, "rest": {"a": 1.0, "b": 1.0}}, trials=1)).matrix
+    assert single is not None
+    assert beats_rest(single, "a") is True
+
+
+def test_without_controls_at_rest_they_count_as_nothing_unless_fitness_is_negative() -> None:
+    nothing, reached, below = (matrix({"a": {"a": value, "b": value}}) for value in (0.0, 3.0, -3.0))
+    assert [beats_rest(one, "a") for one in (nothing, reached, below)] == [False, True, None]
+    assert not none_beats_rest(below)
+
+
+def test_a_forecast_for_where_there_are_no_data_comes_with_a_warning_and_no_praise() -> None:
+    made = idle(1.0, None)
+    card = replace(exploited(model="a"), outside=(("a", 0.37),), outside_held_out=0.02)
+    guess = replace(made, exploitability=(card,))
+    found = headline(guess, "Which controller")
+    assert found.tone == "open"
+    assert "37 % of its time lies outside the data: there its forecast is a guess." in found.sentence
+    sheet = forecast_sheet(guess)
+    assert sheet is not None
+    assert "outside the data: a (37 %)" in sheet.note
+    for usual in ((("a", 0.05),), 0.02), ((("a", 0.37),), 0.2):
+        fine = replace(made, exploitability=(replace(card, outside=usual[0], outside_held_out=usual[1]),))
+        assert "a guess" not in headline(fine, "Which controller").sentence
+    assert brief(guess)
