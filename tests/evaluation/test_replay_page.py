@@ -142,6 +142,53 @@ def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor: Visitor, car: Pat
     expect(clock).to_have_text("0.0 s")
 
 
+def test_it_goes_by_a_step_with_buttons_and_keys(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    seek(page, 1.0)
+    time = page.locator(TIME)
+    back, on = (page.get_by_role("button", name=f"One step {way}") for way in ("back", "on"))
+    for button, value in ((on, "1.05"), (on, "1.1"), (back, "1.05")):
+        button.click()
+        expect(time).to_have_value(value)
+    for key, value in ((".", "1.1"), (",", "1.05"), (",", "1")):
+        page.locator(PLAY).press(key)
+        expect(time).to_have_value(value)
+    time.press("Home")
+    time.press(",")
+    expect(time).to_have_value("0")
+    page.locator(PACE).select_option("0.25")
+    time.press(" ")
+    expect(page.locator(PLAY)).to_have_text("Pause")
+    time.press(".")  # whoever goes by steps wants to look
+    expect(page.locator(PLAY)).to_have_text("Play")
+
+
+def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor: Visitor, car: Path) -> None:
+    page = visitor.open(car)
+    page.locator(ROW).select_option("ensemble_c")
+    screens, beside = page.locator(".screen"), page.locator("#replay-beside")
+    assert screens.evaluate_all("all => all.filter(e => e.clientWidth).length") == 3
+    expect(beside).to_be_hidden()
+    resize(page, PHONE)
+    for name in ("known", "sliding"):
+        beside.select_option(name)
+        told = screens.evaluate_all(
+            "all => all.filter(e => e.clientWidth).map(e => [e.querySelector('.name').firstChild.textContent, "
+            "Math.round(e.getBoundingClientRect().top), e.querySelector('canvas').height > 0])"
+        )
+        assert [(column, drawn) for column, _, drawn in told] == [("car", True), (name, True)]
+        assert told[0][1] == told[1][1]
+
+
+def test_a_state_is_written_with_three_digits_of_its_range(visitor: Visitor, states: Path) -> None:
+    page = visitor.open(states)
+    for step in range(0, 60, 7):
+        seek(page, 0.05 * step)
+        text = page.locator(".screen .now").first.text_content() or ""
+        for number in re.findall(r"\d*\.\d+", text):
+            assert len(number.partition(".")[2]) <= 3, text
+
+
 def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor: Visitor, car: Path) -> None:
     page = visitor.open(car)
     page.locator(PACE).select_option("0.25")
@@ -187,7 +234,7 @@ def test_the_replay_is_never_wider_than_the_screen(
 def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor: Visitor, car: Path) -> None:
     page = visitor.open(car)
     controls = page.locator(".deck select, .deck input")
-    assert controls.evaluate_all("all => all.map(e => e.labels.length)") == [1, 1, 1]
+    assert controls.evaluate_all("all => all.map(e => e.labels.length)") == [1, 1, 1, 1]
     for canvas in page.locator(".screen canvas").all():
         expect(canvas).to_have_role("img")
         expect(canvas).to_have_accessible_name(re.compile("."))

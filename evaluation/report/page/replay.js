@@ -8,7 +8,7 @@
   const story = JSON.parse(data.textContent);
   const player = document.getElementById("replay-player");
   const screens = player.querySelector(".screens");
-  const [row, play, pace, slider] = ["row", "play", "pace", "time"].map((name) => document.getElementById(`replay-${name}`));
+  const [row, play, pace, slider, beside] = ["row", "play", "pace", "time", "beside"].map((name) => document.getElementById(`replay-${name}`));
   const clock = document.getElementById("replay-clock");
   const STRIP = 84, DIAL = 64, BAR = 16, FONT = "11px system-ui, sans-serif"; // px
 
@@ -19,6 +19,8 @@
 
   const minus = (text) => text.replace("-", "\u2212");
   const number = (value) => minus(String(Number(value.toPrecision(3))));
+  // With as many decimals as give the largest size of the channel three digits; nothing is minus zero.
+  const inRange = (value, size) => minus(String(Number(value.toFixed(Math.min(9, Math.max(0, 2 - Math.floor(Math.log10(size || 1))))) + 0)));
 
   // Rows of numbers, kept as 16 bit steps above the lowest of each column.
   function unpacked({ low, step, data }) {
@@ -71,11 +73,29 @@
         there.setAttribute("aria-label", `Show where they part: ${run.column} and the robot`);
         there.addEventListener("click", () => { start(false); seek(run.apart); });
       }
-      return { run, canvas, now, robot: run.robot ? null : robot, view };
+      return { run, figure, canvas, now, robot: run.robot ? null : robot, view };
     });
+    // where there is room for two screens, the first is the robot, and the other one is chosen
+    const names = runs.slice(1).map((run) => run.column), last = beside.value;
+    beside.replaceChildren();
+    for (const one of names) element("option", beside, one);
+    beside.value = names.includes(last) ? last : names[0] ?? "";
+    beside.parentElement.hidden = names.length < 2;
+    pair();
     slider.max = Math.max(...runs.map((run) => run.last * run.dt));
     slider.step = Math.min(...runs.map((run) => run.dt));
     seek(Math.min(time, Number(slider.max)));
+  }
+
+  function pair() {
+    shown.forEach((screen, i) => screen.figure.classList.toggle("paired", i === 0 || screen.run.column === beside.value));
+    for (const screen of shown) draw(screen);
+  }
+
+  function frames(count) {
+    start(false);
+    const dt = Number(slider.step);
+    seek(Math.min(Number(slider.max), Math.max(0, (Math.round(time / dt) + count) * dt)));
   }
 
   // What must be seen in every screen: the path, the places and the walls of one trial.
@@ -232,7 +252,8 @@
     story.shown.forEach((place, i) => strip(pen, colour, run, robot, step, place, wide, i * STRIP));
     const named = story.shown.map((place) => {
       const { name, unit } = story.states[place];
-      return `${name} ${number(nearest(run, place, step))} ${unit}`.trim();
+      const size = Math.max(...run.states.map((state) => Math.abs(state[place])).filter(Number.isFinite));
+      return `${name} ${inRange(nearest(run, place, step), size)} ${unit}`.trim();
     });
     return named.join(", ");
   }
@@ -348,6 +369,16 @@
   row.addEventListener("change", () => choose(row.value));
   play.addEventListener("click", () => start(!playing));
   slider.addEventListener("input", () => seek(Number(slider.value)));
+  beside.addEventListener("change", pair);
+  for (const button of player.querySelectorAll("[data-frames]")) button.addEventListener("click", () => frames(Number(button.dataset.frames)));
+  player.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    const held = event.target.matches("button, select"); // these have a use for the space bar
+    if (event.key === " " && !held) start(!playing);
+    else if (event.key === "," || event.key === ".") frames(event.key === "," ? -1 : 1);
+    else return;
+    event.preventDefault();
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => seek(time));
   for (const watch of document.querySelectorAll(".watch")) {
     const button = element("button", watch, `Watch ${watch.dataset.row}`);

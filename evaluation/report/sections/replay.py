@@ -63,7 +63,10 @@ OVER_TIME = (
     "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
     "model has left the robot by a tenth of the range of a state."
 )
-CONTROLS = " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named."
+CONTROLS = (
+    " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named. "
+    "Keys: space plays and pauses, comma and full stop go a step back and on."
+)
 
 MOST_NUMBERS = 1_200_000
 """Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
