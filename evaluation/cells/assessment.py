@@ -65,6 +65,10 @@ class RunCell(Cell):
         return f"run {self.champion.name} on {self.column.label}"
 
     @property
+    def group(self) -> str:
+        return f"run {self.champion.name}"
+
+    @property
     def name(self) -> str:
         return f"{self.champion.name}@{self.column.label}"
 

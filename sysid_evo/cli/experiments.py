@@ -16,7 +16,7 @@ from evaluation.experiment import FILE, Experiment
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
 from sysid_evo.cli.options import column_map, given, listed, load_plugins, resolved, seconds
-from sysid_evo.cli.progress import Bars, print_plan
+from sysid_evo.cli.progress import Bars, duration, print_plan
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.store import Outcome, Store
@@ -428,10 +428,3 @@ def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: boo
     out.print(table)
     sentence = f"{len(rows)} points, {len(records)} cells, {len(done)} kept, about {duration(total)} of one processor"
     out.print(sentence, highlight=False)
-
-
-def duration(seconds: float) -> str:
-    """Return a time in the unit that fits."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

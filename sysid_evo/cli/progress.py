@@ -25,6 +25,8 @@ REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 SHORTEST = 20  # characters of a title
 SHOWN = 10
 """Cells that have a bar of their own at the same time: a cluster may run hundreds."""
+TOO_EARLY = 0.1
+"""Share of the work before which nothing is said of the time left: the first steps compile kernels, or are quick."""
 NAMED = 4
 """Cells that an interruption names."""
 
@@ -60,7 +62,7 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     for title, about, kept in rows:
         table.add_row(title, "kept" if kept else f"{about:.1f} s")
     out.print(table)
-    out.print(f"{len(rows)} cells, {len(done)} kept, about {total:.0f} s", highlight=False)
+    out.print(f"{len(rows)} cells, {len(done)} kept, about {duration(total)}", highlight=False)
 
 
 class Bars(Observer):
@@ -87,6 +89,7 @@ class Bars(Observer):
         self._current: dict[str, _Current] = {}
         self._cells = self._ended = self._failed = 0
         self._expected: dict[str, float] = {}
+        self._grouped = _Group()
         self._left = self._foreseen = 0.0
         self._began = time.monotonic()
 
@@ -98,6 +101,7 @@ class Bars(Observer):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bars.stop()
+        self._tell_group()
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             titles = [one.title for one in self._current.values()]
             further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
@@ -149,7 +153,7 @@ class Bars(Observer):
         if not err.is_terminal and now - current.told > REPORT_EVERY:
             current.told = now
             told = ", ".join(filter(None, (f"{done}/{total}", pace)))
-            tell("; ".join(filter(None, (f"{self._count()}{current.title}: {told}", note))))
+            tell("; ".join(filter(None, (f"{self._count(self._ended)}{current.title}: {told}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
@@ -159,7 +163,8 @@ class Bars(Observer):
             self._foreseen += expected
             self._left = max(0.0, self._left - expected)
         if not cached or reason is not None:
-            self._end(cell.digest, self._title(cell), reason)
+            where = "" if self._where is None else self._where(cell)
+            self._end(cell.digest, self._title(cell), reason, f"{where}{cell.group}" if cell.group else "")
         self._tell_all()
 
     def _tell_all(self) -> None:
@@ -169,7 +174,8 @@ class Bars(Observer):
         pace = (time.monotonic() - self._began) / self._foreseen if self._foreseen else 1.0
         running = f", {len(self._current)} running" if len(self._current) > 1 else ""
         failed = f", {self._failed} failed" if self._failed else ""
-        note = f"{self._ended} of {self._cells}, {_duration(self._left * pace)} left"
+        begun = self._foreseen >= TOO_EARLY * (self._foreseen + self._left)
+        note = f"{self._ended} of {self._cells}{f', {duration(self._left * pace)} left' if begun else ''}"
         self._bars.update(self._all, description=f"all{running}{failed}", completed=self._ended, note=note)
 
     def end(self, title: str, reason: str | None) -> None:
@@ -187,12 +193,24 @@ class Bars(Observer):
             self._bars.update(other.bar, visible=True)
         return time.monotonic() - current.began
 
-    def _end(self, key: str, title: str, reason: str | None) -> None:
+    def _end(self, key: str, title: str, reason: str | None, group: str = "") -> None:
+        """Say that work is over; without a terminal several cells of one ``group`` in a row have one line."""
         seconds = self._remove(key)
+        if group != self._grouped.name:
+            self._tell_group()
         if reason is not None:
             err.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
+        elif group:
+            self._grouped = self._grouped.with_one(group, seconds, self._ended)
         elif not err.is_terminal:
-            tell(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
+            tell(f"{self._count(self._ended)}{title}, {seconds:.1f} s", label="done ", style="green")
+
+    def _tell_group(self) -> None:
+        """Say how many cells of a group were computed in a row."""
+        found, self._grouped = self._grouped, _Group()
+        if found.cells and not err.is_terminal:
+            several = f"{found.name}, {found.cells} {'cell' if found.cells == 1 else 'cells'}, {found.seconds:.1f} s"
+            tell(f"{self._count(found.ended)}{several}", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
         note(sentence)
@@ -200,8 +218,21 @@ class Bars(Observer):
     def _title(self, cell: Cell) -> str:
         return cell.title if self._where is None else f"{self._where(cell)}{cell.title}"
 
-    def _count(self) -> str:
-        return f"{self._ended} of {self._cells}: " if self._cells else ""
+    def _count(self, ended: int) -> str:
+        return f"{ended} of {self._cells}: " if self._cells else ""
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Cells of one group that ended in a row, when the last one was the ``ended``-th of all."""
+
+    name: str = ""
+    cells: int = 0
+    seconds: float = 0.0
+    ended: int = 0
+
+    def with_one(self, name: str, seconds: float, ended: int) -> _Group:
+        return _Group(name, self.cells + 1, self.seconds + seconds, ended)
 
 
 class _Bars(Progress):
@@ -246,7 +277,10 @@ class _Current:
         steps, seconds = self.done - done, time.monotonic() - since
         if steps < 1 or seconds <= 0.0:
             return ""
-        return f"{steps / seconds:,.1f}/s, {_duration((self.total - self.done) * seconds / steps)} left"
+        rate = f"{steps / seconds:,.1f}/s"
+        if self.done < TOO_EARLY * self.total:
+            return rate
+        return f"{rate}, {duration((self.total - self.done) * seconds / steps)} left"
 
 
 def packed(remark: str, width: int) -> list[str]:
@@ -260,8 +294,11 @@ def packed(remark: str, width: int) -> list[str]:
     return [f"  {line}" for line in lines[1:]]
 
 
-def _duration(seconds: float) -> str:
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
+def duration(seconds: float) -> str:
+    """Return a time in the unit that fits."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _short(title: str, width: int = 30) -> str:

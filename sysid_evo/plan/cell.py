@@ -57,6 +57,11 @@ class Cell(ABC):
         """How its files are called; need not be unique."""
 
     @property
+    def group(self) -> str:
+        """What a log calls many short cells of one kind in a single line; empty for a line of its own."""
+        return ""
+
+    @property
     def resumable(self) -> bool:
         """Whether it goes on after an interruption where it was."""
         return False

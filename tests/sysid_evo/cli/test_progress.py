@@ -45,7 +45,7 @@ def test_on_a_terminal_of_80_columns_rate_time_left_and_remark_are_whole(shown: 
         bars.begin("evolve linear+nearest_neighbour+parametrised")
         advance(bars, 1, note=NOTE)
         time.sleep(0.01)
-        advance(bars, 2, note=NOTE)
+        advance(bars, 30, note=NOTE)
         bars._bars.refresh()
     lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written.getvalue()).replace("\r", "\n").split("\n")
     assert max(map(len, lines)) <= 80
@@ -63,7 +63,7 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown: 
         cells = [Number(1, label="evolve linear+nearest_neighbour"), Number(2, label="fit"), Number(3, label="third")]
         for cell in cells:
             bars.start(cell)
-        for done in (1, 2):
+        for done in (29, 30):
             bars.progress(cells[0], done, 300, NOTE)
             bars.progress(cells[1], done, 50, "error 0.25; and so on")
             time.sleep(0.01)
@@ -108,9 +108,9 @@ def test_without_a_terminal_a_line_now_and_then_says_the_same(
         bars.begin("evolve linear")
         advance(bars, 1, note=NOTE)
         time.sleep(0.03)
-        advance(bars, 2, 3, note=NOTE)
+        advance(bars, 30, 31, note=NOTE)
     (line,) = written.getvalue().splitlines()
-    assert re.fullmatch(rf"evolve linear: 2/300, [\d,.]+/s, \d+ (s|min) left; {re.escape(NOTE)}", line)
+    assert re.fullmatch(rf"evolve linear: 30/300, [\d,.]+/s, \d+ (s|min) left; {re.escape(NOTE)}", line)
 
 
 def test_what_was_done_before_an_interruption_does_not_count_as_fast(
@@ -125,6 +125,57 @@ def test_what_was_done_before_an_interruption_does_not_count_as_fast(
         now[0] = 20.0
         advance(bars, 140)
     assert written.getvalue() == "evolve linear: 140/300, 2.0/s, 80 s left\n"
+
+
+@pytest.mark.parametrize(("done", "left"), [(29, ""), (30, ", 135 s left")])
+def test_nothing_is_said_of_the_time_left_before_a_tenth_is_done(
+    done: int, left: str, shown: Callable[..., io.StringIO], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = shown(terminal=False)
+    now = [0.0]
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    with Bars() as bars:
+        bars.begin("fit linear")
+        advance(bars, 0)
+        now[0] = done / 2
+        advance(bars, done)
+    assert written.getvalue() == f"fit linear: {done}/300, 2.0/s{left.replace('135 s', '2 min')}\n"
+
+
+def test_the_time_left_of_all_cells_is_said_from_a_tenth_of_what_is_foreseen_on(
+    shown: Callable[..., io.StringIO],
+) -> None:
+    shown(terminal=True)
+    with Bars() as bars:
+        bars.plan(20, 0, 20.0)
+        told = []
+        for i in range(2):
+            bars.start(Number(i))
+            bars.finish(Number(i), cached=False, reason=None)
+            told.append("left" in bars._bars.tasks[0].fields["note"])
+    assert told == [False, True]
+
+
+def test_cells_of_one_group_in_a_row_have_one_line_and_a_failed_one_its_own(shown: Callable[..., io.StringIO]) -> None:
+    class Run(Number):
+        @property
+        def group(self) -> str:
+            return f"count {self.label[0]}"
+
+    written = shown(terminal=False)
+    cells = [Run(1, label="a1"), Run(2, label="a2"), Run(3, label="b1"), Number(4, label="c"), Run(5, label="b2")]
+    with Bars() as bars:
+        bars.plan(5, 0, 5.0)
+        for cell in cells:
+            bars.start(cell)
+            bars.finish(cell, cached=False, reason="it broke" if cell.number == 2 else None)
+    assert [line.rpartition(", ")[0] or line for line in written.getvalue().splitlines()] == [
+        "failed count a2: it broke",
+        "done 1 of 5: count a, 1 cell",
+        "done 3 of 5: count b, 1 cell",
+        "done 4 of 5: count c",
+        "done 5 of 5: count b, 1 cell",
+    ]
 
 
 def test_cells_of_one_title_are_told_apart_by_where_they_are(shown: Callable[..., io.StringIO]) -> None:
