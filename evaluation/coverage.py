@@ -13,6 +13,7 @@ from evaluation.prediction.regions import LEVELS, Region
 from evaluation.steps import Steps
 from sysid_evo.data import Trajectory
 from sysid_evo.data.support import Support
+from sysid_evo.data.units import spelled_range
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
 
@@ -47,8 +48,7 @@ class UncoveredBox:
         parts = []
         for channel, low, high in zip(self.channels, self.low, self.high, strict=True):
             unit = f" {channel.unit}" if channel.unit else ""
-            between = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-            parts.append(f"{channel.name} {between}{unit}")
+            parts.append(f"{channel.name} {spelled_range(low, high)}{unit}")
         return ", ".join(parts)
 
 

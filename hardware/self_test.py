@@ -14,6 +14,7 @@ from hardware.control_loop import LATEST, STALE, ControlLoop, Pilot, check_loop
 from hardware.estimator import StateEstimate, estimator_delays
 from hardware.run_report import LoopReport, Stops
 from sysid_evo.carry import clip_state
+from sysid_evo.data.units import spelled_range
 from sysid_evo.errors import LinkLost
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.system import Channel, System
@@ -297,8 +298,7 @@ def _ranges(system: System, path: Array) -> str:
     parts = []
     for channel, values in zip(system.states, path.T, strict=True):
         low, high = float(values.min()), float(values.max())
-        span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        parts.append(f"{channel.name} {span} {channel.unit}".rstrip())
+        parts.append(f"{channel.name} {spelled_range(low, high)} {channel.unit}".rstrip())
     return ", ".join(parts)
 
 

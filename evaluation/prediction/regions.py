@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from evaluation.prediction.cases import MeasuredCases
+from sysid_evo.data.units import spelled
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
@@ -151,4 +152,4 @@ def _regions(channel: Channel, values: Array) -> Iterator[Region]:
 
 
 def _written(value: float) -> str:
-    return f"{value:.2g}"
+    return spelled(value, digits=2)

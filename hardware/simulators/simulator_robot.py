@@ -17,6 +17,7 @@ from hardware.run_report import Stops
 from hardware.self_test import SelfTestFinding, described
 from hardware.simulators.recording import record_simulator, samples_each
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorRunner
+from sysid_evo.data.units import spelled_range
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.progress import Progress, told
 
@@ -123,7 +124,7 @@ def examine(
                     seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
     took = time.perf_counter() - began
     low, high = np.min(seen, axis=0), np.max(seen, axis=0)
-    ranges = [f"{c.name} {a:.3g} to {b:.3g}" for c, a, b in zip(system.states, low, high, strict=True)]
+    ranges = [f"{c.name} {spelled_range(a, b)}" for c, a, b in zip(system.states, low, high, strict=True)]
     over = lengths[:-1]
     episodes = f"{len(over)} episodes ended, after {min(over)} to {max(over)} steps" if over else "No episode ended"
     worth = f"rewards from {min(rewards):.3g} to {max(rewards):.3g} a step" if rewards else "no step was taken"

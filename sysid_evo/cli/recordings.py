@@ -24,6 +24,7 @@ from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.data.preparation import RawLog
 from sysid_evo.data.reading import read_recording
 from sysid_evo.data.support import Support, recorded_pairs, split_pairs
+from sysid_evo.data.units import spelled
 from sysid_evo.errors import InvalidArgument
 
 Logs: TypeAlias = Annotated[list[Path], typer.Argument(help="Log files, or folders of them.", show_default=False)]
@@ -133,19 +134,23 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
     controls = [
         (
             _unit(use.name, use.unit),
-            "  ".join(f"{level:.3g}: {share:.0%}" for level, share in zip(use.levels, use.shares, strict=True)),
+            "  ".join(
+                f"{spelled(level, use.levels)}: {share:.0%}"
+                for level, share in zip(use.levels, use.shares, strict=True)
+            ),
             f"{60.0 / use.per_minute:.3g}" if use.switches else "-",
         )
         for use in advice.controls
     ]
     states = [
-        (_unit(use.name, use.unit), f"{use.rms:.3g}", f"{use.low:.3g}", f"{use.high:.3g}", f"{use.bandwidth:.2g}")
+        (
+            _unit(use.name, use.unit),
+            *(spelled(value, (use.low, use.high)) for value in (use.rms, use.low, use.high)),
+            f"{use.bandwidth:.2g}",
+        )
         for use in advice.states
     ]
-    commands = [
-        (*(f"{level:.3g}" for level in use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}")
-        for use in advice.commands
-    ]
+    commands = [(*map(spelled, use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}") for use in advice.commands]
     delays = [
         (
             f"{delay.control} x speed" if delay.at_speed else delay.control,

@@ -12,6 +12,7 @@ import numpy as np
 from sysid_evo.data.dataset import Dataset, check_usable
 from sysid_evo.data.preparation import RawLog
 from sysid_evo.data.response import LATEST_STEPS, Delay, find_delays, fit_linear
+from sysid_evo.data.units import spelled
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import Channel
 from sysid_evo.types import Array, IntArray
@@ -277,7 +278,7 @@ def suggestions(advice: Advice) -> Iterator[str]:
     never = [command.levels for command in advice.commands if command.share < RARE_TOGETHER]
     if never and len(advice.controls) > 1:
         names = ", ".join(use.name for use in advice.controls)
-        listed = "; ".join(", ".join(f"{level:.3g}" for level in levels) for levels in never)
+        listed = "; ".join(", ".join(map(spelled, levels)) for levels in never)
         yield f"Less than {RARE_TOGETHER:.0%} of the time at ({names}) near: {listed}."
     for use in advice.controls:
         clear = [delay for delay in advice.delays if delay.control == use.name and delay.clear]
@@ -329,7 +330,7 @@ def _about_standstill(advice: Advice) -> Iterator[str]:
 
 
 def _about_control(use: ControlUse, advice: Advice) -> Iterator[str]:
-    rare = [f"{level:.3g}" for level, share in zip(use.levels, use.shares, strict=True) if share < RARE]
+    rare = [spelled(level, use.levels) for level, share in zip(use.levels, use.shares, strict=True) if share < RARE]
     if rare:
         yield f"{use.name} is near {', '.join(rare)} less than {RARE:.0%} of the time: models will guess there."
     hold = advice.duration / (use.switches + 1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 
 from sysid_evo.errors import InvalidArgument, closest
 
@@ -113,3 +114,26 @@ def written(powers: dict[str, int]) -> str:
     above = " ".join(power(name, exponent) for name, exponent in powers.items() if exponent > 0)
     below = "".join(f"/{power(name, -exponent)}" for name, exponent in powers.items() if exponent < 0)
     return f"{above or '1'}{below}" if below else above
+
+
+MOST_DECIMALS = 6
+"""From more decimals on a number is written with an exponent."""
+
+
+def spelled(value: float, among: Iterable[float] = (), *, digits: int = 3) -> str:
+    """Return the value of a channel as text: 1100, 0.5, 0.00314, without an exponent where there is a way.
+
+    ``digits`` are significant in the largest of the values ``among`` which it stands, as far as there are such: in a
+    channel that goes to 3.14 a value of 3e-6 is 0. Digits before the point are never rounded off.
+    """
+    size = max(map(abs, among), default=0.0) or abs(value)
+    decimals = digits - 1 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
+    if decimals > MOST_DECIMALS:
+        return f"{value:.{digits}g}"
+    text = f"{value:z.{max(0, decimals)}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def spelled_range(low: float, high: float) -> str:
+    """Return ``-0.5 to 2``, or one number where both look alike."""
+    return " to ".join(dict.fromkeys(spelled(end, (low, high)) for end in (low, high)))

@@ -88,7 +88,7 @@ def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in() 
     assert consensus.value == 4.0
     sheet = transfer_sheet(matrix)
     assert sheet.columns[-1] == "other\nfamilies"
-    assert sheet.rows[0][-1] == "4.0 ±0.0"
+    assert sheet.rows[0][-1] == "4.00 ±0"
 
 
 def test_the_consensus_stands_between_models_and_robots() -> None:
