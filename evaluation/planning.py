@@ -10,7 +10,7 @@ from typing import Any
 
 from evaluation.cells.assessment import AdviseCell, ExploitCell, Matrix, RunCell
 from evaluation.cells.controllers import (
-    RECOMMENDED,
+    POLISHED,
     ChampionCell,
     EvolveCell,
     HandWrittenCell,
@@ -412,7 +412,7 @@ def _matrix(
         if len(models) > 1:
             several = tuple(cell for cell in evolved if len(cell.members) > 1)
             champions += (
-                controller_cell(experiment, models, judges=models, label=RECOMMENDED, sift=True, further=several),
+                controller_cell(experiment, models, judges=models, label=POLISHED, sift=True, further=several),
             )
     champions += by_hand
     names = [champion.name for champion in champions]

@@ -47,6 +47,10 @@ def seed_of_run(run: Path | None) -> int:
     return Experiment.of(Experiment.read(run)).seed
 
 
+CHOSEN = "recommended"
+"""The file in ``controllers`` that holds a copy of the controller to take, under its own name."""
+
+
 def owner_of(controller: Path) -> Path | None:
     """Return the run folder that a controller's file lies in, if it does."""
     folder = controller.resolve().parent
@@ -113,7 +117,8 @@ def unneeded_files(run: Path) -> list[Path]:
 
 def _is_litter(file: Path, run: Path, kept: set[str], store: Store) -> bool:
     name = file.relative_to(run)
-    if name.parts[:2] == ("results", "measured") or "journal" in name.parts:
+    copied = name.parent.as_posix() == "controllers" and file.stem == CHOSEN and name.as_posix() not in kept
+    if name.parts[:2] == ("results", "measured") or "journal" in name.parts or copied:
         return False
     if file.suffix == CHECKPOINT:
         owner = store.find(file.stem)

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,13 +17,14 @@ from evaluation.prediction.scores import ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import DataSummary, Failure, ModelSummary, Report
-from evaluation.run_folder import check_run_folder
+from evaluation.run_folder import CHOSEN, check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather, save_parquet
 from evaluation.study.study import STUDY_FILE, Study
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
 from sysid_evo.progress import Progress, told
@@ -124,8 +126,26 @@ def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> 
     report = gather_results(comparison, store)
     results = [(cell.digest, None if record is None else (record.status, record.files))
                for cell in comparison.plan for record in [store.find(cell.digest)]]  # fmt: skip
+    _copy_chosen(report, store)
     save_report(report, store.path, of=hashlib.sha256(json.dumps(results).encode()).hexdigest(), afresh=afresh)
     return report
+
+
+def _copy_chosen(report: Report, store: Store) -> None:
+    """Put a copy of the controller to take beside the others, as ``recommended``; without one there is no such file.
+
+    A controller of the run that has this name itself stays what it is.
+    """
+    copy = store.path / "controllers" / CHOSEN
+    if f"controllers/{CHOSEN}.json" in {name for record in store.records() for name in record.files}:
+        return
+    pick = None if report.transfer is None else report.transfer.pick
+    file = None if pick is None else report.controllers.get(pick)
+    if pick is not None and file is not None:
+        save_champion(replace(load_champion(store.path / file), name=pick), copy)
+    else:
+        for suffix in (".json", ".safetensors"):
+            copy.with_suffix(suffix).unlink(missing_ok=True)
 
 
 def report_again(comparison: Comparison, store: Store) -> Report | None:

@@ -21,8 +21,8 @@ from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
 from sysid_evo.registry.registry import cautions, noises
 from sysid_evo.system import System
 
-RECOMMENDED = "recommended"
-"""What the controller of the recommended recipe is called."""
+POLISHED = "polished"
+"""What the controller that is polished on all models is called. Which one is recommended, its forecast decides."""
 
 
 def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
@@ -228,12 +228,12 @@ class PolishCell(ControllerFiles):
     generations: int
     starts: int
     seed: int
-    label: str = RECOMMENDED
+    label: str = POLISHED
     sift: bool = False
 
     @property
     def title(self) -> str:
-        return f"polish {self.name}"
+        return "polish the best" if self.label == POLISHED else f"polish {self.name}"
 
     @property
     def name(self) -> str:
@@ -357,7 +357,7 @@ ALONE = "min"
 """The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
 MEAN_OF_ONE = ("min", "mean", "median")
 """Rules that give, where there is one model, the mean over its trials."""
-POLISHED = 2
+MOST_POLISHED = 2
 """Finalists that the recommended recipe polishes."""
 
 
@@ -420,7 +420,7 @@ def controller_cell(
         return chosen_cell(experiment, singles, models)
     chosen = ChooseCell((*singles, *further), models, experiment.selection_trials, experiment.seed)
     name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
-    return PolishCell(chosen, members, evolution, experiment.budget.polish, POLISHED, experiment.seed, name, sift)
+    return PolishCell(chosen, members, evolution, experiment.budget.polish, MOST_POLISHED, experiment.seed, name, sift)
 
 
 def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Plant, ...]) -> ChampionCell:

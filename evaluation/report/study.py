@@ -202,7 +202,7 @@ def findings(results: StudyResults) -> list[Finding]:
 
 
 def short_sheet(results: StudyResults) -> Sheet | None:
-    """What matters of each group: what is picked, what is recommended, the best family alone; None without any."""
+    """What matters of each group: what is picked, what is polished, the best family alone; None without any."""
     figures = controller_figures(results)
     axes, labels = _told_apart(results, [one.group for one in figures])
     rows = []
@@ -210,7 +210,7 @@ def short_sheet(results: StudyResults) -> Sheet | None:
         own = [one for one in figures if one.group == group]
         singles = [one for one in own if one.kind == "single" and one.controller not in (CHOSEN, HINDSIGHT)]
         picked = [one for one in own if one.controller == CHOSEN]
-        shown = [*picked, *(one for one in own if one.kind == "recommended" and one not in picked), *singles[:1]]
+        shown = [*picked, *(one for one in own if one.kind == "polished" and one not in picked), *singles[:1]]
         shown = [one for one in shown if one.controller != HINDSIGHT]
         shown += [one for one in own if one.controller == HINDSIGHT]
         for one in shown:

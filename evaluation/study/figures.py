@@ -171,7 +171,7 @@ def _best(rows: Sequence[ControllerRow]) -> ControllerRow | None:
 def _reference(
     results: StudyResults, keys: Sequence[tuple[tuple[str, ...], str]]
 ) -> tuple[tuple[str, ...], str] | None:
-    """Return which row others are compared with: the one that the study names, else the first recommended one."""
+    """Return which row others are compared with: the one that the study names, else the first polished one."""
     asked: Mapping[str, str] = results.study.reference
     axes = results.study.group_axes
     fitting = [
@@ -180,12 +180,12 @@ def _reference(
         if all(asked.get(axis, label) == label for axis, label in zip(axes, group, strict=True))
     ]
     kinds = {row.controller: row.kind for row in results.controllers}
-    wanted: Callable[[str], bool] = lambda name: kinds.get(name) == "recommended"  # noqa: E731
+    wanted: Callable[[str], bool] = lambda name: kinds.get(name) == "polished"  # noqa: E731
     if CONTROLLER in asked:
         fitting = [(group, name) for group, name in fitting if name == asked[CONTROLLER]]
         return next(iter(fitting), None)
-    recommended = [(group, name) for group, name in fitting if wanted(name)]
-    return next(iter(recommended or [key for key in fitting if key[1] == CHOSEN]), None)
+    polished = [(group, name) for group, name in fitting if wanted(name)]
+    return next(iter(polished or [key for key in fitting if key[1] == CHOSEN]), None)
 
 
 def _by_point(

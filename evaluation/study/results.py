@@ -25,8 +25,8 @@ from sysid_evo.plan.store import WAITING
 from sysid_evo.registry import Spec, tasks
 from sysid_evo.version import versions
 
-Kind: TypeAlias = Literal["single", "ensemble", "recommended", "robot", "by hand"]
-"""What a controller comes from: one model, several at once, the recommended recipe, the robot itself, a person."""
+Kind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "by hand"]
+"""What a controller comes from: one model, several at once, polishing on all of them, the robot itself, a person."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ControllerRow:
     @property
     def in_models(self) -> bool:
         """Whether it was evolved in models, and not on the robot itself or by a person."""
-        return self.kind in ("single", "ensemble", "recommended")
+        return self.kind in ("single", "ensemble", "polished")
 
 
 @dataclass(frozen=True)
@@ -271,9 +271,7 @@ class _Gathered:
         standing = {} if matrix is None else standings(matrix, resting)
         floor = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
-        in_models = [
-            cell.name for cell in planned.champions if self._kind(cell) in ("single", "ensemble", "recommended")
-        ]
+        in_models = [cell.name for cell in planned.champions if self._kind(cell) in ("single", "ensemble", "polished")]
         chosen = highest(found, in_models) if finished else None
         for cell in planned.champions:
             if self._state(cell) == "missing":
@@ -323,7 +321,7 @@ class _Gathered:
         if isinstance(cell, HandWrittenCell):
             return "by hand"
         if cell.kind == "polish":
-            return "recommended"
+            return "polished"
         if any(member.robot is not None for member in cell.members):
             return "robot"
         return "single" if len(cell.members) == 1 else "ensemble"
@@ -403,7 +401,7 @@ N_COLUMNS = {
 CONTROLLER_COLUMNS = {
     "point": "name of the point",
     "controller": "name of the controller",
-    "kind": "single, ensemble, recommended, robot (evolved on it) or by hand",
+    "kind": "single, ensemble, polished, robot (evolved on it) or by hand",
     "members": "models that it was planned to be evolved against, joined by +",
     "aggregate": "rule by which several models become one fitness",
     "claimed": "fitness where it was evolved, unit of fitness",

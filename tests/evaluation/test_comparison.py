@@ -15,6 +15,7 @@ from evaluation.cells.controllers import EvolveCell, HandWrittenCell
 from evaluation.experiment import Experiment
 from evaluation.planning import Comparison, plan_comparison
 from evaluation.report import Report, save_report, to_json
+from evaluation.run_folder import unneeded_files
 from evaluation.running import compare, report_of
 from evaluation.transfer import summarise
 from hardware.connection import Connection
@@ -144,7 +145,7 @@ def test_a_run_goes_on_where_it_was_and_gives_the_same_report(tmp_path: Path) ->
     assert without_timings(first) == without_timings(again)
     watching = Watching()
     run_in(tmp_path, "linear", "nearest_neighbour", observer=watching)
-    judged_anew = {"choose linear", "run linear on linear", "polish recommended", "run recommended on linear"}
+    judged_anew = {"choose linear", "run linear on linear", "polish the best", "run polished on linear"}
     computed = {title for title in watching.computed if "nearest_neighbour" not in title}
     assert computed == {
         "assess exploitability",
@@ -159,7 +160,7 @@ def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on(tmp_p
     assert reasons["fit fails_in_fit"] == "this family never fits"
     assert {failure.what for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
     assert report.matrix is not None
-    assert report.matrix.rows == ("linear", "recommended")  # polished on those that could be fitted
+    assert report.matrix.rows == ("linear", "polished")  # polished on those that could be fitted
     assert report.matrix.champions[1].against == ("linear",)
     assert not report.matrix.cell("linear", "linear").failed
     assert report.matrix.cell("linear", "fails_in_fit").reason == "needs fit fails_in_fit, which failed"
@@ -171,7 +172,19 @@ def test_all_models_judge_finalists_but_one_that_predicts_badly_is_not_polished_
     assert matrix is not None
     champions = {champion.name: champion for champion in matrix.champions}
     assert set(champions["linear"].judges) == {"linear", "narx", "predicts_badly"}
-    assert set(champions["recommended"].against) == {"linear", "narx"}
+    assert set(champions["polished"].against) == {"linear", "narx"}
+
+
+def test_the_file_called_recommended_is_the_controller_to_take(tmp_path: Path) -> None:
+    report = run_in(tmp_path, "linear", "narx=narx(degree=1, terms=6, state_lags=0, control_lags=0)")
+    assert report.transfer is not None
+    assert report.matrix is not None
+    assert report.transfer.pick is not None
+    taken = {champion.name: champion for champion in report.matrix.champions}[report.transfer.pick]
+    copied = load_champion(tmp_path / "controllers" / "recommended")
+    assert (copied.name, copied.against) == (taken.name, taken.against)
+    assert np.array_equal(copied.parameters, taken.parameters)
+    assert not [file for file in unneeded_files(tmp_path) if "recommended" in file.name]
 
 
 def test_a_controller_without_a_model_of_another_family_has_no_judges(tmp_path: Path) -> None:

@@ -129,10 +129,10 @@ def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_
     titles = set(digests(found))
     names = ("linear", "near", "parametrised")
     assert {f"choose {name}" for name in (*names, "best of linear+near+parametrised")} <= titles
-    assert {"polish recommended", "run recommended on emulated_car"} <= titles
+    assert {"polish the best", "run polished on emulated_car"} <= titles
     assert "choose emulated_car" not in titles  # what was evolved on the robot is chosen by the robot
     assert found.matrix is not None
-    assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "recommended"]
+    assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "polished"]
 
 
 def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again() -> None:
@@ -147,19 +147,19 @@ def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolve
 def test_a_further_model_judges_and_evolves_nothing_again() -> None:
     fewer = planned(**{**RECOMMENDED, "models": ("linear", "near=nearest_neighbour")})
     anew = {title for title in changed(fewer, planned(**RECOMMENDED)) if "parametrised" not in title}
-    assert {"choose linear", "choose near", "polish recommended"} <= anew
+    assert {"choose linear", "choose near", "polish the best"} <= anew
     assert not {title for title in anew if title.startswith(("fit", "evolve", "predict"))}
 
 
 def test_one_family_alone_has_nobody_to_judge_it() -> None:
     titles = set(digests(planned(**{**RECOMMENDED, "models": ("linear", "ridged=linear(ridge=0.1)")})))
     assert not {"choose linear", "choose ridged"} & titles
-    assert "polish recommended" in titles
+    assert "polish the best" in titles
 
 
 def test_the_polish_alone_changes_with_its_generations() -> None:
-    runs = {f"run recommended on {name}" for name in ("linear", "near", "parametrised", "emulated_car")}
-    assert changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish=7)) == {"polish recommended"} | runs | ASSESS
+    runs = {f"run polished on {name}" for name in ("linear", "near", "parametrised", "emulated_car")}
+    assert changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish=7)) == {"polish the best"} | runs | ASSESS
 
 
 def test_a_polish_is_no_longer_than_the_search_before_it_unless_it_is_asked_for() -> None:

@@ -12,7 +12,7 @@ CARS = ("emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)")
 
 
 def made_up(cars: int = 3, seeds: int = 3, *, missing: str = "", **settings: Any) -> StudyResults:
-    """Return results of ``best`` (10 on every car), ``worse`` (8) and ``recommended`` (9 and chosen).
+    """Return results of ``best`` (10 on every car), ``worse`` (8) and ``both`` (9 and chosen).
 
     ``worse`` claims 12, the others what they achieve. Cars differ by their number; the point ``missing`` is unfinished.
     """
@@ -29,7 +29,7 @@ def made_up(cars: int = 3, seeds: int = 3, *, missing: str = "", **settings: Any
         for name, value, claim, kind in (
             ("best", 10, 10, "single"),
             ("worse", 8, 12, "single"),
-            ("both", 9, 9, "recommended"),
+            ("both", 9, 9, "polished"),
         ):
             rows.append(
                 ControllerRow(

@@ -62,7 +62,7 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder
     assert len(results.finished) == 4
     for point in results.points:
         own = [row for row in results.controllers if row.point == point.name]
-        assert [row.kind for row in own] == ["single", "single", "ensemble", "recommended"]
+        assert [row.kind for row in own] == ["single", "single", "ensemble", "polished"]
         assert all(None not in (row.claimed, row.achieved, row.forecast, row.share) for row in own)
         assert [row.controller for row in own if row.chosen] == [point.chosen]
         best = max(own, key=lambda row: row.forecast or 0.0)
@@ -146,7 +146,7 @@ def test_a_cell_is_named_by_what_the_points_that_need_it_share() -> None:
     both = plan_study(Study.of({**TINY, "grid": {"seed": [0, 1], "aggregate": ["min", "mean"]}}))
     titles = {f"{both.where(cell)}{cell.title}" for cell in both.plan}
     assert "seed 1: fit linear" in titles
-    assert "seed 0, aggregate mean: polish recommended" in titles
+    assert "seed 0, aggregate mean: polish the best" in titles
 
 
 def test_failing_cells_are_rows_with_reasons(tmp_path: Path) -> None:

@@ -102,8 +102,8 @@ CHANGES = (
     Change(
         "without a recommended one the first is the reference",
         CONTROLLERS,
-        "recommended or [key for key in fitting if key[1] == CHOSEN]",
-        "recommended or fitting",
+        "polished or [key for key in fitting if key[1] == CHOSEN]",
+        "polished or fitting",
         (
             TEST_FIGURES,
             TEST_ROWS,
