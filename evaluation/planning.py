@@ -21,7 +21,7 @@ from evaluation.cells.controllers import (
     labels_inside,
 )
 from evaluation.cells.data import GivenData, RecordedData, Split
-from evaluation.cells.models import ConditionsCell, FitCell, PredictCell
+from evaluation.cells.models import ConditionsCell, FitCell, JudgeCell, PredictCell
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
@@ -78,6 +78,7 @@ class Comparison:
     matrix: Matrix | None = None
     exploitability: ExploitCell | None = None
     conditions: Mapping[str, ConditionsCell] = field(default_factory=dict)
+    judged: Mapping[str, JudgeCell] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -145,6 +146,7 @@ def plan_comparison(
         if column is not None and column.timed:
             experiment = experiment.model_copy(update={"yardstick": yardstick})  # it is not decided again elsewhere
         exploitability = ExploitCell(matrix, data, experiment.seed)
+    judged = {label: JudgeCell(fit) for label, fit in fits.items()} if experiment.only == "fit" else {}
     several = _conditions(experiment, dataset)
     without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
     settled = experiment.model_copy(
@@ -157,7 +159,7 @@ def plan_comparison(
         }
     )
     advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
-    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values()]
+    wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *judged.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
@@ -170,7 +172,7 @@ def plan_comparison(
         files={text: (text,) for text in named if Path(text).is_file()},
     )
     plan = Plan.of(wanted, remarks=remarks, again=again)
-    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged)
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:

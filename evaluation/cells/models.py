@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.cells.data import Split
+from evaluation.prediction.cases import SECOND, PredictionProtocol, measured_cases
 from evaluation.prediction.scores import (
     FORM,
     PERSISTENCE,
@@ -25,10 +26,12 @@ from evaluation.prediction.scoring import Persistence, score_model, within_and_a
 from evaluation.storage import read_json, write_json
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact
 from sysid_evo.data import Dataset
+from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.plan import Cell, Work, cell_seed
 from sysid_evo.registry import Spec, models
+from sysid_evo.validation.measures import mean_over_channels
 
 DIGEST = re.compile(r"-[0-9a-f]{8}$")
 """What a store puts behind the name of a file."""
@@ -70,7 +73,10 @@ class FitCell(Cell):
         return any(named_files(self.spec))
 
     def compute(self, work: Work) -> DynamicsModel:
-        training = work.result(self.data).training
+        return self.learn(work.result(self.data).training, work)
+
+    def learn(self, training: Dataset, work: Work) -> DynamicsModel:
+        """Return a model of its family that was fitted to ``training``, with the same seed as the one of this cell."""
         rng = np.random.default_rng(cell_seed(self.seed, f"fit {self.spec.name}"))
         model = make_model(self.spec)
         model.checkpoint = CheckpointFile(work.checkpoint)
@@ -142,6 +148,79 @@ class PredictCell(Cell):
     def persistence(cls, data: Cell) -> PredictCell:
         """Return the cell of the yardstick that a model must beat."""
         return cls(PERSISTENCE, PERSISTENCE, data)
+
+
+@dataclass(frozen=True)
+class HeldOutScore:
+    """N of a model ``steps`` after measured starts in data that it has not learned from, over so many ``blocks``.
+
+    ``judged_on`` says in words which data that are; ``n`` is None where nothing could be told from them.
+    """
+
+    n: float | None
+    steps: int | None
+    blocks: int | None
+    judged_on: str
+
+
+@dataclass(frozen=True, eq=False)
+class JudgeCell(Cell):
+    """Measures how well a fitted model predicts the test part; without one, a copy fitted to all but the last quarter.
+
+    A model that held data out while it was fitted has told its error there; no copy is made of it.
+    """
+
+    kind = "judge"
+
+    fit: FitCell
+    protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
+
+    @property
+    def title(self) -> str:
+        return f"judge {self.fit.name}"
+
+    @property
+    def name(self) -> str:
+        return f"judged-{self.fit.name}"
+
+    @property
+    def needs(self) -> tuple[Cell, ...]:
+        return (self.fit.data, self.fit)
+
+    def inputs(self) -> dict[str, Any]:
+        return {"form": FORM, "protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+
+    def compute(self, work: Work) -> HeldOutScore:
+        parts, model, judged_on = work.result(self.fit.data), work.result(self.fit), "the test part"
+        if parts.test is None and model.held_out_error_ is not None:
+            moving = [e.states[rows] for e, rows in zip(parts.training, parts.training.moving, strict=True)]
+            spread = model.system.spread(np.concatenate(moving))
+            errors = np.divide(model.held_out_error_, spread, out=np.full_like(spread, np.nan), where=spread > 0.0)
+            second = round(SECOND / model.system.dt)
+            return HeldOutScore(float(mean_over_channels(errors)), second, None, "what it held out while it was fitted")
+        try:
+            if parts.test is None:
+                parts = Split().of(parts.training)
+                judged_on = "the last quarter of the data, which a copy of it has not learned from"
+            cases = measured_cases(parts.training, parts.test, self.protocol)
+            horizon = cases.main_horizon
+            if judged_on != "the test part":
+                model = self.fit.learn(parts.training, work)
+            score = score_model(self.fit.name, model, cases, family="").score(horizon)
+        except InvalidData as error:
+            return HeldOutScore(None, None, None, str(error))
+        if score is None or not np.isfinite(score.n):
+            return HeldOutScore(None, None, None, "; ".join(cases.notes))
+        return HeldOutScore(score.n, horizon, cases.blocks(horizon), judged_on)
+
+    def save(self, value: HeldOutScore, path: Path) -> list[Path]:
+        return write_json(asdict(value), path)
+
+    def load(self, path: Path) -> HeldOutScore:
+        return HeldOutScore(**read_json(path))
+
+    def seconds(self) -> float:
+        return self.fit.seconds()
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from rich.text import Text
 import evaluation
 import sysid_evo
 from evaluation.experiment import FILE, Experiment
+from evaluation.formatting import horizon_name, three_digits
+from evaluation.sufficiency import enough_blocks
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
 from sysid_evo.cli.options import column_map, given, listed, load_plugins, resolved, seconds
@@ -248,14 +250,17 @@ def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbos
 def print_fits(
     comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, Outcome], *, as_json: bool
 ) -> None:
-    """Print where each fitted model stands, why one does not, how it learned; then what limits the best of them."""
+    """Print how good each fitted model is, where it is, why one is not; then what limits the best of them."""
     advice = store.outcome(comparison.advice).value
     rows = []
     for label, cell in comparison.fits.items():
-        outcome = outcomes[cell.digest]
+        outcome, score = outcomes[cell.digest], store.outcome(comparison.judged[label]).value
         rows.append(
             {
                 "model": label,
+                "error": None if score is None else score.n,
+                "steps": None if score is None else score.steps,
+                "judged_on": None if score is None else score.judged_on,
                 "seconds": round(outcome.seconds, 1),
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
@@ -266,10 +271,12 @@ def print_fits(
     if as_json:
         out.print_json(data=rows)
         return
-    table = table_of("model", "seconds", "stored as", numbers=("seconds",))
+    table = table_of("model", "error N", "seconds", "stored as", numbers=("error N", "seconds"))
     for row in rows:
-        table.add_row(str(row["model"]), str(row["seconds"]), str(row["file"] or f"failed: {row['reason']}"))
+        where = str(row["file"] or f"failed: {row['reason']}")
+        table.add_row(str(row["model"]), three_digits(row["error"]), str(row["seconds"]), where)
     out.print(table)
+    print_judged(comparison, store)
     for row in rows:
         if row["note"]:
             out.print(Text(f"{row['model']} {row['note']}"))
@@ -279,6 +286,26 @@ def print_fits(
     if labels:
         command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
         tell(f"evolve against them with: {command}")
+
+
+def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
+    """Print what the errors of fitted models are, on which data, and whether these are enough to tell models apart."""
+    found = {label: score for label, cell in comparison.judged.items() if (score := store.outcome(cell).value)}
+    grouped: dict[tuple[int | None, str], list[str]] = {}
+    for label, score in found.items():
+        grouped.setdefault((score.steps, score.judged_on), []).append(label)
+    dt = store.outcome(comparison.data).value.training.system.dt
+    for (steps, judged_on), labels in grouped.items():
+        which = f" ({', '.join(labels)})" if len(grouped) > 1 else ""
+        if steps is None:
+            out.print(Text(f"How good {', '.join(labels)} is cannot be told: {judged_on}"))
+            continue
+        over = "after" if found[labels[0]].blocks is not None else "over the first"
+        said = f"mean error {over} {horizon_name(steps, dt)} on {judged_on}, in standard deviations"
+        out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
+    blocks = [score.blocks for score in found.values() if score.blocks is not None]
+    if blocks and not enough_blocks(min(blocks)):
+        note(f"these are {min(blocks)} blocks of time only, too few to tell models apart: record more")
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:

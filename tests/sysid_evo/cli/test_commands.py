@@ -49,6 +49,18 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     fitted = run_here("fit", logs, "--models", "linear,nearest_neighbour", "--out", "mine", cwd=tmp_path)
     assert fitted.returncode == 0, fitted.stderr
     assert "Nothing stands out that limits linear. Judged on the last quarter of each" in fitted.stdout
+    rows = dict(line.split()[:2] for line in fitted.stdout.splitlines() if line.startswith(("linear ", "nearest")))
+    errors = {name: float(error) for name, error in rows.items()}
+    assert errors.keys() == {"linear", "nearest_neighbour"}
+    assert 0.0 < errors["linear"] < errors["nearest_neighbour"]
+    assert "mean error after 20 steps (1 s) on the last quarter of the data, which" in " ".join(fitted.stdout.split())
+    assert "blocks of time only, too few to tell models apart" in fitted.stderr
+    tested = run_here(
+        "fit", logs, "--models", "linear", "--test", "episode-2", "--json", "--out", "tested", cwd=tmp_path
+    )
+    (row,) = json.loads(tested.stdout)
+    assert (row["judged_on"], row["steps"]) == ("the test part", 20)
+    assert row["error"] > 0.0
     evolved = run_here(
         "evolve", "--run", "mine", "--against", "linear,nearest_neighbour", "--aggregate", "min",
         "--noise", "envelope(sensor=0.1, latency=1)", "--caution", "doubt(outside=2)",
