@@ -33,7 +33,7 @@ from evaluation.report.sections import (
 )
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.behaviour import behaviour_to_json
-from evaluation.report.sections.controllers import drive_command, forecast_to_json, overview_sheet, summary_to_json
+from evaluation.report.sections.controllers import forecast_to_json, overview_sheet, summary_to_json, use_command
 from evaluation.report.sections.evolution import champion_to_json
 from evaluation.report.sections.exploitability import exploitability_to_json
 from evaluation.report.sections.prediction import condition_sheet, prediction_to_json
@@ -185,8 +185,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
     for sheet in (overview_sheet(report), condition_sheet(report.conditions)):
         parts += [] if sheet is None else to_rich(sheet)
     pick = None if report.transfer is None else report.transfer.pick
-    if pick is not None and (command := drive_command(report, pick, folder=folder)) is not None:
-        told = Text.assemble(("Drive with the chosen controller: ", "bold"), command)
+    if pick is not None and (command := use_command(report, pick, folder=folder)) is not None:
+        told = Text.assemble(("Use the chosen controller: ", "bold"), command)
         told.no_wrap, told.overflow = True, "ignore"  # a line of the terminal may break; one that is copied may not
         parts.append(Group(told))
     return parts

@@ -9,7 +9,8 @@ from dataclasses import replace
 from rich.console import Console, RenderableType
 
 from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
-from evaluation.report.sections.controllers import overview_sheet
+from evaluation.report.sections.controllers import command_sheet, overview_sheet
+from evaluation.report.sections.summary import headlines
 from tests.evaluation.made_up import matrix, prediction, report
 
 LONG = "backprop27+nearest_neighbour+parametrised"
@@ -124,5 +125,22 @@ def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
     assert made.transfer.pick == "linear"
     assert "sysid-evo drive" not in " ".join(printed(brief(made)))
     chosen = replace(made, controllers={"linear": "controllers/linear.json"}, settings={})
-    command = "sysid-evo drive --controller 'runs/a very long name/controllers/linear.json' --robot ROBOT"
-    assert printed(brief(chosen, folder="runs/a very long name"))[-1].endswith(command)
+    driven = replace(chosen, settings={"robot": "car"})
+    command = "sysid-evo drive --controller 'runs/a very long name/controllers/linear.json' --robot car"
+    assert printed(brief(driven, folder="runs/a very long name"))[-1].endswith(command)
+
+
+def test_without_a_robot_the_first_command_exports_the_chosen_controller() -> None:
+    files = {"linear": "controllers/linear.json", "sindy": "controllers/sindy.json"}
+    made = replace(compared(), controllers=files, settings={"plugins": ["/home/me/tank.py"]})
+    export = "sysid-evo export controllers/linear.json --to c --plugin /home/me/tank.py"
+    assert printed(brief(made))[-1].endswith(export)
+    assert [one.command for one in headlines(made) if one.command] == [export]
+    sheet = command_sheet(made)
+    assert sheet is not None
+    assert [(name, command.split()[1]) for name, command in sheet.rows] == [
+        ("linear", "export"), ("sindy", "export"), ("linear", "drive"), ("sindy", "drive")
+    ]  # fmt: skip
+    with_robot = command_sheet(replace(made, settings={"robot": "car"}))
+    assert with_robot is not None
+    assert {command.split()[1] for _, command in with_robot.rows} == {"drive"}

@@ -310,20 +310,37 @@ def drive_command(report: Report, controller: str, *, folder: str | Path = "") -
     path, robot = report.controllers.get(controller), report.settings.get("robot")
     if path is None or (report.data.system.motion is None and not robot):
         return None
+    return _command(report, "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT"))
+
+
+def export_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+    """Return the command that makes C of a controller, None where its file is not known; ``folder`` as above."""
+    path = report.controllers.get(controller)
+    return None if path is None else _command(report, "export", (Path(folder) / path).as_posix(), "--to", "c")
+
+
+def use_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+    """Return what to do with a controller first: drive the robot, export it where there is none."""
+    use = drive_command if report.settings.get("robot") else export_command
+    return use(report, controller, folder=folder)
+
+
+def _command(report: Report, *words: str) -> str:
     plugins = [word for plugin in report.settings.get("plugins", ()) for word in ("--plugin", str(plugin))]
-    command = ["sysid-evo", "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT")]
-    return shlex.join([*command, *plugins])
+    return shlex.join(["sysid-evo", *words, *plugins])
 
 
 def command_sheet(report: Report) -> Sheet | None:
-    """The command that runs each controller on the robot; None if no file is known."""
-    rows = [(name, command) for name in report.controllers if (command := drive_command(report, name)) is not None]
+    """The command that runs each controller on the robot, after the exports without one; None if no file is known."""
+    robot, names = report.settings.get("robot"), report.controllers
+    commands = [] if robot else [(name, export_command(report, name)) for name in names]
+    commands += [(name, drive_command(report, name)) for name in names]
+    rows = tuple((name, command) for name, command in commands if command is not None)
     if not rows:
         return None
-    note = "" if report.settings.get("robot") else "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one."
-    return Sheet(
-        "Run a controller, in the folder of this report", ("controller", "command"), tuple(rows), note, code=True
-    )
+    driven = any("ROBOT" in command for _, command in rows)
+    note = "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one." if driven else ""
+    return Sheet("Use a controller, in the folder of this report", ("controller", "command"), rows, note, code=True)
 
 
 def headline(report: Report) -> Headline:
@@ -337,7 +354,7 @@ def headline(report: Report) -> Headline:
     if summary.pick is None:
         return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
     pick = summary.controller(summary.pick)
-    command = drive_command(report, pick.name) or ""
+    command = use_command(report, pick.name) or ""
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
     shown = pick.shown
     claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
