@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from evaluation.run_folder import CHOSEN
 from sysid_evo.cli.console import say
 from sysid_evo.cli.options import Plugins, load_plugins
 from sysid_evo.errors import InvalidArgument
@@ -39,7 +40,8 @@ def export(
         raise InvalidArgument(f"--to: expected {', '.join(SUFFIXES)}, got {to!r}")
     if real not in REALS:
         raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
-    law = replace(law_of(load_champion(controller)), called=name or "")
+    chosen = CHOSEN if controller.stem == CHOSEN else ""  # a copy of another file, to be used under this name
+    law = replace(law_of(load_champion(controller)), called=name or chosen)
     path = file or Path(f"{law.name}{SUFFIXES[to]}")
     if path.exists():
         raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")
