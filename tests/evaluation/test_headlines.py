@@ -65,7 +65,7 @@ def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that
 def test_without_a_robot_the_answers_say_what_they_rest_on() -> None:
     taken = answers(made(None))["Which controller to take?"]
     assert taken.sentence.endswith("reaches 9.00 (8.94 to 9.06) on the other models. Nothing was run on the robot.")
-    assert " --robot ROBOT" in taken.command
+    assert taken.command == "sysid-evo export controllers/a.json --to c"
 
 
 def test_without_a_part_the_answer_is_open_and_says_why() -> None:
