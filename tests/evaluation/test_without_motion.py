@@ -60,7 +60,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tupl
     assert found.matrix is not None
     picture, sheet = traces_picture(found.matrix), measure_sheet(found.matrix)
     assert picture is not None
-    assert len(picture.panels) == 4
+    assert len(picture.panels) == 5  # two by the controller evolved in each, one at rest
     assert found.data.system.states[0].name in drawn(picture.panels[0]).wide
     assert sheet is not None
     assert sheet.columns[2:] == ("settled\n(%\nof\ntrials)", "settling\ntime\n(s)", "overshoot\n(%)")
