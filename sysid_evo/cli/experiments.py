@@ -252,7 +252,7 @@ def print_fits(
 ) -> None:
     """Print how good each fitted model is, where it is, why one is not; then what limits the best of them."""
     advice = store.outcome(comparison.advice).value
-    rows = []
+    rows: list[dict[str, Any]] = []
     for label, cell in comparison.fits.items():
         outcome, score = outcomes[cell.digest], store.outcome(comparison.judged[label]).value
         rows.append(

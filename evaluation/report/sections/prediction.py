@@ -337,9 +337,9 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
     if not models:
         return ("No model could be scored.",)
     if few_data := too_little(prediction, horizon):
-        where, n = _at(prediction, horizon), three_digits(_score(models[0], horizon).n)
-        lowest = f"{where.capitalize()} the lowest N, {N_IN_WORDS}, is {n}, of {models[0].name}."
-        return (few_data, lowest)
+        lowest = three_digits(_score(models[0], horizon).n)
+        where = _at(prediction, horizon).capitalize()
+        return (few_data, f"{where} the lowest N, {N_IN_WORDS}, is {lowest}, of {models[0].name}.")
     answers = [_best(prediction, models, horizon)]
     if any(predicts(prediction, model, horizon) for model in models):
         equal = [model.name for model in models[1:] if no_worse(prediction, model, models[0], horizon)]
