@@ -10,7 +10,7 @@ from .errors import SysidEvoError
 from .evolution.aggregates import make_aggregate
 from .evolution.champion import Champion, load_champion, save_champion
 from .evolution.controller_evolution import ControllerEvolution, evolve_controller
-from .evolution.loop import Schedule, Stage, evolve
+from .evolution.loop import Objective, Schedule, Stage, evolve
 from .evolution.strategies.mu_plus_lambda import MuPlusLambda
 from .evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from .interoperation import to_control
@@ -18,6 +18,7 @@ from .models.base import DynamicsModel, make_model
 from .models.dynamics import Dynamics, PlainDynamics
 from .models.storage import load_model, save_model
 from .motion import Motion, PlanarBody
+from .progress import Progress
 from .randomness import trial_seeds
 from .registry.grammar import Spec
 from .registry.plugins import load_plugin
@@ -56,9 +57,11 @@ __all__ = [
     "EvolutionStrategy",
     "Motion",
     "MuPlusLambda",
+    "Objective",
     "PlainDynamics",
     "PlanarBody",
     "PointToPoint",
+    "Progress",
     "RecurrentNetwork",
     "Rollouts",
     "Runner",

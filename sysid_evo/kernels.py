@@ -44,7 +44,7 @@ and the class that returns it import nothing heavy.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
@@ -61,7 +61,7 @@ LANES = 64
 QUARTER = LANES // 4
 
 
-def view(array, first):
+def view(array: Any, first: int) -> Any:
     """Return ``array`` from element ``first`` on, without length or ownership: never keep it.
 
     An index that is a loop's own counter is known not to be negative, ``start + i`` is not, and the compiler's test
@@ -70,32 +70,32 @@ def view(array, first):
     return array[first:]
 
 
-def load(array, offset):
+def load(array: Any, offset: int) -> Any:
     """Return the row of ``array`` that begins at ``offset``."""
     return array[offset]
 
 
-def load_quarter(array, offset):
+def load_quarter(array: Any, offset: int) -> Any:
     """Return a quarter of a row of ``array`` that begins at ``offset``."""
     return array[offset]
 
 
-def splat(number):
+def splat(number: Any) -> Any:
     """Return a row with ``number`` in every lane."""
     return number
 
 
-def splat_quarter(number):
+def splat_quarter(number: Any) -> Any:
     """Return a quarter of a row with ``number`` in every lane."""
     return number
 
 
-def store(array, offset, row):
+def store(array: Any, offset: int, row: Any) -> None:
     """Write ``row`` into ``array`` from ``offset`` on."""
     array[offset] = row
 
 
-def where_less(a, b, x, y):
+def where_less(a: Any, b: Any, x: Any, y: Any) -> Any:
     """Return x in the lanes where a < b, else y; rows, numbers or both."""
     return x if a < b else y
 
@@ -326,6 +326,10 @@ class Wrapped(Protocol):
         ...
 
     def __hash__(self) -> int: ...
+
+
+Scalars: TypeAlias = Sequence[float]
+"""Plain numbers of one rollout: what a scalar function of a kernel is given and gives, a tuple where it runs."""
 
 
 @dataclass(frozen=True)

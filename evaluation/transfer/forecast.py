@@ -91,7 +91,7 @@ def _of_champion(
 
 
 def forecast_of(
-    fitness: Sequence[Array], errors: Sequence[float | None], own: Sequence[bool], *, rule: Rule = RULE
+    fitness: Sequence[Array] | Array, errors: Sequence[float | None], own: Sequence[bool], *, rule: Rule = RULE
 ) -> tuple[float, float, float]:
     """Return value, low and high of a controller from its fitness in the trials (E,) of each model, two or more.
 

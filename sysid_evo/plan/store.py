@@ -88,11 +88,11 @@ class Store:
     """
 
     path: Path
-    remarks: list[str] = field(default_factory=list)
-    _values: dict[str, Any] = field(default_factory=dict, repr=False)
+    remarks: list[str]
+    _values: dict[str, Any] = field(repr=False)
 
-    def __post_init__(self) -> None:
-        self.path = Path(self.path)
+    def __init__(self, path: str | Path) -> None:
+        self.path, self.remarks, self._values = Path(path), [], {}
 
     def records(self) -> list[Record]:
         """Return every readable record, the oldest first; each unreadable one is a remark."""

@@ -92,8 +92,11 @@ class Task(ABC):
         """Return one trial for each of the seeds (E,): start state, pose, and what the task draws."""
 
     @abstractmethod
-    def observe(self, task_state: TaskState, state: Array) -> Array:
-        """Return what the controller is given, (B, len(observations)), in state (B, nx)."""
+    def observe(self, task_state: Any, state: Array) -> Array:
+        """Return what the controller is given, (B, len(observations)), in state (B, nx).
+
+        Here and below, ``task_state`` is what `begin` of the same task made: a task may name its own class.
+        """
 
     def formulas(self) -> Mapping[str, str]:
         """Return how observations are computed from states and targets, by their names.
@@ -104,7 +107,7 @@ class Task(ABC):
 
     @abstractmethod
     def advance(
-        self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
+        self, task_state: Any, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         """Return the trials one step on, and the state (B, nx), which a wall may have altered.
 
@@ -114,7 +117,7 @@ class Task(ABC):
         """
 
     @abstractmethod
-    def fitness(self, task_state: TaskState) -> Array:
+    def fitness(self, task_state: Any) -> Array:
         """Return the fitness (B,) so far."""
 
     def foreseen(self, task_state: TaskState) -> TaskState:

@@ -31,6 +31,18 @@ def blocks(page: str, language: str) -> list[Block]:
     return [block for block in found if block.language == language]
 
 
+def program(page: str) -> str:
+    """Return all Python of ``page`` as one module, every line where it stands on the page."""
+    lines = [""] * len(PAGES[page].read_text().splitlines())
+    for block in blocks(page, "python"):
+        text = block.text.splitlines()
+        lines[block.line - 1 : block.line - 1 + len(text)] = text
+    whole = "\n".join(lines) + "\n"
+    return re.sub(
+        r"^from __future__ import annotations$", "", whole, flags=re.MULTILINE
+    )  # it may stand at the top only
+
+
 def commands(page: str) -> list[str]:
     """Return the lines of the blocks in sh, without remarks; lines that end in a backslash are joined."""
     text = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")

@@ -21,7 +21,7 @@ from sysid_evo.registry import KINDS, Registry
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.template import PLUGINS, write_plugin
 
-from .blocks import PAGES, ROOT, blocks, commands
+from .blocks import PAGES, ROOT, blocks, commands, program
 
 OWN_TEST = {
     "data.md": "tests/data/test_data_page.py",
@@ -112,11 +112,7 @@ def test_the_python_of_a_page_runs(
 ) -> None:
     """All blocks of a page are one program, in a module of its own, because kernels are read from their file."""
     path = workplace / f"page_{page.removesuffix('.md').lower()}.py"
-    program = [""] * len(PAGES[page].read_text().splitlines())
-    for block in blocks(page, "python"):
-        program[block.line - 1 : block.line - 1 + len(block.text.splitlines())] = block.text.splitlines()
-    text = "\n".join(program)
-    path.write_text(re.sub(r"^from __future__ import annotations$", "", text, flags=re.MULTILINE))
+    path.write_text(program(page))
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
@@ -130,9 +126,9 @@ def test_the_python_of_a_page_runs(
 def test_the_commands_of_a_page_exist_with_these_options(page: str) -> None:
     group = loaded()
     for line in commands(page):
-        program, *arguments = shlex.split(line)
-        assert program in {"sysid-evo", *OTHER_PROGRAMS}, line
-        if program == "sysid-evo":
+        called, *arguments = shlex.split(line)
+        assert called in {"sysid-evo", *OTHER_PROGRAMS}, line
+        if called == "sysid-evo":
             accepted(group, arguments, line)
 
 
