@@ -102,7 +102,7 @@ def forecast_of(
     return _joined(np.array([one.mean() for one in fitness]), fitness, weights, rule)
 
 
-def _joined(means: Array, fitness: Sequence[Array], weights: Array, rule: Rule) -> tuple[float, float, float]:
+def _joined(means: Array, fitness: Sequence[Array] | Array, weights: Array, rule: Rule) -> tuple[float, float, float]:
     value = float(weighted_median(means, weights))
     apart = float(weights @ np.abs(means - value)) * float((weights**2).sum()) ** rule.apart
     error = float(weights @ np.array([one.std() / np.sqrt(len(one)) for one in fitness]))
