@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
@@ -13,6 +14,7 @@ from model_zoo.networks.network import random_network
 from model_zoo.scaling import deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, command_network_predictor, with_angles
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
@@ -83,6 +85,18 @@ class Backprop27(DynamicsModel):
         self.last_ = last * target_scale[:, None]
         self.last_bias_ = last_bias * target_scale + target_centre
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        cells, nx = CommandCells.of(self.system, self.levels), self.system.nx
+        seen = Features(self.system, self.lags).n_carry + len(cells.exact)
+        return {
+            "filled_": Numbers("commands", whole=True, least=0, most=cells.count - 1, rising=True),
+            "first_": ("commands", seen, nx * self.hidden),
+            "first_bias_": ("commands", nx * self.hidden),
+            "last_": ("commands", nx, self.hidden),
+            "last_bias_": ("commands", nx),
+            "added_": (nx,),
+        }
 
     def next_state(self, carry: Array, control: Array) -> Array:
         cells, serving = self._serving

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import Weights
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array, IntArray
@@ -79,6 +81,11 @@ class Evolved3(DynamicsModel):
             history=self.n_lags,
         )
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        n, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
+        size = nx * (self.hidden * (n + 1) + self.hidden + 1)
+        return {"centre_": (n,), "scale_": (n,), "output_scale_": (nx,), "parameters_": (size,)}
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         return self._advance(self.parameters_[None], carry[None], control)[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -14,6 +14,7 @@ from model_zoo.features import Features
 from model_zoo.scaling import Standard, positive
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.kernels import Predictor, gaussian_predictor, with_angles
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
@@ -83,6 +84,19 @@ class GaussianProcess(Uncertain):
         cases = [(model, judging_windows(unseen, self.n_lags)) for model, unseen in parts]
         self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        n, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
+        return {
+            "points_": ("points", n),
+            "lengths_": Numbers(nx, n, least=np.finfo(float).tiny),
+            "amplitude_": (nx,),
+            "noise_": (nx,),
+            "slope_": (n, nx),
+            "intercept_": (nx,),
+            "weights_": (nx, "points"),
+            "reduction_": (nx, "points", "points"),
+        }
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self.predicted(carry, control, with_variance=False)[0]

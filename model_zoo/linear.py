@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
@@ -10,6 +11,7 @@ from model_zoo.features import between_limits
 from model_zoo.scaling import deviation
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, Searched, Within, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Progress
@@ -53,6 +55,10 @@ class Linear(Uncertain):
         self.intercept_ = target_centre - centre @ self.coefficients_
         self.calibrate(dataset, rng)
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        nx = self.system.nx
+        return {"coefficients_": (self.layout.size + self.system.nu, nx), "intercept_": (nx,)}
 
     def next_state(self, carry: Array, control: Array) -> Array:
         n = carry.shape[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -14,6 +15,7 @@ from model_zoo.neighbours_kernel import plane_predictor
 from model_zoo.scaling import Standard, deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, neighbour_predictor, on_top, with_angles
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
@@ -55,6 +57,15 @@ class NearestNeighbour(DynamicsModel):
         self.points_ = Features(dataset.system, self.lags)(data.carry, data.control[:, cells.exact])[order]
         self.accelerations_ = dataset.system.acceleration(data.carry[:, : dataset.system.nx], data.after)[order]
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        cells = CommandCells.of(self.system, self.levels)
+        seen = Features(self.system, self.lags).n_carry + len(cells.exact)
+        return {
+            "cell_": Numbers("points", whole=True, least=0, most=cells.count - 1, rising=True),
+            "points_": ("points", seen),
+            "accelerations_": ("points", self.system.nx),
+        }
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         cells, tables, serving = self._tables
@@ -163,6 +174,18 @@ class KNeighbours(Uncertain):
         counter.advance()
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        seen, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
+        limits = Numbers(nx, infinite=True)
+        return {
+            "neighbours_": Numbers(whole=True, least=1),
+            "metric_": (seen,),
+            "points_": ("points", seen),
+            "changes_": ("points", nx),
+            "low_": limits,
+            "high_": limits,
+        }
 
     def next_state(self, carry: Array, control: Array) -> Array:
         query = Features(self.system, self.lags)(carry, control) * self.metric_

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from sysid_evo.errors import ShapeError
 from sysid_evo.kernels import (
     LANES,
     QUARTER,
@@ -26,7 +27,7 @@ from sysid_evo.kernels import (
     where_less,
 )
 from sysid_evo.models.kernels.neighbours import BUCKET, FAR, boxes_around, packed, split
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "around", "ridge")
 UNREACHED = FAR**2
@@ -44,6 +45,10 @@ def plane_predictor(
     changed by there.
     """
     n, n_out, many = len(metric), values.shape[1], len(points) >= MANY
+    check_shape("points", points, (None, n))
+    check_shape("values", values, (len(points), n_out))
+    if not (1 <= count <= len(points) and 0 <= n_carry <= n):
+        raise ShapeError(f"neighbours: expected 1 to {len(points)} of them, one for each point, got {count}")
     whole = BUCKET * BUCKET if many else BUCKET
     boxes, near, value = packed(points, values, split(points, np.arange(len(points)), whole=whole))
     around = boxes_around(boxes) if many else np.empty((n, 2, 0))
@@ -65,7 +70,8 @@ def plane_predictor(
     of_a_lane = n + 2 * count + 3 * BUCKET + (around if many else boxes).shape[2]
     of_a_quarter = n + count * (1 + n + n_out) + n_out + 2 * n + n * (n + 1) // 2
     rows = -(-(of_a_lane + of_a_quarter * QUARTER) // LANES)
-    return Predictor(plane_through_neighbours, flat, n_scratch=rows)
+    reads = (n_carry, n - n_carry)
+    return Predictor(plane_through_neighbours, flat, n_scratch=rows, reads=reads, writes=n_out)
 
 
 def plane_through_neighbours(x, u, p, y, scratch):

@@ -52,7 +52,7 @@ from typing import Any, ClassVar, Generic, Literal, Protocol, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.types import Array
 
 Precision: TypeAlias = Literal["float32", "float64"]
@@ -455,13 +455,27 @@ class Predictor:
 
     ``function(x, u, p, y, scratch)`` reads rows of the carry ``x`` and of the control ``u``, its own parameters ``p``,
     and writes ``nx`` rows to ``y``; ``scratch`` is room of its own. ``prepare(u, p, scratch)`` may fill the head of
-    that room once a step, before an integrator asks several times under the same control.
+    that room once a step, before an integrator asks several times under the same control. ``reads`` are how many rows
+    of carry and control it reads, ``writes`` how many it writes: shells refuse one that would go past the end.
     """
 
     function: Any
     parameters: Array
     n_scratch: int
     prepare: Any = None
+    reads: tuple[int, int] | None = None
+    writes: int | None = None
+
+    def check(self, n_carry: int | None = None, n_control: int | None = None, n_out: int | None = None) -> None:
+        """Raise `ShapeError` if it reads more rows than these, or writes other ones; None is any number."""
+        found = (*(self.reads or (None, None)), self.writes)
+        wanted = (n_carry, n_control, n_out)
+        beyond = [a > b for a, b in zip(found, wanted, strict=True) if a is not None and b is not None]
+        if any(beyond) or (n_out is not None and self.writes not in (None, n_out)):
+            raise ShapeError(
+                f"kernel: expected what was learned to read and write (carry, control, result) {wanted} rows, got "
+                f"{found}: it does not fit the system, or what stands around it"
+            )
 
     @property
     def bindings(self) -> dict[str, Any]:

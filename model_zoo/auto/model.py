@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -16,6 +16,7 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.adaptation import held_out_error
 from sysid_evo.models.ensemble import MeanOfMembers
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
@@ -123,6 +124,13 @@ class Auto(MeanOfMembers):
     def uses(self) -> tuple[str, ...]:
         tried = plugins() if self.candidates is None else named(self.candidates)
         return tuple(dict.fromkeys(one.spec.name for one in tried))
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        return {
+            "errors_": Numbers("candidates", "horizons", infinite=True, optional=True),
+            "shares_": Numbers("candidates", optional=True),
+            "means_": Numbers("gates", 2, infinite=True, optional=True),
+        }
 
     def standing(self) -> list[dict[str, str]]:
         """Return a row for every candidate, the best first: its held-out error, its weight, and what it is."""

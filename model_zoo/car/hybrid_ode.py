@@ -11,7 +11,7 @@ from model_zoo.networks.network import Single
 from model_zoo.networks.neural_ode import NetworkRate
 from sysid_evo import register_model
 from sysid_evo.models.kernels import Predictor
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 
 @register_model("hybrid_ode")
@@ -50,7 +50,9 @@ class HybridOde(NetworkRate, CarFamily):
         return found
 
     def known_predictor(self) -> Predictor:
-        parameters = np.concatenate([self.kernel_parameters(), self.physical_])
+        parameters = np.concatenate(
+            [self.kernel_parameters(), check_shape("physical_", self.physical_, self.initial.shape)]
+        )
         return Predictor(car_rate, parameters, n_scratch=0)
 
     def physics(self) -> CarPhysics:

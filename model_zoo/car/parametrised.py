@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,10 +13,11 @@ from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import Weights
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.kernels import Predictor
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Progress
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 PARAMETERS = (
     *PHYSICAL,
@@ -82,11 +84,18 @@ class Parametrised(CarFamily, Uncertain):
         self.calibrate(dataset, rng)
         return self
 
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        return {"parameters_": (len(PARAMETERS),)}
+
     def next_state(self, carry: Array, control: Array) -> Array:
         return self._next_states(self.parameters_, carry, control)
 
     def predictor(self) -> Predictor:
-        return Predictor(equation_one, self._flat(self.parameters_[None])[0], n_scratch=0)
+        return Predictor(
+            equation_one,
+            self._flat(check_shape("parameters_", self.parameters_, (len(PARAMETERS),))[None])[0],
+            n_scratch=0,
+        )
 
     def _kernels(self, parameters: Array) -> tuple[DynamicsKernel, Array] | None:
         """Return a kernel and its flat parameters (P, m) for parameter vectors (P, 12)."""

@@ -22,7 +22,7 @@ from sysid_evo.laws import array_form
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, added, runge_kutta_predictor, stepping_kernel, turning_frame
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 SHORTEST_LAG = 0.5
 """Of a step of the integration: a faster actuator is none."""
@@ -297,6 +297,7 @@ def structure_kernel(
         system.nu,
         structure.delay,
     )
+    p = check_shape("parameters", p, (len(structure.parameters),))
     own = Predictor(law, kernel_parameters(structure, p[None])[0], 0)
     rate = turning_frame(own if extra is None else added(own, extra, structure.system.nx), system)
     if rate is None:

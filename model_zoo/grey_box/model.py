@@ -35,9 +35,10 @@ from model_zoo.grey_box.residual import Residual, conditioned, inputs_of, learne
 from sysid_evo.carry import REST_BAND, CarryLayout, held_at_rest
 from sysid_evo.data import Dataset
 from sysid_evo.data.response import Measured, measured
-from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import DynamicsModel
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
@@ -249,6 +250,28 @@ class GreyBox(DynamicsModel):
         if self.residual:
             self._learn_residual(dataset, rng, told)
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        structure, nx, delay = self._structure_on(self.system), self.system.nx, self.parameters_[-1:]
+        if structure.delay and not (np.isfinite(delay) & (delay >= 0.0) & (delay <= structure.delay)).all():
+            raise ShapeError(f"parameters_: expected a delay from 0 to {structure.delay} samples, got {delay}")
+        count = len(structure.parameters)
+        found: dict[str, Declared] = {
+            "parameters_": (count,),
+            "residual_spread_": Numbers(nx, optional=True),
+            "covariance_": Numbers(count, count, infinite=True, optional=True),
+            "standard_errors_": Numbers(count, infinite=True, optional=True),
+            "offsets_": Numbers("recordings", "offsets", optional=True),
+            "offset_spreads_": Numbers("offsets", optional=True),
+        }
+        if structure.hidden:
+            found |= dict.fromkeys(("hidden_mean_", "hidden_spread_"), (len(structure.hidden),))
+        if self._residual is not None:
+            seen = inputs_of(self.integrated)
+            n = seen.n_carry + self.system.nu
+            found |= {"residual_points_": ("bumps", n), "residual_weights_": (nx, "bumps")}
+            found["residual_lengths_"] = Numbers(nx, n, least=np.finfo(float).tiny, infinite=True)
+        return found
 
     @property
     def _remembers(self) -> bool:

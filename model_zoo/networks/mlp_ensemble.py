@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -10,11 +10,12 @@ import numpy as np
 
 from model_zoo.features import Features
 from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.network import Network, Single
+from model_zoo.networks.network import Network, Single, declared_layers
 from model_zoo.networks.training import Trainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
@@ -153,6 +154,10 @@ class MlpEnsemble(Uncertain):
     def network(self) -> Network:
         """The members: features of (carry, control) to accelerations."""
         return Network(self.weights_, self.biases_)
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        seen = Features(self.system, self.lags).n_carry + self.system.nu
+        return declared_layers(self.weights_, seen, self.system.nx)
 
     def acceleration(self, carry: Array, control: Array) -> Array:
         return self._members(carry, control).mean(axis=0)

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from sysid_evo.models.learned import Declared, Length
 from sysid_evo.types import Array
 
 
@@ -65,6 +66,15 @@ class Network:
         weights[0] = weights[0] * scale[:, None]
         weights[-1], biases[-1] = weights[-1] / output_scale, biases[-1] / output_scale
         return Network(weights, biases)
+
+
+def declared_layers(weights: Sequence[Any], n_in: int, n_out: int, members: Length = "members") -> dict[str, Declared]:
+    """Declare ``weights_`` and ``biases_`` of M networks, as `Network` has them, with as many layers as ``weights``."""
+    sizes: list[Length] = [n_in, *(f"hidden {layer}" for layer in range(1, len(weights))), n_out]
+    return {
+        "weights_": [(members, before, after) for before, after in pairwise(sizes)],
+        "biases_": [(members, after) for after in sizes[1:]],
+    }
 
 
 def random_network(sizes: Sequence[int], members: int, rng: np.random.Generator, *, last: float = 0.1) -> Network:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol, Self
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from model_zoo.features import Features
 from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.network import Network, Single
+from model_zoo.networks.network import Network, Single, declared_layers
 from model_zoo.networks.training import Trainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import register_model
@@ -25,6 +25,7 @@ from sysid_evo.models.kernels import (
     turning_frame,
     with_angles,
 )
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, above, at_least
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.progress import Counter, Progress
@@ -157,6 +158,11 @@ class NetworkRate(Uncertain):
     def network(self) -> Network:
         """Features of (carry, control) to the learned part of dx/dt."""
         return Network(self.weights_, self.biases_)
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        seen = Features(self.system, self.lags).n_carry + self.system.nu
+        found = declared_layers(self.weights_, seen, self.system.nx, members=1)
+        return {**found, "physical_": (len(self.initial),)} if len(self.initial) else found
 
     def known_predictor(self) -> Predictor | None:
         """Return `known_rate` as a predictor of the fast engine, if there is one."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -15,6 +17,7 @@ from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.kernels import Predictor
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.processors import one_thread
 from sysid_evo.progress import Counter, Progress
@@ -110,6 +113,14 @@ class TorchOde(DynamicsModel):
         self.weight_names_ = list(weights)
         self.weights_ = [weight.numpy().copy() for weight in weights.values()]
         return self
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        seen, nx = Features(self.system, self.lags).n_carry + self.system.nu, self.system.nx
+        found: dict[str, Declared] = {"centre_": (seen,), "scale_": (seen,), "rates_": (nx,)}
+        if type(self).module is TorchOde.module:  # torch checks the weights of another module
+            sizes = [seen, *(self.hidden or HIDDEN), nx]
+            found["weights_"] = [one for before, after in pairwise(sizes) for one in ((after, before), (after,))]
+        return found
 
     @property
     def plain(self) -> bool:

@@ -24,6 +24,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, with_angles, within
 from sysid_evo.models.kernels.shells import SeenRow, of_functions
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
@@ -111,6 +112,17 @@ class PolynomialFamily(Uncertain):
         self.low_, self.high_ = data.measured.min(axis=0)[seen], data.measured.max(axis=0)[seen]
         self.added_ = data.added.astype(np.float64)
 
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        seen, nx = len(self.features.names), self.system.nx
+        return {
+            "coefficients_": ("terms", nx),
+            "exponents_": Numbers("terms", seen, whole=True, least=0, most=HIGHEST),
+            "low_": (seen,),
+            "high_": (seen,),
+            "added_": (nx,),
+            "offsets_": Numbers(nx + self.system.nu, optional=True),
+        }
+
     def kept_features(self, exponents: IntArray) -> IntArray:
         """Return which features to go on with, those of terms with ``exponents`` (T, n) among them; by default all."""
         return np.arange(exponents.shape[1])
@@ -174,6 +186,8 @@ class PolynomialFamily(Uncertain):
         ]
 
 
+HIGHEST = 99
+"""Exponent that is taken from a file: a guess, far beyond any degree that data tell."""
 DEGREES = (2, 3)
 """What is tried where the degree is left open."""
 MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from model_zoo.polynomial.regression import SparsePolynomial
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.models.kernels import Predictor, runge_kutta_predictor, turning_frame
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array, BoolArray, IntArray
 
 
@@ -47,6 +49,9 @@ class Sindy(SparsePolynomial):
 
     def zero_of(self, added: Array | BoolArray) -> Array:
         return np.zeros(len(added))  # rates are no smaller far from zero
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        return {"continuation_": Numbers(5, self.system.nx, infinite=True)}
 
     def left_sides(self) -> list[tuple[str, str]]:
         return [(f"acceleration of {c.name}", f"{c.unit or '1'}/s") for c in self.system.states]

@@ -23,7 +23,7 @@ from sysid_evo.kernels import (
 )
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, IntArray, check_shape
 
 HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "rest", "limits", "own", align=CACHE_LINE)
 MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
@@ -49,9 +49,15 @@ def state_space_kernel(
 
     Of a ``flow`` the weights give rates, as `flow_step` says.
     """
-    blocks, at = [], 0
+    blocks, at, ny, total = [], 0, system.nx, sum(len(one) for one in outer)
+    check_shape("offset", offset, (ny,))
+    check_shape("output", output, (ny, total))
+    check_shape("gain", gain, (total, ny))
     for own_outer, own_inner, own_kinds in zip(outer, inner, kinds, strict=True):
         n, count = len(own_outer), len(own_inner)
+        check_shape("outer", own_outer, (n, n + system.nu + 1 + count))
+        check_shape("inner", own_inner, (count, n + system.nu + 1))
+        check_shape("kinds", own_kinds, (count,))
         numbers = padded(np.concatenate([own_kinds, own_inner.ravel(), own_outer.ravel(), gain[at : at + n].ravel()]))
         blocks.append(MEMBER.pack(numbers, n=n, units=count, next=MEMBER.size + len(numbers)))
         at += n

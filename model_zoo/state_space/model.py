@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -11,11 +12,14 @@ from model_zoo.state_space.estimation import StateObserver
 from model_zoo.state_space.kernel import state_space_kernel
 from model_zoo.state_space.recordings import Scales
 from model_zoo.state_space.shooting import FAR, Spaces
-from model_zoo.state_space.units import values
+from model_zoo.state_space.units import UNITS, values
 from sysid_evo.carry import REST_BAND
+from sysid_evo.errors import ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import DynamicsModel
+from sysid_evo.models.base import MOST_LAGS
 from sysid_evo.models.dynamics import rk4
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.types import Array
 
@@ -78,6 +82,23 @@ class StateSpaceModel(DynamicsModel):
         for _ in range(SETTLING):
             hidden = self._advanced(neutral, hidden, idle)
         self.rest_ = np.asarray(hidden[0])
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        ny, nu, n = self.system.nx, self.system.nu, sum(len(outer) for outer in self.outer_)
+        sizes = [(len(outer), len(inner)) for outer, inner in zip(self.outer_, self.inner_, strict=True)]
+        if any(kinds[:1] == UNITS.index("gate") for kinds in self.kinds_ if len(kinds)):
+            raise ShapeError("kinds_: expected no gate first, which multiplies the unit before it")
+        return {
+            "outer_": [(order, order + nu + 1 + units) for order, units in sizes],
+            "inner_": [(units, order + nu + 1) for order, units in sizes],
+            "kinds_": [Numbers(units, whole=True, least=0, most=len(UNITS) - 1) for _, units in sizes],
+            "output_": (ny, n),
+            "offset_": (ny,),
+            "gain_": (n, ny),
+            "first_": (n, ny + 1),
+            "rest_": (n,),
+            "history_": Numbers(whole=True, least=0, most=MOST_LAGS),
+        }
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         neutral, idle = self.system.neutral_state, self.system.neutral_control

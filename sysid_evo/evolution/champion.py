@@ -145,6 +145,9 @@ class Champion(Displayed):
         parameters, history, found, population = (
             np.asarray(tensors[name], dtype=np.float64) for name in ("parameters", "history", "finalists", "population")
         )
+        for name, rows in (("parameters", parameters[None]), ("finalists", found), ("population", population)):
+            if not np.isfinite(check_shape(name, rows, (None, parameters.size))).all():
+                raise InvalidArgument(f"{name}: expected finite numbers, some are not")
         return cls(
             name=value["name"],
             parameters=parameters,

@@ -24,6 +24,7 @@ from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
 from sysid_evo.models.dynamics import Dynamics, many_runs, of_each_row, one_run, training_envelope
 from sysid_evo.models.kernels.stepping import Output, stepping_kernel
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
     Estimator,
     Limit,
@@ -42,6 +43,9 @@ from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+
+MOST_LAGS = 10_000
+"""A guess: no recording tells what that many samples earlier did, and a carry of them still fits into memory."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -78,6 +82,9 @@ class DynamicsModel(Dynamics, Estimator):
     A family is ``cheap`` if it is fitted within about a second: advice on it may then fit copies to parts of the data.
 
     A family that ``chooses`` among others fits many of them: it is not fitted anew for an adaptation.
+
+    A family declares the shapes of what it learns in `learned_arrays`; of one that does not, a file is searched for
+    nan alone.
 
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
@@ -224,6 +231,22 @@ class DynamicsModel(Dynamics, Estimator):
         for i in dataset.system.periods:
             self.envelope_[:, i] = -np.inf, np.inf
         self.pairs_ = recorded_pairs(dataset)
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        """Declare what `fit` learns by name, in terms of this fitted model: the lengths of an array, or `Numbers`.
+
+        ``{"points_": ("points", self.n_carry), "rates_": ("points", self.system.nx)}``: a name stands for one length.
+        A model is held to it where it is stored and loaded, so that a changed file cannot lead a kernel past the end of
+        an array. Those of base classes count too, without `super`; a name that is declared again replaces theirs.
+        """
+        nx, lags = self.system.nx, Numbers(whole=True, least=0, most=MOST_LAGS, optional=True)
+        return {
+            "state_lags_": lags,
+            "control_lags_": lags,
+            "envelope_": Numbers(2, nx, infinite=True, rising=True, optional=True),
+            "pairs_": Numbers("pairs", nx + self.system.nu, optional=True),
+            "held_out_error_": Numbers(nx, infinite=True, optional=True),
+        }
 
     @property
     def fit_note(self) -> str:

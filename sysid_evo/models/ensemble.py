@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Self
 
@@ -15,6 +15,7 @@ from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.models.kernels.ensemble import mean_kernel
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array
 from sysid_evo.validation.intervals import conformal_scale
 from sysid_evo.validation.simulation_error import judging_windows
@@ -86,6 +87,12 @@ class MeanOfMembers(DynamicsModel):
     def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
         """Be the mean of these fitted models."""
         self.members_, self.weights_ = list(models), weights
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        Members([self, *self.members_])  # raises where they are of different systems
+        nx = self.system.nx
+        noise = {name: Numbers(nx, optional=not self.stochastic) for name in ("residual_", "noise_scale_")}
+        return {"weights_": (len(self.members_),), **noise}
 
     def of(self, models: Sequence[DynamicsModel], weights: Array) -> Self:
         """Return the mean of these models, of the same data, as a model without noise."""

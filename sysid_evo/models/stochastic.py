@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from sysid_evo.errors import NotFitted
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.kernels.disturbances import disturbed_kernel
+from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import unseen_parts
 from sysid_evo.validation.intervals import (
@@ -77,6 +78,15 @@ class Uncertain(DynamicsModel):
             mixed = np.sqrt(1.0 - self.persistent_) * noise + np.sqrt(self.persistent_) * lasting
             after = self.disturbed(inner, control, scale * mixed)
         return np.concatenate([after, lasting, count + 1.0], axis=1)
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        nx, timed = self.system.nx, hasattr(self, "horizon_scales_")
+        return {
+            "residual_": Numbers(nx, optional=not timed),
+            "persistent_": Numbers(nx, least=0, most=1, optional=not timed),
+            "horizon_scales_": Numbers(len(HORIZONS), nx, optional=True),
+            "noise_scale_": Numbers(nx, optional=True),
+        }
 
     def keep_spread(self, residual: Array, persistent: Array, scales: Array) -> None:
         """Record the error of one step (nx,), the lasting share (nx,), and the scales of `horizon_scales`."""

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.artefacts import read_artefact, stored_file, write_artefact
-from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted, PluginError, UnknownName
+from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted, PluginError, ShapeError, UnknownName
 from sysid_evo.models.base import DynamicsModel
+from sysid_evo.models.learned import check_learned
 from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 
@@ -40,6 +41,10 @@ def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dic
     name = family_name(model)
     if not hasattr(model, "system_"):
         raise NotFitted(f"model {name!r} is not fitted, so there is nothing to store: call fit(dataset, rng=...) first")
+    try:
+        check_learned(model)
+    except ShapeError as error:
+        raise InvalidArgument(f"model {name!r}: cannot be stored: {error}") from error
     scalars: dict[str, Any] = {}
     for key, value in vars(model).items():
         if not key.endswith("_") or key.startswith("_") or key == "system_":
@@ -111,6 +116,10 @@ def _restored(path: Path, described: Mapping[str, Any], tensors: Mapping[str, An
         setattr(model, key, [items[i] for i in sorted(items)])
     for key, value in described["learned"].items():
         setattr(model, _checked(path, key), _learned(path, key, value, inner))
+    try:
+        check_learned(model)
+    except ShapeError as error:
+        raise ArtefactError(f"{path}: not a stored {name}: {error}; store it anew, or fit it again") from error
     return model
 
 

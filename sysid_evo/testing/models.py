@@ -22,6 +22,7 @@ from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import ContractViolation, NotFitted
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.dynamics import Dynamics, started
+from sysid_evo.models.learned import check_learned
 from sysid_evo.models.storage import load_model, save_model
 from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import models
@@ -201,6 +202,13 @@ def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) 
         raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
 
 
+def learned_arrays_declares_what_was_learned(model: DynamicsModel, _: Dataset) -> None:
+    """What fit learned is as learned_arrays declares it; a family that declares something declares every array"""
+    undeclared = check_learned(model)
+    if undeclared and "learned_arrays" in vars(type(model)):
+        raise ContractViolation(f"learned_arrays says nothing of {', '.join(undeclared)}")
+
+
 def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset) -> None:
     """The compiled form steps as step does"""
     resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
@@ -248,6 +256,7 @@ CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
     a_longer_recording_is_learned_from_in_part,
     parameters_survive_clone,
     saving_and_loading_keeps_every_step,
+    learned_arrays_declares_what_was_learned,
 )
 
 

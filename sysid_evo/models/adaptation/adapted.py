@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Self
@@ -20,6 +20,7 @@ from sysid_evo.models.adaptation.correction import Terms
 from sysid_evo.models.adaptation.selection import ANEW, NONE, REFIT, Learned, adaptation
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.kernels.correction import correction_kernel
+from sysid_evo.models.learned import Declared
 from sysid_evo.models.stochastic import Uncertain
 from sysid_evo.models.storage import load_model
 from sysid_evo.progress import Progress
@@ -101,6 +102,14 @@ class Adapted(DynamicsModel):
         for name, array in learned.terms.arrays.items():
             setattr(self, f"{name}_", array)
         self.coefficients_ = learned.coefficients
+
+    def learned_arrays(self) -> Mapping[str, Declared]:
+        if differences := self.system.differences(self.base_.system):
+            raise IncompatibleSystem(f"base_ is of another system: {'; '.join(differences)}")
+        return {
+            **{f"{name}_": lengths for name, lengths in self.terms.lengths.items()},
+            "coefficients_": self.terms.shape,
+        }
 
     def _widen(self) -> None:
         """Let envelope and pairs be those of both recordings; those of the base if that is all there is."""

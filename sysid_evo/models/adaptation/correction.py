@@ -86,6 +86,17 @@ class Terms:
         return {name: value for name, value in vars(self).items() if name != "system"}
 
     @property
+    def lengths(self) -> dict[str, tuple[int, ...]]:
+        """The shapes that the `arrays` must have, by name: with products and gains if there are some."""
+        n, nx = len(self.system.regressor_names) + self.system.nu, self.system.nx
+        products, gains = n * (n + 1) // 2 if self.products else 0, nx if self.gains else 0
+        lengths = {"low": n, "high": n, "centre": n, "scale": n, "unit": nx, "least": products, "most": products}
+        return {
+            name: (length,)
+            for name, length in {**lengths, **dict.fromkeys(("weakest", "strongest", "strength"), gains)}.items()
+        }
+
+    @property
     def products(self) -> bool:
         """Whether there are products."""
         return len(self.least) > 0

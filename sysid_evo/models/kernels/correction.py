@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from sysid_evo.angles import TURN
+from sysid_evo.errors import ShapeError
 from sysid_evo.kernels import (
     CACHE_LINE,
     LANES,
@@ -22,7 +23,7 @@ from sysid_evo.kernels import (
     where_at_most,
 )
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 HEAD = Layout(
     "nx",
@@ -52,6 +53,9 @@ def correction_kernel(
     motion = system.motion_kernel()
     if motion is None:
         return None
+    if len(coefficients) != 1 + len(terms["centre"]) + len(terms["least"]) + len(terms["strength"]):
+        raise ShapeError(f"coefficients: expected a row for each term, got {len(coefficients)}")
+    check_shape("coefficients", coefficients, (None, system.nx))
     per_turn = np.array([TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)])
     low, high, centre, least, most = (terms[name] for name in ("low", "high", "centre", "least", "most"))
     of_inputs = np.concatenate([low, high, centre, 1.0 / terms["scale"], least, most])

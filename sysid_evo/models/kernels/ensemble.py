@@ -23,7 +23,7 @@ from sysid_evo.kernels import (
 )
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 DOUBT = Layout("nx", "count", "weight", "chain", align=CACHE_LINE)
 
@@ -39,7 +39,7 @@ def cautious_kernel(
 ) -> DynamicsKernel:
     """Return the kernel of `Cautious`: the state is that of the first member, how far to doubt it stands at nx."""
     chain = chained(members, nx, places, noise_places)
-    numbers = padded(np.concatenate([1.0 / limit, places]))
+    numbers = padded(np.concatenate([1.0 / check_shape("limit", limit, (nx,)), places]))
     parameters = DOUBT.pack(
         numbers, chain.parameters, nx=nx, count=len(members), weight=weight, chain=DOUBT.size + len(numbers)
     )
@@ -98,6 +98,7 @@ def mean_kernel(
     if rest_band is not None:
         idle = system.neutral_control
         rest = np.concatenate([rest_band, system.neutral_state, idle, rows, np.resize(idle, len(rows))])
+    weights = check_shape("weights", weights, (len(members),))
     numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
     parameters = MEAN.pack(
         numbers,

@@ -8,7 +8,7 @@ import numpy as np
 
 from sysid_evo.kernels import LANES, Layout, Predictor, load, splat, store, view
 from sysid_evo.models.kernels.stepping import copy
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 HEAD = Layout("n_carry", "n_control", "n_out", "n_points")
 
@@ -22,6 +22,10 @@ def gaussian_predictor(
     (n_out, M), ``slope`` (n, n_out), ``intercept`` (n_out,).
     """
     n_out, n = lengths.shape
+    check_shape("points", points, (None, n))
+    check_shape("weights", weights, (n_out, len(points)))
+    check_shape("slope", slope, (n, n_out))
+    check_shape("intercept", intercept, (n_out,))
     channels = [
         np.concatenate(
             [
@@ -34,7 +38,7 @@ def gaussian_predictor(
         for j in range(n_out)
     ]
     parameters = HEAD.pack(*channels, n_carry=n_carry, n_control=n - n_carry, n_out=n_out, n_points=len(points))
-    return Predictor(bumps, parameters, n_scratch=2 * n + 1)
+    return Predictor(bumps, parameters, n_scratch=2 * n + 1, reads=(n_carry, n - n_carry), writes=n_out)
 
 
 def bumps(x, u, p, y, scratch):

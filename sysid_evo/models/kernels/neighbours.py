@@ -32,9 +32,9 @@ from sysid_evo.kernels import (
     view,
     where_less,
 )
-from sysid_evo.models.kernels.networks import command_cells
+from sysid_evo.models.kernels.networks import check_cells, command_cells
 from sysid_evo.models.kernels.stepping import copy
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, IntArray, check_shape
 
 BUCKET = 16
 GROUPS_AT_ONCE = 4
@@ -63,6 +63,10 @@ def neighbour_predictor(
     that join the state in a query.
     """
     n_out = tables[0][1].shape[1]
+    check_cells(serving, len(tables), midpoints, exact)
+    for points, values in tables:
+        check_shape("points", points, (None, n_states + len(exact)))
+        check_shape("values", values, (len(points), n_out))
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
@@ -99,11 +103,10 @@ def neighbour_predictor(
     )
     parameters = np.concatenate([np.pad(head, (0, begin - len(head))), *blocks])
     sides = n_states + len(exact)
-    if many:
-        source = KernelSource(neighbours_of_many, {"SIDES": sides})
-        return Predictor(source, parameters, n_scratch=1 + sides + -(-(most + BUCKET) // LANES))
-    source = KernelSource(neighbours, {"SIDES": sides})
-    return Predictor(source, parameters, n_scratch=1 + sides + -(-most * BUCKET // LANES) + most)
+    room = -(-(most + BUCKET) // LANES) if many else -(-most * BUCKET // LANES) + most
+    source = KernelSource(neighbours_of_many if many else neighbours, {"SIDES": sides})
+    reads = (n_states, len(midpoints))
+    return Predictor(source, parameters, n_scratch=1 + sides + room, reads=reads, writes=n_out)
 
 
 def split(points: Array, rows: IntArray, *, whole: int = BUCKET) -> list[IntArray]:

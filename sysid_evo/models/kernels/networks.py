@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.kernels import (
     CACHE_LINE,
     LANES,
@@ -26,7 +26,7 @@ from sysid_evo.kernels import (
     where_less,
 )
 from sysid_evo.models.kernels.stepping import copy, move_rows
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, IntArray, check_shape
 
 NETWORKS = Layout("n_networks", "n_layers", "n_carry", "n_control")
 
@@ -56,11 +56,16 @@ def _predictor(function: Any, networks: Sequence[Layers], n_carry: int, n_contro
         [weights.shape[1] for weights, _ in layers] != sizes[1:] for layers in networks
     ):
         raise InvalidArgument(f"networks: expected {n_carry} + {n_control} inputs and equal shapes, got {sizes}")
-    flat = [np.concatenate([bias, weights.ravel()]) for layers in networks for weights, bias in layers]
+    flat = []
+    for layers in networks:
+        for (weights, bias), n_in, n_out in zip(layers, sizes, sizes[1:], strict=False):
+            flat += [check_shape("bias", bias, (n_out,)), check_shape("weights", weights, (n_in, n_out)).ravel()]
     parameters = NETWORKS.pack(
         sizes, *flat, n_networks=len(networks), n_layers=len(sizes) - 1, n_carry=n_carry, n_control=n_control
     )
-    return Predictor(function, parameters, n_scratch=sizes[0] + 3 * max(sizes))
+    writes = sizes[-1] * (len(networks) if function is separate_networks else 1)
+    reads = (n_carry, n_control)
+    return Predictor(function, parameters, n_scratch=sizes[0] + 3 * max(sizes), reads=reads, writes=writes)
 
 
 def network(x, u, p, y, scratch):
@@ -175,6 +180,11 @@ def command_network_predictor(
     `neighbour_predictor`; inputs are the state, then the exact controls.
     """
     commands, n_out, n_in, hidden = first.shape
+    check_shape("first", first, (None, None, n_states + len(exact), None))
+    check_shape("first_bias", first_bias, (commands, n_out, hidden))
+    check_shape("second", second, (commands, n_out, hidden))
+    check_shape("second_bias", second_bias, (commands, n_out))
+    check_cells(serving, commands, midpoints, exact)
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
@@ -195,7 +205,15 @@ def command_network_predictor(
         weights=COMMANDS.size + len(head),
     )
     sizes = {"N_IN": n_in, "HIDDEN": hidden, "N_OUT": n_out}
-    return Predictor(KernelSource(command_networks, sizes), parameters, n_scratch=1 + n_in)
+    source, reads = KernelSource(command_networks, sizes), (n_states, len(midpoints))
+    return Predictor(source, parameters, n_scratch=1 + n_in, reads=reads, writes=n_out)
+
+
+def check_cells(serving: IntArray, count: int, midpoints: Sequence[Array], exact: Sequence[int]) -> None:
+    """Raise `ShapeError` unless ``serving`` names one of ``count`` tables for every cell between the ``midpoints``."""
+    check_shape("serving", serving, (math.prod(len(between) + 1 for between in midpoints),))
+    if serving.min() < 0 or serving.max() >= count or not set(exact) <= set(range(len(midpoints))):
+        raise ShapeError(f"serving: expected numbers of {count} tables, and exact those of {len(midpoints)} controls")
 
 
 def command_networks(x, u, p, y, scratch):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, Layout, Predictor, load, splat, store, view
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 HEAD = Layout("n_out", "n_state", "n_control", "n_factors", "after_chains")
 
@@ -46,6 +46,7 @@ def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: in
         raise InvalidArgument(
             f"polynomial: expected exponents >= 0 of {n_carry} + {n_control} variables, got shape {exponents.shape}"
         )
+    coefficients = check_shape("coefficients", coefficients, (len(exponents), None))
     states, controls = Chain(n_carry), Chain(n_control)
     factors: list[dict[int, list[tuple[int, float]]]] = []
     for output in range(coefficients.shape[1]):
@@ -72,7 +73,8 @@ def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: in
         n_factors=n_factors,
         after_chains=HEAD.size + len(chains),
     )
-    return Predictor(polynomial, parameters, n_scratch=rows, prepare=control_factors)
+    reads, writes = (n_carry, n_control), coefficients.shape[1]
+    return Predictor(polynomial, parameters, n_scratch=rows, prepare=control_factors, reads=reads, writes=writes)
 
 
 def control_factors(u, p, scratch):

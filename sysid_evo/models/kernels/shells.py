@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from sysid_evo.angles import TURN
+from sysid_evo.errors import ShapeError
 from sysid_evo.kernels import CACHE_LINE, LANES, KernelSource, Layout, Predictor, load, padded, store, view
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
-from sysid_evo.types import Array, BoolArray
+from sysid_evo.types import Array, BoolArray, check_shape
 
 FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACHE_LINE)
 
@@ -31,7 +32,8 @@ def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = Non
     motion = system.motion_kernel()
     if motion is None:
         return None
-    limits = np.empty(0) if bounds is None else np.ravel(bounds)
+    limits = np.empty(0) if bounds is None else np.ravel(check_shape("bounds", bounds, (5, system.nx)))
+    rate.check(n_out=system.nx)
     parts = [padded(motion.parameters), padded(limits)]
     places = np.cumsum([FRAME.size, *(len(part) for part in parts)])
     parameters = FRAME.pack(
@@ -49,6 +51,8 @@ def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = Non
         parameters,
         rate.n_scratch,
         prepare=KernelSource(prepare_turned, rate.bindings),
+        reads=rate.reads,
+        writes=system.nx,
     )
 
 
@@ -80,7 +84,10 @@ CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
 
 def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor:
     """Return a predictor that sees carry and control clipped to ``low`` and ``high`` (n_carry + nu,)."""
-    inputs, limits = len(low), padded(np.concatenate([low, high]))
+    inputs, limits = len(low), padded(np.concatenate([low, check_shape("high", high, (len(low),))]))
+    if not 0 <= n_carry <= inputs:
+        raise ShapeError(f"low: expected at least {n_carry} numbers, as many as the carry has, got {inputs}")
+    inner.check(n_carry, inputs - n_carry)
     parameters = CLIP.pack(
         limits,
         inner.parameters,
@@ -95,6 +102,8 @@ def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor
         parameters,
         inputs + inner.n_scratch,
         prepare=KernelSource(prepare_clipped, inner.bindings),
+        reads=(n_carry, inputs - n_carry),
+        writes=inner.writes,
     )
 
 
@@ -129,6 +138,8 @@ def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high
     """
     nx = len(added)
     least, most = np.full(nx, -np.inf) if low is None else low, np.full(nx, np.inf) if high is None else high
+    inner.check(n_out=nx)
+    least, most = check_shape("low", least, (nx,)), check_shape("high", most, (nx,))
     rows = padded(np.concatenate([added.astype(np.float64), least, most]))
     places = {name: ON_TOP.size + i * nx for i, name in enumerate(("added", "low", "high"))}
     return Predictor(
@@ -136,6 +147,8 @@ def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high
         ON_TOP.pack(rows, inner.parameters, nx=nx, **places, own=ON_TOP.size + len(rows)),
         inner.n_scratch,
         prepare=KernelSource(prepare_on_top, inner.bindings),
+        reads=inner.reads,
+        writes=nx,
     )
 
 
@@ -169,6 +182,7 @@ def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
         second_room=first.n_scratch,
         sum_room=first.n_scratch + second.n_scratch,
     )
+    second.check(n_out=nx)
     one, other = first.bindings, second.bindings
     prepares = {"prepare_one": one["prepare"], "prepare_other": other["prepare"]}
     return Predictor(
@@ -176,6 +190,8 @@ def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
         parameters,
         first.n_scratch + second.n_scratch + nx,
         prepare=KernelSource(prepare_added, prepares),
+        reads=(max(a[0], b[0]), max(a[1], b[1])) if (a := first.reads) and (b := second.reads) else None,
+        writes=first.writes,
     )
 
 
@@ -207,6 +223,7 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
     per_state = [TURN / system.periods[i] if i in system.periods else 0.0 for i in range(system.nx)]
     per_row = np.array([*per_state * (1 + lags[0]), *[0.0] * (system.nu * lags[1])])
     n_seen = len(per_row) + int(np.count_nonzero(per_row))
+    inner.check(n_seen)
     rows = padded(per_row)
     parameters = ANGLES.pack(rows, inner.parameters, n_carry=len(per_row), n_seen=n_seen, own=ANGLES.size + len(rows))
     return Predictor(
@@ -214,6 +231,8 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
         parameters,
         n_seen + inner.n_scratch,
         prepare=KernelSource(prepare_inner, inner.bindings),
+        reads=(len(per_row), inner.reads[1] if inner.reads else system.nu),
+        writes=inner.writes,
     )
 
 
@@ -270,6 +289,7 @@ class SeenRow(NamedTuple):
 def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequence[SeenRow]) -> Predictor:
     """Return a predictor that shows ``inner`` functions of rows of the carry, and of the control."""
     flat = [[CODES[row.function], *row[1:]] for row in (*of_carry, *of_control)]
+    inner.check(len(of_carry), len(of_control))
     rows = padded(np.array(flat, dtype=np.float64).ravel())
     parameters = FUNCTIONS.pack(
         rows,
@@ -284,6 +304,11 @@ def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequ
         parameters,
         len(of_carry) + len(of_control) + inner.n_scratch,
         prepare=KernelSource(prepare_functions, inner.bindings),
+        reads=(
+            1 + max((row.place for row in of_carry), default=-1),
+            1 + max((row.place for row in of_control), default=-1),
+        ),
+        writes=inner.writes,
     )
 
 

@@ -23,7 +23,7 @@ from sysid_evo.kernels import (
 )
 from sysid_evo.motion_kernels import move_nothing, turn_nothing
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 Output: TypeAlias = Literal["next_state", "acceleration"]
 
@@ -79,8 +79,11 @@ def stepping_kernel(
     motion = REACHED if output == "next_state" else system.motion_kernel()
     if motion is None:
         return None
+    nx, nu = system.nx, system.nu
+    predictor.check(nx * (1 + lags[0]) + nu * lags[1], nu, nx)
     rest = np.empty(0)
     if rest_band is not None:
+        rest_band = check_shape("rest_band", rest_band, (nx,))
         rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
     parts = [padded(motion.parameters), padded(rest), padded(limits)]
@@ -88,8 +91,8 @@ def stepping_kernel(
     parameters = STEP.pack(
         *parts,
         predictor.parameters,
-        nx=system.nx,
-        nu=system.nu,
+        nx=nx,
+        nu=nu,
         state_lags=lags[0],
         control_lags=lags[1],
         dt=system.dt,
@@ -101,7 +104,7 @@ def stepping_kernel(
         own=places[3],
     )
     bindings = {**predictor.bindings, "integrate": motion.integrate}
-    return DynamicsKernel(KernelSource(step, bindings), parameters, system.nx + predictor.n_scratch)
+    return DynamicsKernel(KernelSource(step, bindings), parameters, nx + predictor.n_scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
@@ -173,10 +176,13 @@ def runge_kutta_predictor(
     a carry of ``n_carry`` rows (default: the state alone) are held during the step.
     """
     rows = n_carry or system.nx
+    derivative.check(rows, system.nu, system.nx)
     return Predictor(
         KernelSource(runge_kutta, {**derivative.bindings, "NX": system.nx, "N_CARRY": rows}),
         RUNGE_KUTTA.pack(derivative.parameters, nx=system.nx, n_carry=rows, substeps=substeps, h=system.dt / substeps),
         n_scratch=rows + 2 * system.nx + derivative.n_scratch,
+        reads=(rows, system.nu),
+        writes=system.nx,
     )
 
 

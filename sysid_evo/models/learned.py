@@ -1,0 +1,117 @@
+"""What a family declares of the arrays that it learned, their shapes and ranges, and the check against it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from sysid_evo.errors import ShapeError
+
+Length: TypeAlias = int | str
+"""A number, or a name that stands for one length, at least 1, wherever a model's declaration has it."""
+
+
+class Numbers:
+    """An array with these ``lengths`` that a model learned; without any, one number.
+
+    ``least`` and ``most`` bound its numbers. ``whole`` ones are integers, as places, counts and exponents are. nan is
+    always refused, infinity unless ``infinite``. ``rising`` numbers do not fall along the first axis. One that is
+    ``optional`` may be missing, or None.
+    """
+
+    def __init__(
+        self,
+        *lengths: Length,
+        least: float = -math.inf,
+        most: float = math.inf,
+        whole: bool = False,
+        infinite: bool = False,
+        rising: bool = False,
+        optional: bool = False,
+    ) -> None:
+        self.lengths, self.least, self.most, self.whole = lengths, least, most, whole
+        self.infinite, self.rising, self.optional = infinite, rising, optional
+
+    def check(self, name: str, value: object, known: dict[str, int]) -> None:
+        """Raise `ShapeError` unless ``value`` is as declared; ``known`` are the lengths that names stand for."""
+        array = np.asarray(value)
+        if array.dtype.kind not in ("i" if self.whole else "if"):
+            raise ShapeError(f"{name}: expected {'whole' if self.whole else 'real'} numbers, got {_what(value)}")
+        if array.ndim == len(self.lengths):
+            for length, found in zip(self.lengths, array.shape, strict=True):
+                if isinstance(length, str) and found > 0:
+                    known.setdefault(length, found)
+        expected = tuple(known.get(length, length) if isinstance(length, str) else length for length in self.lengths)
+        if array.shape != expected:
+            raise ShapeError(f"{name}: expected shape ({', '.join(map(str, expected))}), got {array.shape}")
+        if np.isnan(array).any() or not (self.infinite or np.isfinite(array).all()):
+            raise ShapeError(f"{name}: expected {'numbers' if self.infinite else 'finite numbers'}, some are not")
+        if (array < self.least).any() or (array > self.most).any():
+            span = f"{array.min():g} to {array.max():g}"
+            raise ShapeError(f"{name}: expected numbers from {self.least:g} to {self.most:g}, got {span}")
+        if self.rising and (array[1:] < array[:-1]).any():
+            raise ShapeError(f"{name}: expected numbers that do not fall along the first axis, some do")
+
+
+Declared: TypeAlias = "Numbers | tuple[Length, ...] | list[Declared]"
+"""An array of finite numbers may be its lengths alone; a list declares every item of a list."""
+
+
+def check_learned(model: object) -> list[str]:
+    """Raise `ShapeError` unless what ``model`` learned is as ``learned_arrays`` of its class and of their bases say.
+
+    An array of which they say nothing may have any shape, but holds no nan; the names of these are returned.
+    """
+    declared: dict[str, Declared] = {}
+    try:
+        for cls in reversed(type(model).__mro__):
+            if "learned_arrays" in vars(cls):
+                own = vars(cls)["learned_arrays"](model)
+                if not declared:
+                    _check_all(model, own)  # that of the base class, whose lags the others count with
+                declared.update(own)
+        _check_all(model, declared)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        if isinstance(error, ShapeError):
+            raise
+        raise ShapeError(f"what it learned does not fit together: {type(error).__name__}: {error}") from error
+    others = []
+    for name in vars(model).keys() - declared.keys():
+        value = getattr(model, name)
+        arrays = [one for one in (value if isinstance(value, list) else [value]) if isinstance(one, np.ndarray)]
+        if arrays and name.endswith("_"):
+            others.append(name)
+        if any(array.dtype.kind == "f" and np.isnan(array).any() for array in arrays):
+            raise ShapeError(f"{name}: expected numbers, some are nan")
+    return sorted(others)
+
+
+def _check_all(model: object, declared: Mapping[str, Declared]) -> None:
+    known: dict[str, int] = {}
+    for name, one in declared.items():
+        _check(name, getattr(model, name, None), one, known)
+
+
+def _check(name: str, value: Any, declared: Declared, known: dict[str, int]) -> None:
+    if isinstance(declared, list):
+        if not isinstance(value, list) or len(value) != len(declared):
+            raise ShapeError(f"{name}: expected a list of {len(declared)}, got {_what(value)}")
+        for number, (item, one) in enumerate(zip(value, declared, strict=True)):
+            _check(f"{name}[{number}]", item, one, known)
+        return
+    one = declared if isinstance(declared, Numbers) else Numbers(*declared)
+    if value is None and one.optional:
+        return
+    one.check(name, value, known)
+
+
+def _what(value: object) -> str:
+    """Return what came, in a few words."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    return str(value.dtype) if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
