@@ -17,6 +17,7 @@ from sysid_evo.data import Dataset, Windows
 from sysid_evo.data.trajectory import recording
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
+from sysid_evo.models.dynamics import enough
 from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
@@ -293,7 +294,7 @@ class FitWindows:
             start,
             w.controls,
             self.limits,
-            precision=kernel.precision,
+            precision=enough(kernel.precision, self.limits),
         )
 
     def _stepped(self, structure: Structure, p: Array, carry: Array) -> Array:

@@ -13,7 +13,7 @@ from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, empty_lines, envelope_table
 from sysid_evo.engine.rollout import Engine
 from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, Precision, TaskKernel
-from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.models.dynamics import Dynamics, enough
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray
 
@@ -57,7 +57,7 @@ class Imagination:
         of_dynamics, of_task, envelope = self.dynamics.kernel(), self.task.kernel(), self.dynamics.envelope
         if of_dynamics is None or of_task is None:
             return None
-        precision = of_dynamics.precision if self.engine == "auto" else self.engine
+        precision = enough(of_dynamics.precision, envelope) if self.engine == "auto" else self.engine
         return CompiledTrials(
             of_dynamics, of_task, envelope_table(envelope, self.dynamics.system.nx, precision), precision
         )

@@ -15,7 +15,7 @@ from sysid_evo.engine.compiled.closed_loop import run as run_closed_loop
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
-from sysid_evo.models.dynamics import Dynamics, started
+from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import available_processors
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
@@ -111,7 +111,8 @@ def rollout(
     Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
 
     ``engine`` is "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object);
-    "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference.
+    "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference; in
+    float64 where a state is far from zero for how much it changes (`far_from_zero`).
     `Rollouts.engine` says which ran.
     Scores do not depend on ``threads`` (default: all processors this process may use).
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
@@ -137,7 +138,7 @@ def rollout(
                 task,
                 seeds,
                 record=record,
-                precision=of_dynamics.precision if engine == "auto" else engine,
+                precision=enough(of_dynamics.precision, dynamics.envelope) if engine == "auto" else engine,
                 threads=threads or available_processors(),
             )
         if engine != "auto":
@@ -169,9 +170,10 @@ def _compiled(
 
     if dynamics.n_noise:
         spread(lambda: draw, trials, threads)
+    first = started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws))
     inputs = LoopInputs(
         theta=parameters,
-        carry=started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws)),
+        carry=check_shape("start", first, (trials, dynamics.n_carry)),
         task=kernels.task.rows(began),
         trial_data=kernels.task.trial_data(began),
         noise=noise,

@@ -19,8 +19,8 @@ from sysid_evo.evolution.loop import Schedule
 from sysid_evo.evolution.runs import Runs
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
-from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.dynamics import chained
+from sysid_evo.kernels import DynamicsKernel, Precision
+from sysid_evo.models.dynamics import chained, enough, training_envelope
 from sysid_evo.processors import available_processors
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import keyed_generator
@@ -89,13 +89,14 @@ class ModelEvolution:
         scale = dataset.system.spread(every.last_states)
         weight = np.ones_like(scale) if self.weights == "paper" else 1.0 / np.where(scale > 0, scale, 1.0) ** 2
         seed = int(rng.integers(2**32))
+        precision = enough("float32", training_envelope(every.last_states, 2.0))
 
         def objective(population: Array, generation: int) -> Array:
             chosen = every[keyed_generator(seed, generation).integers(len(every), size=self.windows)]
             compiled = None if kernel is None else kernel(population)
             if compiled is None:
                 return -final_error(step, population, chosen, start, weight=weight)
-            return -kernel_error(*compiled, chosen, start, weight=weight)
+            return -kernel_error(*compiled, chosen, start, weight=weight, precision=precision)
 
         def begun(_: int) -> tuple[EvolutionStrategy, Schedule]:
             strategy = MuPlusLambda(
@@ -170,6 +171,7 @@ def kernel_error(
     start: Start | None = None,
     *,
     weight: Array | None = None,
+    precision: Precision = "float32",
 ) -> Array:
     """Return what `final_error` does, compiled, on all processors; ``parameters`` are the kernel's, (P, m)."""
     error = final_errors(
@@ -180,6 +182,7 @@ def kernel_error(
         windows.controls,
         windows.states[:, -1],
         weight,
+        precision=precision,
         threads=available_processors(),
     )
     return np.where(np.isfinite(error), error, np.finfo(float).max)

@@ -22,7 +22,7 @@ from sysid_evo.display import html_table, line_of
 from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
-from sysid_evo.models.dynamics import Dynamics, many_runs, of_each_row, one_run, training_envelope
+from sysid_evo.models.dynamics import Dynamics, far_from_zero, many_runs, of_each_row, one_run, training_envelope
 from sysid_evo.models.kernels.stepping import Output, stepping_kernel
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
@@ -250,8 +250,13 @@ class DynamicsModel(Dynamics, Estimator):
 
     @property
     def fit_note(self) -> str:
-        """What there is to say of the data that it learned from, in a sentence; empty if it was all of them."""
-        return self._kept_note
+        """What there is to say of the data that it learned from, in a sentence; empty if nothing."""
+        far = [self.system.state_names[i] for i in far_from_zero(self.envelope)]
+        precise = (
+            f"runs in double precision, which takes twice the time: {', '.join(far)} changes little for how far from "
+            "zero it is; subtract a constant from the recordings"
+        )
+        return "; ".join(filter(None, (self._kept_note, precise if far else "")))
 
     @property
     def _kept_note(self) -> str:

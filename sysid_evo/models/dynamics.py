@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from sysid_evo.carry import clip_state, pad_history, recent
 from sysid_evo.errors import InvalidData, ShapeError
-from sysid_evo.kernels import DynamicsKernel
+from sysid_evo.kernels import DynamicsKernel, Precision
 from sysid_evo.processors import one_blas_thread
 from sysid_evo.system import System
-from sysid_evo.types import Array, check_shape
+from sysid_evo.types import Array, IntArray, check_shape
 
 
 class Dynamics(ABC):
@@ -113,6 +113,30 @@ def training_envelope(states: Array, multiple: float) -> Array:
     low, high = states.min(axis=0), states.max(axis=0)
     centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
     return np.stack([centre - multiple * half, centre + multiple * half])
+
+
+FAR = 16.0
+"""Half widths between zero and its envelope from which on a state needs double precision.
+
+At 6, or 30 standard deviations, the errors of families on a damped oscillation were 1e-5 standard deviations after
+3 s in single precision; at 200, or 1,000, they were 1e-3, and what is unstable makes more of them.
+"""
+
+
+def far_from_zero(envelope: Array | None) -> IntArray:
+    """Return which states move within their ``envelope`` (2, nx) alone, and that `FAR` from zero.
+
+    A number of float32 is exact to 6e-8 of its size, however little it changes: 4e6 m to a quarter of a metre. Every
+    step rounds it, and the errors add up. A state without limits, or that never moves, is none of them.
+    """
+    low, high = np.zeros((2, 0)) if envelope is None else envelope
+    half, nearest = (high - low) / 2.0, np.maximum(low, -high)
+    return np.flatnonzero((half > 0.0) & (nearest > FAR * half))
+
+
+def enough(precision: Precision, envelope: Array | None) -> Precision:
+    """Return ``precision``, or float64 where that is too little for states in ``envelope``, see `far_from_zero`."""
+    return "float64" if len(far_from_zero(envelope)) else precision
 
 
 def rk4(rate: Callable[[Any], Any], state: Any, dt: float) -> Any:
