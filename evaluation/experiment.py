@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypedDict
@@ -11,7 +10,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sysid_evo.errors import InvalidArgument, UnknownName, closest
-from sysid_evo.files import write_atomically
+from sysid_evo.files import parsed_toml, write_atomically
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
@@ -199,10 +198,10 @@ def no_setting(name: str) -> str:
 def read_toml(file: Path, what: str) -> dict[str, Any]:
     """Return what stands in a TOML file, which is expected to be ``what``. Raises `InvalidArgument`."""
     try:
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        return parsed_toml(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InvalidArgument(f"{file}: expected {what}, found no such file") from None
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise InvalidArgument(f"{file}: expected {what} in TOML: {error}") from error
 
 

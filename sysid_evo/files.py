@@ -1,10 +1,12 @@
-"""Where files are kept, and how they are written: a crash leaves the old one or the new one, never half of one."""
+"""Where files are kept, how TOML is read and any file written: a crash leaves the old or the new one, whole."""
 
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 
 def cache_folder(kind: str) -> Path:
@@ -16,6 +18,28 @@ def cache_folder(kind: str) -> Path:
 def state_folder(kind: str) -> Path:
     """Return where this user's decisions of this ``kind`` are kept (below ``XDG_STATE_HOME``, if it is set)."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "sysid-evo" / kind
+
+
+DEEPEST, LONGEST = 12, 2**20
+"""Tables and lists inside each other, and characters, of a TOML file: its readers call themselves for inner ones."""
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """Return what stands in a TOML text. Raises ValueError that says why it cannot be read."""
+    if len(text) > LONGEST:
+        raise ValueError(f"expected at most {LONGEST} characters, got {len(text)}")
+    too_deep = f"expected at most {DEEPEST} tables and lists inside each other, got more"
+    try:
+        found = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    inside: list[Any] = [found]
+    for _ in range(DEEPEST):
+        parts = [item for one in inside for item in (one.values() if isinstance(one, dict) else one)]
+        inside = [item for item in parts if isinstance(item, (dict, list))]
+    if inside:
+        raise ValueError(too_deep)
+    return found
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:

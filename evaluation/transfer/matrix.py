@@ -477,7 +477,7 @@ def load_measured(run: Path) -> tuple[tuple[MeasuredResult, ...], tuple[str, ...
     for file in files:
         try:
             found.append(MeasuredResult.from_json(file.read_text(encoding="utf-8")))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, SysidEvoError) as error:
             remarks.append(f"{file} is damaged and left out: {type(error).__name__}: {error}")
     return tuple(found), tuple(remarks)
 

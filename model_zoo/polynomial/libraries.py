@@ -215,10 +215,11 @@ Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 def read_library(text: str) -> Named:
     """Return what ``text`` names. Raises `InvalidArgument` that says what is expected."""
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
+        return _read(text, ast.parse(text.strip(), mode="eval").body)
     except SyntaxError as error:
         raise InvalidArgument(f"library: {text!r} cannot be read: {error.msg}; {EXAMPLE}") from error
-    return _read(text, tree)
+    except (RecursionError, MemoryError):  # how Python's parser, or what reads its result, gives up
+        raise InvalidArgument(f"library: {text[:80]!r} ... is nested too deep; {EXAMPLE}") from None
 
 
 def _read(text: str, node: ast.expr) -> Named:

@@ -13,6 +13,7 @@ from rich.text import Text
 import evaluation
 from sysid_evo.cli.console import note, out, say, table_of, tell
 from sysid_evo.cli.options import Json
+from sysid_evo.errors import ArtefactError
 
 app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
 
@@ -106,9 +107,16 @@ def clean(
 
 def _figures(run: Path) -> dict[str, float | None]:
     """Return the error N of every model, and what every controller claims and achieves, from a run's report."""
-    if not (run / "report.json").is_file():
+    file = run / "report.json"
+    if not file.is_file():
         return {}
-    report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+    try:
+        return _figures_in(json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ArtefactError(f"{file}: not a readable report: make it again with sysid-evo report {run}") from error
+
+
+def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for model in (report["prediction"] or {"models": []})["models"]:
         near = [score for score in model["horizons"] if score["seconds"] <= 1.0 + 1e-9] or model["horizons"][:1]

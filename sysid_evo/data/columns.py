@@ -6,7 +6,6 @@ A map is a TOML file (``docs/data.md`` describes it); some are shipped beside th
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -18,6 +17,7 @@ from pydantic_core import ErrorDetails
 from sysid_evo.angles import TURN
 from sysid_evo.data.units import to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData, closest
+from sysid_evo.files import parsed_toml
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 
@@ -253,12 +253,12 @@ def load_columns(source: str | Path) -> ColumnMap:
 def parse_columns(text: str, source: str) -> ColumnMap:
     """Return the map that the TOML ``text`` describes; errors name ``source`` and the path of each key."""
     try:
-        return ColumnMap.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidData(f"{source}: not a TOML file: {error}") from error
+        return ColumnMap.model_validate(parsed_toml(text))
     except ValidationError as error:
         lines = [f"  {'.'.join(map(str, item['loc'])) or 'map'}: {_explain(item)}" for item in error.errors()]
         raise InvalidData("\n".join([f"{source}: not a column map:", *lines])) from error
+    except ValueError as error:
+        raise InvalidData(f"{source}: not a TOML file: {error}") from error
 
 
 def shipped_names() -> tuple[str, ...]:

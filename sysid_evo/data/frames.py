@@ -232,7 +232,7 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
         ) from error
     except ArtefactError:
         raise
-    except (KeyError, TypeError, ValueError, pa.ArrowException) as error:
+    except (KeyError, TypeError, ValueError, RecursionError, pa.ArrowException) as error:
         raise unreadable(folder, error) from error
 
 

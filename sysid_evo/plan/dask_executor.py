@@ -485,7 +485,7 @@ def address_of(text: str) -> str:
             raise InvalidArgument(
                 f"scheduler: expected the file that 'dask scheduler --scheduler-file {text}' writes, found none"
             ) from None
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise InvalidArgument(f"scheduler: expected the file of a scheduler, {text} is none: {error}") from error
         return str(found)
     if not text.startswith(SCHEMES):

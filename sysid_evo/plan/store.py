@@ -126,7 +126,7 @@ class Store:
                 raise ArtefactError(f"{self.path}: {cell.title}: {WAITING}")
             try:
                 self._remember(cell, cell.load(self.path / record.artefact))
-            except (OSError, ValueError, KeyError, TypeError, AttributeError, SysidEvoError) as error:
+            except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, SysidEvoError) as error:
                 raise ArtefactError(f"{self.path / record.artefact}: cannot be read: {error}") from error
         self._values[cell.digest] = self._values.pop(cell.digest)
         return cell.named(self._values[cell.digest])

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import keyword
 import re
+import sys
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,9 +15,16 @@ from typing import Any
 from sysid_evo.errors import InvalidArgument
 
 PIECE = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w*)\s*(?P<arguments>\(.*\))?", re.DOTALL)
-SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d+)")
+SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d{1,18})")
 WORDS: dict[str, Any] = {"true": True, "false": False, "none": None}
 OPEN, CLOSE, QUOTES = "([{", ")]}", "'\""
+STRUCTURE = re.compile(r"""[][(){}'",]""")
+LONGEST = 100_000
+"""Characters of a text; the longest that the program writes, a list of candidates, has some thousands."""
+DEEPEST = 12
+"""Lists, tables and things inside each other; with every thing inside another its text may double for its quotes."""
+SHOWN = 200
+"""Characters of a text that a message repeats."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +53,7 @@ class Spec:
         """Read one spec. Raises `InvalidArgument` that says what cannot be read."""
         pieces = split(text)
         if len(pieces) != 1:
-            raise InvalidArgument(f"expected one NAME(parameter=value, ...), got {text!r}")
+            raise InvalidArgument(f"expected one NAME(parameter=value, ...), got {_short(text)}")
         return _parse(pieces[0])
 
     @classmethod
@@ -76,38 +86,44 @@ def spec_of(given: Spec | str) -> Spec:
 
 def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
     """Return ``specs`` if their labels differ. Raises `InvalidArgument` that says how to tell them apart."""
-    labels = [spec.label for spec in specs]
-    repeated = sorted({label for label in labels if labels.count(label) > 1})
-    if repeated:
-        name = repeated[0]
+    labels = Counter(spec.label for spec in specs)
+    repeated = min((label for label, count in labels.items() if count > 1), default=None)
+    if repeated is not None:
         raise InvalidArgument(
-            f"{name!r} stands there {labels.count(name)} times; give each a label of its own, "
-            f"such as a={name}, b={name}(...)"
+            f"{repeated!r} stands there {labels[repeated]} times; give each a label of its own, "
+            f"such as a={repeated}, b={repeated}(...)"
         )
     return specs
 
 
 def split(text: str) -> list[str]:
-    """Split at the commas outside brackets and quotes; empty pieces are refused."""
-    pieces, depth, quote = [""], 0, ""
-    for character in text:
+    """Split at the commas outside brackets and quotes; empty pieces are refused, and text that is too long."""
+    if len(text) > LONGEST:
+        raise InvalidArgument(
+            f"expected NAME(parameter=value, ...) of at most {LONGEST} characters, got {len(text)}: {_short(text)}"
+        )
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise InvalidArgument(f"{_short(text)} cannot be read: it holds bytes that are no text in UTF-8")
+    cuts, depth, quote = [-1], 0, ""
+    for found in STRUCTURE.finditer(text):
+        character = found[0]
         if quote:
             quote = "" if character == quote else quote
         elif character in QUOTES:
             quote = character
-        elif character in OPEN + CLOSE:
+        elif character != ",":
             depth += 1 if character in OPEN else -1
-        elif character == "," and depth == 0:
-            pieces.append("")
-            continue
-        pieces[-1] += character
+        elif depth == 0:
+            cuts.append(found.start())
     if depth or quote:
-        raise InvalidArgument(f"expected NAME(parameter=value, ...), got {text!r}: a bracket or quote is not closed")
-    stripped = [piece.strip() for piece in pieces]
+        raise InvalidArgument(
+            f"expected NAME(parameter=value, ...), got {_short(text)}: a bracket or quote is not closed"
+        )
+    stripped = [text[first + 1 : last].strip() for first, last in itertools.pairwise([*cuts, len(text)])]
     if not any(stripped):
         raise InvalidArgument("expected NAME or NAME(parameter=value, ...), got an empty text")
     if not all(stripped):
-        raise InvalidArgument(f"expected something before and after every comma, got {text!r}")
+        raise InvalidArgument(f"expected something before and after every comma, got {_short(text)}")
     return stripped
 
 
@@ -118,45 +134,69 @@ def _parse(piece: str) -> Spec:
     found = PIECE.fullmatch(piece)
     if found is None:
         path = "no such file, and no " if "/" in piece or piece.endswith(".json") else "expected "
-        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {piece!r}")
-    return Spec(found["name"], _arguments(piece, found["arguments"] or "()"), found["label"] or "")
-
-
-def _arguments(piece: str, text: str) -> dict[str, Any]:
+        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {_short(piece)}")
     try:
-        call = ast.parse(f"f{text}", mode="eval").body
-    except SyntaxError as error:
-        raise InvalidArgument(f"{piece!r} cannot be read: {error.msg}") from error
+        call = ast.parse(f"f{found['arguments'] or '()'}", mode="eval").body
+    except (SyntaxError, ValueError) as error:
+        why = error.msg if isinstance(error, SyntaxError) else error
+        raise InvalidArgument(f"{_short(piece)} cannot be read: {why}") from error
+    except (RecursionError, MemoryError):  # how Python's parser gives up
+        raise _too_deep(piece) from None
+    return Spec(found["name"], _arguments(piece, call, 1), found["label"] or "")
+
+
+def _arguments(piece: str, call: ast.expr, depth: int) -> dict[str, Any]:
     plain = isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args
     if not isinstance(call, ast.Call) or not plain or any(argument.arg is None for argument in call.keywords):
-        raise InvalidArgument(f"{piece!r}: expected parameter=value between the brackets, separated by commas")
+        raise InvalidArgument(f"{_short(piece)}: expected parameter=value between the brackets, separated by commas")
     found: dict[str, Any] = {}
     for argument in call.keywords:
         assert argument.arg is not None
         if argument.arg in found:
-            raise InvalidArgument(f"{piece!r}: {argument.arg} is given twice")
-        found[argument.arg] = _value(piece, argument.value)
+            raise InvalidArgument(f"{_short(piece)}: {argument.arg} is given twice")
+        found[argument.arg] = _value(piece, argument.value, depth)
     return found
 
 
-def _value(piece: str, node: ast.expr) -> Any:
+def _value(piece: str, node: ast.expr, depth: int) -> Any:
+    if depth > DEEPEST:
+        raise _too_deep(piece)
     if isinstance(node, ast.Name):
         return WORDS.get(node.id.lower(), node.id)
-    if isinstance(node, ast.Call):
-        return str(Spec.parse(ast.unparse(node)))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        return Spec(node.func.id, _arguments(piece, node, depth + 1)).text
     if isinstance(node, (ast.List, ast.Tuple)):
-        return [_value(piece, item) for item in node.elts]
+        return [_value(piece, item, depth + 1) for item in node.elts]
     if isinstance(node, ast.Dict) and all(isinstance(key, (ast.Name, ast.Constant)) for key in node.keys):
-        return {str(_key(key)): _value(piece, item) for key, item in zip(node.keys, node.values, strict=True)}
+        items = zip(node.keys, node.values, strict=True)
+        return {str(_key(key)): _value(piece, item, depth + 1) for key, item in items}
     try:
         value = ast.literal_eval(node)
-    except ValueError:
+    except (ValueError, TypeError, RecursionError):
         value = ...
-    if value is not None and not isinstance(value, (bool, int, float, str)):
+    plain = isinstance(value, (bool, int, float, str, type(None)))
+    if not plain or (isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max):
         raise InvalidArgument(
-            f"{piece!r}: {ast.unparse(node)!r} is no value; expected a number, text, true, false, none or a list"
+            f"{_short(piece)}: {_said(node)} is no value; expected a number, text, true, false, none or a list"
         )
     return value
+
+
+def _too_deep(piece: str) -> InvalidArgument:
+    return InvalidArgument(f"{_short(piece)} cannot be read: expected at most {DEEPEST} brackets inside each other")
+
+
+def _short(text: str) -> str:
+    """Return ``text`` in quotes, its middle left out if it is long."""
+    return repr(text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}")
+
+
+def _said(node: ast.expr) -> str:
+    """Return how a value was written, as far as it can be."""
+    try:
+        return _short(ast.unparse(node))
+    except (RecursionError, ValueError):
+        return "what stands there"
 
 
 def _key(node: ast.expr | None) -> Any:

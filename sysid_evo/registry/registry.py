@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import inspect
 import math
-import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
@@ -24,6 +23,7 @@ from sysid_evo.errors import (
     did_you_mean,
 )
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
+from sysid_evo.files import parsed_toml
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import source_digest
 
@@ -340,10 +340,10 @@ def make_robot(spec: str | Spec) -> Any:
 
 def _of_file(path: Path) -> Spec:
     try:
-        arguments = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        arguments = parsed_toml(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InvalidArgument(f"robot file {path}: no such file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise InvalidArgument(f"robot file {path} is not TOML: {error}") from error
     driver = arguments.pop("driver", None)
     if not isinstance(driver, str):

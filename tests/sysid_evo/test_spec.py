@@ -82,13 +82,26 @@ def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
         ("linear(a=b'x')", "is no value"),
         ("linear(a=lambda: 1)", "is no value"),
         ("linear(a=x[0])", "is no value"),
+        ("linear(a='\ud800')", "no text in UTF-8"),
+        ("linear(a={[1]: 2})", "is no value"),
+        (f"linear(a={'-' * 3000}1)", "brackets inside each other"),
+        (f"linear(a={'1+' * 900}1)", "is no value"),
+        (f"linear(a={'1' * 4301})", "cannot be read"),
+        (f"linear(a=0x{'f' * 5000})", "is no value"),
+        (f"linear:{'1' * 4301}", r"expected NAME\(parameter=value"),
+        ("linear(a=1e999)", "is no value"),
+        (f"linear(a={'[' * 13}{']' * 13})", "at most 12 brackets inside each other"),
+        (f"linear(a={'[' * 3000}{']' * 3000})", "at most 12 brackets|too many nested"),
+        ("a(b=" * 40 + "1" + ")" * 40, "at most 12 brackets"),
+        (f"linear(a='{'x' * 10**6}')", "at most 100000 characters, got 1000012"),
         ("linear, linear", "'linear' stands there 2 times; give each a label"),
         ("a=linear, a=narx", "'a' stands there 2 times"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_a_sentence(text: str, complaint: str) -> None:
-    with pytest.raises(InvalidArgument, match=complaint):
+    with pytest.raises(InvalidArgument, match=complaint) as raised:
         Spec.parse_many(text)
+    assert len(str(raised.value)) < 500
 
 
 def test_one_spec_is_expected_where_one_stands() -> None:

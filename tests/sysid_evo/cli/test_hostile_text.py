@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evaluation import load_measured
 from sysid_evo.cli import console, progress
 from sysid_evo.cli.console import Printer
 from sysid_evo.cli.progress import Bars
@@ -75,6 +76,45 @@ def test_no_command_prints_a_control_character(
     said = done.stdout + done.stderr
     assert "".join(stays.split()) in "".join(said.split())
     assert not unseen(said)
+
+
+DEEP = "[" * 3000 + "]" * 3000
+
+
+@pytest.mark.parametrize("value", [DEEP, "{a=" * 30 + "1" + "}" * 30, "1" * 4301, f'"{"x" * 2**20}"'])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("inspect", "log.csv", "--columns", "odd.toml"),
+        ("robots", "check", "odd.toml"),
+        ("compare", "--config", "odd.toml"),
+        ("study", "odd.toml"),
+    ],
+)
+def test_a_file_that_is_nested_or_long_without_end_is_refused_in_a_sentence(
+    command: tuple[str, ...], value: str, tmp_path: Path
+) -> None:
+    (tmp_path / "log.csv").write_text("t,x\n0,1\n1,2\n")
+    (tmp_path / "odd.toml").write_text(f'driver = "emulated_car"\nname = {value}\n')
+    done = run_here(*command, cwd=tmp_path)
+    said = " ".join(done.stderr.split())
+    assert done.returncode == 2
+    assert "odd.toml" in said
+    assert any(part in said for part in ("expected at most", "4300 digits"))
+    assert len(said) < 500
+
+
+def test_json_that_is_nested_without_end_counts_as_damaged(tmp_path: Path) -> None:
+    places = ("data/dataset.json", "run/report.json", "run/experiment.toml", "run/results/measured/x.json")
+    for place in places:
+        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / place).write_text("" if place.endswith("toml") else DEEP)
+    for command in (("inspect", "data"), ("runs", "diff", "run", "run")):
+        done = run_here(*command, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "not a readable" in " ".join(done.stderr.split())
+    _, (remark,) = load_measured(tmp_path / "run")
+    assert "x.json is damaged and left out" in remark
 
 
 def test_bars_show_titles_and_remarks_as_text(
