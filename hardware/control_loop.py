@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import gc
 import math
+import os
+import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
 
 import numpy as np
 
@@ -24,6 +28,8 @@ FIRST_POSE = 1.0  # s within which the first estimate must exist
 POLL = 0.02  # s: the longest the loop waits without looking up
 SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
 CLOCK_TOLERANCE = 1e-9  # s
+ON_THE_CLOCK = 1.0  # s between a session's clock and the host's, if they are the same; simulated time begins at 0
+AHEAD = -10  # nice value of the threads of a loop that may not run in real time
 
 
 class ControlLoop:
@@ -77,9 +83,11 @@ class ControlLoop:
         self._rejected.clear()
         self._ticks, self._skipped, self._stale = [], 0, 0
         gc.freeze()  # a collection that looks at all that was ever imported takes up to a tenth of a second
+        in_real_time = abs(self.connection.time - time.monotonic()) < ON_THE_CLOCK
         try:
             try:
-                reason, detail = self._drive(pilot, samples)
+                with before_others() if in_real_time else nullcontext():
+                    reason, detail = self._drive(pilot, samples)
                 if not reason.is_fault:
                     self._send(self.system.neutral_control, self.connection.time)
             except LinkLost as error:
@@ -217,6 +225,34 @@ class Pilot(ABC):
     @abstractmethod
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         """Return the control (nu,) for sample ``tick``, or None to end the run in neutral."""
+
+
+@contextmanager
+def before_others() -> Iterator[None]:
+    """Run the threads of this process before those of others while a robot is driven, as far as the system allows it.
+
+    They take turns in real time where the user may do that (root, or ``rtprio`` in /etc/security/limits.conf), else
+    they have another nice value (``nice`` there), else they run as usual. What they start does not inherit it.
+    """
+    found: list[tuple[int, int, os.sched_param, int]] = []
+    threads = Path("/proc/self/task")
+    for thread in [int(task.name) for task in threads.iterdir()] if threads.is_dir() else []:
+        with suppress(ProcessLookupError):
+            usual = os.sched_getscheduler(thread), os.sched_getparam(thread), os.getpriority(os.PRIO_PROCESS, thread)
+            with suppress(PermissionError):
+                try:
+                    os.sched_setscheduler(thread, os.SCHED_RR | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+                except PermissionError:
+                    os.setpriority(os.PRIO_PROCESS, thread, AHEAD)
+                found.append((thread, *usual))
+    try:
+        yield
+    finally:
+        for thread, policy, parameters, nice in found:
+            with suppress(ProcessLookupError, PermissionError):
+                # only root may take the flag away again; it leaves a usual thread as it is
+                os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, parameters)
+                os.setpriority(os.PRIO_PROCESS, thread, nice)
 
 
 LATEST = 0.05  # s that a command may be late without the robot stopping in between

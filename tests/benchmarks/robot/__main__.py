@@ -19,7 +19,7 @@ from tests.benchmarks.robot.blinding import blind
 from tests.benchmarks.robot.cutting import cut
 from tests.benchmarks.robot.killing import kill
 from tests.benchmarks.robot.outcome import Row, save, show
-from tests.benchmarks.robot.pacing import pace_busy, pace_idle
+from tests.benchmarks.robot.pacing import pace_busy, pace_disk, pace_idle
 from tests.benchmarks.robot.stopping import stop
 from tests.benchmarks.robot.suspending import suspend
 from tests.benchmarks.robot.whole_loop import whole_loop
@@ -32,7 +32,7 @@ REPEATED: dict[str, tuple[Callable[..., list[Row]], int]] = {
     "blind": (blind, 20),
     "whole-loop": (whole_loop, 10),
 }
-LASTING: dict[str, Callable[..., list[Row]]] = {"pace-idle": pace_idle, "pace-busy": pace_busy}
+LASTING: dict[str, Callable[..., list[Row]]] = {"pace-idle": pace_idle, "pace-busy": pace_busy, "pace-disk": pace_disk}
 DURATION = 600.0  # s
 SEED = 20070707
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
+from hardware.recording.journal import SUFFIX
 from tests.benchmarks.robot.outcome import Row
 from tests.benchmarks.robot.rig import Rig
 
@@ -39,9 +43,43 @@ def pace_busy(folder: Path, *, duration: float, seed: int) -> list[Row]:
     ]
 
 
-def _drive(folder: Path, duration: float, seed: int) -> dict[str, float | str]:
+WRITER = """
+import os, sys
+while True:
+    with open(sys.argv[1], "wb", buffering=0) as file:
+        for _ in range(256):
+            file.write(os.urandom(1 << 20))
+        os.fsync(file.fileno())
+"""
+WRITERS = 2
+
+
+def pace_disk(folder: Path, *, duration: float, seed: int) -> list[Row]:
+    """Drive beside four busy processes and two that write to the disk of the journal without a pause.
+
+    What the rig itself writes lies in memory, so that only the recorder of the run waits for the disk.
+    """
+    loads = [[WRITER, str(folder / f"load-{number}")] for number in range(WRITERS)] + [["while True: pass"]] * BUSY
+    spinners = [subprocess.Popen([sys.executable, "-c", *load]) for load in loads]
+    try:
+        with tempfile.TemporaryDirectory(dir="/dev/shm") as memory:
+            figures = _drive(Path(memory), duration, seed, "--record", str(folder / f"run{SUFFIX}"))
+    finally:
+        for spinner in spinners:
+            spinner.kill()
+            spinner.wait()
+    case = f"20 Hz for {duration:.0f} s, {BUSY} busy processes, {WRITERS} that write"
+    return [_row(case, "no gap >= 150 ms", figures["longest_gap"] < BUSY_GAP, figures)]
+
+
+def _drive(folder: Path, duration: float, seed: int, *options: str) -> dict[str, float | str]:
     with Rig(folder, seed=seed) as rig:
-        host = rig.start_host("--samples", str(int(duration * RATE)))
+        for task in Path(
+            f"/proc/{rig.car.pid}/task"
+        ).iterdir():  # a board does not share the load, where that is allowed
+            with suppress(PermissionError):
+                os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(2))
+        host = rig.start_host("--samples", str(int(duration * RATE)), *options)
         host.process.wait(duration + 60.0)
         ended = next(entry.value for entry in host.entries() if entry.event == "ended")
     rig_end = next(entry.value for entry in rig.entries() if entry.event == "end")

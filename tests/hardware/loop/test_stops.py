@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hardware.control_loop import ControlLoop
+from hardware.connection import Connection
+from hardware.control_loop import ControlLoop, before_others
 from hardware.run_report import ROBOT, SIGNALS, LoopReport, Reason, Stops
 from sysid_evo.cli import console
 from sysid_evo.errors import LinkLost
@@ -121,6 +122,27 @@ def test_loop_keeps_time_in_real_time() -> None:
     assert (report.lateness >= 0.0).all()
     assert np.median(report.lateness) < 0.02
     assert report.gaps.sum() == pytest.approx(driven[-1] - driven[0], abs=0.05)
+
+
+def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in_simulated_time_as_usual() -> None:
+    def place() -> tuple[int, int]:
+        return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.getpriority(os.PRIO_PROCESS, 0)
+
+    def driven(link: Connection) -> set[tuple[int, int]]:
+        seen: list[tuple[int, int]] = []
+        ControlLoop(link, robot.system).run(Script(lambda tick: seen.append(place()) or FORWARD), samples=3)
+        return set(seen)
+
+    robot, usual = make_robot("emulated_car"), place()
+    with before_others():
+        best = place()
+    assert place() == usual
+    with Paced(robot.connect(seed=1)) as link:
+        assert driven(link) == {best}
+    assert driven(robot.connect(seed=1)) == {usual}
+    assert place() == usual
+    if os.geteuid() == 0:
+        assert best[0] == os.SCHED_RR
 
 
 def test_drift_is_how_much_later_the_last_ticks_are_than_the_first() -> None:
