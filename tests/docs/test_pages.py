@@ -122,6 +122,15 @@ def test_the_python_of_a_page_runs(
     spec.loader.exec_module(module)
 
 
+@pytest.mark.parametrize("page", ["README.md"])
+def test_the_first_python_of_a_page_runs_in_an_empty_folder(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    exec(compile(blocks(page, "python")[0].text, page, "exec"), {})
+    assert "standard deviations" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
 def test_the_commands_of_a_page_exist_with_these_options(page: str) -> None:
     group = loaded()
