@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hardware.robot import find_robot
-from sysid_evo import load_plugin, make_controller, make_task, trial_seeds
+from sysid_evo import Champion, load_plugin, make_controller, make_task, trial_seeds
+from sysid_evo.export.exported_controller import law_of
+from sysid_evo.export.python_file import python_text
 from tests.docs.blocks import PAGES, blocks
 from tests.docs.running import SMALL, picture, run_page, shown_on, words_of
 from tests.sysid_evo.cli.calling import forgetting
@@ -28,6 +31,7 @@ def test_a_tutorial_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeyp
     A picture of a smaller budget has other numbers, so it is told by what is written in it.
     """
     monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)  # a page may import what a command of it wrote
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     for said in run_page(page, tmp_path, SMALL):
         wide = [row for row in said.printed.splitlines() if len(row.rstrip()) > WIDTH]
@@ -57,3 +61,29 @@ def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path: Path) -> Non
         rest, balanced = robot.runner().run(feedback, gains, task, trial_seeds(1, 20)).fitness.mean(axis=1)
     assert rest < 0.0
     assert balanced > 0.95
+
+
+def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    name = "Pendulum-v1"
+    robot, task = find_robot(f'gymnasium(id="{name}")'), make_task(f'environment(id="{name}")')
+    controller = make_controller("recurrent(hidden=4)").bind_to(task.bind(robot.system))
+    weights = np.random.default_rng(0).standard_normal(controller.n_parameters)
+    champion = Champion(
+        "recommended",
+        weights,
+        ("x",),
+        "min",
+        0,
+        np.empty((0, 3)),
+        controller="recurrent(hidden=4)",
+        task=f'environment(id="{name}")',
+        system=robot.system,
+    )
+    (tmp_path / "recommended.py").write_text(python_text(law_of(champion)))
+    exec(blocks("tutorials/pendulum.md", "python")[-1].text, {})
+    monkeypatch.delitem(sys.modules, "recommended")
+    earned = robot.runner().run(controller, weights[None], task, np.zeros(1, dtype=np.uint64)).fitness
+    assert capsys.readouterr().out == f"{earned.item():.0f} in 200 steps\n"
