@@ -27,13 +27,15 @@ def make_env(
     *,
     actions: Actions = "auto",
     seed: int | None = None,
+    render_mode: None = None,
 ) -> ModelEnvironment:
     """Return ``model`` at ``task`` as an environment of Gymnasium.
 
     ``model`` is a model, the path of one, the name of an emulated robot, or several: an ensemble, of which every
     episode has another member. ``task`` is a spec or a task. ``actions`` see `Actions`; ``seed`` is that of the
-    first reset.
+    first reset. Nothing is drawn: `InvalidArgument` for a ``render_mode``.
     """
+    _drawn(render_mode)
     return ModelEnvironment(members_of(model), _task(task), actions=actions, seed=seed)
 
 
@@ -44,9 +46,23 @@ def make_vector_env(
     num_envs: int = 1,
     actions: Actions = "auto",
     seed: int | None = None,
+    render_mode: None = None,
 ) -> ModelVectorEnvironment:
-    """Return ``num_envs`` copies of what `make_env` makes, stepped all at once."""
+    """Return ``num_envs`` copies of what `make_env` makes, stepped all at once.
+
+    Stable-Baselines3 takes them as `sysid_evo.environments.stable_baselines.StableBaselinesEnv`.
+    """
+    _drawn(render_mode)
     return ModelVectorEnvironment(members_of(model), _task(task), num_envs, actions=actions, seed=seed)
+
+
+def _drawn(render_mode: str | None) -> None:
+    if render_mode is not None:
+        raise InvalidArgument(
+            f"environment: expected no render_mode, as models draw nothing, got {render_mode!r}: every step tells the "
+            "state in its info; store what was learned as a controller (champion_of, save_champion), and "
+            "`sysid-evo drive --controller FILE --watch` shows it"
+        )
 
 
 def _task(task: str | Task) -> Task:

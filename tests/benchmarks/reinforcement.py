@@ -11,17 +11,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from gymnasium import spaces
 from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
-from stable_baselines3.common.vec_env import VecEnv
 
 from evaluation.transfer import TransferMatrix, fitness_on, transfer
 from hardware.robot import Robot, find_robot
 from sysid_evo.engine import DynamicsRunner
-from sysid_evo.environments import ModelVectorEnvironment, champion_of, make_vector_env
+from sysid_evo.environments import champion_of, make_vector_env
+from sysid_evo.environments.stable_baselines import StableBaselinesEnv
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.models import Dynamics
 from sysid_evo.models.base import make_model
@@ -45,59 +44,12 @@ class Entry:
     samples: int
 
 
-class Stepped(VecEnv):  # type: ignore[misc]  # stable_baselines3 is not checked
-    """A vector environment of models as Stable-Baselines3 wants it: one that has ended begins anew at once."""
-
-    def __init__(self, env: ModelVectorEnvironment) -> None:
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
-        self.env, self.rewards = env, np.zeros(env.num_envs)
-        self.lengths = np.zeros(env.num_envs, dtype=int)
-
-    def reset(self) -> Any:
-        return self.env.reset()[0]
-
-    def step_async(self, actions: Any) -> None:
-        self.actions = actions
-
-    def step_wait(self) -> Any:
-        observation, reward, over, late, _ = self.env.step(self.actions)
-        ended = over | late
-        self.rewards, self.lengths = self.rewards + reward, self.lengths + 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        if ended.any():
-            for i in np.flatnonzero(ended):
-                infos[i] = {
-                    "terminal_observation": observation[i].copy(),
-                    "TimeLimit.truncated": bool(late[i] and not over[i]),
-                    "episode": {"r": self.rewards[i], "l": self.lengths[i], "t": 0.0},
-                }
-            self.rewards[ended], self.lengths[ended] = 0.0, 0
-            self.env.restart(ended)
-            observation = np.where(ended[:, None], self.env.observations(), observation)
-        return observation, reward.astype(np.float32), ended, infos
-
-    def close(self) -> None:
-        self.env.close()
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [getattr(self.env, attr_name, None)] * self.num_envs
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        setattr(self.env, attr_name, value)
-
-    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
-        return [getattr(self.env, method_name)(*arguments, **named)]
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False] * self.num_envs
-
-
 def learned(name: str, members: Mapping[str, Dynamics], task: str, *, steps: int, seed: int) -> Entry:
     """Train an algorithm in the ensemble of ``members`` for ``steps`` steps of it."""
     env = make_vector_env(members, task, num_envs=COPIES, actions="continuous", seed=seed)
     assert isinstance(env.single_action_space, spaces.Box)
     began = time.process_time()
-    algorithm = ALGORITHMS[name]("MlpPolicy", Stepped(env), seed=seed, device="cpu", **SETTINGS[name])
+    algorithm = ALGORITHMS[name]("MlpPolicy", StableBaselinesEnv(env), seed=seed, device="cpu", **SETTINGS[name])
     algorithm.learn(steps)
     seconds = time.process_time() - began
     return Entry(champion_of(algorithm, env.trials, name=name, task=task, seed=seed), seconds, algorithm.num_timesteps)

@@ -209,6 +209,12 @@ def test_models_of_different_systems_are_no_ensemble() -> None:
         make_env({"car": ExampleDynamics(switched_car()), "swing": ExampleDynamics(pendulum())}, TASK)
 
 
+def test_a_render_mode_is_refused_with_another_way_to_look() -> None:
+    for make in (gymnasium.make, gymnasium.make_vec):
+        with pytest.raises(InvalidArgument, match=r"expected no render_mode.*got 'rgb_array'.*--watch"):
+            make("sysid_evo/SwingUp-v0", render_mode="rgb_array")
+
+
 def test_nothing_else_imports_gymnasium() -> None:
     program = "import sys, sysid_evo.cli.app, evaluation, sysid_evo.engine; sys.exit('gymnasium' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from stable_baselines3 import DQN, PPO, SAC
+from stable_baselines3.common.vec_env import DummyVecEnv
 
 from evaluation.transfer import transfer
 from sysid_evo.controllers import View
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner
-from sysid_evo.environments import champion_of, make_env
+from sysid_evo.environments import champion_of, make_env, make_vector_env
+from sysid_evo.environments.stable_baselines import StableBaselinesEnv
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.testing import ExampleDynamics
@@ -57,3 +59,30 @@ def test_what_is_no_plain_policy_with_continuous_actions_is_refused() -> None:
     cart = make_env("emulated_car", TASK, actions="continuous")
     with pytest.raises(InvalidArgument, match="expected the MlpPolicy of PPO or SAC"):
         champion_of(type("Odd", (), {"policy": DQN})(), cart.trials, name="x", task=TASK)
+
+
+def test_a_vector_environment_is_to_stable_baselines_what_single_ones_are() -> None:
+    source: Any = {"made_up": ExampleDynamics(continuous_car()), "again": ExampleDynamics(continuous_car())}
+    task = "point_to_point(horizon=9)"
+    vector = StableBaselinesEnv(make_vector_env(source, task, num_envs=3, actions="continuous"))
+    singles = DummyVecEnv([lambda: make_env(source, task, actions="continuous")] * 3)
+    rng = np.random.default_rng(0)
+    vector.seed(7), singles.seed(7)
+    np.testing.assert_array_equal(vector.reset(), singles.reset())
+    for _ in range(25):
+        actions = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
+        found, expected = vector.step(actions), singles.step(actions)
+        for mine, its in zip(found[:3], expected[:3], strict=True):
+            np.testing.assert_array_equal(mine, its)
+        for mine, its in zip(found[3], expected[3], strict=True):
+            assert mine.get("TimeLimit.truncated", False) == its["TimeLimit.truncated"]
+            np.testing.assert_array_equal(mine.get("terminal_observation", 0), its.get("terminal_observation", 0))
+
+
+def test_an_algorithm_learns_in_a_vector_environment() -> None:
+    source: Any = {"made_up": ExampleDynamics(continuous_car())}
+    many = StableBaselinesEnv(make_vector_env(source, TASK, num_envs=4, actions="continuous"))
+    learner = PPO("MlpPolicy", many, n_steps=32, batch_size=32, seed=0, device="cpu").learn(128)
+    assert learner.num_timesteps == 128
+    assert len(learner.ep_info_buffer) > 0
+    assert champion_of(learner, many.env.trials, name="ppo", task=TASK).against == ("made_up",)
