@@ -199,7 +199,7 @@ class Store:
         return packed(self.path, (self._name(digest), *record.files))
 
     def take(self, cell: Cell, parcel: Parcel) -> Record:
-        """Put down the result of ``cell`` that was computed elsewhere, as it is.
+        """Put down the result of ``cell`` that was computed elsewhere, as it is: its record and its own files alone.
 
         Raises `ArtefactError` if that is no result of this cell or not whole, OSError if the disk is full.
         """
@@ -209,7 +209,9 @@ class Store:
         except ValidationError as error:
             raise ArtefactError(f"{cell.title}: what came has no readable record: {error}") from error
         digests = {name: hashlib.sha256(content).hexdigest() for name, _, content in files}
-        ours = named == self._name(record.digest) and record.digest == cell.digest and is_inside(record.artefact)
+        place, _, artefact = record.artefact.rpartition("/")
+        ours = named == self._name(record.digest) and record.digest == cell.digest and place == cell.place
+        ours &= artefact.endswith(f"-{cell.digest[:8]}") and all(name.startswith(record.artefact) for name in digests)
         if not ours or record.status != "done" or record.files != digests:
             raise ArtefactError(f"{cell.title}: what came is not the whole result of this cell")
         unpack(tuple(files), self.path)
@@ -369,10 +371,13 @@ def packed(folder: Path, names: Iterable[str]) -> Parcel:
 
 
 def unpack(parcel: Parcel, folder: Path) -> list[Path]:
-    """Write the files of ``parcel`` below ``folder``, and return them. Raises `ArtefactError` for one outside it."""
+    """Write the files of ``parcel`` below ``folder``, and return them.
+
+    Raises `ArtefactError` for one outside it, also where a link leads there.
+    """
     written = []
     for name, changed, content in parcel:
-        if not is_inside(name):
+        if not is_inside(name) or not (folder / name).parent.resolve().is_relative_to(folder.resolve()):
             raise ArtefactError(f"{name} lies outside the folder that it is sent to")
         file = write_atomically(folder / name, partial(Path.write_bytes, data=content))
         os.utime(file, ns=(changed, changed))

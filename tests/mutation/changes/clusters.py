@@ -166,15 +166,15 @@ CHANGES = (
     Change(
         "a file without an address breaks the command",
         SCHEDULER,
-        "(OSError, ValueError, TypeError, KeyError)",
-        "(OSError, ValueError, TypeError)",
+        "(OSError, ValueError, TypeError, KeyError, RecursionError)",
+        "(OSError, ValueError, TypeError, RecursionError)",
         (TEST_SCHEDULER,),
     ),
     Change(
         "a file that is no table breaks the command",
         SCHEDULER,
-        "(OSError, ValueError, TypeError, KeyError)",
-        "(OSError, ValueError, KeyError)",
+        "(OSError, ValueError, TypeError, KeyError, RecursionError)",
+        "(OSError, ValueError, KeyError, RecursionError)",
         (TEST_SCHEDULER,),
     ),
     Change(

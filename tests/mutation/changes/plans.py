@@ -181,8 +181,14 @@ CHANGES = (
         "key=lambda e: e",
         TEST_REGISTRY,
     ),
-    Change("commas inside brackets separate specs", SPEC, '== "," and depth == 0:', '== ",":', TEST_SPEC),
-    Change("one label stands for two things", SPEC, "if repeated:", "if repeated and not labels:", TEST_SPEC),
+    Change("commas inside brackets separate specs", SPEC, "elif depth == 0:", "else:", TEST_SPEC),
+    Change(
+        "one label stands for two things",
+        SPEC,
+        "if repeated is not None:",
+        "if repeated is not None and not labels:",
+        TEST_SPEC,
+    ),
     Change(
         "a parameter given twice counts once",
         SPEC,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
 
 from sysid_evo.errors import ArtefactError
 from sysid_evo.plan import Again, Plan, Store, execute
-from sysid_evo.plan.store import Parcel, digest_of, packed, unpack
+from sysid_evo.plan.store import Parcel, Record, digest_of, packed, unpack
 from tests.sysid_evo.plan.made_up_cells import Number
 
 ONE, OTHER = Number(1, label="one"), Number(2, label="other")
@@ -51,6 +52,33 @@ def test_a_file_that_would_stand_outside_is_refused(tmp_path: Path, name: str) -
     with pytest.raises(ArtefactError, match="lies outside the folder that it is sent to"):
         unpack(((name, 0, b"x"),), tmp_path / "in")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_file_is_written_through_a_link(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "in" / "a").symlink_to(tmp_path / "out")
+    with pytest.raises(ArtefactError, match="lies outside the folder that it is sent to"):
+        unpack((("a/file", 0, b"x"),), tmp_path / "in")
+    (tmp_path / "in" / "b").symlink_to(tmp_path / "out" / "b")
+    (tmp_path / "out" / "b").write_bytes(b"old")
+    unpack((("b", 0, b"x"),), tmp_path / "in")
+    assert [file.read_bytes() for file in (tmp_path / "out").iterdir()] == [b"old"]
+
+
+@pytest.mark.parametrize("name", ["experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json"])
+def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path: Path, done: Store, name: str) -> None:
+    (record_name, _, text), *files = done.parcel(ONE.digest)
+    record = Record.model_validate_json(text)
+    further = record.model_copy(update={"files": {**record.files, name: hashlib.sha256(b"x").hexdigest()}})
+    other = record.model_copy(
+        update={"artefact": name.partition(".")[0], "files": {name: hashlib.sha256(b"x").hexdigest()}}
+    )
+    store = Store(tmp_path / "other")
+    for forged, sent in ((further, (*files, (name, 0, b"x"))), (other, ((name, 0, b"x"),))):
+        with pytest.raises(ArtefactError, match="is not the whole result of this cell"):
+            store.take(ONE, ((record_name, 0, forged.model_dump_json().encode()), *sent))
+    assert not store.path.exists()
 
 
 def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path: Path, done: Store) -> None:
