@@ -1,4 +1,4 @@
-"""What is killed goes on to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10]``.
+"""What is killed goes on to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10] [--repeats 0]``.
 
 A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a fresh folder at
 ``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
@@ -8,6 +8,9 @@ then the scheduler is, and the command goes on with another one. No finished cel
 A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
 controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
 and exits 1 if anything differs.
+
+``--repeats 20`` does nothing but that: an evolution by ``niches`` and a polish, each as often from its beginning and
+killed three times (``--times``), beside ``--busy`` processes that count.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ import sys
 import tempfile
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +45,14 @@ EXPERIMENT = (
 EVOLUTION = (
     *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
     *("--generations", "200", "--trials", "4", "--runs", "1"),
+)
+NICHES = (
+    *("--against", "linear", "--task", "point_to_point(horizon=200)"),
+    *("--generations", "400", "--trials", "4", "--runs", "1", "--recipe", "plain", "--strategy", "niches"),
+)
+POLISH = (
+    *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
+    *("--generations", "200", "--trials", "4", "--runs", "1", "--recipe", "recommended"),
 )
 FIT = ("--models", "mlp_ensemble(members=2, hidden=[16], state_lags=1, one_step_updates=400, updates=150, horizon=8)")
 LIMIT = 600.0  # s, for one command
@@ -104,6 +117,7 @@ class Evolution(Job):
 
     what = "evolution"
     kept = "controllers/*.checkpoint"
+    options = EVOLUTION
 
     def fresh(self, name: str) -> Path:
         fitted = self.folder / "fitted"
@@ -113,10 +127,33 @@ class Evolution(Job):
         return Path(shutil.copytree(fitted, super().fresh(name)))
 
     def arguments(self, out: Path) -> tuple[str, ...]:
-        return ("evolve", "--run", str(out), *EVOLUTION)
+        return ("evolve", "--run", str(out), *self.options)
 
     def result(self, out: Path) -> object:
         return {file.name: file.read_bytes() for file in (out / "controllers").glob("*.safetensors")}
+
+
+class ByNiches(Evolution):
+    """One evolution by ``niches`` in one model."""
+
+    what = "niches"
+    options = NICHES
+
+
+class Polish(Evolution):
+    """The polish alone: what it starts from is there."""
+
+    what = "polish"
+    options = POLISH
+
+    def fresh(self, name: str) -> Path:
+        chosen = self.folder / "chosen"
+        if not chosen.exists():
+            finish([self.start(Evolution.fresh(self, "chosen").rename(chosen))])
+            for record in (chosen / "cells").glob("*.json"):
+                if json.loads(record.read_text())["kind"] in ("polish", "run"):
+                    record.unlink()
+        return Path(shutil.copytree(chosen, self.folder / f"polish-{name}"))
 
 
 class Fit(Job):
@@ -169,19 +206,49 @@ def rows(folder: Path, times: int, seed: int) -> list[Row]:
     return found
 
 
-def killed(job: Job, together: int, times: int, rng: np.random.Generator, whole: float, expected: object) -> Row:
+def repeated(folder: Path, repeats: int, times: int, seed: int) -> list[Row]:
+    """Evolve by niches and polish, each ``repeats`` times from the beginning, killed ``times``; return the table."""
+    example_dataset().save(folder / "car")
+    rng = np.random.default_rng(seed)
+    found, once = [], []
+    for job in (ByNiches(folder), Polish(folder)):
+        finish([job.start(job.fresh("warm"))])
+        whole = job.fresh("whole")
+        once.append((job, finish([job.start(whole)]), job.result(whole)))
+    for i in range(repeats):
+        for job, seconds, expected in once:
+            found.append(killed(job, 1, times, rng, seconds, expected, name=f"repeat {i + 1} of "))
+            sys.stderr.write(f"{found[-1]}\n")
+    return found
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Keep ``count`` processors busy meanwhile."""
+    others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for other in others:
+            other.kill()
+            other.wait()
+
+
+def killed(
+    job: Job, together: int, times: int, rng: np.random.Generator, whole: float, expected: object, *, name: str = ""
+) -> Row:
     """Kill and go on ``times``; where the end comes before the kill, the next one strikes in a fresh folder."""
-    what = job.what if together == 1 else f"{job.what}, {together} processes"
+    what = f"{name}{job.what}" if together == 1 else f"{job.what}, {together} processes"
     kills, kept, ends = 0, 0, 0
     same, began = True, time.perf_counter()
-    out = job.fresh(f"{together}-{ends}")
+    out = job.fresh(f"{name}{together}-{ends}")
     while kills < times:
         if kill_after([job.start(out) for _ in range(together)], float(rng.uniform(0.2, 1.0)) * whole):
             kills += 1
             kept += len(list(out.glob(job.kept)))
         else:
             same, ends = same and job.result(out) == expected, ends + 1
-            out = job.fresh(f"{together}-{ends}")
+            out = job.fresh(f"{name}{together}-{ends}")
     finish([job.start(out) for _ in range(together)])
     return Row(what, kills, kept, time.perf_counter() - began, same and job.result(out) == expected)
 
@@ -238,10 +305,17 @@ def main() -> int:
     """Print the table; return 1 if a result differs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=10, help="kills of one, and of two processes at once (10)")
+    parser.add_argument(
+        "--repeats", type=int, default=0, help="kill nothing but this many searches by niches, polishes"
+    )
+    parser.add_argument("--busy", type=int, default=0, help="processes that keep the machine busy meanwhile (0)")
     parser.add_argument("--seed", type=int, default=0, help="of the moments (0)")
     arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        table = rows(Path(folder), arguments.times, arguments.seed)
+    with tempfile.TemporaryDirectory() as folder, busy(arguments.busy):
+        if arguments.repeats:
+            table = repeated(Path(folder), arguments.repeats, arguments.times, arguments.seed)
+        else:
+            table = rows(Path(folder), arguments.times, arguments.seed)
     write = sys.stdout.write
     write(f"{'run':24} {'kills':>5} {'kept':>10} {'s':>6}   result\n")
     for row in table:
