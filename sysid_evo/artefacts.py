@@ -203,7 +203,8 @@ class CheckpointFile:
 
     It is one safetensors file, which is the old one or the new one after a crash, never half of one.
     It is due every ``every`` s, less often where saving takes long: never more than a hundredth of the time.
-    A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none.
+    A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none. One that cannot be
+    written, on a full disk for example, is one as well, and the work goes on.
     """
 
     def __init__(self, path: str | Path, *, every: float = 1.0) -> None:
@@ -212,6 +213,7 @@ class CheckpointFile:
         self.path, self.every = Path(path), every
         self._saved = time.monotonic()
         self._took = 0.0
+        self._fails = False
 
     def load(self, identity: str) -> State | None:
         """Return what was saved under this ``identity``, None if there is nothing that can be used."""
@@ -237,9 +239,20 @@ class CheckpointFile:
         return time.monotonic() - self._saved >= max(self.every, self._took / SHARE)
 
     def save(self, identity: str, state: State) -> None:
-        """Write ``state`` in place of what was kept before. Raises `OSError`."""
-        began = time.monotonic()
-        write_checkpoint(self.path, identity, state)
+        """Write ``state`` in place of what was kept before; where that fails, warn once and keep what there was."""
+        began, failed = time.monotonic(), self._fails
+        try:
+            write_checkpoint(self.path, identity, state)
+            self._fails = False
+        except OSError as error:  # results are smaller than what is kept on the way to them, and may still fit
+            self._fails = True
+            if not failed:
+                warnings.warn(
+                    f"{self.path}: cannot be written ({error.strerror or error}). The work goes on; if it is stopped "
+                    "now, it begins again from what was kept before",
+                    CheckpointWarning,
+                    stacklevel=2,
+                )
         self._saved = time.monotonic()
         self._took = self._saved - began
 

@@ -97,7 +97,7 @@ class DataWarning(UserWarning):
 
 
 class CheckpointWarning(UserWarning):
-    """A checkpoint was ignored, because it is damaged or belongs to other work."""
+    """A checkpoint was ignored, because it is damaged or belongs to other work, or could not be written."""
 
 
 class EvolutionWarning(UserWarning):

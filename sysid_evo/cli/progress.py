@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColum
 from rich.table import Table
 from rich.text import Text
 
-from sysid_evo.cli.console import err, note, out, session, tell
+from sysid_evo.cli.console import err, note, out, problems, session, tell
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
@@ -199,7 +199,7 @@ class Bars(Observer):
         if group != self._grouped.name:
             self._tell_group()
         if reason is not None:
-            err.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
+            problems.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
         elif group:
             self._grouped = self._grouped.with_one(group, seconds, self._ended)
         elif not err.is_terminal:

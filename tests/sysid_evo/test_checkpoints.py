@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import signal
 import subprocess
 import sys
@@ -167,6 +168,27 @@ def test_a_file_is_due_after_its_time_and_never_costs_more_than_a_hundredth(
     assert (file.due(), file.due()) == (False, True)
     with pytest.raises(InvalidArgument, match="expected every >= 0 s"):
         CheckpointFile(tmp_path / "c", every=-1.0)
+
+
+def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole: Champion, tmp_path: Path) -> None:
+    """The system refuses files of more than 500 bytes, as a full disk does."""
+    file, before = AlwaysDue(tmp_path / "c"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    file.save("mine", {})
+    kept = file.path.read_bytes()
+    assert len(kept) < 500
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (500, before[1]))
+        with pytest.warns(CheckpointWarning) as told:
+            found = evolved(SETTINGS, file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert_same(found, whole)
+    unwritten = [str(warning.message) for warning in told if "cannot be written" in str(warning.message)]
+    assert unwritten == [
+        f"{file.path}: cannot be written (File too large). The work goes on; if it is stopped now, it begins again "
+        "from what was kept before"
+    ]
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [kept]
 
 
 @pytest.mark.parametrize("after", range(1, 9))

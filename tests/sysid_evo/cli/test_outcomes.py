@@ -311,6 +311,13 @@ def test_a_family_that_fails_is_exit_code_3_with_a_report_and_its_reason(half: t
     assert (folder / "out" / "report.html").is_file()
 
 
+def test_what_fails_is_said_by_a_quiet_command_too(half: tuple[Path, Ended], logs: Path) -> None:
+    command = ("fit", logs, "--plugin", "mine.py", "--models", "never_fits", "--out", "quiet", "--quiet")
+    done = run_here(*command, cwd=half[0])
+    assert done.returncode == 3
+    assert done.stderr.startswith("failed fit never_fits: ArithmeticError: deep inside\n")
+
+
 def test_the_log_of_a_run_holds_the_traceback_of_every_failure(half: tuple[Path, Ended]) -> None:
     folder, _ = half
     log = [json.loads(line) for line in (folder / "out" / "log.jsonl").read_text().splitlines()]
