@@ -14,6 +14,7 @@ from model_zoo.networks.network import random_network
 from model_zoo.scaling import deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, command_network_predictor, with_angles
+from sysid_evo.models.kernels.neighbours import EXACT_INTEGERS
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
@@ -110,9 +111,12 @@ class Backprop27(DynamicsModel):
             after[rows] = np.einsum("bsh,sh->bs", by_state, self.last_[command]) + self.last_bias_[command]
         return next_state(self.added_, carry[:, : self.system.nx], after)
 
-    def predictor(self) -> Predictor:
+    def predictor(self) -> Predictor | None:
+        """None where there are so many commands that their weights are too many: the model then runs in NumPy."""
         cells, serving = self._serving
-        commands, n_in, _ = self.first_.shape
+        commands, n_in, units = self.first_.shape
+        if len(serving) * units * (n_in + 2) >= EXACT_INTEGERS:
+            return None
         shape = self.last_.shape[1:]
         networks = command_network_predictor(
             self.first_.reshape(commands, n_in, *shape).transpose(0, 2, 1, 3),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import product
 
@@ -10,6 +11,9 @@ import numpy as np
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, IntArray
+
+MOST_CELLS, BYTES = 2**20, 32
+"""Cells that are served, and bytes that each takes; the nearest of 10,000 commands is then found in half a minute."""
 
 
 @dataclass(frozen=True)
@@ -26,16 +30,24 @@ class CommandCells:
 
     @classmethod
     def of(cls, system: System, n_levels: int) -> CommandCells:
-        """Return the cells of ``system``. Raises `IncompatibleSystem`."""
-        return cls(
+        """Return the cells of ``system``. Raises `IncompatibleSystem`, of more than `MOST_CELLS` too."""
+        cells = cls(
             tuple(_levels(channel, n_levels) for channel in system.controls),
             tuple(i for i, channel in enumerate(system.controls) if channel.levels is None),
         )
+        if cells.count > MOST_CELLS:
+            each = " x ".join(str(len(levels)) for levels in cells.levels)
+            raise IncompatibleSystem(
+                f"expected at most {MOST_CELLS:,} commands, got {each} = {cells.count:,}: to find the nearest recorded "
+                f"one for each would take {BYTES * cells.count / 1e9:,.2f} GB; use fewer levels, or a family without "
+                "tables for commands, such as k_neighbours"
+            )
+        return cells
 
     @property
     def count(self) -> int:
         """Number of cells."""
-        return int(np.prod([len(levels) for levels in self.levels]))
+        return math.prod(len(levels) for levels in self.levels)
 
     @property
     def midpoints(self) -> tuple[Array, ...]:
@@ -59,10 +71,17 @@ class CommandCells:
 
         Distance is in shares of each channel's range; among equals the first counts.
         """
-        span = np.array([levels[-1] - levels[0] for levels in self.levels])
-        places = self.centres / span
-        distance = np.linalg.norm(places[:, None] - places[filled][None], axis=2)
-        return filled[np.argmin(distance, axis=1)]
+        shape = tuple(len(levels) for levels in self.levels)
+        places = [levels / (levels[-1] - levels[0]) for levels in self.levels]
+        nearest, chosen = np.full(self.count, np.inf), np.full(self.count, filled[0])
+        for cell in filled:  # one after the other: all at once take the square of the memory
+            squares = np.zeros(1)
+            for place, level in zip(places, np.unravel_index(cell, shape), strict=True):
+                squares = np.add.outer(squares, (place - place[level]) ** 2).ravel()
+            distance = np.sqrt(squares)
+            nearer = distance < nearest
+            nearest[nearer], chosen[nearer] = distance[nearer], cell
+        return chosen
 
 
 def _levels(channel: Channel, n_levels: int) -> Array:

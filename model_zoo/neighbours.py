@@ -15,6 +15,7 @@ from model_zoo.neighbours_kernel import plane_predictor
 from model_zoo.scaling import Standard, deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, neighbour_predictor, on_top, with_angles
+from sysid_evo.models.kernels.neighbours import EXACT_INTEGERS, numbers_taken
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.models.stochastic import Uncertain
@@ -79,8 +80,12 @@ class NearestNeighbour(DynamicsModel):
                 result[asked] = self.accelerations_[rows][nearest]
         return result
 
-    def predictor(self) -> Predictor:
+    def predictor(self) -> Predictor | None:
+        """None where there are so many commands that the tables are too large: the model then runs in NumPy."""
         cells, tables, serving = self._tables
+        counts = [rows.stop - rows.start for _, rows in tables.values()]
+        if numbers_taken(counts, self.points_.shape[1], self.system.nx) >= EXACT_INTEGERS and len(tables) > 1:
+            return None
         place = {number: i for i, number in enumerate(tables)}
         predictor = neighbour_predictor(
             [(self.points_[rows], self.accelerations_[rows]) for _, rows in tables.values()],

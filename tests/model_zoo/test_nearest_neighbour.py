@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,39 @@ def test_a_control_that_cannot_be_cut_into_cells_is_refused() -> None:
     with pytest.raises(IncompatibleSystem, match="control 'f'"):
         model.fit(endless, rng=np.random.default_rng(0))
     assert not hasattr(model, "system_")
+
+
+@pytest.mark.parametrize("family", ["nearest_neighbour", "backprop27(epochs=2)"])
+def test_ten_controls_take_little_memory_and_twenty_are_refused_with_the_bytes(family: str) -> None:
+    """Every sample has a command of its own among 59,049, each of which is served by the nearest recorded one."""
+
+    def recorded(controls: int) -> Dataset:
+        names = tuple(Channel(f"u{i}", low=-1.0, high=1.0) for i in range(controls))
+        rng = np.random.default_rng(0)
+        values = rng.uniform(-1.0, 1.0, (300, controls))
+        return Dataset.from_arrays(System((Channel("x"),), names, dt=0.1), [rng.standard_normal((301, 1))], [values])
+
+    dataset = recorded(10)
+    tracemalloc.start()
+    model = make_model(family).fit(dataset, rng=0)
+    after = model.step(np.zeros((5, 1)), np.full((5, 10), 0.9))
+    kernel = model.kernel()
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert np.isfinite(after).all()
+    assert most < 3e8
+    assert kernel is None or kernel.parameters.nbytes < 1.5e8
+    with pytest.raises(IncompatibleSystem, match=r"= 3,486,784,401: .* 111\.58 GB; use fewer levels"):
+        make_model(family).fit(recorded(20))
+
+
+def test_too_many_commands_for_the_compiled_form_run_in_numpy() -> None:
+    """Every table is filled up to 256 points, so that many small ones are larger than their points."""
+    rng, n = np.random.default_rng(0), 1600
+    names = tuple(Channel(f"u{i}", low=-1.0, high=1.0) for i in range(10))
+    system = System((Channel("x"), Channel("y"), Channel("z")), names, dt=0.1)
+    states, controls = rng.standard_normal((n + 1, 3)), rng.uniform(-1.0, 1.0, (n, 10))
+    few = Dataset.from_arrays(system, [states[:401]], [controls[:400]])
+    assert make_model("nearest_neighbour").fit(few).kernel() is not None
+    several = Dataset.from_arrays(system, [states] * 4, [np.roll(controls, i, axis=1) for i in range(4)])
+    assert make_model("nearest_neighbour").fit(several).kernel() is None

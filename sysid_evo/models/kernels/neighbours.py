@@ -67,6 +67,9 @@ def neighbour_predictor(
     for points, values in tables:
         check_shape("points", points, (None, n_states + len(exact)))
         check_shape("values", values, (len(points), n_out))
+    least = numbers_taken([len(points) for points, _ in tables], n_states + len(exact), n_out)
+    if least >= EXACT_INTEGERS:
+        raise too_many(least)
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
@@ -86,10 +89,7 @@ def neighbour_predictor(
         place += boxes.size + near.size + value.size + around.size
         blocks += [boxes.ravel(), near.ravel(), value.ravel(), around.ravel()]
     if place >= EXACT_INTEGERS:
-        raise InvalidArgument(
-            f"nearest neighbour: its tables take {place} numbers; the compiled form addresses {EXACT_INTEGERS}: "
-            "use fewer points"
-        )
+        raise too_many(place)
     head = HEAD.pack(
         lookup,
         [where_tables + TABLE.size * table for table in serving],
@@ -107,6 +107,19 @@ def neighbour_predictor(
     source = KernelSource(neighbours_of_many if many else neighbours, {"SIDES": sides})
     reads = (n_states, len(midpoints))
     return Predictor(source, parameters, n_scratch=1 + sides + room, reads=reads, writes=n_out)
+
+
+def too_many(numbers: int) -> InvalidArgument:
+    """Return the error that says how large the tables are."""
+    return InvalidArgument(
+        f"nearest neighbour: its tables take {numbers} numbers, {8 * numbers / 1e9:.2f} GB; the compiled form "
+        f"addresses {EXACT_INTEGERS}: use fewer points"
+    )
+
+
+def numbers_taken(counts: Sequence[int], sides: int, n_out: int) -> int:
+    """Return how many numbers tables of so many points with so many ``sides`` take, at least: groups are filled up."""
+    return sum(-(-count // BUCKET**2) for count in counts) * BUCKET * (2 * sides + BUCKET * (sides + n_out))
 
 
 def split(points: Array, rows: IntArray, *, whole: int = BUCKET) -> list[IntArray]:
