@@ -25,7 +25,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.progress import Progress
+from sysid_evo.progress import Counter, Progress, told
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation import measures
 from sysid_evo.validation.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
@@ -39,7 +39,7 @@ def assess_prediction(
     *,
     protocol: PredictionProtocol | None = None,
     families: Mapping[str, str] | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Prediction:
     """Measure the prediction error of fitted ``models`` on ``test``; persistence is the first row.
 
@@ -52,10 +52,11 @@ def assess_prediction(
     still = Persistence().fit(training, rng=np.random.default_rng(0))
     rows = [assess_model(PERSISTENCE, still, cases, family=PERSISTENCE)]
     families = families or {}
-    for name, model in models.items():
-        rows.append(assess_model(name, model, cases, family=families.get(name)))
-        if progress is not None:
-            progress(len(rows) - 1, len(models))
+    with told(progress, "predict") as report:
+        counter = Counter(report, len(models))
+        for name, model in models.items():
+            rows.append(assess_model(name, model, cases, family=families.get(name)))
+            counter.advance(1)
     return Prediction(cases, tuple(rows))
 
 

@@ -19,7 +19,7 @@ from sysid_evo.evolution.loop import Schedule
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
-from sysid_evo.progress import Checkpoint, Progress
+from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
@@ -101,7 +101,7 @@ def polish(
     generations: int = 120,
     sigma: float = 0.3,
     checkpoint: Checkpoint | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Champion:
     """Return the fittest of what CMA-ES finds near the ``starts`` best finalists of ``champion`` on all of ``runners``.
 
@@ -109,8 +109,8 @@ def polish(
     controller. The step is short, ``sigma`` at the start, since the starts are good drivers already: what
     changes is what they owe to the faults of single models. A start that nothing beats stays as it is. Models
     that deny the best start, on which it has less than `CREDIBLE` of its median over all, are left out, so that
-    one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` as for
-    `evolve_controller`.
+    one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` and ``progress``
+    as for `evolve_controller`.
     """
     if not champion.finalists or champion.system is None:
         raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
@@ -149,16 +149,18 @@ def polish(
         label = f"{POLISHED} {chosen[run].niche}".strip()
         return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)
 
-    told = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
-    ended = Runs(
+    asked = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
+    runs = Runs(
         len(chosen),
         generations,
         begun,
         finals,
         models=(used,),
         checkpoint=checkpoint,
-        identity="" if checkpoint is None else identity(told, runners, controller, task, seed),
-    ).to_the_end(progress)
+        identity="" if checkpoint is None else identity(asked, runners, controller, task, seed),
+    )
+    with told(progress, f"polish {name}") as report:
+        ended = runs.to_the_end(report)
     best = max((run.finalists[0] for run in ended), key=lambda one: one.fitness)  # of equals the first
     return replace(
         champion,
