@@ -124,19 +124,12 @@ def unused_limits(logs: Sequence[RawLog], tables: Sequence[Table], columns: Colu
         if column.low is None or column.high is None or not column.high > column.low:
             continue
         low, high = min(float(part.min()) for part in parts), max(float(part.max()) for part in parts)
-        (si_unit, own), share = to_si(column.unit), (high - low) / (column.high - column.low)
-        factors = {unit: to_si(unit)[1] for unit in units_of(si_unit)} | {column.unit: own}
-        meant = [
-            (unit != column.unit, factor, unit)  # first the one in which the column is, then the next larger ones
-            for unit, factor in factors.items()
-            if factor < UNUSED and column.low * factor <= low and high <= column.high * factor
-        ]
-        if not 0.0 < share < UNUSED or not (name in columns.controls or (meant and own < UNUSED)):
+        (si_unit, factor), share = to_si(column.unit), (high - low) / (column.high - column.low)
+        meant = factor < UNUSED and column.low * factor <= low and high <= column.high * factor
+        if not 0.0 < share < UNUSED or not (meant or name in columns.controls):
             continue
-        told = "Are they right?"
-        if meant:
-            _, factor, unit = min(meant)
-            told = f"Are they in {unit}? Then give low = {column.low * factor:g}, high = {column.high * factor:g}"
+        converted = f"low = {column.low * factor:g}, high = {column.high * factor:g}"
+        told = f"Are they in {column.unit}? Then give {converted}" if meant else "Are they right?"
         files = ", ".join(table.path.name for table in tables)
         found.append(
             f"{files}, column {column.column!r}: {name!r} goes from {low:g} to {high:g} {si_unit}, {share:.2g} of what "
