@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evaluation.exploitability.results import LEAST_SHARE, TIMES_NORMAL, ModelExploitability
+from evaluation.exploitability.results import TIMES_NORMAL, ModelExploitability
 from evaluation.formatting import percent
 from evaluation.prediction.scores import PERSISTENCE, ErrorScore, ModelPrediction, Prediction
 from evaluation.transfer.matrix import TransferMatrix
@@ -121,14 +121,17 @@ def none_beats_rest(matrix: TransferMatrix) -> bool:
     return bool(judged) and not any(one is None or one for one in judged)
 
 
-GUESSED = 10.0 * LEAST_SHARE
-"""Share of the time outside the data from which on a forecast is a guess: a tenth, where a probe is told from 1 %."""
+GUESSED, MOSTLY_GUESSED = 0.1, 0.5
+"""Shares of the time outside the data from which on a forecast is a guess: if three times what is normal, and always.
+
+Round numbers, not measured.
+"""
 
 
 def guessed_share(models: Sequence[ModelExploitability], controller: str) -> float | None:
     """Return the share of its time that a controller is outside the data, in the models that it was evolved in.
 
-    None where that is below a tenth, or less than three times what held-out driving is, or not known.
+    None where that is below a tenth, or below a half and less than three times that of held-out driving, or not known.
     """
     found = [
         (share, one.outside_held_out or 0.0) for one in models for name, share in one.outside if name == controller
@@ -136,7 +139,7 @@ def guessed_share(models: Sequence[ModelExploitability], controller: str) -> flo
     if not found:
         return None
     share, normal = np.mean(found, axis=0)
-    return float(share) if share >= max(GUESSED, TIMES_NORMAL * normal) else None
+    return float(share) if share >= max(GUESSED, min(TIMES_NORMAL * normal, MOSTLY_GUESSED)) else None
 
 
 def guess_warning(models: Sequence[ModelExploitability], controller: str) -> str:

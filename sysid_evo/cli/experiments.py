@@ -190,7 +190,8 @@ def run_experiment(
         return
     session.run = store
     store_experiment(comparison, path)
-    with Bars(f"--out {shlex.quote(str(path))}", elsewhere=scheduler is not None) as bars:
+    go_on = f"--out {shlex.quote(str(path))}"
+    with Bars(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
         outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
     stopped = outcomes[comparison.data.digest].error
@@ -405,7 +406,8 @@ def study(
     session.run = store
     if not render:
         planned.study.write(path / evaluation.STUDY_FILE)
-        with Bars(f"--out {shlex.quote(str(path))}", where=planned.where, elsewhere=scheduler is not None) as bars:
+        go_on, elsewhere = f"--out {shlex.quote(str(path))}", scheduler is not None
+        with Bars(go_on, cells=planned.plan, where=planned.where, elsewhere=elsewhere) as bars:
             execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = evaluation.write_study(planned, path)
     print_study(results, path, as_json=as_json, verbose=verbose)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -42,7 +43,7 @@ def carry_out(
         print_plan(plan, store, as_json=as_json)
         return None
     session.run = store
-    with Bars(f"--run {shlex.quote(str(store.path))}", elsewhere=scheduler is not None) as bars:
+    with Bars(f"--run {shlex.quote(str(store.path))}", cells=plan, elsewhere=scheduler is not None) as bars:
         return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 
@@ -69,11 +70,17 @@ class Bars(Observer):
     """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
     ``go_on`` are the options with which an interrupted command goes on, if it can. ``where`` tells cells of one title
-    apart: it stands in front of it. ``elsewhere`` says that cells are computed where nothing unfinished is kept.
+    apart: it stands in front of it. ``elsewhere`` says that cells are computed where nothing unfinished is kept. Of the
+    ``cells`` that are to be computed it knows when the last one of a group ends.
     """
 
     def __init__(
-        self, go_on: str | None = None, *, where: Callable[[Cell], str] | None = None, elsewhere: bool = False
+        self,
+        go_on: str | None = None,
+        *,
+        cells: Iterable[Cell] = (),
+        where: Callable[[Cell], str] | None = None,
+        elsewhere: bool = False,
     ) -> None:
         self._go_on, self._where, self._elsewhere = go_on, where, elsewhere
         self._bars = _Bars(
@@ -89,7 +96,8 @@ class Bars(Observer):
         self._current: dict[str, _Current] = {}
         self._cells = self._ended = self._failed = 0
         self._expected: dict[str, float] = {}
-        self._grouped = _Group()
+        self._awaited = Counter(self._group(cell) for cell in cells)
+        self._grouped: dict[str, list[float]] = {}
         self._left = self._foreseen = 0.0
         self._began = time.monotonic()
 
@@ -101,7 +109,8 @@ class Bars(Observer):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bars.stop()
-        self._tell_group()
+        for group, seconds in self._grouped.items():
+            self._tell_group(group, len(seconds), sum(seconds))
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             titles = [one.title for one in self._current.values()]
             further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
@@ -153,7 +162,7 @@ class Bars(Observer):
         if not err.is_terminal and now - current.told > REPORT_EVERY:
             current.told = now
             told = ", ".join(filter(None, (f"{done}/{total}", pace)))
-            tell("; ".join(filter(None, (f"{self._count(self._ended)}{current.title}: {told}", note))))
+            tell("; ".join(filter(None, (f"{self._count()}{current.title}: {told}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
@@ -163,8 +172,8 @@ class Bars(Observer):
             self._foreseen += expected
             self._left = max(0.0, self._left - expected)
         if not cached or reason is not None:
-            where = "" if self._where is None else self._where(cell)
-            self._end(cell.digest, self._title(cell), reason, f"{where}{cell.group}" if cell.group else "")
+            self._end(cell.digest, self._title(cell), reason, self._group(cell))
+        self._end_of_group(self._group(cell))
         self._tell_all()
 
     def _tell_all(self) -> None:
@@ -194,23 +203,26 @@ class Bars(Observer):
         return time.monotonic() - current.began
 
     def _end(self, key: str, title: str, reason: str | None, group: str = "") -> None:
-        """Say that work is over; without a terminal several cells of one ``group`` in a row have one line."""
+        """Say that work is over; without a terminal all cells of one ``group`` have one line, with the last of them."""
         seconds = self._remove(key)
-        if group != self._grouped.name:
-            self._tell_group()
         if reason is not None:
             problems.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
+        elif err.is_terminal:
+            return
         elif group:
-            self._grouped = self._grouped.with_one(group, seconds, self._ended)
-        elif not err.is_terminal:
-            tell(f"{self._count(self._ended)}{title}, {seconds:.1f} s", label="done ", style="green")
+            self._grouped.setdefault(group, []).append(seconds)
+        else:
+            tell(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
 
-    def _tell_group(self) -> None:
-        """Say how many cells of a group were computed in a row."""
-        found, self._grouped = self._grouped, _Group()
-        if found.cells and not err.is_terminal:
-            several = f"{found.name}, {found.cells} {'cell' if found.cells == 1 else 'cells'}, {found.seconds:.1f} s"
-            tell(f"{self._count(found.ended)}{several}", label="done ", style="green")
+    def _end_of_group(self, group: str) -> None:
+        self._awaited[group] -= 1
+        if self._awaited[group] <= 0 and group in self._grouped:
+            seconds = self._grouped.pop(group)
+            self._tell_group(group, len(seconds), sum(seconds))
+
+    def _tell_group(self, group: str, count: int, seconds: float) -> None:
+        cells = f"{group}, {count} {'cell' if count == 1 else 'cells'}, {seconds:.1f} s"
+        tell(f"{self._count()}{cells}", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
         note(sentence)
@@ -218,21 +230,12 @@ class Bars(Observer):
     def _title(self, cell: Cell) -> str:
         return cell.title if self._where is None else f"{self._where(cell)}{cell.title}"
 
-    def _count(self, ended: int) -> str:
-        return f"{ended} of {self._cells}: " if self._cells else ""
+    def _group(self, cell: Cell) -> str:
+        where = "" if self._where is None else self._where(cell)
+        return f"{where}{cell.group}" if cell.group else ""
 
-
-@dataclass(frozen=True)
-class _Group:
-    """Cells of one group that ended in a row, when the last one was the ``ended``-th of all."""
-
-    name: str = ""
-    cells: int = 0
-    seconds: float = 0.0
-    ended: int = 0
-
-    def with_one(self, name: str, seconds: float, ended: int) -> _Group:
-        return _Group(name, self.cells + 1, self.seconds + seconds, ended)
+    def _count(self) -> str:
+        return f"{self._ended} of {self._cells}: " if self._cells else ""
 
 
 class _Bars(Progress):

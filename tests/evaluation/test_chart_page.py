@@ -140,8 +140,11 @@ def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(visitor: Vis
 
 def test_the_command_of_the_controller_to_take_is_copied(visitor: Visitor, report: Report, tmp_path: Path) -> None:
     assert report.transfer is not None
+    assert report.matrix is not None
+    reached = {key: replace(cell, fitness=cell.fitness + 3.0) for key, cell in report.matrix.cells.items()}
     known = replace(
         report,
+        matrix=replace(report.matrix, cells=reached),
         controllers={report.transfer.pick or "": "controllers/best.json"},
         settings={**report.settings, "robot": "emulated_car"},
     )

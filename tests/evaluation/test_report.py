@@ -31,7 +31,7 @@ EVIL = 'a<b>"&$\\frac$'
 
 def make_report(models: dict[str, DynamicsModel], *, robot: bool = True, unplugged: bool = False) -> Report:
     """Return a small report of everything; the robot is the known car."""
-    training, test = recording(4), recording(1, seed=8)
+    training, test = recording(4), recording(3, seed=8)
     training = replace(training, notes=("recorded on a linear floor",))
     runners = {name: DynamicsRunner(model) for name, model in models.items()}
     names = tuple(models)
@@ -213,7 +213,7 @@ def test_a_single_trial_on_the_robot_has_no_error_bar() -> None:
     assert achieved.value == 2.0
     assert np.isnan(achieved.standard_error)
     assert to_json(report)["controllers"]["controllers"][0]["achieved"]["standard_error"] is None
-    assert "Most on the robot: c, 2.0." in to_html(report)
+    assert "Most on the robot: c, 2.00." in to_html(report)
 
 
 def test_nothing_but_names_and_failures_is_still_a_page(report: Report) -> None:

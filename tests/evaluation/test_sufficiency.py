@@ -147,7 +147,7 @@ def test_a_forecast_for_where_there_are_no_data_comes_with_a_warning_and_no_prai
     sheet = forecast_sheet(guess)
     assert sheet is not None
     assert "outside the data: a (37 %)" in sheet.note
-    for usual in ((("a", 0.05),), 0.02), ((("a", 0.37),), 0.2):
-        fine = replace(made, exploitability=(replace(card, outside=usual[0], outside_held_out=usual[1]),))
-        assert "a guess" not in headline(fine, "Which controller").sentence
+    for share, normal, warned in ((0.05, 0.0, False), (0.37, 0.2, False), (0.61, 0.2, True), (0.61, 0.3, True)):
+        other = replace(made, exploitability=(replace(card, outside=(("a", share),), outside_held_out=normal),))
+        assert ("a guess" in headline(other, "Which controller").sentence) == warned
     assert brief(guess)
