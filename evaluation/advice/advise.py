@@ -71,6 +71,9 @@ def advise_model(
     where, judged_on = Evidence(name, model.without_noise(), training, test), "the test part"
     if test is None:
         where, judged_on = _held_back(where, seed)
+    if not where.varying.any():
+        said = f"No state varies in the data that {name} is judged on: nothing can be said of it. Excite the controls."
+        return ModelAdvice(name, (Remark("variation", said, 1.0),), judged_on)
     trajectories = list(visited)
     if trajectories:
         where = replace(where, visited=Steps.of(training.system, trajectories))

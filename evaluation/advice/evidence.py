@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.cases import PredictionProtocol, measured_cases, spread_of
 from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset
@@ -17,7 +17,7 @@ from sysid_evo.data.response import acting_controls
 from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
-from sysid_evo.types import Array, IntArray
+from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.bootstrap import BlockErrors
 
 
@@ -52,9 +52,17 @@ class Evidence:
     @cached_property
     def std(self) -> Array:
         """The spread (nx,) of the moving samples judged on; 1 where there is none."""
-        moving = np.concatenate([e.states[rows] for e, rows in zip(self.judged, self.judged.moving, strict=True)])
-        std = self.system.spread(moving)
-        return np.where(std > 0.0, std, 1.0)
+        return np.where(self.varying, self._spread, 1.0)
+
+    @property
+    def varying(self) -> BoolArray:
+        """Which states (nx,) vary in the moving samples judged on."""
+        return self._spread > 0.0
+
+    @cached_property
+    def _spread(self) -> Array:
+        moving = [e.states[rows] for e, rows in zip(self.judged, self.judged.moving, strict=True)]
+        return spread_of(self.system, np.concatenate(moving))
 
     @cached_property
     def steps(self) -> StepErrors:

@@ -306,7 +306,7 @@ def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
         out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
     if blocks and not enough_blocks(min(blocks)):
-        note(f"these are {min(blocks)} blocks of time only, too few to tell models apart: record more")
+        note(f"blocks of time that models were judged on: {min(blocks)}, too few to tell them apart; record more")
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:

@@ -18,6 +18,7 @@ from evaluation.report.sections.summary import headlines
 from evaluation.sufficiency import FEWEST_BLOCKS, beats_rest, none_beats_rest
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
+from sysid_evo.system import Channel, System
 from tests.evaluation.known_models import SYSTEM, Known, fitted, recording
 from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_tables import exploited
@@ -70,6 +71,16 @@ def test_a_state_that_is_constant_but_for_rounding_has_no_score(value: float) ->
     assert score is not None
     assert np.isnan(score.nrmse[1:]).all()
     assert "lateral_speed, yaw_rate is constant in the test set and left out of N" in found.cases.notes
+
+
+def test_of_data_in_which_nothing_varies_the_advice_says_just_that() -> None:
+    system = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
+    pushes = np.random.default_rng(0).uniform(-1.0, 1.0, size=(399, 1))
+    training = Dataset.from_arrays(system, [np.full((400, 1), 0.1)], [pushes])
+    model = make_model("linear").fit(training, rng=np.random.default_rng(0))
+    for test in (training, None):
+        (remark,) = advise_model(model, training, test, name="linear").remarks
+        assert remark.sentence.startswith("No state varies in the data that linear is judged on")
 
 
 def test_advice_that_rests_on_an_interval_wants_ten_blocks() -> None:

@@ -310,7 +310,7 @@ def headline(report: Report) -> Headline:
     score = _score(best, horizon)
     if few_data := too_little(prediction, horizon):
         lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
-        return Headline(question, "Too little test data", f"{few_data} {lowest}", "open")
+        return Headline(question, "Not known", f"{few_data} {lowest}", "open")
     size = f"N {three_digits(score.n)} ({three_digits(score.interval.low)} to {three_digits(score.interval.high)})"
     where = horizon_name(horizon, prediction.cases.system.dt)
     good = [model.name for model in models if predicts(prediction, model, horizon)]
