@@ -44,7 +44,7 @@ def test_every_table_and_answer_of_the_report_is_in_markdown(report: Report) -> 
         assert sheet_to_markdown(sheet) in markdown
     for finding in verdict(report):
         assert finding.question in markdown
-    assert any("known" in headline.sentence for headline in headlines(report))
+    assert any("known" in headline.answer for headline in headlines(report))
 
 
 def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report: Report, tmp_path: Path) -> None:
