@@ -19,7 +19,7 @@ from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
 from sysid_evo.cli.options import column_map, given, listed, load_plugins, resolved, seconds
 from sysid_evo.cli.progress import Bars, duration, print_plan
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, PluginError
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.store import Outcome, Store
 from sysid_evo.registry.plugins import load_named_plugins
@@ -348,7 +348,12 @@ def report(
 def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
     """Store a cell of a robot, or of a person on anything, in a run, and make its report again if it has one."""
     evaluation.save_measured(folder, measured)
-    if (folder / FILE).is_file() and report_again(folder) is not None:
+    try:
+        made = report_again(folder) if (folder / FILE).is_file() else None
+    except PluginError as error:  # what was driven is kept all the same
+        tell(f"stored in {folder}, whose report is not made again: {error}")
+        return
+    if made is not None:
         say(f"Report: {folder / 'report.html'}")
     else:
         tell(f"stored in {folder}, which has no report (compare makes one)")

@@ -8,10 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from evaluation import Experiment, Study, comparison_of, plan_study, run_study
+from evaluation import Cell, Experiment, MeasuredResult, Study, comparison_of, load_measured, plan_study, run_study
+from evaluation.transfer.matrix import person
 from sysid_evo import load_plugin
+from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
 from tests.sysid_evo.cli.calling import forgetting, run_here
 
@@ -151,6 +154,35 @@ def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it
     assert not (theirs / "ran").exists()
     done = run_here(*command, "--plugin", "stand.py", cwd=theirs)
     assert done.returncode == 0, done.stderr
+
+
+def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(
+    theirs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    driven = Cell("anna", "linear", np.array([5.0]), unit="waypoints")
+    add_measured(theirs / "run", MeasuredResult(person("anna"), driven, on_robot=False))
+    assert "whose report is not made again" in " ".join(capsys.readouterr().err.split())
+    assert len(load_measured(theirs / "run")[0]) == 1
+    assert not (theirs / "ran").exists()
+
+
+def test_names_in_models_and_files_of_robots_import_nothing(theirs: Path) -> None:
+    (theirs / "evil.py").write_text((theirs / "stand.py").read_text())
+    (theirs / "evil.toml").write_text('driver = "evil:Car"\n')
+    (model,) = (theirs / "run" / "models").glob("linear-*.json")
+    named = model.read_text().replace('"name": "linear"', '"name": "evil"')
+    model.write_text(named.replace('"module": "model_zoo.linear"', '"module": "evil"'))
+    assert '"module": "evil"' in model.read_text()
+    for command, said in (
+        (("models", "show", "run/models/linear"), "needs the model family 'evil', which the module 'evil' registered"),
+        (("robots", "check", "evil.toml"), "no robot is called 'evil:Car'"),
+        (("robots", "check", "evil.py:Car"), "expected NAME(parameter=value, ...)"),
+        (("fit", "run", "--models", "evil.Model"), "expected NAME(parameter=value, ...)"),
+    ):
+        refused = run_here(*command, cwd=theirs)
+        assert refused.returncode == 2
+        assert said in " ".join(refused.stderr.split())
+    assert not (theirs / "ran").exists()
 
 
 def test_the_processes_of_a_command_run_its_plugins_where_nothing_can_be_remembered(
