@@ -144,9 +144,9 @@ class Champion(Displayed):
         system = value["system"]
         parameters, history, found, population = (
             np.asarray(tensors[name], dtype=np.float64) for name in ("parameters", "history", "finalists", "population")
-        )
+        )  # JSON gives rows of none back without their number of columns
         for name, rows in (("parameters", parameters[None]), ("finalists", found), ("population", population)):
-            if not np.isfinite(check_shape(name, rows, (None, parameters.size))).all():
+            if rows.size and not np.isfinite(check_shape(name, rows, (None, parameters.size))).all():
                 raise InvalidArgument(f"{name}: expected finite numbers, some are not")
         return cls(
             name=value["name"],
