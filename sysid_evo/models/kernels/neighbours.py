@@ -63,7 +63,7 @@ def neighbour_predictor(
     that join the state in a query.
     """
     n_out = tables[0][1].shape[1]
-    check_cells(serving, len(tables), midpoints, exact)
+    n_control = check_cells(serving, len(tables), midpoints, exact)
     for points, values in tables:
         check_shape("points", points, (None, n_states + len(exact)))
         check_shape("values", values, (len(points), n_out))
@@ -105,7 +105,7 @@ def neighbour_predictor(
     sides = n_states + len(exact)
     room = -(-(most + BUCKET) // LANES) if many else -(-most * BUCKET // LANES) + most
     source = KernelSource(neighbours_of_many if many else neighbours, {"SIDES": sides})
-    reads = (n_states, len(midpoints))
+    reads = (n_states, n_control)
     return Predictor(source, parameters, n_scratch=1 + sides + room, reads=reads, writes=n_out)
 
 

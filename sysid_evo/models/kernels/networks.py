@@ -184,7 +184,7 @@ def command_network_predictor(
     check_shape("first_bias", first_bias, (commands, n_out, hidden))
     check_shape("second", second, (commands, n_out, hidden))
     check_shape("second_bias", second_bias, (commands, n_out))
-    check_cells(serving, commands, midpoints, exact)
+    n_control = check_cells(serving, commands, midpoints, exact)
     lookup = [float(i) for i in exact]
     for between in midpoints:
         lookup += [len(between), *between]
@@ -205,15 +205,16 @@ def command_network_predictor(
         weights=COMMANDS.size + len(head),
     )
     sizes = {"N_IN": n_in, "HIDDEN": hidden, "N_OUT": n_out}
-    source, reads = KernelSource(command_networks, sizes), (n_states, len(midpoints))
+    source, reads = KernelSource(command_networks, sizes), (n_states, n_control)
     return Predictor(source, parameters, n_scratch=1 + n_in, reads=reads, writes=n_out)
 
 
-def check_cells(serving: IntArray, count: int, midpoints: Sequence[Array], exact: Sequence[int]) -> None:
-    """Raise `ShapeError` unless ``serving`` names one of ``count`` tables for every cell between the ``midpoints``."""
+def check_cells(serving: IntArray, count: int, midpoints: Sequence[Array], exact: Sequence[int]) -> int:
+    """Return how many controls are read; raise `ShapeError` unless ``serving`` names one of ``count`` tables a cell."""
     check_shape("serving", serving, (math.prod(len(between) + 1 for between in midpoints),))
-    if serving.min() < 0 or serving.max() >= count or not set(exact) <= set(range(len(midpoints))):
-        raise ShapeError(f"serving: expected numbers of {count} tables, and exact those of {len(midpoints)} controls")
+    if serving.min() < 0 or serving.max() >= count or min(exact, default=0) < 0:
+        raise ShapeError(f"serving: expected numbers of {count} tables, got {serving.min()} to {serving.max()}")
+    return max(len(midpoints), 1 + max(exact, default=-1))
 
 
 def command_networks(x, u, p, y, scratch):
