@@ -63,11 +63,12 @@ class Experiment(BaseModel):
     `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
     ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
     holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
-    on the robot itself, one that is a program: what can be achieved there at all; None means where the program
-    records an emulated robot and follows the recommended recipe. ``only`` stops after the models ("fit") or after their
-    prediction errors ("prediction"). Controllers know the state ``estimator_delay`` s late, and are evolved with
-    ``noise`` (`RadicalEnvelope`) and ``caution`` (`Doubt`), which their claims do not meet; "none" for none. None as
-    ``noise`` is the `Task.usual_noise`, which only models meet: robots have their own.
+    on the robot itself, one that is a program, by one search no longer than those in models: something to compare
+    with, not the most that can be achieved; None means where the program records an emulated robot and follows the
+    recommended recipe. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
+    Controllers know the state ``estimator_delay`` s late, and are evolved with ``noise`` (`RadicalEnvelope`) and
+    ``caution`` (`Doubt`), which their claims do not meet; "none" for none. None as ``noise`` is the `Task.usual_noise`,
+    which only models meet: robots have their own.
     ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """

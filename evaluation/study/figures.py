@@ -149,7 +149,7 @@ def _rows(results: StudyResults) -> Iterator[tuple[tuple[tuple[str, ...], str], 
     by_point: dict[str, list[ControllerRow]] = {}
     for row in results.controllers:
         point = places[row.point]
-        name = "the robot itself" if row.kind == "robot" else row.controller
+        name = "one search on the robot" if row.kind == "robot" else row.controller
         groups.setdefault(point.group, {}).setdefault(name, []).append(row)
         by_point.setdefault(row.point, []).append(row)
     for group, controllers in groups.items():

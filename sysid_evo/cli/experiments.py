@@ -64,7 +64,10 @@ def compare(
     estimator_delay: options.EstimatorDelay = None,
     yardstick: Annotated[
         bool | None,
-        typer.Option("--yardstick/--no-yardstick", help="Also evolve on the emulated robot itself."),
+        typer.Option(
+            "--yardstick/--no-yardstick",
+            help="Also search on the emulated robot itself, once, as long as in a model.",
+        ),
     ] = None,
     seed: options.Seed = None,
     folder: options.Out = None,

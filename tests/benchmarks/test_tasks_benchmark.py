@@ -1,4 +1,4 @@
-"""The command that compares what is achieved with the yardstick, task by task."""
+"""The command that compares what is achieved with one search on the robot, task by task."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.benchmarks.tasks import main
 
 
 @pytest.mark.slow
-def test_a_tiny_run_prints_what_is_achieved_beside_the_yardstick(
+def test_a_tiny_run_prints_what_is_achieved_beside_one_search_on_the_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tiny = ["--out", str(tmp_path), "--cases", "thermal/set_point", "--seeds", "0", "--minutes", "3"]

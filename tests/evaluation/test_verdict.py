@@ -252,8 +252,23 @@ def test_a_yardstick_evolved_on_the_robot_keeps_no_claim() -> None:
     fitness = {"a": {"a": 10.0, "car": 5.0}, "car": {"a": 1.0, "car": 12.0}}
     text = told(report(transfer=matrix(fitness, robot="car")))
     assert "Most on the robot: a, 5.0" in text
-    assert "Evolved on the robot itself: car, 12.0" in text
+    assert "One search on the robot itself, no longer than one in a model, reaches car, 12.0" in text
     assert "No controller keeps nine tenths of its claim on the robot." in text
+
+
+@pytest.mark.parametrize(
+    ("achieved", "expected"),
+    [(9.0, "a achieves 75 % of that."), (15.0, "a achieves more than that search, which is no limit.")],
+)
+def test_no_share_of_more_than_all_is_stated(achieved: float, expected: str) -> None:
+    fitness = {
+        "a": {"a": 16.0, "b": 15.0, "car": achieved},
+        "b": {"a": 1.0, "b": 2.0, "car": 1.0},
+        "car": {"a": 1.0, "b": 1.0, "car": 12.0},
+    }
+    text = told(report(transfer=matrix(fitness, robot="car")))
+    assert expected in text
+    assert "125 %" not in text
 
 
 def test_a_controller_that_was_polished_on_all_models_is_chosen_although_no_other_family_is_left_to_judge_it() -> None:

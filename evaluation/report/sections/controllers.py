@@ -421,14 +421,17 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         return ("No controller could be run on the robot.",)
     moved = [c for c in tested if not c.on_robot]
     answers = [f"Most on the robot: {_achieved(moved[0], unit)}."] if moved else []
-    yardstick = next((c for c in tested if c.on_robot), None)
-    if yardstick is not None:
-        answers.append(f"Evolved on the robot itself: {_achieved(yardstick, unit)}.")
+    reference = next((c for c in tested if c.on_robot), None)
+    if reference is not None:
+        answers.append(
+            f"One search on the robot itself, no longer than one in a model, reaches {_achieved(reference, unit)}."
+        )
         pick = next((c for c in tested if c.name == summary.pick), None)
-        assert yardstick.achieved is not None
-        share = None if pick is None else pick.share_of(yardstick.achieved.value)
-        if pick is not None and share is not None:
-            answers.append(f"{pick.name} achieves {percent(share)} of that.")
+        assert reference.achieved is not None
+        share = None if pick is None else pick.share_of(reference.achieved.value)
+        if pick is not None and share is not None:  # one search is no upper limit, so that there are no 107 % of it
+            told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no limit"
+            answers.append(f"{pick.name} achieves {told}.")
     shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]

@@ -47,8 +47,8 @@ def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choi
         rows += [row(point, "model", 10.0, chosen=True), row(point, point.where, 20.0, kind="robot", claimed=25.0)]
     results = of(empty, rows)
     figures = figures_of(results)
-    assert list(figures) == ["the robot itself", "model", CHOSEN, HINDSIGHT]
-    assert figures["the robot itself"].gap is None
+    assert list(figures) == ["one search on the robot", "model", CHOSEN, HINDSIGHT]
+    assert figures["one search on the robot"].gap is None
     best = figures[HINDSIGHT].share
     assert best is not None
     assert (best.mean, best.points) == (0.5, 2)

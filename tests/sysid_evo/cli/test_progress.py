@@ -29,6 +29,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> Callable[..., io.StringIO]:
         made = Console(file=written, force_terminal=terminal, width=80, height=24, color_system=None)
         for module in (console, progress):
             monkeypatch.setattr(module, "err", made)
+            monkeypatch.setattr(module, "problems", made)
         return written
 
     return on
