@@ -59,7 +59,7 @@ def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path: Path) -> Non
         # at rest, and a linear-quadratic regulator of the upright pole, as shares of the largest force
         gains = np.array([np.zeros(5), [2.09, 1.82, 7.85, -1.45, 0.0]])
         rest, balanced = robot.runner().run(feedback, gains, task, trial_seeds(1, 20)).fitness.mean(axis=1)
-    assert rest < 0.0
+    assert rest < 0.1
     assert balanced > 0.95
 
 
