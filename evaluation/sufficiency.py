@@ -88,22 +88,19 @@ def beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: i
 def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:
     """Return by how much a controller does better than controls at rest; None where that is not known.
 
-    On the robot, else on average over the models that it was not evolved in, else over all. Where controls at rest
-    were not run, they count as 0, unless some fitness is negative: then nothing is known of them.
+    On the robot, else on average over the models that it was not evolved in, else over all: the first where both were
+    run. Controls at rest that were run nowhere count as 0, unless some fitness is negative: then nothing is known.
     """
     figures, champions = Figures(matrix), {one.name: one for one in matrix.champions}
     others = [model for model in matrix.models if model not in champions[name].against]
-    own = None
     for columns in ([] if matrix.robot is None else [matrix.robot], others, matrix.models):
         own = figures.on(champions[name], columns, mean)
-        if own is not None:
-            break
-    if own is None:
-        return None
-    if not matrix.at_rest:
-        return own if all(cell.mean >= 0.0 for cell in matrix.cells.values() if not cell.failed) else None
-    rest = figures.on(champions[matrix.at_rest[0]], columns, mean)
-    return None if rest is None else own - rest
+        rest = figures.on(champions[matrix.at_rest[0]], columns, mean) if matrix.at_rest else None
+        if own is not None and rest is not None:
+            return own - rest
+        if own is not None and not matrix.at_rest:
+            return own if all(cell.mean >= 0.0 for cell in matrix.cells.values() if not cell.failed) else None
+    return None
 
 
 def beats_rest(matrix: TransferMatrix, name: str) -> bool | None:

@@ -171,7 +171,7 @@ def hidden_state(evidence: Evidence) -> Remark | None:
     return Remark(
         "hidden state" if unseen else "noisy states",
         f"What {evidence.name} leaves of {evidence.system.state_names[channel]} one step ahead is not white "
-        f"(correlation {size:+.2f} from step to step), and earlier errors explain {percent(gain)} of it: {why} "
+        f"(correlation {size:+z.2f} from step to step), and earlier errors explain {percent(gain)} of it: {why} "
         f"{remedy} or a family with a hidden state.",
         1.0 - np.sqrt(1.0 - gain),
         {"explained": gain, "autocorrelation": size},

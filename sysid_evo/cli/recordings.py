@@ -156,7 +156,7 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
             f"{delay.control} x speed" if delay.at_speed else delay.control,
             delay.state,
             *((f"{delay.steps}", f"{round(1e3 * delay.seconds)}") if delay.clear else ("-", "-")),
-            f"{delay.strength:+.2f}",
+            f"{delay.strength:+z.2f}",
         )
         for delay in advice.delays
     ]

@@ -18,6 +18,7 @@ from rich.text import Text
 import evaluation
 import hardware
 import sysid_evo
+from evaluation.formatting import by_error
 from sysid_evo.artefacts import is_stored
 from sysid_evo.cli.console import ROBOT, err, out, say, tell
 from sysid_evo.cli.experiments import add_measured
@@ -359,9 +360,9 @@ def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
     for trial, why in enumerate(cell.missing, cell.trials + 1):
         table.add_row(str(trial), "missing", why)
     if cell.trials:
-        table.add_row("mean", f"{cell.mean:.2f}", "", style="bold")
+        table.add_row("mean", by_error(cell.mean, cell.standard_error), "", style="bold")
     if cell.trials > 1:
-        table.add_row("standard deviation", f"{cell.std:.2f}", "")
+        table.add_row("standard deviation", by_error(cell.std, cell.standard_error), "")
     return table
 
 

@@ -11,6 +11,7 @@ import typer
 from rich.text import Text
 
 import evaluation
+from evaluation.prediction.cases import main_horizon
 from sysid_evo.cli.console import note, out, say, table_of, tell
 from sysid_evo.cli.options import Json
 from sysid_evo.errors import ArtefactError
@@ -119,9 +120,10 @@ def _figures(run: Path) -> dict[str, float | None]:
 def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for model in (report["prediction"] or {"models": []})["models"]:
-        near = [score for score in model["horizons"] if score["seconds"] <= 1.0 + 1e-9] or model["horizons"][:1]
+        scores = {score["steps"]: score for score in model["horizons"]}
+        near = scores.get(main_horizon(list(scores), report["data"]["system"]["dt"]))
         if near and model["name"] != evaluation.PERSISTENCE:
-            found[f"N at {near[-1]['seconds']:g} s, {model['name']}"] = near[-1]["n"]
+            found[f"N at {near['seconds']:g} s, {model['name']}"] = near["n"]
     controllers = (report["controllers"] or {"controllers": []})["controllers"]
     for one in controllers:
         for figure in ("claimed", "achieved"):

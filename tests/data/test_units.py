@@ -7,7 +7,7 @@ import math
 import pytest
 
 from sysid_evo.data import load_columns
-from sysid_evo.data.units import to_si, units_of
+from sysid_evo.data.units import spelled, spelled_range, to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
 
 
@@ -65,3 +65,28 @@ def test_a_column_map_with_a_wrong_unit_names_the_key(columns_file):
 def test_a_refused_role_lists_the_units_that_fit():
     assert units_of("rad/s") == ("rad/s", "deg/s", "rpm")
     assert units_of("rad") == ("rad", "mrad", "deg", "rev")
+
+
+@pytest.mark.parametrize(
+    "value, among, text",
+    [
+        (1100.0, (1000.0, 2000.0), "1100"),
+        (1466.0, (), "1466"),
+        (3.14e-6, (-3.14, 3.14), "0"),
+        (-1e-9, (1.0,), "0"),
+        (0.00314, (), "0.00314"),
+        (3.14e-8, (), "3.14e-08"),
+        (0.5, (0.5, -1.0), "0.5"),
+        (0.0, (), "0"),
+        (12.345, (), "12.3"),
+        (math.inf, (), "inf"),
+    ],
+)
+def test_a_value_has_three_digits_of_its_range_and_no_exponent_where_there_is_a_way(value, among, text):
+    assert spelled(value, among) == text
+
+
+def test_a_range_is_written_with_the_digits_of_its_larger_end():
+    assert spelled_range(-0.00000314, 2.5) == "0 to 2.5"
+    assert spelled_range(1000.0, 2000.0) == "1000 to 2000"
+    assert spelled_range(1.0, 1.0) == "1"

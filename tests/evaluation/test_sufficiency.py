@@ -128,7 +128,7 @@ def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_senten
     assert made.transfer.pick == "a"
     card = headline(made, "Which controller")
     assert card.tone == "bad"
-    assert card.sentence.startswith("a is worse than controls at rest (-2.00 ±")
+    assert card.sentence.startswith("a is worse than controls at rest (difference -2.00 ±")
     assert first_sentence(made, "What to use?").startswith("a is worse than controls at rest")
 
 
@@ -140,6 +140,14 @@ def test_as_good_as_rest_is_no_better_and_one_trial_goes_by_its_value() -> None:
     single = report(transfer=matrix({"a": {"a": 3.0, "b": 2.0}, "rest": {"a": 1.0, "b": 1.0}}, trials=1)).matrix
     assert single is not None
     assert beats_rest(single, "a") is True
+
+
+def test_where_rest_was_not_run_on_the_robot_models_tell() -> None:
+    driven = idle(1.0).matrix
+    assert driven is not None
+    cells = {key: cell for key, cell in driven.cells.items() if key != ("rest", "car")}
+    cells["rest", "car"] = replace(driven.cell("rest", "car"), reason="not run")
+    assert beats_rest(replace(driven, cells=cells), "a") is True
 
 
 def test_without_controls_at_rest_they_count_as_nothing_unless_fitness_is_negative() -> None:

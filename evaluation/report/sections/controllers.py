@@ -382,7 +382,7 @@ def _idle(matrix: TransferMatrix, name: str) -> str:
     if gain is None or beats_rest(matrix, name) is not False:
         return ""
     worse = "worse" if gain.interval()[1] < 0.0 else "no better"
-    return f"{name} is {worse} than controls at rest ({plus_minus(gain)} beside them): do not use it."
+    return f"{name} is {worse} than controls at rest (difference {plus_minus(gain)}): do not use it."
 
 
 def _better(pick: ControllerSummary, report: Report) -> str:
@@ -494,7 +494,7 @@ def recommended(report: Report) -> tuple[str, ...]:
         if best is not None and best.achieved is not None and best.name != summary.pick:
             answers.append(f"Chosen with the robot: {best.name}, {value_of(best.achieved)} on it.")
         answers += [
-            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+.2f} "
+            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+z.2f} "
             f"({correlation.controllers} controllers)."
             for correlation in summary.correlations
             if correlation.value is not None

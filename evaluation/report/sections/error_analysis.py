@@ -65,12 +65,12 @@ def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
     colour = "white"
     if not found.white[channel]:
         lag = found.largest_lag(channel)
-        colour = lines("not white", f"{found.autocorrelation[lag - 1, channel]:+.2f} after {lag * dt:g} s")
+        colour = lines("not white", f"{found.autocorrelation[lag - 1, channel]:+z.2f} after {lag * dt:g} s")
     shown = []
     for place, control in enumerate(prediction.cases.system.control_names):
         if found.cross_p[place, channel] < LEVEL / prediction.cases.system.nu:
             lag = found.control_lag(place, channel)
-            shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+.2f}")
+            shown.append(f"{control}, {lag * dt:g} s: {found.cross_at(lag)[place, channel]:+z.2f}")
     return lines(colour, *shown)
 
 
