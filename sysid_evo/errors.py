@@ -1,4 +1,4 @@
-"""Every error and warning of the library, the "Did you mean" part of a message, and text that is safe to print.
+"""Every error and warning of the library, what messages are made of, text that is safe to print, settings at odds.
 
 Each error is a `SysidEvoError` and a builtin exception.
 """
@@ -6,7 +6,12 @@ Each error is a `SysidEvoError` and a builtin exception.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import sysconfig
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 
 class SysidEvoError(Exception):
@@ -123,3 +128,58 @@ UNSEEN = {number: None for number in (*range(32), *range(127, 160), *range(0x202
 def printable(text: str) -> str:
     """Return ``text``, which may hold names from anybody's files, so that it can be shown on a terminal."""
     return text.translate(UNSEEN)
+
+
+def described(error: Exception) -> str:
+    """Return an error's class and message, and the line of the plugin that raised it or led to it."""
+    here = Path(__file__).parent  # this package and the harness run plugins, and are none
+    others = (str(here), str(here.parent / "evaluation"), *map(sysconfig.get_path, ("stdlib", "purelib")), "<")
+    own = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(others)]
+    where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
+    return f"{type(error).__name__}: {error}{where}"
+
+
+@dataclass(frozen=True)
+class Meaningless:
+    """A row of a table: ``settings`` without effect where all of ``beside`` are given and none of ``unless`` is.
+
+    Those of ``beside`` count where they have one of the values that stand there; where none stand there, any.
+    """
+
+    settings: tuple[str, ...]
+    why: str
+    beside: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    unless: tuple[str, ...] = ()
+
+
+def meaningless(
+    rules: Iterable[Meaningless], given: Mapping[str, Any], among: Mapping[str, Any]
+) -> dict[str, Meaningless]:
+    """Return what is ``given`` and has no effect ``among`` all that is, with its rule; what is empty is not given."""
+    there = {name for name, value in among.items() if value}
+    holding = [
+        rule
+        for rule in rules
+        if there.isdisjoint(rule.unless)
+        and all(name in there and (not few or among[name] in few) for name, few in rule.beside.items())
+    ]
+    return {name: rule for rule in holding for name in rule.settings if given.get(name)}
+
+
+def as_setting(name: str, value: Any = None) -> str:
+    """Return a setting as Python and TOML write it: ``only = 'fit'``."""
+    return f"{name} = {value!r}" if isinstance(value, str) else name
+
+
+def refuse_meaningless(
+    rules: Iterable[Meaningless],
+    given: Mapping[str, Any],
+    among: Mapping[str, Any],
+    named: Callable[..., str] = as_setting,
+) -> None:
+    """Raise `InvalidArgument` for the first of the settings ``given`` that others ``among`` all make meaningless."""
+    for name, rule in meaningless(rules, given, among).items():
+        parts = [f"with {named(other, among[other] if few else None)}" for other, few in rule.beside.items()]
+        parts += [f"without {' or '.join(map(named, rule.unless))}"] if rule.unless else []
+        remedy = "change that, or leave it out" if rule.unless else "leave one of them out"
+        raise InvalidArgument(f"{named(name)} has no effect {' and '.join(parts)}: {rule.why}; {remedy}")

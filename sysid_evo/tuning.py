@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Union
 import numpy as np
 
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, described
 from sysid_evo.extras import check_installed
 from sysid_evo.models.parameters import OneOf, Searched, Within, check_names, limits_of
 from sysid_evo.progress import Progress, told
@@ -210,7 +210,7 @@ class Tuning:
                     model.fit(seen, rng=np.random.default_rng(self.seeds[fold]))
                     runs.append(judged.run(model))
             except Exception as error:  # a plugin may fail in any way; the other trials go on
-                return None, f"{type(error).__name__}: {error}".splitlines()[0]
+                return None, described(error).splitlines()[0]
             part = Judge(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
             found = min(part.errors(runs).mean, WORST)
             trial.report(found, fold)

@@ -23,7 +23,7 @@ from evaluation.prediction.scores import (
 )
 from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, described
 from sysid_evo.models import DynamicsModel
 from sysid_evo.progress import Counter, Progress, told
 from sysid_evo.types import Array, BoolArray, IntArray
@@ -68,7 +68,7 @@ def assess_model(
     try:
         return score_model(name, model, cases, family=family)
     except Exception as error:  # a plugin may fail in any way; the other rows must go on
-        return ModelPrediction(name, family, reason=f"{type(error).__name__}: {error}")
+        return ModelPrediction(name, family, reason=described(error))
 
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:

@@ -18,7 +18,7 @@ from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
 from sysid_evo.display import Displayed, listed
 from sysid_evo.engine import Rollouts, Runner, as_runners
-from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
+from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError, described
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.models import Dynamics
@@ -344,7 +344,7 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
     try:
         return run_on(champion, column, runner, seeds, traces=traces)
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
-        return TransferResult(champion.name, column, reason=f"{type(error).__name__}: {error}")
+        return TransferResult(champion.name, column, reason=described(error))
 
 
 def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:

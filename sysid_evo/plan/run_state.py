@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from typing import Any
 
-from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError
+from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError, described
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Outcome, Store, blocked_by
@@ -185,7 +185,7 @@ class Here:
         ledger.end(cell, None, seconds)
 
     def _fail(self, cell: Cell, error: Exception, seconds: float) -> None:
-        reason = str(error) if isinstance(error, SysidEvoError) else f"{type(error).__name__}: {error}"
+        reason = str(error) if isinstance(error, SysidEvoError) else described(error)
         self.ledger.fail(cell, reason, traceback.format_exc(), seconds, error)
 
     def _result(self, cell: Cell) -> Any:

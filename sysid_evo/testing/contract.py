@@ -6,46 +6,44 @@ that must hold, and it raises `ContractViolation` with a reason where the senten
 
 from __future__ import annotations
 
-import sysconfig
-import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
-from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from sysid_evo.errors import ContractViolation, SysidEvoError
+from sysid_evo.errors import ContractViolation, SysidEvoError, described
 from sysid_evo.types import Array, BoolArray
 
 Subject = TypeVar("Subject")
 Check: TypeAlias = Callable[[Subject], None]
 
-NOT_THE_PLUGINS = (str(Path(__file__).parents[1]), *(sysconfig.get_path(name) for name in ("stdlib", "purelib")))
-"""Folders whose files are nobody's plugin: this package, Python and what is installed beside it."""
 MADE = "It is made from its name and parameters"
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One check: its sentence, and why it failed (None if it holds)."""
+    """One check: its sentence, and why it failed (None if it holds); or why it says nothing here, ``idle``."""
 
     sentence: str
     failure: str | None
+    idle: str = ""
 
 
 class DoesNotApply(Exception):
-    """What a check raises whose sentence says nothing about its subject."""
+    """What a check raises whose sentence says nothing about its subject; with a reason that is worth a line."""
 
 
 def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
-    """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply`."""
+    """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply` without a reason."""
     sentence = (check.__doc__ or check.__name__).strip()
     try:
         check(*subject)
-    except DoesNotApply:
-        raise
+    except DoesNotApply as error:
+        if not error.args:
+            raise
+        return CheckResult(sentence, None, idle=str(error))
     except ContractViolation as error:
         return CheckResult(sentence, str(error))
     except Exception as error:  # a plugin may fail in any way: that is what is being found out
@@ -87,14 +85,6 @@ def expect(holds: Any, reason: str) -> None:
     """Raise `ContractViolation` with ``reason`` unless ``holds``."""
     if not holds:
         raise ContractViolation(reason)
-
-
-def described(error: Exception) -> str:
-    """Return an error's class and message, and the line of the plugin that raised it or led to it."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if not frame.filename.startswith((*NOT_THE_PLUGINS, "<"))]
-    where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
-    return f"{type(error).__name__}: {error}{where}"
 
 
 Result = TypeVar("Result")

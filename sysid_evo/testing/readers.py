@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -122,12 +123,31 @@ def a_missing_column_is_named(given: ReaderExample) -> None:
 
 def a_damaged_file_is_told(given: ReaderExample) -> None:
     """A file that is empty, or of other bytes, is an InvalidData that names the file"""
-    columns = list(given.columns)
-    with tempfile.TemporaryDirectory() as folder:
-        for name, content in (("empty", b""), ("garbage", np.random.default_rng(0).bytes(400))):
-            path = Path(folder) / f"{name}{given.path.suffix}"
-            path.write_bytes(content)
-            _expect_refused(given, path, columns)
+    for name, content in (("empty", b""), ("garbage", np.random.default_rng(0).bytes(400))):
+        expect(
+            _read_copy(given, name, content) is None, f"{name}{given.path.suffix}: expected InvalidData, got no error"
+        )
+
+
+def a_wrong_number_is_told(given: ReaderExample) -> None:
+    """A file with NaN, nothing, infinity or a word for a number is an InvalidData that names the file"""
+    whole = given.whole().columns
+    for name, content in _with_wrong_numbers(given.content):
+        table = _read_copy(given, name, content)
+        # the number may have stood in a column of words, or in a comment; then all else is read as before
+        unharmed = table is None or all(same(values, table.columns.get(column)) for column, values in whole.items())
+        expect(unharmed, f"{name} in the place of a number: expected InvalidData, got other numbers or fewer rows")
+
+
+def a_file_that_is_cut_short_gives_no_wrong_numbers(given: ReaderExample) -> None:
+    """A file that is cut short is an InvalidData that names the file, or the rows before the cut"""
+    whole = given.whole()
+    for quarters in (1, 2, 3):
+        table = _read_copy(given, "cut", given.content[: quarters * len(given.content) // 4])
+        for name, values in () if table is None else table.columns.items():
+            expect_numbers(f"column {name!r} of a file that is cut short", values, values.shape)
+            before = values[:-1]  # of the last row a number may be cut itself
+            expect(same(before, whole.columns[name][: len(before)]), f"column {name!r} has other numbers than before")
 
 
 def the_file_is_left_alone(given: ReaderExample) -> None:
@@ -145,8 +165,36 @@ CHECKS: tuple[Check[ReaderExample], ...] = (
     a_column_does_not_depend_on_the_others,
     a_missing_column_is_named,
     a_damaged_file_is_told,
+    a_wrong_number_is_told,
+    a_file_that_is_cut_short_gives_no_wrong_numbers,
     the_file_is_left_alone,
 )
+
+
+def _read_copy(given: ReaderExample, name: str, content: bytes) -> Table | None:
+    """Return what it reads from a file with this content, None if it refuses it by its name."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}{given.path.suffix}"
+        path.write_bytes(content)
+        try:
+            return given.reader.read(path, given.columns)
+        except InvalidData as error:
+            expect(path.name in str(error), f"expected {path.name!r} in: {error}")
+            return None
+
+
+NUMBER = re.compile(rb"(?<![\w.+-])-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\w.])")
+WRONG = {"nan": b"NaN", "nothing": b"", "infinity": b"1e999", "word": b"three"}
+
+
+def _with_wrong_numbers(content: bytes) -> Iterator[tuple[str, bytes]]:
+    """Yield the content of a file of text with one number replaced, in the middle and last; nothing of other files."""
+    if b"\0" in content:
+        return
+    numbers = list(NUMBER.finditer(content))
+    for found in {numbers[len(numbers) // 2], numbers[-1]} if numbers else ():
+        for name, wrong in WRONG.items():
+            yield name, content[: found.start()] + wrong + content[found.end() :]
 
 
 def _expect_refused(given: ReaderExample, path: Path, columns: list[str], *named: str) -> None:

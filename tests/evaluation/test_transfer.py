@@ -97,7 +97,8 @@ def test_fresh_trials_are_those_neither_of_evolution_nor_of_the_choice_of_the_ch
 def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
     runners: dict[str, Runner] = {"known": DynamicsRunner(fitted(Known())), "car": Unplugged()}
     matrix = transfer([champion("c", ("known",))], runners, seed=1, robot="car", trials=3)
-    assert matrix.cell("c", "car").reason == "ConnectionError: no answer from the car"
+    reason = str(matrix.cell("c", "car").reason)
+    assert reason.startswith("ConnectionError: no answer from the car (test_transfer.py, line ")
     assert np.isnan(matrix.means()[0, 1])
     assert not matrix.cell("c", "known").failed
     assert matrix.best("car") is None
