@@ -142,6 +142,8 @@ class SingleTrack(GreyBox, CarFamily):
     `model_zoo.grey_box.GreyBox` says.
     """
 
+    knowledge = "grey"
+
     tyre: Literal["pacejka", "tanh"] = "pacejka"
     substeps: int = 3
     actuator_lag: bool = True

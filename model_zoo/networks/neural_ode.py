@@ -183,6 +183,8 @@ class NeuralOde(NetworkRate):
     ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
     """
 
+    knowledge = "dark grey"
+
     offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
     presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}
 
@@ -196,6 +198,8 @@ class NeuralOdeHistory(NetworkRate):
     Earlier samples are held over a step; how many is chosen by the simulation error on held-out
     blocks of time unless given.
     """
+
+    knowledge = "dark grey"
 
 
 def flow_step(

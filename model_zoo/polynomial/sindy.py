@@ -30,6 +30,9 @@ class Sindy(SparsePolynomial):
     goes on bounded, see `continued`: a polynomial that pushes outwards there cannot run away. Integrals run on.
     """
 
+    knowledge = "dark grey"
+    requires = ("pysindy",)
+
     has_weak_form = True
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
@@ -82,6 +85,8 @@ class SindyDiscrete(SparsePolynomial):
     divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
     open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `integrals`.
     """
+
+    requires = ("pysindy",)
 
     knowledge = "black"
 

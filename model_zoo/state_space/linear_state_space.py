@@ -35,6 +35,8 @@ class LinearStateSpace(StateSpaceModel):
     within 5 % of the best.
     """
 
+    knowledge = "black"
+
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"iterations": 12, "folds": 1, "most_steps": 4000}}
     limits: ClassVar[dict[str, Limit]] = {"folds": at_least(1, at_most=FOLDS)}
 

@@ -213,6 +213,8 @@ class NonlinearStateSpace(NetworkSpaces):
     a tenth better in free runs on held-out blocks of time; ``gated=False`` leaves that out. ``fit_note`` says so.
     """
 
+    knowledge = "black"
+
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"members": 3, "mixtures": 4, "trial": 6, "iterations": 15, "horizon": 300, "most_steps": 3000}
     }
@@ -231,6 +233,8 @@ class LatentOde(NetworkSpaces):
     run free (multiple shooting), a normal prior on W and V. An observer with the gain K of a Kalman predictor corrects
     the states after each step where outputs are measured, and finds the first from the last samples.
     """
+
+    knowledge = "black"
 
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"members": 2, "mixtures": 3, "trial": 5, "iterations": 10, "horizon": 200, "most_steps": 3000}

@@ -89,12 +89,19 @@ def note(text: str) -> None:
     tell(text, label="note: ", style="dim")
 
 
-def table_of(*headings: str, numbers: Collection[str] = ()) -> Table:
-    """Return a table without lines that has these columns; those of ``numbers`` stand on the right."""
+def table_of(*headings: str, numbers: Collection[str] = (), whole: Collection[str] = ()) -> Table:
+    """Return a table without lines that has these columns; ``numbers`` stand on the right, ``whole`` never wrap."""
     table = Table(box=None, pad_edge=False)
     for heading in headings:
-        table.add_column(heading, justify="right" if heading in numbers else "left", overflow="fold")
+        side: Any = "right" if heading in numbers else "left"
+        table.add_column(heading, justify=side, overflow="fold", no_wrap=heading in whole)
     return table
+
+
+def as_option(name: str, value: Any = None) -> str:
+    """Return an option as it is typed: ``--only fit``."""
+    option = "--" + name.replace("_", "-")
+    return f"{option} {value}" if isinstance(value, str) else option
 
 
 def complain(error: BaseException) -> None:

@@ -1,4 +1,4 @@
-"""Models list, models show, tune, adapt: families and fitted models."""
+"""Models show, tune, adapt: families and fitted models."""
 
 from __future__ import annotations
 
@@ -23,39 +23,7 @@ from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import models
 from sysid_evo.tuning import Tuning
 
-app = typer.Typer(help="The model families.", no_args_is_help=True)
 
-
-@app.command("list")
-def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
-    """List every model family that can be loaded, with what it assumes."""
-    load_plugins(plugin)
-    rows: list[dict[str, str | None]] = []
-    for name, family in models.load_all():
-        lacking = models.lacking(name)
-        rows.append(
-            {
-                "name": name,
-                "knowledge": getattr(family, "knowledge", ""),
-                "summary": models.summary(name),
-                "lacking": None if lacking is None else str(lacking),
-            }
-        )
-    if as_json:
-        out.print_json(data=rows)
-        return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("family", no_wrap=True)
-    table.add_column("assumes", no_wrap=True)
-    table.add_column("what it is")
-    for row in rows:
-        table.add_row(row["name"], row["knowledge"], Text(row["summary"] or ""))
-        if row["lacking"]:
-            table.add_row("", "", Text(f"cannot run here: {row['lacking']}", style="yellow"))
-    out.print(table)
-
-
-@app.command("show")
 def show_model(
     name: Annotated[str, typer.Argument(help="A family, or the file of a fitted model.")],
     plugin: Plugins = None,
@@ -68,6 +36,8 @@ def show_model(
     """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
     load_plugins(plugin)
     stored = name not in models.names() and is_stored(name, "model")
+    if speed and not stored:
+        raise InvalidArgument(f"--speed: expected the file of a fitted model, got the family {name!r}")
     card = model_card(Path(name), measured=speed) if stored else family_card(name)
     if as_json:
         out.print_json(data=card)
@@ -183,9 +153,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
 
 def _candidates(rows: list[dict[str, str]]) -> Table:
     """Return what a model was chosen from, a row for each candidate."""
-    table = Table(box=None, pad_edge=False)
-    for column in rows[0]:
-        table.add_column(column, overflow="fold", no_wrap=column in ("error", "weight"))
+    table = table_of(*rows[0], whole=("error", "weight"))
     for row in rows:
         table.add_row(*map(Text, row.values()))
     return table
@@ -193,9 +161,7 @@ def _candidates(rows: list[dict[str, str]]) -> Table:
 
 def _parameters(rows: list[dict[str, Any]]) -> Table:
     """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
-    table = Table(box=None, pad_edge=False)
-    for column in ("parameter", "value", "standard error", "unit", ""):
-        table.add_column(column, justify="right" if column in ("value", "standard error") else "left")
+    table = table_of("parameter", "value", "standard error", "unit", "", numbers=("value", "standard error"))
     for row in rows:
         remark = "" if row["determined"] else "not determined"
         table.add_row(row["parameter"], f"{row['value']:.4g}", f"{row['standard error']:.2g}", row["unit"], remark)
@@ -205,9 +171,8 @@ def _parameters(rows: list[dict[str, Any]]) -> Table:
 def _hyper_parameters(values: Any) -> Table:
     rows = values if isinstance(values, list) else [{"name": name, "value": value} for name, value in values.items()]
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = Table(box=None, pad_edge=False)
-    for column in columns:
-        table.add_column("hyper-parameter" if column == "name" else column, no_wrap=column == "name")
+    first = "hyper-parameter"
+    table = table_of(*(first if column == "name" else column for column in columns), whole=(first,))
     for row in rows:
         table.add_row(*[Text(str(row.get(column, ""))) for column in columns])
     return table
@@ -332,9 +297,10 @@ def adapt(
     Prints what the gate saw and decided: errors of free runs over blocks that were not learned from.
     """
     load_plugins(plugin)
-    for suffix in (".json", ".safetensors"):
-        if Path(f"{str(file).removesuffix(suffix)}.json").exists():
-            raise InvalidArgument(f"--out: {file} exists already; remove it, or name another file")
+    stem = str(file).removesuffix(".json").removesuffix(".safetensors")
+    for standing in (Path(f"{stem}{suffix}") for suffix in (".json", ".safetensors")):
+        if standing.exists():
+            raise InvalidArgument(f"--out: {standing} exists already; remove it, or name another file")
     base = sysid_evo.load_model(model)
     new = sysid_evo.Dataset.read(data, columns=columns)
     if seconds is not None:
@@ -369,10 +335,7 @@ def tried_ways(adapted: Any) -> list[dict[str, Any]]:
 
 def print_gate(new: sysid_evo.Dataset, rows: list[dict[str, Any]], decision: str) -> None:
     """Print the table of what was tried, the best first, and the decision."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("way", no_wrap=True)
-    table.add_column("all", justify="right")
-    table.add_column("in each block", justify="right")
+    table = table_of("way", "all", "in each block", numbers=("all", "in each block"), whole=("way",))
     count = max((len(row["blocks"]) for row in rows), default=0)
     for row in sorted(rows, key=lambda row: float(row["error"]))[:WAYS_SHOWN]:
         shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))

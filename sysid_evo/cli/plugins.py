@@ -1,11 +1,11 @@
-"""Names, plugin new, plugin check: what has a name, and the contracts of one's own things."""
+"""Names, models list, plugin new, plugin check: what has a name, and the contracts of one's own things."""
 
 from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -13,13 +13,15 @@ from rich.text import Text
 
 import hardware
 import sysid_evo.testing
-from sysid_evo.cli.console import err, out, say
+from sysid_evo.cli.console import err, out, say, table_of, tell
 from sysid_evo.cli.options import Json, Plugins, load_plugins
-from sysid_evo.errors import InvalidArgument, UnknownName
+from sysid_evo.errors import InvalidArgument, UnknownName, did_you_mean
 from sysid_evo.registry.grammar import Spec
-from sysid_evo.registry.registry import KINDS
-from sysid_evo.testing.contract import CheckResult
+from sysid_evo.registry.registry import KINDS, models
 from sysid_evo.testing.template import PLUGINS, write_plugin
+
+if TYPE_CHECKING:
+    from sysid_evo.testing.contract import CheckResult
 
 app = typer.Typer(
     help="Models, tasks, controllers, strategies, robots and readers of your own.",
@@ -64,11 +66,15 @@ def check(
     kind = kind or _kind_of(spec.name)
     broken = 0
     for result in _results(kind, spec, data):
-        verdict = ("ok    ", "green") if result.failure is None else ("BROKEN", "bold red")
-        out.print(Text.assemble(verdict, f" {result.sentence}"))
+        verdict = ("ok", "green") if result.failure is None else ("BROKEN", "bold red")
+        line = Table.grid(padding=(0, 1))  # whose second column is where a sentence that is wrapped goes on
+        line.add_column(width=len("BROKEN"))
+        said = result.sentence + (f": {result.idle}" if result.idle else "")
+        line.add_row(Text("-", "dim") if result.idle else Text(*verdict), Text(said))
         if result.failure is not None:
             broken += 1
-            out.print(Text(f"       {result.failure}"))
+            line.add_row("", Text(result.failure))
+        out.print(line)
     if broken:
         err.print(f"{name} breaks {broken} of the contract's sentences")
         raise typer.Exit(1)
@@ -114,22 +120,49 @@ FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
 """What a kit takes besides the name, made of the path that was given."""
 
 
+def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
+    """List every model family that can be loaded, with what it assumes."""
+    load_plugins(plugin)
+    rows: list[dict[str, str | None]] = []
+    for name, knowledge in models.each(lambda name: str(models.glance(name, "knowledge") or "")):
+        lacking = models.lacking(name)
+        why = None if lacking is None else str(lacking)
+        rows.append({"name": name, "knowledge": knowledge, "summary": models.summary(name), "lacking": why})
+    if as_json:
+        out.print_json(data=rows)
+        return
+    table = table_of("family", "assumes", "what it is", whole=("family", "assumes"))
+    for row in rows:
+        table.add_row(row["name"], row["knowledge"], Text(row["summary"] or ""))
+        if row["lacking"]:
+            table.add_row("", "", Text(f"cannot run here: {row['lacking']}", style="yellow"))
+    out.print(table)
+
+
 def list_names(
-    kind: Annotated[str | None, typer.Argument(help="model, task, controller, ... (default: all).")] = None,
+    kind: Annotated[str | None, typer.Argument(help="model, task, controller, ... (default: the kinds).")] = None,
     plugin: Plugins = None,
     as_json: Json = False,
 ) -> None:
-    """List what can be named, NAME(parameter=value, ...), with its parameters and their defaults."""
+    """List what can be named, NAME(parameter=value, ...); of one kind also the parameters and their defaults."""
     load_plugins(plugin)
+    plurals = {registry.group.rpartition(".")[2]: name for name, registry in KINDS.items()}
+    kind = plurals.get(kind or "", kind)
     if kind is not None and kind not in KINDS:
-        raise UnknownName(f"no kind of thing is called {kind!r}; there are {', '.join(KINDS)}")
+        meant = did_you_mean(kind, [*KINDS, *plurals])
+        raise UnknownName(f"no kind of thing is called {kind!r}.{meant} There are {', '.join(KINDS)}")
+    if kind is None and not as_json:
+        kinds = table_of("kind", "names")
+        for name, registry in KINDS.items():
+            kinds.add_row(name, ", ".join(registry.names()))
+        out.print(kinds)
+        tell("sysid-evo names KIND says what each is, and which parameters it has")
+        return
     rows = [row for name, registry in KINDS.items() if kind in (None, name) for row in names_of(registry)]
     if as_json:
         out.print_json(data=rows)
         return
-    table = Table(box=None, pad_edge=False)
-    for heading in ("kind", "name", "what it is"):
-        table.add_column(heading, no_wrap=heading != "what it is")
+    table = table_of("kind", "name", "what it is", whole=("kind", "name"))
     for row in rows:
         table.add_row(row["kind"], row["name"], Text(row["summary"]))
         if row["parameters"]:

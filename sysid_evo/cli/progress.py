@@ -12,10 +12,9 @@ from typing import Self
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 from rich.text import Text
 
-from sysid_evo.cli.console import err, note, out, problems, session, tell
+from sysid_evo.cli.console import err, note, out, problems, session, table_of, tell
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
@@ -57,9 +56,7 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
         document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
         out.print_json(data=document)
         return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("cell", overflow="fold")
-    table.add_column("about", justify="right", no_wrap=True)
+    table = table_of("cell", "about", numbers=("about",), whole=("about",))
     for title, about, kept in rows:
         table.add_row(title, "kept" if kept else f"{about:.1f} s")
     out.print(table)

@@ -20,7 +20,7 @@ import hardware
 import sysid_evo
 from evaluation.formatting import by_error
 from sysid_evo.artefacts import is_stored
-from sysid_evo.cli.console import ROBOT, err, out, say, tell
+from sysid_evo.cli.console import ROBOT, err, out, say, table_of, tell
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.cli.options import Json, Plugins, Seed, Task, check_new_folder, load_plugins
 from sysid_evo.cli.progress import Bars
@@ -43,9 +43,7 @@ def list_robots(plugin: Plugins = None, as_json: Json = False) -> None:
     if as_json:
         out.print_json(data=rows)
         return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("robot", no_wrap=True)
-    table.add_column("what it is")
+    table = table_of("robot", "what it is", whole=("robot",))
     for row in rows:
         table.add_row(row["name"], row["summary"])
     out.print(table)
@@ -196,7 +194,7 @@ def drive(
     if folder is not None:
         check_new_folder(folder)
     if controller is None:
-        driven = _choose(robot, model, run, name, task or DEFAULT_TASK)
+        driven = _choose(robot, model, run, name, task)
         ended, code = drive_by_hand(driven, page, trials, folder, seed, tracker_origin)
         if folder is not None:
             _store(folder, [(trial.name, trial.limits) for trial in ended], driven.robot.system)
@@ -215,7 +213,7 @@ def drive(
     code = drive_controller(
         controller,
         hardware.find_robot(robot or DEFAULT_ROBOT),
-        task=task or DEFAULT_TASK,
+        task=task,
         trials=trials or CONTROLLER_TRIALS,
         run=run,
         seed=seed,
@@ -230,7 +228,7 @@ def drive_controller(
     controller: str,
     robot: hardware.Robot,
     *,
-    task: str,
+    task: str | None,
     trials: int,
     run: Path | None,
     seed: int | None,
@@ -250,7 +248,7 @@ def drive_controller(
         champion = sysid_evo.load_champion(controller)
         run = run or evaluation.owner_of(Path(controller))
     else:
-        champion = sysid_evo.Champion.hand_written(controller, task, robot.system)
+        champion = sysid_evo.Champion.hand_written(controller, task or robot.usual_task or DEFAULT_TASK, robot.system)
     champion.check_system(robot.system)
     if seed is None:
         seed = evaluation.seed_of_run(run) if run else champion.seed
@@ -351,10 +349,8 @@ def _watch_at(url: str) -> None:
 
 def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
     """Return the fitness of each trial, mean and standard deviation, and what is missing."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("trial", justify="right")
-    table.add_column(cell.unit or "fitness", justify="right")
-    table.add_column("steps", justify="right")
+    headings = "trial", cell.unit or "fitness", "steps"
+    table = table_of(*headings, numbers=headings)
     for trial, (fitness, steps) in enumerate(zip(cell.fitness, rollouts.survived[0], strict=False)):
         table.add_row(str(trial + 1), f"{fitness:g}", str(steps))
     for trial, why in enumerate(cell.missing, cell.trials + 1):
@@ -377,19 +373,18 @@ class Driven:
     task: str = DEFAULT_TASK
 
 
-def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None, task: str) -> Driven:
-    if model is not None and robot is not None:
-        raise InvalidArgument("drive: expected one of --robot and --model, got both")
+def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None, task: str | None) -> Driven:
     file = model is not None and Path(model).suffix in (".json", ".safetensors")
     wanted = run is not None or name is not None or (model is not None and not file)
     where = evaluation.latest_run_folder(run) if wanted else None
     if model is None:
         machine = hardware.find_robot(robot or DEFAULT_ROBOT)
+        task = task or machine.usual_task or DEFAULT_TASK
         return Driven(hardware.in_real_time(machine), matrix_column(machine), where, on_robot=True, task=task)
     store = Store(where or Path())
     column = evaluation.find_column(store, model)
     modelled = hardware.ModelledRobot(column.label, evaluation.dynamics_of(store, column))
-    return Driven(hardware.in_real_time(modelled), column.label, where, on_robot=False, task=task)
+    return Driven(hardware.in_real_time(modelled), column.label, where, on_robot=False, task=task or DEFAULT_TASK)
 
 
 def matrix_column(robot: hardware.Robot) -> str:

@@ -80,7 +80,7 @@ def diff(
     if not changed and not any(alone) and figures[0] == figures[1]:
         out.print("no difference")
         return
-    table = table_of("", str(first), str(second))
+    table = table_of("", str(first), str(second), whole=("",))
     for key, values in changed.items():
         table.add_row(key, *("-" if value is None else str(value) for value in values))
     for key, values in known.items():

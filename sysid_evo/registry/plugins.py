@@ -1,16 +1,18 @@
-"""Plugin files that are not installed, and the digest of where a registered thing comes from.
+"""Plugin files that are not installed; what the source of a registered thing says, and its digest.
 
 Whoever runs the program may load any; those that a stored file names must be trusted, see `trust`.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import importlib.util
 import shlex
 import sys
 import warnings
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType
@@ -138,3 +140,26 @@ def _digest_of(module: str) -> str:
     for source in files:
         digest.update(source.relative_to(path.parent).as_posix().encode() + b"\0" + source.read_bytes() + b"\0")
     return digest.hexdigest()
+
+
+def declared(module: str, name: str) -> dict[str, Any] | None:
+    """Return the docstring (``__doc__``) and the literal class attributes of what a shipped ``module`` calls ``name``.
+
+    They are read from its source, as importing it takes a second where it brings Numba. None if it does not say.
+    """
+    file = Path(__file__).parents[2].joinpath(*module.split("."))
+    file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+    for node in ast.parse(file.read_bytes()).body if file.is_file() else ():
+        decorators = getattr(node, "decorator_list", ())
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and any(
+            f"({name!r})" in ast.unparse(d) for d in decorators
+        ):
+            found: dict[str, Any] = {"__doc__": ast.get_docstring(node)}
+            for item in node.body:
+                with suppress(ValueError):  # no literal
+                    if isinstance(item, (ast.Assign, ast.AnnAssign)) and item.value is not None:
+                        found[ast.unparse(getattr(item, "target", None) or item.targets[0])] = ast.literal_eval(
+                            item.value
+                        )
+            return found
+    return None

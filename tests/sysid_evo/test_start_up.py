@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import resource
@@ -11,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from sysid_evo.cli.app import COMMANDS, load
+from evaluation.experiment import Experiment
+from sysid_evo.cli.app import COMMANDS, load, summary
+from sysid_evo.registry import models
+from sysid_evo.registry.plugins import declared
 from sysid_evo.testing import example_dataset
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
@@ -72,7 +76,46 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name: str) -> None:
     first, *_ = load(name).help.split("\n\n")
-    assert COMMANDS[name].summary == " ".join(first.split())
+    assert summary(name, COMMANDS) == " ".join(first.split())
+
+
+MODELS_LIST = """
+import json, sys
+from sysid_evo.__main__ import main
+sys.argv = ["sysid-evo", "models", "list", "--json"]
+try:
+    main()
+except SystemExit:
+    pass
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})), file=sys.stderr)
+"""
+
+
+def test_families_are_listed_as_they_are_without_importing_one() -> None:
+    done = subprocess.run([sys.executable, "-c", MODELS_LIST], capture_output=True, text=True, check=True)
+    assert not (HEAVY | {"numpy"}) & set(json.loads(done.stderr))
+    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    assert set(rows) == set(models.names())
+    for name, family in models.load_all():
+        missing = [module for module in family.requires if importlib.util.find_spec(module) is None]
+        assert rows[name]["knowledge"] == family.knowledge, f"{name}: state its knowledge in the class itself"
+        assert (rows[name]["lacking"] is None) == (not missing), f"{name}: state requires in the class itself"
+        assert rows[name]["summary"] == (family.__doc__ or "").partition("\n")[0].replace("`", "")
+
+
+@pytest.mark.parametrize("name", sorted(models.names()))
+def test_what_a_family_requires_stands_in_its_own_class(name: str) -> None:
+    assert tuple(declared(models.module(name), name).get("requires") or ()) == models.get(name).requires
+
+
+def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_has_one() -> None:
+    named = Experiment.model_fields["preset"].default
+    presets = {name: option for name in COMMANDS for option in load(name).params if option.name == "preset"}
+    assert set(presets) == {"compare", "fit", "evolve", "exploit"}
+    for option in presets.values():
+        assert option.default is None
+        assert f"{named} (default)" in option.help
+    assert f"`compare` with the default preset, `{named}`" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
 def test_help_takes_less_than_half_a_second() -> None:
