@@ -3,6 +3,7 @@ from .coverage import UncoveredBox
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
 from .exploitability.results import ModelExploitability, exploitability_card, exploitability_to_json
+from .formatting import horizon_name, three_digits
 from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
 from .prediction.cases import PredictionProtocol
@@ -35,10 +36,11 @@ from .run_folder import (
     summary_of_run,
     unneeded_files,
 )
-from .running import compare, report_again, report_of, run_study, study_folder, write_study
+from .running import compare, plan_run, report_again, report_of, run_study, study_folder, write_study
 from .study.planning import PlannedStudy, plan_study, seconds_about
 from .study.results import StudyResults
 from .study.study import STUDY_FILE, Study
+from .sufficiency import enough_blocks
 from .transfer import Cell
 from .transfer.matrix import (
     MeasuredResult,
@@ -91,11 +93,13 @@ __all__ = [
     "contenders",
     "driven_outside",
     "dynamics_of",
+    "enough_blocks",
     "evolution_result",
     "exploit_result",
     "exploitability_card",
     "exploitability_to_json",
     "find_column",
+    "horizon_name",
     "is_model_of_a_run",
     "latest_run_folder",
     "load_measured",
@@ -106,6 +110,7 @@ __all__ = [
     "plan_comparison",
     "plan_evolution",
     "plan_exploit",
+    "plan_run",
     "plan_study",
     "report_again",
     "report_of",
@@ -126,6 +131,7 @@ __all__ = [
     "summary_of_run",
     "tables",
     "tells_nothing",
+    "three_digits",
     "to_html",
     "to_json",
     "transfer",

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sysid_evo.errors import InvalidArgument, UnknownName, closest
+from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, closest, meaningless, refuse_meaningless
 from sysid_evo.files import parsed_toml, write_atomically
+from sysid_evo.registry import Spec, make_robot
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
+USUAL_TASK = "point_to_point"
+"""Where neither the user nor the robot names a task."""
 NONE = "none"
 """As noise: none, also where the task has a usual one."""
 
@@ -60,7 +63,8 @@ class Experiment(BaseModel):
     back, by default the last ``held_back`` share of each. With ``leave_out`` every family is also fitted without each
     condition of the recordings (`Dataset.labelled`) in turn, and tested there. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. What is None of ``controller``, ``strategy``, ``recipe``,
+    `plan_comparison`, as it does for ``models``. A ``task`` of None is the robot's own (`Robot.usual_task`), else
+    `USUAL_TASK`. What is None of ``controller``, ``strategy``, ``recipe``,
     ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
     holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
     on the robot itself, one that is a program, by one search no longer than those in models: something to compare
@@ -87,7 +91,7 @@ class Experiment(BaseModel):
     ensembles: tuple[str, ...] | None = None
     preset: Literal["quick", "standard", "paper"] = "quick"
     only: Literal["fit", "prediction"] | None = None
-    task: str = "point_to_point"
+    task: str | None = None
     controller: str | None = None
     by_hand: tuple[str, ...] = ()
     strategy: str | None = None
@@ -125,6 +129,8 @@ class Experiment(BaseModel):
         settings = read_toml(file, "an experiment")
         try:
             cls.of(settings)
+            if "data_digest" not in settings:  # the program writes all settings, a person those that are to matter
+                refuse_meaningless(MEANINGLESS, settings, settings)
         except InvalidArgument as error:
             raise InvalidArgument(f"{file}: {error}") from error
         return settings
@@ -159,7 +165,7 @@ class Settings(TypedDict, total=False):
     ensembles: Sequence[str] | None
     preset: Literal["quick", "standard", "paper"]
     only: Literal["fit", "prediction"] | None
-    task: str
+    task: str | None
     controller: str | None
     by_hand: Sequence[str]
     strategy: str | None
@@ -179,6 +185,53 @@ class Settings(TypedDict, total=False):
     yardstick: bool | None
     seed: int
     plugins: Sequence[str | Path]
+
+
+OF_CONTROLLERS = (
+    "task", "controller", "by_hand", "strategy", "recipe", "aggregate", "noise", "caution", "schedule", "generations",
+    "trials", "runs", "polish", "selection_trials", "estimator_delay", "transfer_trials", "traces", "yardstick",
+    "ensembles",
+)  # fmt: skip
+NO_CONTROLLERS = {"only": ("fit", "prediction")}
+
+MEANINGLESS = (
+    Meaningless(OF_CONTROLLERS, "no controller is evolved or run", NO_CONTROLLERS),
+    Meaningless(("robot",), "nothing is run on a robot", {**NO_CONTROLLERS, "data": ()}),
+    Meaningless(("leave_out", "held_back"), "nothing is tested", {"only": ("fit",)}),
+    Meaningless(("held_back",), "these episodes are held back instead", {"test": ()}),
+    Meaningless(("minutes",), "no robot is recorded", {"data": ()}),
+    Meaningless(("columns",), "no logs are read", unless=("data",)),
+    Meaningless(("polish",), "nothing is polished", {"recipe": ("plain",)}),
+)
+"""Settings that others make meaningless: giving both is refused."""
+
+
+def meaningful(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``settings`` with those ``given`` besides, which win: without any that have no effect beside these."""
+    whole = {**settings, **given}
+    idle = meaningless(MEANINGLESS, settings, whole)
+    return {name: value for name, value in whole.items() if name in given or name not in idle}
+
+
+def check_settings(experiment: Experiment, *, has_data: bool) -> None:
+    """Raise `InvalidArgument` if a setting that was asked for has no effect; one settled by the program has them all.
+
+    ``has_data`` says that there are recordings, also those that the experiment does not name.
+    """
+    if experiment.data_digest is None:
+        asked = {name: getattr(experiment, name) for name in experiment.model_fields_set}
+        refuse_meaningless(MEANINGLESS, asked, {**asked, "data": has_data})
+
+
+def usual_task(robots: Iterable[Spec | None]) -> str:
+    """Return the task of the first of ``robots`` that has one of its own, else `USUAL_TASK`."""
+    own = (str(getattr(make_robot(robot), "usual_task", "")) for robot in robots if robot is not None)
+    return next(filter(None, own), USUAL_TASK)
+
+
+def with_task(experiment: Experiment, robots: Iterable[Spec | None]) -> Experiment:
+    """Return the experiment with the task that it names, else the `usual_task` of ``robots``."""
+    return experiment.model_copy(update={"task": experiment.task or usual_task(robots)})
 
 
 def _sentence(error: Any) -> str:

@@ -11,7 +11,7 @@ from evaluation.cells.controllers import EvolveCell
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import FitCell, PredictCell, StoredModel
 from evaluation.cells.plants import Plant, emulated, runner_of
-from evaluation.experiment import FILE
+from evaluation.experiment import FILE, usual_task
 from evaluation.planning import comparison_of
 from evaluation.run_folder import is_run, latest_run_folder, owner_of
 from evaluation.transfer.matrix import TransferMatrix, run_cell, transfer_seeds
@@ -82,11 +82,14 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
     return tuple(replace(place, label=label) for place, label in zip(found, labels, strict=True))
 
 
-def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[Contender, ...]:
+def contenders(
+    names: Sequence[str], system: System, task: str | None, *, robots: Sequence[Spec | None] = ()
+) -> tuple[Contender, ...]:
     """Return the controllers that ``names`` stand for: run folders, files, specs of those written by hand.
 
     A run folder stands for all its controllers. With ``task`` all of them do that one, else each the one it was made
-    for, and one written by hand that of the first. Raises `InvalidArgument` if these differ.
+    for, and one written by hand that of the first, else that of the first of ``robots``. Raises `InvalidArgument` if
+    these differ.
     """
     found: list[Contender] = []
     written: list[str] = []
@@ -99,7 +102,7 @@ def contenders(names: Sequence[str], system: System, task: str | None) -> tuple[
             written.append(name)
     if task is not None:
         found = [replace(one, champion=replace(one.champion, task=Spec.parse(task))) for one in found]
-    goal = found[0].champion.task if found else Spec.parse(task or "point_to_point")
+    goal = found[0].champion.task if found else Spec.parse(task or usual_task(robots))
     found += [Contender(Champion.hand_written(name, goal, system)) for name in written]
     others = [one.champion for one in found if one.champion.task != goal]
     if others:

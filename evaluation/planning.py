@@ -23,7 +23,7 @@ from evaluation.cells.controllers import (
 from evaluation.cells.data import GivenData, RecordedData, Split
 from evaluation.cells.models import ConditionsCell, FitCell, JudgeCell, PredictCell
 from evaluation.cells.plants import Plant, runner_of
-from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment
+from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.transfer.matrix import AT_REST, FOLDER, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
@@ -36,6 +36,7 @@ from sysid_evo.errors import (
     MissingExtra,
     SysidEvoError,
     UnknownName,
+    described,
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.aggregates import make_aggregate
@@ -103,11 +104,12 @@ def plan_comparison(
     (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
     """
     remarks: list[str] = []
+    check_settings(experiment, has_data=dataset is not None or stored is not None)
+    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    if experiment.only is None:
+        experiment = with_task(experiment, (robot,))
     evolution = evolution_settings(experiment)
     _constructible(evolution)
-    if experiment.by_hand and experiment.only is not None:
-        raise InvalidArgument(f"by_hand: no controller is run with only = {experiment.only!r}; leave one out")
-    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
     if stored is not None:
         data, system = stored
     else:
@@ -211,10 +213,11 @@ def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
 
 def check_experiment(experiment: Experiment) -> None:
     """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
-    _constructible(evolution_settings(experiment))
+    check_settings(experiment, has_data=experiment.data is not None)
     robot = _robot(experiment, has_data=experiment.data is not None)
     if robot is not None:
         make_robot(robot)
+    _constructible(evolution_settings(with_task(experiment, (robot,)) if experiment.only is None else experiment))
     asked = asked_models(experiment)
     if asked is not None:
         for spec in asked:
@@ -293,8 +296,6 @@ def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
 
 
 def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
-    if experiment.yardstick and experiment.only is not None:
-        raise InvalidArgument(f"yardstick: no controller is evolved with only = {experiment.only!r}; leave one out")
     if experiment.robot is None:
         if experiment.yardstick and has_data:
             raise InvalidArgument("yardstick: name the emulated robot that it is evolved on with --robot")
@@ -348,8 +349,6 @@ def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
     """Return how many conditions are left out in turn, 0 for none. Raises `InvalidArgument` if there is only one."""
     if experiment.leave_out is None:
         return 0
-    if experiment.only == "fit":
-        raise InvalidArgument("leave_out: nothing is tested with only = 'fit'; leave one out")
     found = () if dataset is None else dataset.conditions
     if len(found) < 2:
         raise InvalidArgument(
@@ -529,7 +528,7 @@ def made(registry: Registry[Any], spec: Spec) -> Any:
     except SysidEvoError:
         raise
     except Exception as error:  # a constructor may fail in any way when its values are wrong
-        raise InvalidArgument(f"{registry.kind} {spec}: {type(error).__name__}: {error}") from error
+        raise InvalidArgument(f"{registry.kind} {spec}: {described(error)}") from error
 
 
 def with_preset(spec: Spec, preset: str) -> Spec:

@@ -13,7 +13,7 @@ from evaluation.cells.data import GivenData
 from evaluation.cells.models import files_of
 from evaluation.cells.plants import Plant
 from evaluation.coverage import UncoveredBox, what_to_record
-from evaluation.experiment import Experiment
+from evaluation.experiment import Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import with_interval
@@ -100,6 +100,7 @@ def plan_evolution(
     `find_column` and `check_evolution` do.
     """
     columns = tuple(find_column(store, member) for member in members)
+    experiment = with_task(experiment, [column.robot for column in columns])
     remarks = check_evolution(store, columns, evolution_settings(experiment))
     return _planned(experiment, store, columns, remarks=remarks, again=again_of(store, settings, members))
 
@@ -109,7 +110,8 @@ def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
     experiment = Experiment.of(made_of["settings"])
     load_plugins_again(experiment.plugins)
     store = Store(run)
-    return _planned(experiment, store, tuple(find_column(store, member) for member in made_of["members"])).plan
+    columns = tuple(find_column(store, member) for member in made_of["members"])
+    return _planned(with_task(experiment, [column.robot for column in columns]), store, columns).plan
 
 
 def _planned(

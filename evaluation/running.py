@@ -73,16 +73,27 @@ def compare(
     experiment = Experiment.of({name: _storable(value) for name, value in asked.items()})
     for plugin in experiment.plugins:
         load_plugin(plugin)
-    check_experiment(experiment)
-    if dataset is None and experiment.data is not None:
-        dataset = Dataset.read(experiment.data, columns=experiment.columns)
-    measured, _ = load_measured(folder)
-    comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
+    comparison, _ = plan_run(experiment, folder, dataset)
     comparison.experiment.write(folder / FILE)
     store = Store(folder)
     with _observed(observer, progress, "compare") as observer:
         execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
     return report_of(comparison, store)
+
+
+def plan_run(
+    experiment: Experiment, folder: Path, dataset: Dataset | None = None
+) -> tuple[Comparison, tuple[str, ...]]:
+    """Return what is to be computed in a run folder, and remarks on recordings, plan, and what is damaged there.
+
+    Without a ``dataset`` the recordings are read that the experiment names.
+    """
+    check_experiment(experiment)
+    if dataset is None and experiment.data is not None:
+        dataset = Dataset.read(experiment.data, columns=experiment.columns)
+    measured, damaged = load_measured(folder)
+    comparison = plan_comparison(experiment, dataset=dataset, measured=measured)
+    return comparison, (*(dataset.notes if dataset else ()), *comparison.plan.remarks, *damaged)
 
 
 @contextmanager
@@ -148,10 +159,15 @@ def _copy_chosen(report: Report, store: Store) -> None:
             copy.with_suffix(suffix).unlink(missing_ok=True)
 
 
-def report_again(comparison: Comparison, store: Store) -> Report | None:
-    """Write the report of a run anew, with the cells measured since; None if the run has no model yet."""
+def report_again(comparison: Comparison, store: Store, *, written: bool = True) -> Report | None:
+    """Return the report of a run, with the cells measured since, and write it anew; None if it has no model yet.
+
+    Where it is not to be ``written``, nothing is: it shows what was computed before.
+    """
     if not any(store.done(fit) for fit in comparison.fits.values()):
         return None
+    if not written:
+        return gather_results(comparison, store)
     for assess in (*comparison.predictions.values(), comparison.exploitability, comparison.advice):
         if assess is not None:
             tried = {cell.digest for cell in comparison.plan if store.outcome(cell).reason != WAITING}

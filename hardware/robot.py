@@ -36,12 +36,14 @@ class Robot(ABC):
     process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
     ``requires`` are the modules that it imports only then. One that is ``stepped`` goes on when it is told to:
     it has no clock and no tracker, records itself, and is no physical robot either. It must answer each call within
-    ``answers_within`` s.
+    ``answers_within`` s. ``usual_task`` is the spec of its own task, which it gets where none is named; empty if it has
+    none.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
     stepped: ClassVar[bool] = False
     answers_within: ClassVar[float] = PATIENCE
+    usual_task: str = ""
     name: str
     system: System
     dynamics: Dynamics | None

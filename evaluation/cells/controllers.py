@@ -9,7 +9,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
 from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, prediction_error
-from evaluation.experiment import NONE, Experiment
+from evaluation.experiment import NONE, USUAL_TASK, Experiment
 from evaluation.transfer.forecast import RULE, worth_by
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.engine import Runner
@@ -363,9 +363,9 @@ MOST_POLISHED = 2
 
 def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     """Return how controllers are evolved. Raises what the registries say about wrong names and parameters."""
-    budget, noise = experiment.budget, experiment.noise
+    budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or USUAL_TASK)
     if noise is None:
-        noise = str(getattr(tasks.get(Spec.parse(experiment.task).name), "usual_noise", ""))
+        noise = str(getattr(tasks.get(task.name), "usual_noise", ""))
     return ControllerEvolution(
         generations=budget.generations,
         trials=budget.trials,
@@ -374,7 +374,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         selection_trials=experiment.selection_trials,
         estimator_delay=experiment.estimator_delay,
         controller=Spec.parse(budget.controller),
-        task=Spec.parse(experiment.task),
+        task=task,
         strategy=Spec.parse(budget.strategy),
         noise="" if noise == NONE else noise,
         caution=experiment.caution,

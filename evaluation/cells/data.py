@@ -8,7 +8,7 @@ from typing import Any
 
 from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
-from sysid_evo.errors import LinkLost
+from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.plan import Cell, Work
 from sysid_evo.registry import Spec, make_robot, robots
 
@@ -43,7 +43,10 @@ class Split:
         if self.episodes is None and self.share == 0.0:
             return Parts(dataset, None)
         if self.episodes is not None:
-            return Parts(*dataset.split(self.episodes))
+            try:
+                return Parts(*dataset.split(self.episodes))
+            except InvalidArgument as error:
+                raise InvalidArgument(f"test: {str(error).removeprefix('split: ')}") from error
         return Parts(*dataset.split(whole_episodes(dataset, self.share) or self.share))
 
     def inputs(self) -> dict[str, Any]:

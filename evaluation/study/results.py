@@ -217,7 +217,7 @@ class _Gathered:
     def row(self, chosen: str) -> PointRow:
         """Return how far the point is."""
         states = [self._state(cell) for cell in self.comparison.plan]
-        task = self.comparison.experiment.task
+        task = self.comparison.experiment.task or ""
         return PointRow(
             name=self.point.name,
             labels=self.point.labels,

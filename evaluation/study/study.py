@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from evaluation.experiment import Experiment, no_setting, read_toml, write_toml
+from evaluation.experiment import MEANINGLESS, Experiment, meaningful, no_setting, read_toml, write_toml
 from sysid_evo.display import Displayed, listed
-from sysid_evo.errors import InvalidArgument, closest
+from sysid_evo.errors import InvalidArgument, closest, refuse_meaningless
 
 STUDY_FILE = "study.toml"
 
@@ -99,6 +99,8 @@ class Study(Displayed):
                 raise InvalidArgument(f"experiment.{name}: not here; the title of a study stands above [experiment]")
         try:
             Experiment.of(common)
+            # of those that need another one, that may be an axis of the grid
+            refuse_meaningless([rule for rule in MEANINGLESS if rule.beside], common, common)
         except InvalidArgument as error:
             raise InvalidArgument(f"[experiment]: {error}") from error
         given = settings.get("grid", {})
@@ -164,7 +166,7 @@ class Study(Displayed):
                 values = {name: axis.values[named[name]] for name, axis in grid.items()}
                 ordered = {name: named.get(name, USUAL) for name in self.axes}
                 try:
-                    yield Point(ordered, Experiment.of({**self.experiment, **values}))
+                    yield Point(ordered, Experiment.of(meaningful(self.experiment, values)))
                 except InvalidArgument as error:
                     raise InvalidArgument(f"point {name_of(ordered)}: {error}") from error
 

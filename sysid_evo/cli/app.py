@@ -2,119 +2,156 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import sys
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
-from sysid_evo.cli.console import EXIT_CODES, code_of, complain, err, out, session, tell
-from sysid_evo.errors import SysidEvoError, printable
+from sysid_evo.cli.console import EXIT_CODES, as_option, code_of, complain, err, out, session, tell
+from sysid_evo.errors import InvalidArgument, Meaningless, SysidEvoError, printable, refuse_meaningless
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
 
 MARKUP: Any = "markdown"
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A line of the table: where a command or a group of them is, ``module:name``, and its short help."""
+Table: TypeAlias = Mapping[str, "str | Table"]
 
-    target: str
-    summary: str
-
-
-COMMANDS = {
-    "compare": Entry(
-        "experiments:compare",
-        "Fit models, evolve controllers in them, and compare both: which predict, which transfer.",
-    ),
-    "study": Entry(
-        "experiments:study",
-        "Compare over a grid of robots, seeds and settings: tables with intervals, Parquet, a page.",
-    ),
-    "import": Entry("recordings:import_", "Turn log files into a data set: check, prepare, store."),
-    "inspect": Entry(
-        "recordings:inspect",
-        "Say what a recording is good for: excitation, coverage, sampling, delays, what to record next.",
-    ),
-    "record": Entry(
-        "robots:record",
-        "Drive a robot through manoeuvres; store the journals of the runs (`journal/`), what the tracker saw (`raw/`) "
-        "and the data set made of it.",
-    ),
-    "fit": Entry(
-        "experiments:fit",
-        "Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto).",
-    ),
-    "tune": Entry(
-        "models:tune", "Search for the parameters with which a family runs free best on recordings held out."
-    ),
-    "adapt": Entry(
-        "models:adapt",
-        "Correct a model for another day, floor or battery, if a gate finds that the correction helps.",
-    ),
-    "evolve": Entry(
-        "controllers:evolve", "Evolve a controller against one model or against an ensemble of them at once."
-    ),
-    "exploit": Entry(
-        "controllers:exploit",
-        "Search the controller that gains most in one model and in no other, and say how it cheats.",
-    ),
-    "transfer": Entry(
-        "controllers:transfer",
-        "Run stored controllers on models and robots, and tell what each claims, achieves, has at worst and costs.",
-    ),
-    "drive": Entry(
-        "robots:drive",
-        "Drive a robot or a model, by hand on a local web page or with --controller, at the task of the matrix.",
-    ),
-    "export": Entry(
-        "export:export",
-        "Write an evolved controller as one file: from its observations, in order, to legal controls.",
-    ),
-    "report": Entry(
-        "experiments:report",
-        "Make the report of a run again, of what is there: nothing is fitted, evolved or driven.",
-    ),
-    "names": Entry(
-        "plugins:list_names",
-        "List what can be named, NAME(parameter=value, ...), with its parameters and their defaults.",
-    ),
-    "runs": Entry("runs:app", "Run folders and what they hold."),
-    "models": Entry("models:app", "The model families."),
-    "plugin": Entry("plugins:app", "Models, tasks, controllers, strategies, robots and readers of your own."),
-    "robots": Entry("robots:app", "Robots, physical and emulated."),
+COMMANDS: Table = {
+    "compare": "experiments:compare",
+    "study": "experiments:study",
+    "import": "recordings:import_",
+    "inspect": "recordings:inspect",
+    "record": "robots:record",
+    "fit": "experiments:fit",
+    "tune": "models:tune",
+    "adapt": "models:adapt",
+    "evolve": "controllers:evolve",
+    "exploit": "controllers:exploit",
+    "transfer": "controllers:transfer",
+    "drive": "robots:drive",
+    "export": "export:export",
+    "report": "experiments:report",
+    "names": "plugins:list_names",
+    "runs": "runs:app",
+    "models": {"list": "plugins:list_models", "show": "models:show_model"},
+    "plugin": "plugins:app",
+    "robots": "robots:app",
 }
+"""Where each command or group of them is, ``module:name``. A group may be a table, of commands in several modules."""
+SUMMARIES = {"models": "The model families."}
+"""Short help of the groups that are tables; that of all others is read where they are."""
+
+JOBS = Meaningless(("jobs",), "the workers of the cluster compute the cells", {"scheduler": ()})
+
+REFUSED = {
+    "compare": (JOBS,),
+    "fit": (JOBS,),
+    "evolve": (JOBS,),
+    "study": (JOBS, Meaningless(("jobs", "scheduler", "dry_run"), "nothing is computed", {"render": ()})),
+    "record": (Meaningless(("minutes",), "its manoeuvres have lengths of their own", {"manoeuvre": ()}),),
+    "tune": (Meaningless(("budget",), "the number of trials ends the search", {"trials": ()}),),
+    "export": (Meaningless(("real",), "NumPy computes in double precision", {"to": ("python",)}),),
+    "drive": (
+        Meaningless(("robot",), "the model is driven instead", {"model": ()}),
+        Meaningless(("watch",), "who drives by hand sees the page anyway", unless=("controller",)),
+        Meaningless(("host", "port"), "no page is served", {"controller": ()}, unless=("watch", "open")),
+    ),
+}
+"""Options of a command that others make meaningless: giving both is refused. `compare` also refuses those of
+`evaluation.experiment.MEANINGLESS`. With --dry-run all are taken: it says what the same command would do without it.
+"""
 
 ANYWHERE = ("--debug", "--quiet")
 """Options of the whole program, which may stand behind a command, too."""
 
 
-def load(name: str) -> Any:
-    """Import the command ``name``."""
-    module, _, found = COMMANDS[name].target.partition(":")
+def load(name: str, table: Table = COMMANDS) -> Any:
+    """Import the command ``name`` of a table."""
+    where = table[name]
+    if not isinstance(where, str):
+        return LazyGroup(where, name=name, help=SUMMARIES[name], no_args_is_help=True, rich_markup_mode=MARKUP)
+    module, _, found = where.partition(":")
     target = getattr(import_module(f"sysid_evo.cli.{module}"), found)
     holder = typer.Typer(rich_markup_mode=MARKUP)
     if isinstance(target, typer.Typer):
         holder.add_typer(target, name=name)
     else:
-        holder.command(name)(target)
+        holder.command(name, cls=CheckedCommand)(target)
     return get_group(holder).commands[name]
+
+
+def summary(name: str, table: Table) -> str:
+    """Return the short help of a command, read from its source: to import all of them takes long."""
+    module, _, found = str(table[name]).partition(":")
+    for node in () if name in SUMMARIES else ast.parse((Path(__file__).parent / f"{module}.py").read_bytes()).body:
+        if isinstance(node, ast.FunctionDef) and node.name == found:
+            return " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == found and isinstance(node.value, ast.Call):
+            return next(str(ast.literal_eval(one.value)) for one in node.value.keywords if one.arg == "help")
+    return SUMMARIES[name]
+
+
+class CheckedCommand(TyperCommand):
+    """Refuses options that mean nothing beside others on the command line, before anything is done: `REFUSED`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the command line; a word that belongs nowhere is told with the option that it stands behind."""
+        words = list(args)
+        ctx.allow_extra_args = True
+        rest: list[str] = super().parse_args(ctx, args)
+        if ctx.args and not ctx.resilient_parsing:
+            raise InvalidArgument(misplaced(ctx.args[0], words, self.params))
+        return rest
+
+    def invoke(self, ctx: Any) -> Any:
+        given = typed(ctx)
+        refuse_meaningless(REFUSED.get(self.name or "", ()), given, given, as_option)
+        return super().invoke(ctx)
+
+
+def misplaced(word: str, words: Sequence[str], options: Sequence[Any]) -> str:
+    """Return what to do about a ``word`` that belongs to no option and no argument."""
+    behind = [one for text in words[: words.index(word)] for one in options if text in one.opts]
+    if not behind or getattr(behind[-1], "is_flag", True):
+        return f"{word!r} belongs to no option; see --help"
+    name, commas = behind[-1].opts[0], "; did you mean values with commas, without spaces?"
+    if behind[-1].multiple:
+        return f"{name} stands before each of its values: {name} {word}"
+    return f"{name} takes one value, not {word!r} too{commas if 'commas' in (behind[-1].help or '') else ''}"
+
+
+def typed(ctx: Any) -> dict[str, Any]:
+    """Return the values of the options that stand on the command line, by their names there: by_hand for --by-hand."""
+    return {
+        option.opts[0].removeprefix("--").replace("-", "_"): ctx.params[option.name]
+        for option in ctx.command.params
+        if option.param_type_name == "option" and ctx.get_parameter_source(option.name).name == "COMMANDLINE"
+    }
 
 
 class LazyGroup(TyperGroup):
     """Lists the commands of the table, and imports one when it is run, completed or asked for help."""
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, table: Table = COMMANDS, **settings: Any) -> None:
         super().__init__(**settings)
-        for name, entry in COMMANDS.items():
-            self.add_command(TyperCommand(name, help=entry.summary, rich_markup_mode=MARKUP))
+        self.table = table
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(self.table)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        if cmd_name in self.commands or cmd_name not in self.table:
+            return self.commands.get(cmd_name)
+        return TyperCommand(cmd_name, help=summary(cmd_name, self.table), rich_markup_mode=MARKUP)
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -126,7 +163,7 @@ class LazyGroup(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name, _, rest = super().resolve_command(ctx, args)
-        return name, None if name is None else load(name), rest
+        return name, None if name is None else load(name, self.table), rest
 
 
 app = typer.Typer(
@@ -142,9 +179,12 @@ app = typer.Typer(
 
 def loaded() -> Any:
     """Return the command line with all of its commands imported, for the documentation."""
-    group: Any = get_command(app)
-    for name in COMMANDS:
-        group.add_command(load(name))
+    return _loaded(get_command(app))
+
+
+def _loaded(group: Any) -> Any:
+    for name in group.table if isinstance(group, LazyGroup) else ():
+        group.add_command(_loaded(load(name, group.table)))
     return group
 
 

@@ -14,7 +14,7 @@ from evaluation.experiment import Experiment
 from evaluation.formatting import by_error
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
-from sysid_evo.cli.options import given, listed, load_plugins, resolved, seconds
+from sysid_evo.cli.options import listed, load_plugins, settings_of
 from sysid_evo.cli.progress import Bars, carry_out
 from sysid_evo.cli.recordings import print_regions
 from sysid_evo.errors import InvalidArgument
@@ -32,7 +32,7 @@ def evolve(
     strategy: options.Strategy = None,
     recipe: options.Recipe = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    preset: options.Preset = "standard",
+    preset: options.Preset = None,
     generations: options.Generations = None,
     trials: options.Trials = None,
     runs: options.Runs = None,
@@ -53,23 +53,7 @@ def evolve(
     so that controllers meet it in the models.
     """
     load_plugins(plugin)
-    settings = given(
-        aggregate=aggregate,
-        noise=noise,
-        caution=caution,
-        task=task,
-        controller=controller,
-        strategy=strategy,
-        recipe=recipe,
-        schedule=schedule,
-        preset=preset,
-        generations=generations,
-        trials=trials,
-        runs=runs,
-        estimator_delay=seconds(estimator_delay),
-        seed=seed,
-        plugins=resolved(plugin),
-    )
+    settings = settings_of(locals(), Experiment.model_fields)
     experiment = Experiment.of(settings)
     members = _members(against)
     alone = run is None and not any(evaluation.is_model_of_a_run(member) for member in members)
@@ -135,7 +119,7 @@ def exploit(
     task: options.Task = None,
     controller: options.Controller = None,
     strategy: options.Strategy = None,
-    preset: options.Preset = "quick",
+    preset: options.Preset = None,
     generations: options.Generations = None,
     trials: options.Trials = None,
     seed: options.Seed = None,
@@ -149,16 +133,8 @@ def exploit(
     fitness in MODEL less the median of theirs.
     """
     load_plugins(plugin)
-    settings = given(
-        task=task,
-        controller=controller,
-        strategy=strategy,
-        preset=preset,
-        generations=generations or GENERATIONS,
-        trials=trials,
-        seed=seed,
-    )
-    experiment = Experiment.of(settings)
+    settings = settings_of({**locals(), "robot": None}, Experiment.model_fields)
+    experiment = Experiment.of({"generations": GENERATIONS, **settings})
     store = Store(evaluation.latest_run_folder(run))
     planned = evaluation.plan_exploit(experiment, store, model)
     outcomes = carry_out(Plan.of([planned.cell]), store, dry_run=dry_run, as_json=as_json)
@@ -213,7 +189,8 @@ def transfer(
     load_plugins(plugin)
     session.run = None if run is None else Store(run)
     systems = evaluation.transfer_targets(listed("--on", on) or (), run)
-    drivers = evaluation.contenders(controllers, systems[0].system, task)
+    robots = [place.column.robot for place in systems]
+    drivers = evaluation.contenders(controllers, systems[0].system, task, robots=robots)
     evaluation.check_fit(drivers, systems)
     title = f"run {len(drivers)} controllers on {len(systems)} systems"
     with Bars() as bars:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,18 +12,16 @@ import typer
 from rich.text import Text
 
 import evaluation
-import sysid_evo
-from evaluation.experiment import FILE, Experiment
-from evaluation.formatting import horizon_name, three_digits
-from evaluation.sufficiency import enough_blocks
+from evaluation.experiment import FILE, MEANINGLESS, Experiment, meaningful
 from sysid_evo.cli import options
-from sysid_evo.cli.console import SOME_FAILED, complain, err, note, out, say, session, table_of, tell
-from sysid_evo.cli.options import column_map, given, listed, load_plugins, resolved, seconds
+from sysid_evo.cli.console import SOME_FAILED, as_option, complain, err, note, out, say, session, table_of, tell
+from sysid_evo.cli.options import load_plugins, resolved, settings_of
 from sysid_evo.cli.progress import Bars, duration, print_plan
-from sysid_evo.errors import InvalidArgument, InvalidData, PluginError
+from sysid_evo.errors import InvalidArgument, InvalidData, PluginError, refuse_meaningless
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.store import Outcome, Store
 from sysid_evo.registry.plugins import load_named_plugins
+from sysid_evo.registry.registry import models as families
 
 
 def compare(
@@ -93,36 +92,11 @@ def compare(
     named = () if config is None else load_named_plugins(settings.get("plugins", ()), config)
     if preset is not None and settings:
         settings = evaluation.unsettled(settings)
-    settings |= given(
-        data=resolved(data),
-        test=None if test is None else tuple(test),
-        leave_out=leave_out,
-        models=listed("--models", models),
-        ensembles=listed("--ensembles", ensembles),
-        robot=robot,
-        minutes=minutes,
-        preset=preset,
-        only=only,
-        task=task,
-        controller=controller,
-        by_hand=listed("--by-hand", by_hand),
-        strategy=strategy,
-        recipe=recipe,
-        aggregate=aggregate,
-        noise=noise,
-        caution=caution,
-        generations=generations,
-        trials=trials,
-        runs=runs,
-        schedule=schedule,
-        estimator_delay=seconds(estimator_delay),
-        yardstick=yardstick,
-        seed=seed,
-        columns=column_map(columns),
-        plugins=tuple(dict.fromkeys((*named, *(resolved(plugin) or ())))) or None,
-    )
+    asked = settings_of(locals(), Experiment.model_fields)
+    asked |= {"plugins": tuple(dict.fromkeys((*named, *asked.get("plugins", ()))))}
+    refuse_meaningless(MEANINGLESS, asked, {**settings, **asked}, as_option)
     try:
-        experiment = Experiment.of(settings)
+        experiment = Experiment.of(meaningful(settings, asked))
     except InvalidArgument as error:
         raise InvalidArgument(f"{'' if config is None else f'{config}, or an option: '}{error}") from error
     run_experiment(
@@ -144,7 +118,7 @@ def fit(
         ),
     ] = DEFAULT,
     test: options.Test = None,
-    preset: options.Preset = "standard",
+    preset: options.Preset = None,
     seed: options.Seed = None,
     folder: options.Out = None,
     columns: options.Columns = None,
@@ -156,15 +130,10 @@ def fit(
 ) -> None:
     """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
     load_plugins(plugin)
-    settings = given(
-        data=resolved(data),
-        test=None if test is None else tuple(test),
-        models=listed("--models", models),
-        preset=preset,
-        seed=seed,
-        columns=column_map(columns),
-        plugins=resolved(plugin),
-    )
+    for path in data:
+        if str(path) in families.names() and not path.exists():
+            raise InvalidArgument(f"{path} is a model and no recording; did you mean --models {models},{path}?")
+    settings = settings_of(locals(), Experiment.model_fields)
     experiment = Experiment.of({**settings, "only": "fit"})
     run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=False)
 
@@ -181,12 +150,9 @@ def run_experiment(
 ) -> None:
     """Plan an experiment, run what is not done yet, and print what it found."""
     path = evaluation.check_run_folder(folder)
-    evaluation.check_experiment(experiment)
-    dataset = read_data(experiment)
-    measured, damaged = evaluation.load_measured(path)
-    comparison = evaluation.plan_comparison(experiment, dataset=dataset, measured=measured)
+    comparison, remarks = evaluation.plan_run(experiment, path)
     store = Store(path)
-    for remark in (*comparison.plan.remarks, *damaged):
+    for remark in remarks:
         note(remark)
     if dry_run:
         print_plan(comparison.plan, store, as_json=as_json)
@@ -196,7 +162,8 @@ def run_experiment(
     go_on = f"--out {shlex.quote(str(path))}"
     with Bars(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
         outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
-    failed = [cell.title for cell in comparison.plan if outcomes[cell.digest].failed]
+    failed = [cell for cell in comparison.plan if outcomes[cell.digest].failed]
+    count = sum(store.find(cell.digest) is not None for cell in failed)  # the others only need one of these
     stopped = outcomes[comparison.data.digest].error
     if isinstance(stopped, ConnectionError):  # no robot, no data, no report
         raise stopped
@@ -207,25 +174,15 @@ def run_experiment(
         else:
             report = evaluation.report_of(comparison, store)
             print_report(report, path, as_json=as_json, verbose=verbose)
-            empty = evaluation.tells_nothing(report)
+            empty, count = evaluation.tells_nothing(report), len(report.all_failures)
     except InvalidData as error:
         if not failed:
             raise
         complain(error)
     if failed:
-        tell(f"{len(failed)} of {len(comparison.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+        tell(f"{count} {'part' if count == 1 else 'parts'}; see {path / 'log.jsonl'}", label="failed: ")
     if failed or empty:
         raise typer.Exit(SOME_FAILED)
-
-
-def read_data(experiment: Experiment) -> sysid_evo.Dataset | None:
-    """Read the recordings of an experiment, if it has some, and tell what their preparation noted."""
-    if experiment.data is None:
-        return None
-    dataset = sysid_evo.Dataset.read(experiment.data, columns=experiment.columns)
-    for remark in dataset.notes:
-        note(remark)
-    return dataset
 
 
 def store_experiment(comparison: evaluation.Comparison, path: Path) -> None:
@@ -234,13 +191,18 @@ def store_experiment(comparison: evaluation.Comparison, path: Path) -> None:
     wanted = comparison.experiment.model_dump(mode="json", exclude_none=True)
     if file.is_file():
         found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
-        differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
-        if differing:
-            note(f"{file} had other {', '.join(differing)}; what both need is kept")
+        tell_differences(file, found, wanted)
     comparison.experiment.write(file)
 
 
-def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbose: bool) -> None:
+def tell_differences(file: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Say in which settings the ``file`` that is replaced differs."""
+    differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
+    if differing:
+        note(f"{file} had other {', '.join(differing)}; what both need is kept")
+
+
+def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbose: bool, written: bool = True) -> None:
     """Print the verdict, the short table, and where the report is."""
     if as_json:
         out.print_json(data=evaluation.to_json(report))
@@ -248,7 +210,8 @@ def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbos
     for part in evaluation.tables(report) if verbose else evaluation.brief(report, folder=path):
         out.print(part, crop=False)
     err.print(where_time_went(report.timings), highlight=False)
-    say(f"Report: {path / 'report.html'}")
+    if written:
+        say(f"Report: {path / 'report.html'}")
 
 
 def print_fits(
@@ -278,7 +241,7 @@ def print_fits(
     table = table_of("model", "error N", "seconds", "stored as", numbers=("error N", "seconds"))
     for row in rows:
         where = str(row["file"] or f"failed: {row['reason']}")
-        table.add_row(str(row["model"]), three_digits(row["error"]), str(row["seconds"]), where)
+        table.add_row(str(row["model"]), evaluation.three_digits(row["error"]), str(row["seconds"]), where)
     out.print(table)
     print_judged(comparison, store)
     for row in rows:
@@ -305,10 +268,10 @@ def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
             out.print(Text(f"How good {', '.join(labels)} is cannot be told: {judged_on}"))
             continue
         over = "after" if found[labels[0]].blocks is not None else "over the first"
-        said = f"mean error {over} {horizon_name(steps, dt)} on {judged_on}, in standard deviations"
+        said = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {judged_on}, in standard deviations"
         out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
-    if blocks and not enough_blocks(min(blocks)):
+    if blocks and not evaluation.enough_blocks(min(blocks)):
         note(f"blocks of time that models were judged on: {min(blocks)}, too few to tell them apart; record more")
 
 
@@ -337,10 +300,17 @@ def report(
         if name not in evaluation.FORMATS:
             raise InvalidArgument(f"--format: expected one of {', '.join(evaluation.FORMATS)}, got {name!r}")
     load_plugins(plugin)
-    made = report_again(run)
+    written = True
+    try:
+        made = report_again(run)
+    except OSError as error:
+        if error.errno not in (errno.EROFS, errno.EACCES, errno.EPERM):
+            raise
+        written, made = False, report_again(run, written=False)
+        note(f"{run} cannot be written, so the report is printed only: {error.strerror}")
     if made is None:
         raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
-    print_report(made, run, as_json=as_json, verbose=verbose)
+    print_report(made, run, as_json=as_json, verbose=verbose, written=written)
     for name in formats or ():
         if files := evaluation.write_format(
             evaluation.story_of(made), name, run
@@ -362,16 +332,16 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
         tell(f"stored in {folder}, which has no report (compare makes one)")
 
 
-def report_again(run: Path) -> evaluation.Report | None:
+def report_again(run: Path, *, written: bool = True) -> evaluation.Report | None:
     """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
 
     Raises `InvalidArgument` if ``run`` is no comparison's run.
     """
     comparison, remarks = evaluation.comparison_of(run)
     store = session.run = Store(run)
-    for remark in remarks:
+    for remark in remarks if written else ():  # else they were told at the first attempt
         note(remark)
-    return evaluation.report_again(comparison, store)
+    return evaluation.report_again(comparison, store, written=written)
 
 
 def study(
@@ -413,7 +383,10 @@ def study(
         return
     session.run = store
     if not render:
-        planned.study.write(path / evaluation.STUDY_FILE)
+        there = path / evaluation.STUDY_FILE
+        if there.is_file():
+            tell_differences(there, evaluation.Study.read(there).settings, planned.study.settings)
+        planned.study.write(there)
         go_on, elsewhere = f"--out {shlex.quote(str(path))}", scheduler is not None
         with Bars(go_on, cells=planned.plan, where=planned.where, elsewhere=elsewhere) as bars:
             execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)

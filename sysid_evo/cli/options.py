@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
 
+from sysid_evo.cli.console import as_option
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry.grammar import split
 from sysid_evo.registry.plugins import load_plugin
 
 Seed: TypeAlias = Annotated[int | None, typer.Option(help="Everything random follows from it (0).", min=0)]
-Preset: TypeAlias = Annotated[str | None, typer.Option(help="Budget: quick, standard or paper.")]
+Preset: TypeAlias = Annotated[str | None, typer.Option(help="Budget: quick (default), standard or paper.")]
 Plugins: TypeAlias = Annotated[
     list[Path] | None, typer.Option("--plugin", help="Python file with further models, tasks, ...; repeatable.")
 ]
@@ -77,9 +79,20 @@ def load_plugins(paths: Iterable[str | Path] | None) -> None:
         load_plugin(path)
 
 
-def given(**settings: Any) -> dict[str, Any]:
-    """Return the settings that stand on the command line: those that are not None."""
-    return {name: value for name, value in settings.items() if value is not None}
+def settings_of(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Return the settings called ``names`` among the values of a command's options, those that stand there.
+
+    An option is called as the setting that it is, but for ``plugin``; its value becomes that of the setting.
+    """
+    becomes: dict[str, Callable[[Any], Any]] = {
+        "data": resolved, "plugins": resolved, "columns": column_map, "test": tuple,
+        "estimator_delay": lambda milliseconds: milliseconds / 1000.0,
+        **{name: partial(listed, as_option(name)) for name in ("models", "ensembles", "by_hand")},
+    }  # fmt: skip
+    values = {**values, "plugins": values.get("plugin")}
+    return {
+        name: becomes.get(name, lambda value: value)(values[name]) for name in names if values.get(name) is not None
+    }
 
 
 def listed(option: str, text: str | None) -> tuple[str, ...] | None:
@@ -92,11 +105,6 @@ def listed(option: str, text: str | None) -> tuple[str, ...] | None:
         raise InvalidArgument(f"{option}: {error}") from error
 
 
-def seconds(milliseconds: float | None) -> float | None:
-    """Return milliseconds as seconds."""
-    return None if milliseconds is None else milliseconds / 1000.0
-
-
 def resolved(paths: Sequence[Path] | None) -> tuple[str, ...] | None:
     """Return paths as absolute ones, which hold in any folder."""
     return None if paths is None else tuple(str(path.resolve()) for path in paths)
@@ -107,12 +115,24 @@ def column_map(columns: Path | None) -> str | None:
     return None if columns is None else str(columns.resolve() if columns.exists() else columns)
 
 
-def check_new_folder(folder: Path) -> None:
-    """Raise `InvalidArgument` unless ``folder`` is new or empty and can be written."""
+def check_new_folder(folder: Path, *, overwrite: bool = False, replaced: Collection[str] = ()) -> None:
+    """Raise `InvalidArgument` unless ``folder`` is new or empty and can be written.
+
+    With ``overwrite`` it may also hold the files of a data set, ``replaced``, and nothing else.
+    """
     standing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not standing.is_dir():
         raise InvalidArgument(f"--out: expected a folder, but {standing} is a file")
     if not os.access(standing, os.W_OK):
         raise InvalidArgument(f"--out: expected a folder that can be written, got {folder}")
-    if standing == folder and any(folder.iterdir()):
-        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds something already")
+    if standing != folder:
+        return
+    inside = {path.name for path in folder.iterdir()}
+    further = sorted(inside.difference(replaced))
+    if further:
+        kept = "; --overwrite replaces a data set alone" if overwrite else ""
+        raise InvalidArgument(f"--out: expected a new or an empty folder, but {folder} holds {further[0]!r}{kept}")
+    if inside and not overwrite:
+        raise InvalidArgument(
+            f"--out: expected a new or an empty folder, but {folder} holds a data set; --overwrite replaces it"
+        )

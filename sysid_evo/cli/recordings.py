@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import typer
 from rich import box
@@ -17,10 +16,10 @@ from rich.text import Text
 
 import evaluation
 from sysid_evo.cli.console import out, say, tell
-from sysid_evo.cli.options import Columns, Json, Plugins, load_plugins
+from sysid_evo.cli.options import Columns, Json, Plugins, check_new_folder, load_plugins
 from sysid_evo.data.advice import Advice, advise
 from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.frames import is_stored_dataset
+from sysid_evo.data.frames import HEADER, SAMPLES, is_stored_dataset
 from sysid_evo.data.preparation import RawLog
 from sysid_evo.data.reading import read_recording
 from sysid_evo.data.support import Support, recorded_pairs, split_pairs
@@ -42,6 +41,7 @@ def import_(
         str | None,
         typer.Option(help="Column of the logs that names the condition of each row; a change of it splits a log."),
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the data set that --out holds.")] = False,
     plugin: Plugins = None,
 ) -> None:
     """Turn log files into a data set: check, prepare, store.
@@ -50,6 +50,7 @@ def import_(
     logs that carry velocities at the control rate are taken row by row.
     """
     load_plugins(plugin)
+    check_new_folder(folder, overwrite=overwrite, replaced=(HEADER, SAMPLES))
     patterns = patterns_of(condition or ())
     recording = read_recording(logs, columns=columns, condition_column=condition_column)
     dataset = Dataset.of_recording(recording).labelled(patterns)
@@ -76,13 +77,17 @@ def inspect(
     dataset, raw, doubts = _open(logs, columns)
     advice = advise(dataset, raw)
     tell_notes(dataset.notes, doubts)
-    if as_json:
-        out.print_json(advice_as_json(dataset, advice))
-    else:
-        out.print(advice_tables(dataset, advice))
-    if controller is not None and not as_json:
+    driven = None
+    if controller is not None:
         support = Support.of(dataset.system, *split_pairs(dataset.system, recorded_pairs(dataset)))
-        print_regions(*evaluation.driven_outside(controller, support))
+        driven = evaluation.driven_outside(controller, support)
+    if as_json:
+        further = {} if driven is None else {"record_next": [region.sentence for region in driven[1]]}
+        out.print_json(data={**advice_as_json(dataset, advice), **further})
+        return
+    out.print(advice_tables(dataset, advice))
+    if driven is not None:
+        print_regions(*driven)
 
 
 def patterns_of(conditions: Sequence[str]) -> dict[str, str]:
@@ -190,17 +195,16 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
     return Group(*parts, bullets)
 
 
-def advice_as_json(dataset: Dataset, advice: Advice) -> str:
-    """Return the advice, the system, the episodes and the notes as JSON."""
+def advice_as_json(dataset: Dataset, advice: Advice) -> dict[str, Any]:
+    """Return the advice, the system, the episodes and the notes as strict JSON."""
     episodes = [{"name": episode.name, "steps": len(episode)} for episode in dataset]
-    value = {
+    return {
         "system": dataset.system.to_dict(),
         "fingerprint": dataset.fingerprint,
         "notes": list(dataset.notes),
         **asdict(advice),
         "episodes": episodes,
     }
-    return json.dumps(value, allow_nan=False)
 
 
 def _title(dataset: Dataset) -> str:

@@ -320,8 +320,10 @@ class Dataset(Displayed):
         known = {name for of_episode in owners for name in of_episode}
         unknown = [name for name in test if name not in known]
         if unknown:
+            stem = Path(unknown[0]).stem  # the name of a file, where that of its episode is meant
+            meant = f" Did you mean {stem!r}?" if stem in known else ""
             raise InvalidArgument(
-                f"split: no episode is called {', '.join(map(repr, unknown))}; there are {', '.join(self.names)}"
+                f"split: no episode is called {', '.join(map(repr, unknown))}.{meant} There are {', '.join(self.names)}"
             )
         asked = set(test)
         chosen = [any(name in asked for name in of_episode) for of_episode in owners]

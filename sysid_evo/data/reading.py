@@ -22,7 +22,7 @@ from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.data.preparation import RawLog, episodes_of, said_once
 from sysid_evo.data.readers import MISSING, Table, log_suffixes, reader_for, such_rows
 from sysid_evo.data.trajectory import Trajectory
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import InvalidArgument, InvalidData, did_you_mean
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
 
@@ -96,13 +96,20 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
                 )
             suffixes = log_suffixes()
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes and file.is_file())
+            if not inside and (path / "cells").is_dir():
+                raise InvalidArgument(
+                    f"{path}: expected recordings, but this is a run folder. Name the logs or the data set that it was "
+                    f"made of; sysid-evo compare --config {path} does the same again"
+                )
             if not inside:
                 raise InvalidData(f"{path}: expected logs ({', '.join(suffixes)}) in this folder, found none")
             files += inside
         elif path.is_file():
             files.append(path)
         else:
-            raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there")
+            beside = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
+            meant = did_you_mean(path.name, beside)
+            raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there.{meant}")
     if not files:
         raise InvalidArgument("expected at least one log or folder of logs, got none")
     times = Counter(file.stem for file in files)

@@ -156,7 +156,7 @@ def test_a_control_without_limits_is_counted_over_its_recorded_range(rng):
     assert (low, high) == (force.min(), force.max())
     assert middle == pytest.approx((low + high) / 2)
     assert advice.controls[1].levels[::2] == (0.0, np.abs(force).max())
-    json.loads(advice_as_json(data, advice))
+    json.dumps(advice_as_json(data, advice), allow_nan=False)
 
 
 def test_a_system_without_controls_gets_advice_too(rng):
@@ -164,7 +164,7 @@ def test_a_system_without_controls_gets_advice_too(rng):
     advice = advise(data)
     assert advice.controls == ()
     assert advice.delays == ()
-    json.loads(advice_as_json(data, advice))
+    json.dumps(advice_as_json(data, advice), allow_nan=False)
     assert "place" in render(advice_tables(data, advice))
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from evaluation.cells.assessment import RunCell
 from evaluation.cells.controllers import EvolveCell, HandWrittenCell
-from evaluation.experiment import Experiment
+from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import Comparison, plan_comparison
 from evaluation.report import Report, save_report, to_json
 from evaluation.run_folder import unneeded_files
@@ -109,11 +109,13 @@ class Watching(Observer):
 
 
 def planned(*names: str, **changes: Any) -> Comparison:
-    return plan_comparison(Experiment.of({**SHORT, "models": names, **changes}), dataset=example_dataset())
+    asked = Experiment.of(meaningful({**SHORT, "models": names}, changes))
+    return plan_comparison(asked, dataset=example_dataset())
 
 
 def run_in(folder: Path, *names: str, observer: Observer | None = None, **changes: Any) -> Report:
-    return compare(example_dataset(), out=folder, observer=observer, **{**SHORT, "models": names, **changes})
+    settings = meaningful({**SHORT, "models": names}, changes)
+    return compare(example_dataset(), out=folder, observer=observer, **settings)
 
 
 def without_timings(report: Report) -> dict[str, object]:
@@ -333,7 +335,7 @@ def test_a_report_is_made_of_plan_and_store_alone(tmp_path: Path) -> None:
         ({"by_hand": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
         ({"by_hand": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' stands there 2 times"),
         ({"by_hand": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
-        ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "no controller is run with only = 'fit'"),
+        ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "by_hand has no effect with only = 'fit'"),
         ({"yardstick": True}, InvalidArgument, "name the emulated robot"),
         ({"yardstick": True, "only": "prediction", "robot": "made_up_robot"}, InvalidArgument, "only = 'prediction'"),
         ({"robot": "swinging"}, IncompatibleSystem, "robot 'swinging' is not the one in the recordings"),
@@ -346,7 +348,7 @@ def test_a_mistake_is_found_by_the_plan_and_nothing_is_written(
     tmp_path: Path, changes: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error) as told:
-        compare(example_dataset(), out=tmp_path / "run", **{**SHORT, "models": ("linear",), **changes})
+        compare(example_dataset(), out=tmp_path / "run", **meaningful({**SHORT, "models": ("linear",)}, changes))
     assert message in str(told.value)
     assert not (tmp_path / "run").exists()
 

@@ -26,7 +26,10 @@ def test_controls_at_rest_are_a_row_where_they_may_bring_something(
     planned = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), by_hand=by_hand))
     assert planned.matrix is not None
     assert [champion.name for champion in planned.matrix.champions] == rows
-    only = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), only="fit"))
+    own = plan_comparison(Experiment(robot=robot, models=("linear",), by_hand=by_hand))
+    assert own.experiment.task == task  # without --task it is the environment's own
+    assert [cell.digest for cell in own.plan] == [cell.digest for cell in planned.plan]
+    only = plan_comparison(Experiment(robot=robot, models=("linear",), only="fit"))
     assert only.matrix is None
 
 

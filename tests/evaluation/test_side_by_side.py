@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from evaluation.cells.data import GivenData
-from evaluation.experiment import Experiment
+from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_again, plan_comparison
 from evaluation.report import Report, to_json
 from evaluation.running import compare
@@ -69,7 +69,7 @@ def test_the_report_is_the_same_for_any_number_of_jobs(tmp_path: Path) -> None:
 
 def test_another_process_plans_the_same_cells_of_the_run_folder(tmp_path: Path) -> None:
     settings = {**SMALL, "only": None, "preset": "quick", "by_hand": ("pursuit",)}
-    compare(example_dataset(), out=tmp_path, **{**settings, "only": "prediction", "by_hand": ()})
+    compare(example_dataset(), out=tmp_path, **meaningful(settings, {"only": "prediction"}))
     first = plan_comparison(Experiment.of(settings), dataset=example_dataset())
     assert first.plan.again is not None
     again = first.plan.again.plan(tmp_path)

@@ -150,11 +150,7 @@ def test_a_cell_is_named_by_what_the_points_that_need_it_share() -> None:
 
 
 def test_failing_cells_are_rows_with_reasons(tmp_path: Path) -> None:
-    settings = {
-        **TINY["experiment"],
-        "models": ["linear", "bad=nearest_neighbour(state_lags=2000)"],
-        "only": "prediction",
-    }
+    settings = {"models": ["linear", "bad=nearest_neighbour(state_lags=2000)"], "minutes": 0.5, "only": "prediction"}
     results = run_study({"experiment": settings, "grid": {"seed": [0, 1]}}, out=tmp_path / "failing", jobs=1)
     failed = [row for row in results.models if row.reason]
     assert [row.model for row in failed] == ["bad", "bad"]

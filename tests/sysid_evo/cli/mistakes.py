@@ -111,7 +111,7 @@ MISTAKES = (
     Mistake(
         "a yardstick without controllers",
         ("compare", "--only", "prediction", "--yardstick"),
-        "no controller is evolved with only = 'prediction'",
+        "--yardstick has no effect with --only prediction: no controller is evolved or run",
     ),
     Mistake("no such experiment", ("compare", "--config", "none.toml"), "none.toml: expected an experiment, found no"),
     Mistake("an experiment with a wrong key", ("compare", "--config", "wrong.toml"), "did you mean generations?"),

@@ -46,6 +46,19 @@ def test_a_controller_runs_in_the_environment_and_its_cell_is_stored(folder: Pat
     assert measured.cell.engine == "environment"
 
 
+def test_without_a_task_the_environments_own_is_evolved_for_and_driven(folder: Path) -> None:
+    command = ("evolve", "--against", CART, "--controller", "linear", *SHORT, "--run", "mine")
+    planned = run_here(*command, "--dry-run", "--json", cwd=folder)
+    named = run_here(*command, "--task", 'environment(id="CartPole-v1")', "--dry-run", "--json", cwd=folder)
+    assert planned.returncode == 0, planned.stderr
+    assert planned.stdout == named.stdout
+    driven = run_here("drive", "--controller", "constant", "--robot", CART, "--trials", "2", cwd=folder)
+    assert driven.returncode == 0, driven.stderr
+    assert "reward" in driven.stdout
+    compared = run_here("transfer", "constant", "--on", CART, "--trials", "2", cwd=folder)
+    assert compared.returncode == 0, compared.stderr
+
+
 def test_a_comparison_on_the_recording_has_the_environment_as_its_last_column(folder: Path) -> None:
     done = run_here(
         "compare", "--data", "data", "--robot", CART, "--models", "linear", "--task", TASK, *SHORT, "--recipe", "plain",

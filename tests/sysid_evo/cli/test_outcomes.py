@@ -17,7 +17,7 @@ from sysid_evo.testing import example_dataset
 from tests.sysid_evo.cli.calling import Caller, Ended, run, run_here
 
 BUDGET = ("--generations", "1", "--trials", "1", "--runs", "1", "--strategy", "mu_plus_lambda(parents=2, children=2)")
-SMALL = (*BUDGET, "--task", "point_to_point(horizon=40)", "--only", "prediction")
+SMALL = ("--only", "prediction")
 WHOLE = (*BUDGET, "--task", "point_to_point(horizon=40)")
 NEAR = "nearest_neighbour"
 
@@ -52,6 +52,9 @@ class Absent(Robot):
     def connect(self, *, seed=None):
         raise LinkLost("nothing on the port")
 '''
+
+REASON = 'ArithmeticError: deep inside (mine.py, line 14: raise ArithmeticError("deep inside"))'
+"""What is said of a family that fails: error, file and line of its own code."""
 
 
 def report_in(folder: Path) -> dict[str, object]:
@@ -189,7 +192,8 @@ def test_runs_are_listed_shown_and_compared(there: Caller, logs: Path) -> None:
     ended = there("compare", "--data", logs, "--models", f"linear,{NEAR}", *SMALL, "--out", "second")
     assert ended.code == 0, ended.stderr
     difference = json.loads(there("runs", "diff", "out", "second", "--json").stdout)
-    assert set(difference["settings"]) == {"models", "only"}
+    assert {"models", "only", "generations"} <= set(difference["settings"])
+    assert not {"seed", "test", "preset"} & set(difference["settings"])
     assert set(difference["only_second"]) == {
         f"fit {NEAR}",
         f"predict with {NEAR}",
@@ -304,8 +308,9 @@ def half(tmp_path_factory: pytest.TempPathFactory, logs: Path) -> tuple[Path, En
 def test_a_family_that_fails_is_exit_code_3_with_a_report_and_its_reason(half: tuple[Path, Ended]) -> None:
     folder, ended = half
     assert ended.code == 3, ended.stderr
-    assert ended.says("fit never_fits: ArithmeticError: deep inside")
-    assert ended.says("cells failed, see out/log.jsonl")
+    assert ended.says(f"fit never_fits: {REASON}")
+    assert ended.says("failed: 1 part; see out/log.jsonl")
+    assert "What failed? 1 part; the reasons are listed below." in " ".join(ended.stdout.split())
     report = json.loads((folder / "out" / "report.json").read_text())
     assert [failure["what"] for failure in report["failures"]] == ["fit never_fits"]
     assert (folder / "out" / "report.html").is_file()
@@ -339,7 +344,8 @@ def test_nothing_that_could_be_fitted_is_exit_code_3_too(half: tuple[Path, Ended
     assert Path(folder, rows["linear"]["file"]).is_file()
     assert rows["linear"]["advice"]["model"] == "linear"
     assert rows["never_fits"]["advice"] is None
-    assert rows["never_fits"]["reason"] == "ArithmeticError: deep inside"
+    assert rows["never_fits"]["reason"] == REASON
+    assert " ".join(fitted.stderr.split()).endswith("failed: 1 part; see f/log.jsonl")
 
 
 def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_asked_for(

@@ -51,7 +51,8 @@ def test_a_dry_run_shows_points_and_cells_and_makes_nothing(study: Path, tmp_pat
 
 
 def test_what_points_share_is_foreseen_once(study: Path, tmp_path: Path) -> None:
-    study.write_text(study.read_text() + 'aggregate = ["min", "mean"]\n')
+    written(tmp_path, second='"ridge=linear(ridge=0.5)"')  # no preset of which changes anything
+    study.write_text(study.read_text() + 'preset = ["quick", "paper"]\n')
     plan = json.loads(run_here("study", study, "--dry-run", "--json", cwd=tmp_path).stdout)
     one, other = plan["points"][:2]
     assert one["cells"] == other["cells"]

@@ -48,7 +48,7 @@ def made(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         done = run_here("compare", "--data", logs, "--plugin", "stand.py", *SMALL, "--out", "run", cwd=folder)
     assert done.returncode == 0, done.stderr
-    (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\nonly = "fit"\ndata = ["{logs}"]\n')
+    (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\ndata = ["{logs}"]\n')
     study = '[experiment]\nplugins = ["stand.py"]\nmodels = ["linear"]\nminutes = 0.5\nonly = "prediction"\n'
     (folder / "study.toml").write_text(f"{study}[grid]\nseed = [0, 1]\n")
     return folder

@@ -1,0 +1,168 @@
+"""Which options of a command are refused together, over all pairs; what a command may replace."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evaluation import compare
+from evaluation.experiment import MEANINGLESS, Experiment
+from sysid_evo.cli.app import COMMANDS, REFUSED, CheckedCommand, load, typed
+from sysid_evo.cli.console import as_option
+from sysid_evo.errors import InvalidArgument, refuse_meaningless
+from sysid_evo.testing import example_dataset
+from tests.sysid_evo.cli.calling import Caller
+
+ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": ["logs"], "adapt": ["m"],
+             "tune": ["linear"], "exploit": ["m"], "transfer": ["c"], "export": ["c"], "report": ["run"]}  # fmt: skip
+"""What stands besides options; values of options are those below, else 1."""
+NEEDED = {"tune": ["--data", "car"], "import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"],
+          "record": ["--out", "new"], "evolve": ["--against", "linear"], "transfer": ["--on", "linear"],
+          "export": ["--to", "c"]}  # fmt: skip
+VALUES = {"only": "prediction", "recipe": "plain", "to": "python"}
+
+OF_CONTROLLERS = ("aggregate", "by-hand", "caution", "controller", "ensembles", "estimator-delay", "generations",
+                  "noise", "recipe", "runs", "schedule", "strategy", "task", "trials", "yardstick")  # fmt: skip
+TOGETHER = {
+    "compare": {("only", name) for name in OF_CONTROLLERS} | {("data", "minutes"), ("scheduler", "jobs")},
+    "fit": {("scheduler", "jobs")},
+    "evolve": {("scheduler", "jobs")},
+    "study": {("scheduler", "jobs"), ("render", "jobs"), ("render", "scheduler"), ("render", "dry-run")},
+    "record": {("manoeuvre", "minutes")},
+    "tune": {("trials", "budget")},
+    "export": {("to", "real")},
+    "drive": {("model", "robot"), ("controller", "host"),
+              ("controller", "port")},
+}  # fmt: skip
+"""The pairs of options that are refused: each option, and one that has no effect beside it. All others are taken."""
+ALONE = {"compare": {"columns": "data"}, "drive": {"watch": "controller"}}
+"""Options that have no effect without another one."""
+
+COMMANDS_WITH_OPTIONS = [name for name in COMMANDS if isinstance(load(name), CheckedCommand)]
+
+
+def options_of(command: str) -> dict[str, list[str]]:
+    """Return every option of a command as it is typed with a value, by its name."""
+    found = {}
+    for option in load(command).params:
+        name = option.opts[0].removeprefix("--")
+        if option.param_type_name == "option" and name != "help":
+            found[name] = [option.opts[0], *([] if option.is_flag else [VALUES.get(name, "1")])]
+    return found
+
+
+def refused(command: str, typing: list[str]) -> str:
+    """Return why the command refuses what is typed because one option makes another one meaningless; else ""."""
+    asked = load(command).make_context(command, [*typing, *ARGUMENTS.get(command, [])])
+    given = typed(asked)
+    try:
+        refuse_meaningless(REFUSED.get(command, ()), given, given, as_option)
+        if command == "compare":
+            refuse_meaningless(MEANINGLESS, given, given, as_option)
+    except InvalidArgument as error:
+        return str(error)
+    return ""
+
+
+def pairs(command: str) -> Iterator[tuple[str, str, str]]:
+    """Yield every pair of options of a command, and why it is refused, "" if it is not; with what either needs."""
+    options = options_of(command)
+    for one, other in itertools.combinations(options, 2):
+        further = [word for name in (one, other) for word in options[ALONE.get(command, {}).get(name, name)]]
+        why = refused(command, [*NEEDED.get(command, []), *further, *options[one], *options[other]])
+        named = {word.strip(":;,") for word in why.split()}
+        yield one, other, why if {f"--{one}", f"--{other}"} <= named else ""  # else it is of what one of them needs
+
+
+@pytest.mark.parametrize("command", COMMANDS_WITH_OPTIONS)
+def test_options_are_refused_together_where_one_makes_the_other_meaningless_and_nowhere_else(command: str) -> None:
+    expected = {frozenset(pair) for pair in TOGETHER.get(command, set())}
+    found = {frozenset((one, other)): why for one, other, why in pairs(command) if why}
+    for one, other in (sorted(pair) for pair in set(found) ^ expected):
+        pytest.fail(f"{command} --{one} --{other}: {found.get(frozenset((one, other)), 'is not refused')}")
+
+
+@pytest.mark.parametrize(("command", "option", "needs"), [
+    (command, option, needs) for command, rows in ALONE.items() for option, needs in rows.items()
+])  # fmt: skip
+def test_an_option_that_needs_another_is_refused_without_it(command: str, option: str, needs: str) -> None:
+    options = options_of(command)
+    assert f"--{option} has no effect without --{needs}: " in refused(command, options[option])
+    assert not refused(command, [*options[option], *options[needs]])
+
+
+def test_the_command_itself_refuses_before_it_does_anything(call: Caller) -> None:
+    ended = call("record", "--out", "new", "--minutes", "2", "--manoeuvre", "step")
+    assert ended.code == 2
+    assert ended.says("--minutes has no effect with --manoeuvre: its manoeuvres have lengths of their own")
+    assert not list(call.folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("settings", "both"),
+    [
+        ({"only": "prediction", "task": "point_to_point"}, ("task", "only = 'prediction'")),
+        ({"only": "fit", "held_back": 0.5}, ("held_back", "only = 'fit'")),
+        ({"minutes": 2.0}, ("minutes", "data")),
+        ({"only": "prediction", "robot": "emulated_car"}, ("robot", "data")),
+        ({"test": ("episode-2",), "held_back": 0.5}, ("held_back", "test")),
+        ({"recipe": "plain", "polish": 20}, ("polish", "recipe = 'plain'")),
+    ],
+)
+def test_the_plan_refuses_settings_from_python_and_names_both(
+    settings: dict[str, Any], both: tuple[str, ...], tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidArgument, match="has no effect with") as told:
+        compare(example_dataset(), out=tmp_path / "run", models=["linear"], **settings)
+    assert all(name in str(told.value) for name in both)
+    assert not (tmp_path / "run").exists()
+
+
+def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call: Caller, logs: Path) -> None:
+    (call.folder / "whole.toml").write_text('models = ["linear"]\ntask = "point_to_point(horizon=40)"\n')
+    planned = call("compare", "--config", "whole.toml", "--data", logs, "--only", "prediction", "--dry-run")
+    assert planned.code == 0, planned.stderr
+    assert "evolve" not in planned.stdout
+    (call.folder / "part.toml").write_text('only = "prediction"\n')
+    ended = call("compare", "--config", "part.toml", "--data", logs, "--task", "point_to_point")
+    assert ended.code == 2
+    assert ended.says("--task has no effect with --only prediction")
+    (call.folder / "both.toml").write_text('only = "prediction"\nminutes = 2\nruns = 3\n')
+    assert call("compare", "--config", "both.toml").says("both.toml: runs has no effect with only = 'prediction'")
+
+
+LOG = "time,angle,torque\n" + "".join(f"{0.05 * k:.2f},{(k % 7) / 7:.3f},{(k % 3) - 1}\n" for k in range(80))
+MAP = """
+name = "swing"
+dt = 0.05
+time = { column = "time" }
+states = { angle = { column = "angle", unit = "rad" } }
+controls = { torque = { column = "torque", low = -1, high = 1 } }
+"""
+
+
+def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else(call: Caller, logs: Path) -> None:
+    folder = call.folder
+    (folder / "log.csv").write_text(LOG)
+    (folder / "map.toml").write_text(MAP)
+    command = ("import", "log.csv", "--columns", "map.toml", "--out", "data")
+    first = call(*command)
+    assert first.code == 0, first.stderr
+    example_dataset(episodes=1).save(folder / "data")
+    kept = {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    again = call(*command)
+    assert again.code == 2
+    assert again.says("but data holds a data set; --overwrite replaces it")
+    assert kept == {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    assert call(*command, "--overwrite").code == 0
+    assert kept != {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    Experiment().write(folder / "run" / "experiment.toml")
+    for further in ((), ("--overwrite",)):
+        ended = call(*command[:-1], "run", *further)
+        assert ended.code == 2
+        assert ended.says("run holds 'experiment.toml'")
+    assert [path.name for path in (folder / "run").iterdir()] == ["experiment.toml"]
