@@ -156,10 +156,9 @@ def declared(module: str, name: str) -> dict[str, Any] | None:
         ):
             found: dict[str, Any] = {"__doc__": ast.get_docstring(node)}
             for item in node.body:
-                with suppress(ValueError):  # no literal
-                    if isinstance(item, (ast.Assign, ast.AnnAssign)) and item.value is not None:
-                        found[ast.unparse(getattr(item, "target", None) or item.targets[0])] = ast.literal_eval(
-                            item.value
-                        )
+                if isinstance(item, (ast.Assign, ast.AnnAssign)) and item.value is not None:
+                    target = item.target if isinstance(item, ast.AnnAssign) else item.targets[0]
+                    with suppress(ValueError):  # no literal
+                        found[ast.unparse(target)] = ast.literal_eval(item.value)
             return found
     return None
