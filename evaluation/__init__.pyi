@@ -3,7 +3,7 @@ from .coverage import UncoveredBox
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
 from .exploitability.results import ModelExploitability, exploitability_card, exploitability_to_json
-from .formatting import horizon_name, three_digits
+from .formatting import by_error, horizon_name, three_digits
 from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
 from .prediction.cases import PredictionProtocol
@@ -142,4 +142,5 @@ __all__ = [
     "unsettled",
     "write_format",
     "write_study",
+    "by_error",
 ]

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from evaluation.cells.controllers import ChampionCell, HandWrittenCell
+from evaluation.experiment import USUAL_TASK
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.planning import Comparison
 from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
@@ -217,7 +218,7 @@ class _Gathered:
     def row(self, chosen: str) -> PointRow:
         """Return how far the point is."""
         states = [self._state(cell) for cell in self.comparison.plan]
-        task = self.comparison.experiment.task or ""
+        task = self.comparison.experiment.task or USUAL_TASK
         return PointRow(
             name=self.point.name,
             labels=self.point.labels,

@@ -11,7 +11,6 @@ from rich.text import Text
 
 import evaluation
 from evaluation.experiment import Experiment
-from evaluation.formatting import by_error
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
 from sysid_evo.cli.options import listed, load_plugins, settings_of
@@ -99,8 +98,8 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
         out.print_json(data=document)
         return
     for label, claim in result.claims.items():
-        fresh = f"{claim.trials} fresh trials, whose standard deviation is {by_error(claim.std, claim.standard_error)}"
-        mean = by_error(claim.mean, claim.standard_error)
+        fresh = f"{claim.trials} fresh trials, whose standard deviation is {evaluation.by_error(claim.std, claim.standard_error)}"
+        mean = evaluation.by_error(claim.mean, claim.standard_error)
         out.print(f"{label}: {mean} {result.unit} in {fresh}", highlight=False, markup=False)
     if result.forecast is not None:
         out.print(result.forecast_sentence, highlight=False, markup=False)
@@ -158,7 +157,9 @@ def exploit(
         }
         out.print_json(data=document)
         return
-    (target, here), *others = ((column, by_error(cell.mean, cell.standard_error)) for column, cell in cells.items())
+    (target, here), *others = (
+        (column, evaluation.by_error(cell.mean, cell.standard_error)) for column, cell in cells.items()
+    )
     elsewhere = ", ".join(f"{label} {value}" for label, value in others)
     out.print(Text(f"{name}: {here} {matrix.unit} in {target}; {elsewhere}"))
     for sentence in card[1:]:
