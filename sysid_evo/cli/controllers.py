@@ -98,7 +98,8 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
         out.print_json(data=document)
         return
     for label, claim in result.claims.items():
-        fresh = f"{claim.trials} fresh trials, whose standard deviation is {evaluation.by_error(claim.std, claim.standard_error)}"
+        spread = evaluation.by_error(claim.std, claim.standard_error)
+        fresh = f"{claim.trials} fresh trials, whose standard deviation is {spread}"
         mean = evaluation.by_error(claim.mean, claim.standard_error)
         out.print(f"{label}: {mean} {result.unit} in {fresh}", highlight=False, markup=False)
     if result.forecast is not None:
