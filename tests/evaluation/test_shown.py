@@ -10,6 +10,7 @@ import nbformat
 import pytest
 
 from evaluation import compare, run_study
+from evaluation.experiment import Experiment, Settings
 from evaluation.report.report import PrintedReport
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.testing import example_dataset
@@ -107,3 +108,8 @@ def test_progress_counts_the_cells_of_a_comparison_and_of_a_study(tmp_path: Path
 def test_a_setting_that_is_misspelt_is_refused_with_the_right_one() -> None:
     with pytest.raises(InvalidArgument, match=r"generatons is no setting of an experiment; did you mean generations\?"):
         compare(generatons=3)  # type: ignore[call-arg]
+
+
+def test_type_checkers_know_every_setting_of_an_experiment() -> None:
+    """But for the data, which are an argument of their own, and what the program writes itself."""
+    assert {*Settings.__annotations__, "data", "data_digest"} == set(Experiment.model_fields)
