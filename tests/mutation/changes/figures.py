@@ -82,7 +82,7 @@ CHANGES = (
     Change(
         "each robot controller is a row of its own",
         CONTROLLERS,
-        'name = "the robot itself" if row.kind == "robot" else row.controller',
+        'name = "one search on the robot" if row.kind == "robot" else row.controller',
         "name = row.controller",
         (
             TEST_FIGURES,
