@@ -161,6 +161,12 @@ def test_a_trial_that_ends_early_is_compared_as_long_as_it_lasts() -> None:
     assert parting(on_a_plane(robot), on_a_plane(np.append(robot[:4], 0.8)), ARM, paths=True) == pytest.approx(0.4)
 
 
+def test_from_a_robot_that_stands_nothing_parts() -> None:
+    still, off = np.zeros(11), np.linspace(0.0, 0.3, 11)
+    assert parting(on_a_plane(off), on_a_plane(still), ARM, paths=True) is None
+    assert parting(of_states(off), of_states(still), ARM, paths=False) is None
+
+
 def test_a_whole_turn_apart_is_together() -> None:
     swing = np.linspace(0.0, 2.0, 11)
     assert parting(of_states(swing + 2.0 * np.pi), of_states(swing), ARM, paths=False) is None

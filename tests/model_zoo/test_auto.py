@@ -156,6 +156,13 @@ def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_t
     assert "do differ significantly" in model.fit_note
 
 
+def test_what_may_be_behind_by_chance_is_judged_in_every_turn() -> None:
+    """Two candidates that are all but the same are behind by next to nothing, each in some blocks of time."""
+    model = make_model("auto", candidates=["linear(ridge=0.0)", "linear(ridge=1e-5)"], gate=1.0)
+    model.fit(example_dataset(), rng=0)
+    assert not [row for row in model.standing() if "in the first of" in row["remark"]]
+
+
 def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:
     with pytest.raises(InvalidData, match=r"got none: narx\(state_lags=500.*no episode is longer"):
         make_model("auto", candidates=["narx(state_lags=500, control_lags=0)"]).fit(example_dataset(), rng=0)

@@ -121,6 +121,22 @@ def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_
     assert set(strategy.finals) == set(asked)
 
 
+def test_less_than_a_hundredth_more_is_no_rise() -> None:
+    island = prepared().islands[0]
+
+    def reaches(fitness: float) -> int:
+        """Return the generation of the last rise when a generation has this fitness, and the 20 after it."""
+        for _ in range(21):
+            population = island.strategy.ask()
+            everywhere = np.full(len(population), fitness)
+            island.tell(population, everywhere, described(population), np.zeros(len(population)))
+        return island.peak_age
+
+    assert reaches(100.0) == 1
+    assert reaches(100.9) == 1
+    assert reaches(101.1) > 42
+
+
 def test_a_kind_is_known_when_several_of_its_starts_reached_the_same() -> None:
     assert not _known([])
     assert not _known([12.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from model_zoo.state_space import estimation
-from model_zoo.state_space.estimation import Lesson, radius, stabilised
+from model_zoo.state_space.estimation import Lesson, observer, radius, stabilised
 from model_zoo.state_space.nonlinear_state_space import networks
 from model_zoo.state_space.recordings import ScaledEpisode, Segments
 from model_zoo.state_space.shooting import FAR, Spaces, train
@@ -126,6 +126,15 @@ def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
     assert (trained.inner[0, 1] != begun.inner[0, 1]).all()
     assert not trained.inner[0, 2].any()
     assert not trained.outer[0, :, 6].any()
+
+
+def test_the_first_guess_of_the_states_does_not_depend_on_how_often_the_data_are_there() -> None:
+    rng = np.random.default_rng(0)
+    space = Spaces.linear(np.array([[[0.9, 0.1, 0.1, 0.0], [0.0, 0.8, 0.2, 0.0]]]), np.ones(2))
+    parts = [ScaledEpisode(rng.standard_normal((61, 1)), rng.standard_normal((60, 1)))]
+    runs = rng.standard_normal((20, 2))
+    once, twice = (observer(space, np.tile(runs, (n, 1)), np.tile(runs[:, :1], (n, 1)), parts).first for n in (1, 2))
+    np.testing.assert_allclose(once, twice, rtol=1e-11)
 
 
 def test_a_sample_counts_once_whatever_the_segments() -> None:
