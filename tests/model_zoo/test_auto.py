@@ -157,10 +157,13 @@ def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_t
 
 
 def test_what_may_be_behind_by_chance_is_judged_in_every_turn() -> None:
-    """Two candidates that are all but the same are behind by next to nothing, each in some blocks of time."""
-    model = make_model("auto", candidates=["linear(ridge=0.0)", "linear(ridge=1e-5)"], gate=1.0)
-    model.fit(example_dataset(), rng=0)
-    assert not [row for row in model.standing() if "in the first of" in row["remark"]]
+    """In the first turn of few data one candidate is 1.3 times as far off as the best, another 1.7 times, by chance."""
+    near = "linear(state_lags=1, control_lags=2)"
+    model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], gate=1.0)
+    model.fit(example_dataset(seed=1, episodes=1, steps=130), rng=0)
+    remarks = {row["candidate"]: row["remark"] for row in model.standing()}
+    assert remarks[near] == "1.3 x the best in the first of 3 turns"
+    assert remarks["nearest_neighbour"] == "above 1.00 x the best"
 
 
 def test_if_nothing_can_be_fitted_the_reasons_are_told() -> None:

@@ -81,6 +81,17 @@ def test_an_island_ranks_what_leaves_its_niche_below_all_inside() -> None:
     np.testing.assert_array_equal(fitness, [1.0, 9.0, 8.0, -3.0])
 
 
+@pytest.mark.parametrize(("failed", "promise"), [(0, 16.8), (12, 16.8), (17, -np.inf), (21, -np.inf)])
+def test_an_island_of_which_most_fail_promises_nothing(failed: int, promise: float) -> None:
+    island = prepared().islands[0]
+    population = island.strategy.ask()
+    fitness = np.where(np.arange(21) < failed, -np.inf, np.arange(1.0, 22.0) - 0.2)
+    outside = np.zeros(21)
+    outside[20] = 0.1
+    island.tell(population, fitness, described(population), outside if failed == 21 else np.zeros(21))
+    assert island.promise == promise
+
+
 def test_an_empty_niche_promises_nothing() -> None:
     strategy = prepared()
 

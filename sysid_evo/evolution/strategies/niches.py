@@ -73,11 +73,14 @@ class Island:
     def tell(self, population: Array, fitness: Array, behaviour: Array, off: Array) -> None:
         """Report a generation: fitness (P,), behaviour (P, d), and how far it is ``off`` the niche (P,), 0 inside."""
         inside = off <= 0.0
-        span = float(fitness.max() - fitness.min()) or 1.0
-        ranked = np.where(inside, fitness, fitness.min() - span * (1.0 + off))
+        least, most = float(fitness.min()), float(fitness.max())
+        span = most - least if -np.inf < least < most else 1.0
+        ranked = np.where(inside, fitness, least - span * (1.0 + off))
         order = np.argsort(-ranked, kind="stable")
         self.best, self.scores = population[order[:KEPT]].copy(), ranked[order[:KEPT]].copy()
-        promise = float(np.quantile(fitness[inside], QUANTILE)) if inside.any() else -np.inf
+        reached = np.sort(fitness[inside])
+        some = inside.any() and reached[int(QUANTILE * (len(reached) - 1))] > -np.inf  # of -inf a quantile is nan
+        promise = float(np.quantile(reached, QUANTILE)) if some else -np.inf
         self.promises = [*self.promises, promise][-LAST:]
         self.age += 1
         if self.promise > self.peak + RISE * abs(self.peak) or not np.isfinite(self.peak):
