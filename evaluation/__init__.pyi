@@ -6,7 +6,7 @@ from .exploitability.results import ModelExploitability, exploitability_card, ex
 from .formatting import by_error, horizon_name, three_digits
 from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
-from .prediction.cases import PredictionProtocol
+from .prediction.cases import PredictionProtocol, main_horizon
 from .prediction.scores import PERSISTENCE, Prediction
 from .prediction.scoring import assess_prediction
 from .report.report import brief, save_report, story_of, tables, to_html, to_json, transfer_tables, transfer_to_json
@@ -103,6 +103,7 @@ __all__ = [
     "is_model_of_a_run",
     "latest_run_folder",
     "load_measured",
+    "main_horizon",
     "matrix_of",
     "measured_by_person",
     "owner_of",

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.transfer.uncertainty import Estimate, PairedEstimate
+if TYPE_CHECKING:  # the command line imports this module before it knows what else it needs
+    from evaluation.transfer.uncertainty import Estimate, PairedEstimate
 
 
 def number(value: float | None, digits: int = 1) -> str:

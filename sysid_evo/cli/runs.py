@@ -11,7 +11,6 @@ import typer
 from rich.text import Text
 
 import evaluation
-from evaluation.prediction.cases import main_horizon
 from sysid_evo.cli.console import note, out, say, table_of, tell
 from sysid_evo.cli.options import Json
 from sysid_evo.errors import ArtefactError
@@ -121,7 +120,7 @@ def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for model in (report["prediction"] or {"models": []})["models"]:
         scores = {score["steps"]: score for score in model["horizons"]}
-        near = scores.get(main_horizon(list(scores), report["data"]["system"]["dt"]))
+        near = scores.get(evaluation.main_horizon(list(scores), report["data"]["system"]["dt"]))
         if near and model["name"] != evaluation.PERSISTENCE:
             found[f"N at {near['seconds']:g} s, {model['name']}"] = near["n"]
     controllers = (report["controllers"] or {"controllers": []})["controllers"]
