@@ -16,4 +16,4 @@ def test_a_tiny_run_prints_what_is_achieved_beside_one_search_on_the_robot(
     tiny = ["--out", str(tmp_path), "--cases", "thermal/set_point", "--seeds", "0", "--minutes", "3"]
     assert main([*tiny, "--generations", "2"]) == 0
     printed = capsys.readouterr().out
-    assert "thermal set_point 0 recommended of" in " ".join(printed.split())
+    assert "thermal set_point 0 polished of" in " ".join(printed.split())
