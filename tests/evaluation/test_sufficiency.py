@@ -21,6 +21,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from tests.evaluation.known_models import SYSTEM, Known, fitted, recording
 from tests.evaluation.made_up import matrix, prediction, report
+from tests.evaluation.test_report import _printed
 from tests.evaluation.test_tables import exploited
 
 GOOD = {"persistence": 0.9, "linear": 0.036, "sindy": 0.6}
@@ -123,11 +124,14 @@ def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_senten
         "b": {"a": 3.0, "b": 8.0, "car": 7.0},
         "rest": {"a": 6.0, "b": 6.0, "car": 6.0},
     }
-    made = report(transfer=matrix(fitness, robot="car"))
+    made = replace(report(transfer=matrix(fitness, robot="car")), controllers={"a": "controllers/a.json"})
     assert made.transfer is not None
     assert made.transfer.pick == "a"
+    assert "Use the chosen controller" not in _printed(brief(made))
+    better = report(transfer=matrix({row: cells for row, cells in fitness.items() if row != "rest"}, robot="car"))
+    assert "Use the chosen controller" in _printed(brief(replace(better, controllers=made.controllers)))
     card = headline(made, "Which controller")
-    assert card.tone == "bad"
+    assert (card.tone, card.command) == ("bad", "")
     assert card.sentence.startswith("a is worse than controls at rest (difference -2.00 ±")
     assert first_sentence(made, "What to use?").startswith("a is worse than controls at rest")
 

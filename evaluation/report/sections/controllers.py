@@ -320,7 +320,12 @@ def export_command(report: Report, controller: str, *, folder: str | Path = "") 
 
 
 def use_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
-    """Return what to do with a controller first: drive the robot, export it where there is none."""
+    """Return what to do with a controller first: drive the robot, export it where there is none.
+
+    With one that is no better than controls at rest there is nothing to do.
+    """
+    if report.matrix is not None and beats_rest(report.matrix, controller) is False:
+        return None
     use = drive_command if report.settings.get("robot") else export_command
     return use(report, controller, folder=folder)
 
