@@ -2,7 +2,8 @@
 
 Each command runs in a process of its own, ``--times`` times (3); the table shows the mistake, the exit
 code, the median of the seconds from typing to the end, and that of the processor time in it, which on a
-busy machine is the fairer number. Exit code 1 if one takes 3 s or more, or ends with another code than 2.
+busy machine is the fairer number. Exit code 1 if one takes 3 s of processor time or more, ends with another code
+than 2, or writes, changes or removes a file.
 """
 
 from __future__ import annotations
@@ -44,6 +45,11 @@ def processor_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
+def content(folder: Path) -> dict[Path, bytes | None]:
+    """Return what every file in a folder holds."""
+    return {path: path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
+
+
 def main() -> int:
     """Print the table; return 1 if one of the mistakes is not told as it should be."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -54,11 +60,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(folder)
+        before = content(folder)
         write(f"{'mistake':42} {'code':>4} {'s':>5} {'cpu':>5}   command\n")
         for mistake in MISTAKES[: arguments.first]:
             code, seconds, busy = measured(mistake, folder, arguments.times)
-            wrong += code != EXPECTED or seconds >= LIMIT
-            write(f"{mistake.what:42} {code:4d} {seconds:5.2f} {busy:5.2f}   sysid-evo {' '.join(mistake.arguments)}\n")
+            lost = content(folder) != before
+            wrong += code != EXPECTED or busy >= LIMIT or lost
+            what = f"{mistake.what:42} {code:4d} {seconds:5.2f} {busy:5.2f}{' CHANGED FILES' if lost else ''}"
+            write(f"{what}   sysid-evo {' '.join(mistake.arguments)}\n")
             sys.stdout.flush()
     return int(wrong > 0)
 

@@ -125,6 +125,46 @@ MISTAKES = (
     Mistake("unknown model in fit", ("fit", "car", "--models", "linaer"), "Did you mean 'linear'?"),
     Mistake("unknown test episode in fit", ("fit", "car", "--models", "linear", "--test", "e"), "episode-2"),
     Mistake("a report of nothing", ("report", "full"), "experiment.toml: expected an experiment, found no such file"),
+    Mistake(
+        "a file name for an episode",
+        ("compare", *CAR, "--test", "episode-2.csv"),
+        "test: no episode is called 'episode-2.csv'. Did you mean 'episode-2'?",
+    ),
+    Mistake(
+        "models with a space between",
+        ("compare", "--models", "linear", "narx"),
+        "--models takes one value, not 'narx' too; did you mean values with commas, without spaces?",
+    ),
+    Mistake(
+        "models with a space between, in fit",
+        ("fit", "car", "--models", "linear", "narx"),
+        "narx is a model and no recording; did you mean --models linear,narx?",
+    ),
+    Mistake("several values of one option", ("compare", *CAR, "--test", "a", "b"), "--test stands before each of its"),
+    Mistake("a run for recordings", ("compare", "--data", "run"), "run: expected recordings, but this is a run folder"),
+    Mistake("a log that is called otherwise", ("fit", "brokn.csv"), "Did you mean 'broken.csv'?"),
+    Mistake(
+        "minutes of given recordings",
+        ("compare", *CAR, "--minutes", "3"),
+        "--minutes has no effect with --data: no robot is recorded; leave one of them out",
+    ),
+    Mistake(
+        "a precision for Python",
+        ("export", "controller", "--to", "python", "--real", "float"),
+        "--real has no effect with --to python",
+    ),
+    Mistake("watching by hand", ("drive", "--watch"), "--watch has no effect without --controller"),
+    Mistake("jobs of a cluster", ("fit", "car", "--jobs", "2", "--scheduler", "s.json"), "--jobs has no effect"),
+    Mistake(
+        "an import over a data set",
+        ("import", "broken.csv", "--out", "car"),
+        "--out: expected a new or an empty folder, but car holds a data set; --overwrite replaces it",
+    ),
+    Mistake("an import into a run", ("import", "broken.csv", "--out", "run", "--overwrite"), "but run holds 'cells'"),
+    Mistake("a recording over a data set", ("record", "--out", "car"), "but car holds"),
+    Mistake("an adapted model over another", ("adapt", "m", "--data", "car", "--out", "model"), "model.json exists"),
+    Mistake("unknown kind of names", ("names", "contrlers"), "Did you mean 'controllers'?"),
+    Mistake("the speed of a family", ("models", "show", "linear", "--speed"), "expected the file of a fitted model"),
     Mistake("a run that is none", ("runs", "show", "full"), "expected a run folder, found none at full"),
 )
 
@@ -140,4 +180,6 @@ def prepare(folder: Path) -> None:
     (folder / "file").write_text("")
     (folder / "full").mkdir()
     (folder / "full" / "something").write_text("")
+    (folder / "run" / "cells").mkdir(parents=True)
+    (folder / "model.json").write_text("{}")
     (folder / "wrong.toml").write_text("genrations = 3\n")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -213,6 +217,41 @@ def test_runs_are_listed_shown_and_compared(there: Caller, logs: Path) -> None:
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith("cells only")]
     assert line.split()[-2:] == [str(len(difference["only_first"])), "3"]
     assert "no difference" in there("runs", "diff", "out", "out").stdout
+
+
+@contextmanager
+def unprivileged(folder: Path) -> Iterator[None]:
+    """Take the right to write in a folder; from root, who may write anywhere, by being somebody else meanwhile."""
+    places = [folder, *folder.rglob("*")]
+    for place in places:
+        place.chmod(0o555 if place.is_dir() else 0o444)
+    user = os.geteuid()
+    try:
+        if user == 0:
+            os.seteuid(65534)
+        yield
+    finally:
+        os.seteuid(user)
+        for place in places:
+            place.chmod(0o755 if place.is_dir() else 0o644)
+
+
+def test_the_report_of_a_run_that_cannot_be_written_is_printed(
+    compared: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        shutil.copytree(compared / "out", folder / "out")
+        call = Caller(folder, capsys)
+        written = call("report", "out")
+        before = {path: path.stat().st_mtime_ns for path in (folder / "out").rglob("*")}
+        with unprivileged(folder / "out"):
+            printed = call("report", "out")
+        assert printed.code == 0, printed.stderr
+        assert printed.says("out cannot be written, so the report is printed only: Permission denied")
+        assert printed.stdout + "Report: out/report.html\n" == written.stdout
+        assert before == {path: path.stat().st_mtime_ns for path in (folder / "out").rglob("*")}
 
 
 def test_a_run_without_a_report_is_compared_without_figures(compared: Path, there: Caller) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -138,3 +139,50 @@ def test_a_shipped_thing_is_checked_by_its_name_alone_with_parameters() -> None:
     done = CliRunner().invoke(app, ["check", "mu_plus_lambda(parents=5, children=5)"])
     assert done.exit_code == 0, done.output
     assert "ok     Fitness is maximised: on a hill the elite climbs" in done.output
+
+
+def test_a_check_says_where_there_is_no_compiled_form_and_wrapped_sentences_hang(tmp_path: Path) -> None:
+    checked = run_here("plugin", "check", "k_neighbours", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout
+    (tmp_path / "slow.py").write_text(SLOW)
+    slow = run_here("plugin", "check", "slow_one", "--plugin", "slow.py", cwd=tmp_path)
+    lines = slow.stdout.splitlines()
+    assert any(line.startswith("-      The compiled form steps as step does: it has none") for line in lines)
+    assert not any(line.startswith("ok     The compiled form") for line in lines)
+    assert all(line[:7] in ("ok     ", "-      ", "BROKEN ", "       ") for line in lines)
+    assert any(line.startswith("       ") for line in lines)
+
+
+SLOW = """
+import numpy as np
+from sysid_evo import DynamicsModel, register_model
+
+
+@register_model("slow_one")
+class SlowOne(DynamicsModel):
+    \"\"\"The mean change.\"\"\"
+
+    def fit(self, dataset, *, rng, progress=None):
+        if progress:
+            progress(0, 1)
+        steps = dataset.transitions()
+        self.mean_ = dataset.system.acceleration(steps.carry, steps.after).mean(axis=0)
+        if progress:
+            progress(1, 1)
+        return self
+
+    def acceleration(self, carry, control):
+        return np.tile(self.mean_, (len(carry), 1))
+"""
+
+
+def test_names_lists_the_kinds_first_and_takes_their_plural(tmp_path: Path) -> None:
+    kinds = run_here("names", cwd=tmp_path).stdout
+    assert len(kinds.splitlines()) < 40
+    assert all(kind in kinds for kind in KINDS)
+    one, several = run_here("names", "strategy", cwd=tmp_path), run_here("names", "strategies", cwd=tmp_path)
+    assert one.returncode == several.returncode == 0
+    assert one.stdout == several.stdout
+    assert "sigma" in one.stdout
+    assert "`" not in run_here("names", "model", cwd=tmp_path).stdout
+    assert {row["kind"] for row in json.loads(run_here("names", "--json", cwd=tmp_path).stdout)} == set(KINDS)
