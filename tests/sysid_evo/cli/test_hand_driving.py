@@ -145,7 +145,7 @@ def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--robot", "emulated_car", "--model", "linear"), "oneof--robotand--model"),
+        (("--robot", "emulated_car", "--model", "linear"), "--robothasnoeffectwith--model"),
         (("--model", "nothing.json"), "nothing.json"),
         (("--robot", "emulated_cat"), "Didyoumean'emulated_car'"),
         (("--out", "full"), "anewor"),
