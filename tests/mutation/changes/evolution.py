@@ -175,7 +175,7 @@ CHANGES = (
     Change(
         "candidates outside their niche rank by their fitness",
         "sysid_evo/evolution/strategies/niches.py",
-        "np.where(inside, fitness, fitness.min() - span * (1.0 + off))",
+        "np.where(inside, fitness, least - span * (1.0 + off))",
         "fitness.copy()",
         TEST_NICHES,
     ),
@@ -192,6 +192,13 @@ CHANGES = (
         "return self.age - self.peak_age >= patience",
         "return False",
         TEST_NICHES,
+    ),
+    Change(
+        "any rise of an island counts",
+        "sysid_evo/evolution/strategies/niches.py",
+        "RISE * abs(self.peak)",
+        "0.0 * abs(self.peak)",
+        ("tests/sysid_evo/test_niches.py",),
     ),
     Change(
         "CMA-ES learns from its mean",

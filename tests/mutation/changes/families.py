@@ -216,4 +216,18 @@ CHANGES = (
             "tests/sysid_evo/wrappers/test_noise.py::test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot",
         ),
     ),
+    Change(
+        "what may be behind by chance is dropped",
+        "model_zoo/auto/selection.py",
+        " and paired_interval(best, error)[0] > 0.0:",
+        ":",
+        ("tests/model_zoo/test_auto.py",),
+    ),
+    Change(
+        "the ridge of an observer does not grow with its data",
+        "model_zoo/state_space/estimation.py",
+        "RIDGE * len(regressors) *",
+        "RIDGE *",
+        ("tests/model_zoo/hidden/test_shooting.py",),
+    ),
 )
