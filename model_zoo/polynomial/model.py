@@ -176,10 +176,18 @@ class PolynomialFamily(Uncertain):
         states = zip(self.system.states, self.added_, self.zero_of(self.added_), strict=True)
         return [(less(f"{c.name}[+1]", zero) + (f" - {c.name}" if added else ""), c.unit) for c, added, zero in states]
 
+    def coefficients(self) -> Array:
+        """Return the coefficients (nx, T) of the terms in `equations`, zeros included, as pysindy's method does."""
+        return self._printed().T
+
+    def _printed(self) -> Array:
+        """Return the coefficients (T, nx) without what stands on the left side."""
+        constant = ~self.exponents_.any(axis=1, keepdims=True)
+        return self.coefficients_ - constant * self.zero_of(self.added_)
+
     def equations(self) -> list[str]:
         """Return one equation for each state, with the unit of every coefficient in brackets."""
-        features, constant = self.features, ~self.exponents_.any(axis=1, keepdims=True)
-        coefficients = self.coefficients_ - constant * self.zero_of(self.added_)
+        features, coefficients = self.features, self._printed()
         return [
             equation(left, unit, coefficients[:, channel], self.exponents_, features.shown_names, features.units)
             for channel, (left, unit) in enumerate(self.left_sides())

@@ -442,8 +442,11 @@ def from_samples(
     x: npt.ArrayLike | Sequence[npt.ArrayLike],
     t: float | npt.ArrayLike | Sequence[npt.ArrayLike],
     u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+    feature_names: Sequence[str] | None = None,
 ) -> Dataset:
     """Make a data set of the states x0, x1, ... and the controls u0, u1, ... of arrays, as pysindy takes them.
+
+    ``feature_names`` are other names of the states, then of the controls.
 
     ``x`` is (T + 1, nx), or a list with one for each trajectory; one state may be flat. ``t`` is the time step in
     seconds, or the times (T + 1,), a list of them for a list. ``u`` is (T + 1, nu) or (T, nu), held from one
@@ -459,7 +462,14 @@ def from_samples(
             shapes = ", ".join(str(array.shape) for array in arrays)
             raise ShapeError(f"{what}: expected (samples, columns), or a list of such arrays, got {shapes}")
     n_controls = 0 if pushes is None else pushes[0].shape[1]
-    system = System(_numbered("x", runs[0].shape[1]), _numbered("u", n_controls), _step(t, runs))
+    numbered = (*(f"x{i}" for i in range(runs[0].shape[1])), *(f"u{i}" for i in range(n_controls)))
+    names = numbered if feature_names is None else tuple(feature_names)
+    if len(names) != len(numbered):
+        raise InvalidArgument(
+            f"feature_names: expected {len(numbered)} names, for {', '.join(numbered)}, got {len(names)}"
+        )
+    channels = tuple(map(Channel, names))
+    system = System(channels[: runs[0].shape[1]], channels[runs[0].shape[1] :], _step(t, runs))
     return Dataset.from_arrays(system, list(runs), None if pushes is None else list(pushes))
 
 
@@ -468,11 +478,6 @@ def _listed(given: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[npt.ArrayLik
     if isinstance(given, (list, tuple)) and any(isinstance(part, np.ndarray) for part in given):
         return list(given)
     return [np.asarray(given)]
-
-
-def _numbered(letter: str, n: int) -> tuple[Channel, ...]:
-    """Return ``n`` channels without units: x0, x1, ..."""
-    return tuple(Channel(f"{letter}{i}") for i in range(n))
 
 
 def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Array]) -> float:
@@ -521,6 +526,40 @@ def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: s
         )
     if not any(rows.any() for rows in dataset.moving):
         raise InvalidData(f"{name}: the robot stands still throughout; record it in motion")
+
+
+LARGEST = 1e30
+"""Of a recorded number. All families learn such data as well as others; sums of squares, of 1e75 the fourth powers of
+Gaussian processes, stop being numbers later, and the float32 of compiled models at 3e38."""
+CONSTANT = 1e-12
+"""Share of its size by which a state that never changes may change, by rounding."""
+
+
+def doubts_about(dataset: Dataset) -> Iterator[str]:
+    """Yield why an error of a model fitted to ``dataset`` would say little, in parts of sentences after its name.
+
+    Raises `InvalidData` for numbers with which nothing can be computed.
+    """
+    system, states = dataset.system, np.concatenate([episode.states for episode in dataset])
+    controls = np.concatenate([episode.controls for episode in dataset])
+    size = np.abs(states).max(axis=0)
+    names = (*system.state_names, *system.control_names)
+    for name, most in zip(names, (*size, *np.abs(controls).max(axis=0)), strict=True):
+        if most > LARGEST:
+            raise InvalidData(
+                f"data set: expected numbers up to {LARGEST:g}, got {most:g} in {name!r}: look for a broken sample, or "
+                "take a larger unit"
+            )
+    wanted = STEPS_PER_CHANNEL * (len(names) + 1)
+    if dataset.n_steps < wanted:
+        yield (
+            f"learns from {dataset.n_steps} steps, too few for {len(names)} states and controls: expected {wanted} or "
+            "more. Whatever its error is, it says nothing of other data; record for longer"
+        )
+    still = np.ptp(states, axis=0) <= np.maximum(CONSTANT * size, 1.0 / LARGEST)
+    if still.any():
+        constant = ", ".join(name for name, one in zip(system.state_names, still, strict=True) if one)
+        yield f"learns nothing of {constant}: no change is recorded, so that an error of 0 there is no merit"
 
 
 def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dataset:

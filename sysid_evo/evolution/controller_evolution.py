@@ -109,8 +109,22 @@ class ControllerEvolution:
         return cautions.make(self.caution) if self.caution else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
-        """Return the strategy, which searches ``n_parameters`` numbers."""
-        return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
+        """Return the strategy, which searches ``n_parameters`` numbers.
+
+        Raises `InvalidArgument` if a parent and its child, or what the strategy keeps, do not fit into the memory.
+        """
+        import psutil
+
+        each, there = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
+        try:
+            if 2.0 * each > there:
+                raise MemoryError(f"two candidates take {2.0 * each:.3g} of {there:.3g} GB of memory")
+            return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
+        except MemoryError as error:
+            raise InvalidArgument(
+                f"evolution: {self.controller} has {n_parameters:,} numbers, too many for {self.strategy} on this "
+                f"machine: {error}. Make the controller smaller"
+            ) from error
 
 
 def evolve_controller(

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.carry import CarryLayout, band_of, held_at_rest
-from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, thinned
+from sysid_evo.data.dataset import Dataset, as_dataset, doubts_about, from_samples, thinned
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.display import html_table, line_of
@@ -89,7 +89,7 @@ class DynamicsModel(Dynamics, Estimator):
     A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
     ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
     ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error. Arrays without names do as well, as in
-    pysindy: ``fit(x, t=0.05, u=u)`` (`sysid_evo.data.dataset.from_samples`).
+    pysindy: ``fit(x, t=0.05, u=u, feature_names=[...])`` (`sysid_evo.data.dataset.from_samples`).
 
     What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
@@ -416,6 +416,8 @@ class DynamicsModel(Dynamics, Estimator):
         *,
         samples: int | None = None,
         rng: np.random.Generator | int | None = None,
+        t: object = None,
+        u: object = None,
     ) -> Array:
         """Run free under recorded controls and return the states after each of H steps.
 
@@ -432,6 +434,13 @@ class DynamicsModel(Dynamics, Estimator):
         the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
         system, lags = self.system, self.n_lags
+        times = controls is not None and np.ndim(states) == 1 and np.ndim(cast(npt.ArrayLike, past_controls)) < 2
+        if t is not None or u is not None or (times and past_controls is not None and np.size(past_controls) > 0):
+            raise InvalidArgument(
+                f"simulate: expected simulate(x0, u) with one row of u for each step of {system.dt:g} s, which the "
+                "model was fitted with: it takes no times t and returns the states after each step, without x0. "
+                "pysindy's simulate(x0, t, u) is simulate(x0, u[:-1]) here"
+            )
         if isinstance(states, Trajectory):
             run = states
             if len(run) <= lags:
@@ -490,14 +499,21 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         progress: Progress | bool | None = None,
         t: float | npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+        feature_names: Sequence[str] | None = None,
     ) -> DynamicsModel:
         called, generator = f"{type(self).__name__}.fit", as_generator(rng)
-        if u is not None and t is None:
-            raise InvalidArgument(f"{called}: expected the time step or the times as well as u: fit(x, t=0.05, u=u)")
-        data = as_dataset(dataset, called) if t is None else from_samples(cast(npt.ArrayLike, dataset), t, u)
+        if (u is not None or feature_names is not None) and t is None:
+            raise InvalidArgument(
+                f"{called}: expected the time step or the times as well as u and feature_names: fit(x, t=0.05, u=u); a "
+                "Dataset has its own"
+            )
+        x = cast(npt.ArrayLike, dataset)
+        data = as_dataset(dataset, called) if t is None else from_samples(x, t, u, feature_names)
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
+        for doubt in doubts_about(data):
+            warnings.warn(f"{type(self).__name__} {doubt}", DataWarning, stacklevel=2)
         with told(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)
 

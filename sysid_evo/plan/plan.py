@@ -13,6 +13,11 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.cell import Cell
 from sysid_evo.randomness import derived_seed
 
+MOST_YEARS = 10.0
+"""Of one processor for a plan; nobody means more. A thousand processors would take four days."""
+YEAR = 365.25 * 86400.0
+"""In seconds."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -27,7 +32,10 @@ class Plan:
 
     @classmethod
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = (), again: Again | None = None) -> Plan:
-        """Return the plan of the ``wanted`` cells and all that they need. Raises `InvalidArgument` for a circle."""
+        """Return the plan of the ``wanted`` cells and all that they need.
+
+        Raises `InvalidArgument` for a circle, and for years of work, as cells foresee it (`Cell.seconds`).
+        """
         placed: dict[str, Cell] = {}
         under_way: dict[int, Cell] = {}
         visited: dict[int, Cell] = {}
@@ -45,6 +53,14 @@ class Plan:
 
         for cell in wanted:
             place(cell)
+        foreseen = {cell.title: cell.seconds() for cell in placed.values()}
+        if sum(foreseen.values()) > MOST_YEARS * YEAR:
+            longest = max(foreseen, key=foreseen.__getitem__)
+            raise InvalidArgument(
+                f"plan: {longest} would take about {foreseen[longest] / YEAR:.2g} years on one processor, and no plan "
+                f"of more than {MOST_YEARS:g} years is begun: ask for less of it, such as generations, trials, runs, "
+                "minutes"
+            )
         return cls(tuple(placed.values()), tuple(remarks), again)
 
     def __len__(self) -> int:

@@ -24,9 +24,28 @@ def test_columns_are_numbered_and_the_step_is_that_of_the_times():
 
 
 def test_a_fit_to_arrays_is_the_fit_to_their_data_set():
-    there = make_model("linear").fit(X, t=0.05, u=U)
-    here = make_model("linear").fit(Dataset.from_arrays(there.system, X, U))
+    x, u = np.concatenate([X, -X]), np.concatenate([U, U])
+    there = make_model("linear").fit(x, t=0.05, u=u)
+    here = make_model("linear").fit(Dataset.from_arrays(there.system, x, u))
     np.testing.assert_array_equal(there.coefficients_, here.coefficients_)
+
+
+def test_names_may_be_given_as_to_pysindy():
+    """Of the states, then of the controls; a data set has its own."""
+    times = 0.05 * np.arange(81)
+    x, u = np.stack([np.exp(-times), np.cos(times)], axis=1), np.sin(3 * times)
+    model = make_model("narx", degree=1, terms=4, state_lags=0, control_lags=0)
+    model.fit(x, t=times, u=u, feature_names=["decay", "swing", "push"])
+    assert (model.system.state_names, model.system.control_names) == (("decay", "swing"), ("push",))
+    decay, swing = model.equations()
+    assert decay.startswith("decay[+1] = ")
+    assert model.coefficients().shape == (2, len(model.exponents_))
+    for row, line in zip(model.coefficients(), (decay, swing), strict=True):
+        assert all(f"{abs(one):.4g}" in line for one in row if one)
+    with pytest.raises(InvalidArgument, match="feature_names: expected 3 names, for x0, x1, u0, got 2"):
+        from_samples(x, 0.05, u, ["decay", "swing"])
+    with pytest.raises(InvalidArgument, match="a Dataset has its own"):
+        model.fit(from_samples(x, 0.05, u), feature_names=["decay", "swing", "push"])
 
 
 @pytest.mark.parametrize("u", [None, [U, U[:9, 0]]])

@@ -7,7 +7,8 @@ import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.evolution.controller_evolution import ControllerEvolution, farthest_driven, farthest_recorded
 from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
@@ -17,6 +18,16 @@ from sysid_evo.testing.examples import ExampleDynamics, pendulum
 
 def doubts(car: System, farthest: list[float], **sizes: float) -> tuple[str, ...]:
     return PointToPoint(**sizes).bind(car).doubts(np.array(farthest))
+
+
+def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_need(car: System) -> None:
+    settings = ControllerEvolution(controller="recurrent(hidden=1000000000)")
+    controller = settings.make_controller(settings.make_task(car))
+    with pytest.raises(InvalidArgument, match=r"000 numbers, too many for .* two candidates take 1.6e\+10"):
+        settings.make_strategy(controller.n_parameters, 0)
+    experiment = Experiment(robot="emulated_car", minutes=1.0, models=("linear",), generations=10**23)
+    with pytest.raises(InvalidArgument, match=r"would take about \S+ years on one processor"):
+        plan_comparison(experiment)
 
 
 def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(car: System) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import sys
+import warnings
+from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -84,7 +86,7 @@ def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
     gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
     assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
     assert Drawn().fit(DATA).gain_ == gains[0]
-    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress", "t", "u"]
+    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress", "t", "u", "feature_names"]
 
 
 @pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])
@@ -248,6 +250,40 @@ def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments: Any, message:
     short = Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.1, name="short")
     with pytest.raises(InvalidData, match="Drawn needs 3 states to start, 'short' ends with them"):
         Drawn(control_lags=2).fit(DATA).simulate(short)
+
+
+@pytest.mark.parametrize("habit", [((0.1 * np.arange(5), np.zeros((5, 1))), {}), ((), {"t": 0.1, "u": np.zeros(5)})])
+def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_library(habit: Any) -> None:
+    """Times would else be taken for the controls before the run."""
+    arguments, keywords = habit
+    with pytest.raises(InvalidArgument, match=r"expected simulate\(x0, u\) with one row of u for each step of 0.1 s"):
+        Drawn().fit(DATA).simulate([0.0, 0.0], *arguments, **keywords)
+
+
+@pytest.mark.parametrize("name", ["linear", "nearest_neighbour", "gaussian_process"])
+def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learned(name: str) -> None:
+    data = example_dataset(episodes=1, steps=100)
+    (episode,) = data
+    states = episode.states.copy()
+    states[50, 1] = 1e200
+    broken = data.with_episodes([replace(episode, states=states)])
+    with pytest.raises(InvalidData, match=r"numbers up to 1e\+30, got 1e\+200 in 'lateral_speed'"):
+        make_model(name).fit(broken)
+
+
+def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing() -> None:
+    data = example_dataset(episodes=1, steps=100)
+    (episode,) = data
+    with pytest.warns(DataWarning, match="Linear learns from 8 steps, too few for 5 states and controls: expected 60"):
+        make_model("linear").fit(data.with_episodes([episode[:8]]))
+    states = episode.states.copy()
+    states[:, 1:] = 0.3
+    still = data.with_episodes([replace(episode, states=states)])
+    with pytest.warns(DataWarning, match="learns nothing of lateral_speed, yaw_rate: no change is recorded"):
+        make_model("linear").fit(still)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        make_model("linear").fit(data)
 
 
 class Counting(DynamicsModel):

@@ -21,6 +21,16 @@ def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_n
     assert len({one.digest, *(other.digest for other in others)}) == 6
 
 
+def test_years_of_work_are_refused_with_how_many_they_are() -> None:
+    class Endless(Number):
+        def seconds(self) -> float:
+            return 1e20
+
+    assert len(Plan.of([Number(1)])) == 1
+    with pytest.raises(InvalidArgument, match=r"plan: count one would take about 3.2e\+12 years on one processor"):
+        Plan.of([Number(1), Endless(2)])
+
+
 def test_the_order_of_needs_decides_the_digest() -> None:
     one, two = Number(1), Number(2)
     assert Number(0, (one, two)).digest != Number(0, (two, one)).digest
