@@ -530,10 +530,19 @@ def _kept(
 ) -> DynamicsModel:
     before = dict(vars(self))
     began, last = time.perf_counter(), (0, 1)
+    first: tuple[float, int] | None = None  # after what is done once, such as compiling
+    warned = False
 
     def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
-        nonlocal last
-        last = done, total
+        nonlocal last, first, warned
+        last, now = (done, total), time.perf_counter()
+        if done > 0 and first is None:
+            first = now, done
+        if first is not None and done > first[1] and now - first[0] > WATCHED and not warned:
+            left = (now - first[0]) / (done - first[1]) * (total - done)
+            warned = left > LONG
+            if warned:
+                warnings.warn(_takes_long(self, dataset, left), DataWarning, stacklevel=4)
         if progress is not None:
             progress(done, total)
 
@@ -551,6 +560,26 @@ def _kept(
         raise
     self.fit_seconds = time.perf_counter() - began
     return self
+
+
+LONG = 600.0
+"""Seconds for which nobody waits without a word."""
+WATCHED = 5.0
+"""Seconds of a fit from which the time that is left is foreseen."""
+
+
+def _takes_long(self: DynamicsModel, dataset: Dataset, left: float) -> str:
+    """Return that a fit takes ``left`` s more, and what is shorter: the quick preset, no lags, fewer steps."""
+    system, now = dataset.system, self.get_params(deep=False)
+    smaller = {name: value for name, value in self.presets.get("quick", {}).items() if value != now[name]}
+    smaller |= {name: 0 for name in ("state_lags", "control_lags") if name in now and now[name] != 0}
+    if "most_steps" in now:
+        smaller["most_steps"] = max(1, min(dataset.n_steps, self.most_steps or dataset.n_steps) // 10)
+    shorter = ", ".join(f"{name}={value!r}" for name, value in smaller.items()) or "shorter recordings"
+    return (
+        f"{type(self).__name__} takes about {left / 60.0:.0f} min more, with {system.nx} states, {system.nu} controls "
+        f"and {dataset.n_steps:,} steps. Each of these makes it shorter: {shorter}"
+    )
 
 
 def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:
@@ -576,6 +605,7 @@ if TYPE_CHECKING:
             progress: Progress | bool | None = None,
             t: float | npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
             u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
+            feature_names: Sequence[str] | None = None,
         ) -> Self: ...
 
 else:

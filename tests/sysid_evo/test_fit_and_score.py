@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+import time
 import warnings
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Self
@@ -26,7 +27,7 @@ from sysid_evo.errors import (
     ShapeError,
     SysidEvoError,
 )
-from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models import DynamicsModel, base, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.system import Channel, System
@@ -86,7 +87,8 @@ def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
     gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
     assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
     assert Drawn().fit(DATA).gain_ == gains[0]
-    assert list(inspect.signature(Drawn.fit).parameters) == ["self", "dataset", "rng", "progress", "t", "u", "feature_names"]
+    taken = ["self", "dataset", "rng", "progress", "t", "u", "feature_names"]
+    assert list(inspect.signature(Drawn.fit).parameters) == taken
 
 
 @pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])
@@ -100,7 +102,7 @@ def test_progress_true_draws_a_bar_on_standard_error(capsys: pytest.CaptureFixtu
     out, err = capsys.readouterr()
     assert out == ""
     assert "fit Drawn" in err
-    assert "100 %" in err
+    assert "1 of 1" in err
     Drawn().fit(DATA, progress=False)
     assert capsys.readouterr().err == ""
 
@@ -284,6 +286,35 @@ def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_err
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         make_model("linear").fit(data)
+
+
+class Slow(DynamicsModel):
+    """Reports what it is told to have done, a hundredth of a second each time."""
+
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"parts": 5}}
+
+    parts: int = 10**6
+    control_lags: int | None = None
+
+    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        for done in range(5):
+            time.sleep(0.01)
+            progress(done, self.parts)
+        return self
+
+    def acceleration(self, carry: Array, control: Array) -> Array:
+        return np.zeros((len(carry), self.system.nx))
+
+
+def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(base, "WATCHED", 0.005)
+    much = r"Slow takes about \d+ min more, with 2 states, 1 controls and .* shorter: parts=5, control_lags=0"
+    with pytest.warns(DataWarning, match=much) as given:
+        Slow().fit(DATA)
+    assert len(given) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Slow(parts=5).fit(DATA)
 
 
 class Counting(DynamicsModel):
