@@ -535,6 +535,10 @@ CONSTANT = 1e-12
 """Share of its size by which a state that never changes may change, by rounding."""
 
 
+FEWEST = 15
+"""Steps of one window of `check_usable`: a score of fewer is one of nothing."""
+
+
 def doubts_about(dataset: Dataset) -> Iterator[str]:
     """Yield why an error of a model fitted to ``dataset`` would say little, in parts of sentences after its name.
 
@@ -550,11 +554,12 @@ def doubts_about(dataset: Dataset) -> Iterator[str]:
                 f"data set: expected numbers up to {LARGEST:g}, got {most:g} in {name!r}: look for a broken sample, or "
                 "take a larger unit"
             )
-    wanted = STEPS_PER_CHANNEL * (len(names) + 1)
+    wanted = max(FEWEST, 2 * (len(names) + 1))  # half of it a linear model, which may know nothing, hits exactly
     if dataset.n_steps < wanted:
         yield (
-            f"learns from {dataset.n_steps} steps, too few for {len(names)} states and controls: expected {wanted} or "
-            "more. Whatever its error is, it says nothing of other data; record for longer"
+            f"learns from {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
+            f"{wanted}, better {STEPS_PER_CHANNEL * (len(names) + 1)}. Whatever its error is, it says nothing of other "
+            "data; record for longer"
         )
     still = np.ptp(states, axis=0) <= np.maximum(CONSTANT * size, 1.0 / LARGEST)
     if still.any():

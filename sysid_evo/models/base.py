@@ -434,8 +434,9 @@ class DynamicsModel(Dynamics, Estimator):
         the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
         system, lags = self.system, self.n_lags
-        times = controls is not None and np.ndim(states) == 1 and np.ndim(cast(npt.ArrayLike, past_controls)) < 2
-        if t is not None or u is not None or (times and past_controls is not None and np.size(past_controls) > 0):
+        one = controls is not None and past_controls is not None and not isinstance(states, Trajectory)
+        times = one and np.ndim(cast(npt.ArrayLike, states)) == 1 and np.size(cast(npt.ArrayLike, past_controls)) > 0
+        if t is not None or u is not None or times:
             raise InvalidArgument(
                 f"simulate: expected simulate(x0, u) with one row of u for each step of {system.dt:g} s, which the "
                 "model was fitted with: it takes no times t and returns the states after each step, without x0. "

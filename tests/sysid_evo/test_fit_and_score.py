@@ -276,7 +276,10 @@ def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learn
 def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing() -> None:
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
-    with pytest.warns(DataWarning, match="Linear learns from 8 steps, too few for 5 states and controls: expected 60"):
+    with pytest.warns(
+        DataWarning,
+        match="Linear learns from 8 steps, too few for 5 states and controls: expected at least 15, better 60",
+    ):
         make_model("linear").fit(data.with_episodes([episode[:8]]))
     states = episode.states.copy()
     states[:, 1:] = 0.3
