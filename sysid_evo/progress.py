@@ -36,6 +36,31 @@ class Counter:
             self.progress(self.done, self.total)
 
 
+LONG = 600.0
+"""Seconds for which nobody waits without a word."""
+WATCHED = 5.0
+"""Seconds of work from which the time that is left is foreseen."""
+
+
+class TimeLeft:
+    """Foresees how long work still takes from when its parts are done."""
+
+    def __init__(self) -> None:
+        self.first: tuple[float, int] | None = None
+        self.said = False
+
+    def long(self, done: int, total: int) -> float | None:
+        """Return the seconds that are left, once, as soon as they are known to be more than `LONG`; else None."""
+        now = time.perf_counter()
+        if self.first is None:  # from the first part on: what is done once, such as compiling, is in it
+            self.first = (now, done) if done > 0 else None
+        elif done > self.first[1] and now - self.first[0] > WATCHED and not self.said:
+            left = (now - self.first[0]) / (done - self.first[1]) * (total - done)
+            self.said = left > LONG
+            return left if self.said else None
+        return None
+
+
 def told(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
     """Return what long work reports to while it goes on: for True a bar, for False nothing."""
     return shown(title) if progress is True else nullcontext(progress or None)

@@ -22,7 +22,15 @@ from sysid_evo.display import html_table, line_of
 from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
 from sysid_evo.extras import DISTRIBUTION, check_installed
 from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
-from sysid_evo.models.dynamics import Dynamics, far_from_zero, many_runs, of_each_row, one_run, training_envelope
+from sysid_evo.models.dynamics import (
+    Dynamics,
+    far_from_zero,
+    many_runs,
+    no_times,
+    of_each_row,
+    one_run,
+    training_envelope,
+)
 from sysid_evo.models.kernels.stepping import Output, stepping_kernel
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
@@ -36,7 +44,7 @@ from sysid_evo.models.parameters import (
     declare,
 )
 from sysid_evo.processors import one_blas_thread
-from sysid_evo.progress import Checkpoint, Progress, told
+from sysid_evo.progress import Checkpoint, Progress, TimeLeft, told
 from sysid_evo.randomness import as_generator
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
@@ -434,14 +442,8 @@ class DynamicsModel(Dynamics, Estimator):
         the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
         system, lags = self.system, self.n_lags
-        one = controls is not None and past_controls is not None and not isinstance(states, Trajectory)
-        times = one and np.ndim(cast(npt.ArrayLike, states)) == 1 and np.size(cast(npt.ArrayLike, past_controls)) > 0
-        if t is not None or u is not None or times:
-            raise InvalidArgument(
-                f"simulate: expected simulate(x0, u) with one row of u for each step of {system.dt:g} s, which the "
-                "model was fitted with: it takes no times t and returns the states after each step, without x0. "
-                "pysindy's simulate(x0, t, u) is simulate(x0, u[:-1]) here"
-            )
+        if t is not None or u is not None:
+            raise InvalidArgument(no_times(system))
         if isinstance(states, Trajectory):
             run = states
             if len(run) <= lags:
@@ -530,20 +532,13 @@ def _kept(
     progress: Progress | None,
 ) -> DynamicsModel:
     before = dict(vars(self))
-    began, last = time.perf_counter(), (0, 1)
-    first: tuple[float, int] | None = None  # after what is done once, such as compiling
-    warned = False
+    began, last, foreseen = time.perf_counter(), (0, 1), TimeLeft()
 
     def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
-        nonlocal last, first, warned
-        last, now = (done, total), time.perf_counter()
-        if done > 0 and first is None:
-            first = now, done
-        if first is not None and done > first[1] and now - first[0] > WATCHED and not warned:
-            left = (now - first[0]) / (done - first[1]) * (total - done)
-            warned = left > LONG
-            if warned:
-                warnings.warn(_takes_long(self, dataset, left), DataWarning, stacklevel=4)
+        nonlocal last
+        last = done, total
+        if (left := foreseen.long(done, total)) is not None:
+            warnings.warn(_takes_long(self, dataset, left), DataWarning, stacklevel=4)
         if progress is not None:
             progress(done, total)
 
@@ -561,12 +556,6 @@ def _kept(
         raise
     self.fit_seconds = time.perf_counter() - began
     return self
-
-
-LONG = 600.0
-"""Seconds for which nobody waits without a word."""
-WATCHED = 5.0
-"""Seconds of a fit from which the time that is left is foreseen."""
 
 
 def _takes_long(self: DynamicsModel, dataset: Dataset, left: float) -> str:

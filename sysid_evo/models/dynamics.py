@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from sysid_evo.carry import clip_state, pad_history, recent
-from sysid_evo.errors import InvalidData, ShapeError
+from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.kernels import DynamicsKernel, Precision
 from sysid_evo.processors import one_blas_thread
 from sysid_evo.system import System
@@ -163,6 +163,8 @@ def one_run(
     ``states`` is the state (nx,) or a history (L + 1, nx), ``controls`` (H, nu), or (H,) for one
     control. A history shorter than ``lags`` is padded: the first state repeated, neutral controls.
     """
+    if np.ndim(states) == 1 and past_controls is not None and np.size(past_controls) > 0:
+        raise InvalidArgument(no_times(system))  # one state has no controls before it
     history = np.atleast_2d(np.asarray(states, dtype=np.float64))
     if history.ndim != 2 or history.shape[1] != system.nx:
         raise ShapeError(
@@ -177,6 +179,15 @@ def one_run(
         )
     history, past = pad_history(history, past, lags, system.neutral_control)
     return history[None], past[None], ahead[None]
+
+
+def no_times(system: System) -> str:
+    """Return what to write in place of pysindy's ``simulate(x0, t, u)``."""
+    return (
+        f"simulate: expected simulate(x0, u) with one row of u for each step of {system.dt:g} s, as trained: it "
+        "takes no times t and returns the states after each step, without x0. pysindy's simulate(x0, t, u) is "
+        "simulate(x0, u[:-1]) here"
+    )
 
 
 def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
