@@ -42,6 +42,7 @@ from sysid_evo.models.parameters import (
     check_values,
     checked,
     declare,
+    shorter,
 )
 from sysid_evo.processors import one_blas_thread
 from sysid_evo.progress import Checkpoint, Progress, TimeLeft, told
@@ -538,7 +539,8 @@ def _kept(
         nonlocal last
         last = done, total
         if (left := foreseen.long(done, total)) is not None:
-            warnings.warn(_takes_long(self, dataset, left), DataWarning, stacklevel=4)
+            what = f"takes about {left / 60.0:.0f} min more; shorter with each of {shorter(self, dataset)}"
+            warnings.warn(f"{type(self).__name__} {what}", DataWarning, stacklevel=4)
         if progress is not None:
             progress(done, total)
 
@@ -556,20 +558,6 @@ def _kept(
         raise
     self.fit_seconds = time.perf_counter() - began
     return self
-
-
-def _takes_long(self: DynamicsModel, dataset: Dataset, left: float) -> str:
-    """Return that a fit takes ``left`` s more, and what is shorter: the quick preset, no lags, fewer steps."""
-    system, now = dataset.system, self.get_params(deep=False)
-    smaller = {name: value for name, value in self.presets.get("quick", {}).items() if value != now[name]}
-    smaller |= {name: 0 for name in ("state_lags", "control_lags") if name in now and now[name] != 0}
-    if "most_steps" in now:
-        smaller["most_steps"] = max(1, min(dataset.n_steps, self.most_steps or dataset.n_steps) // 10)
-    shorter = ", ".join(f"{name}={value!r}" for name, value in smaller.items()) or "shorter recordings"
-    return (
-        f"{type(self).__name__} takes about {left / 60.0:.0f} min more, with {system.nx} states, {system.nu} controls "
-        f"and {dataset.n_steps:,} steps. Each of these makes it shorter: {shorter}"
-    )
 
 
 def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:

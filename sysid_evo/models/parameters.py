@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, Union
 
 import numpy as np
 
+from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import InvalidArgument, UnknownParameter, did_you_mean
 
 if TYPE_CHECKING:
@@ -190,6 +191,17 @@ class Estimator:
         from sklearn.utils import Tags, TargetTags
 
         return Tags(estimator_type=None, target_tags=TargetTags(required=False))
+
+
+def shorter(estimator: Any, dataset: Dataset) -> str:
+    """Return which hyper-parameters make a fit shorter: those of the preset quick, no lags, fewer steps."""
+    n_steps, now = dataset.n_steps, estimator.get_params(deep=False)
+    found = {name: value for name, value in estimator.presets.get("quick", {}).items() if value != now[name]}
+    found |= {name: 0 for name in ("state_lags", "control_lags") if now.get(name, 0) != 0}
+    if "most_steps" in now:
+        found["most_steps"] = max(1, min(n_steps, now["most_steps"] or n_steps) // 10)
+    what = ", ".join(f"{name}={value!r}" for name, value in found.items()) or "a shorter recording"
+    return f"{what} (of {n_steps:,} steps, {dataset.system.nx} states and {dataset.system.nu} controls)"
 
 
 @dataclass(frozen=True)

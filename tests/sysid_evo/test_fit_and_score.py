@@ -309,7 +309,7 @@ class Slow(DynamicsModel):
 
 def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "WATCHED", 0.005)
-    much = r"Slow takes about \d+ min more, with 2 states, 1 controls and .* shorter: parts=5, control_lags=0"
+    much = r"Slow takes about \d+ min more; shorter with each of parts=5, control_lags=0 .of .* 2 states and 1 controls"
     with pytest.warns(DataWarning, match=much) as given:
         Slow().fit(DATA)
     assert len(given) == 1
