@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.extras import extra_of
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import CHECKS, run_checks
+from tests.layout import imports, trees
 
 SMALL_NETWORK: dict[str, Any] = {"hidden": [12], "one_step_updates": 60, "updates": 30, "horizon": 5}
 SMALL: dict[str, dict[str, Any]] = {
@@ -67,6 +70,22 @@ def test_only_families_that_take_little_time_for_a_million_steps_learn_from_all_
     """`linear` 3 s, `nearest_neighbour` 2 s, `parametrised` 16 s and `evolved3` 40 s."""
     everything = {name for name in models.names() if "most_steps" not in make_model(name).get_params()}
     assert everything == {"linear", "nearest_neighbour", "parametrised", "evolved3", "adapted"}
+
+
+@pytest.mark.parametrize("family", models.names())
+def test_every_optional_package_that_a_family_imports_is_among_those_it_requires(family: str) -> None:
+    """So that one that is missing is named before anything is learned, whichever of several it is."""
+    kind = models.get(family)
+    reached, ahead = set[str](), [kind.__module__]
+    while ahead:
+        module = ahead.pop()
+        reached.add(module)
+        ahead += [name for name, _ in imports(module) if name.startswith("model_zoo.") and name not in reached]
+    nodes = [node for module in reached if module in trees() for node in ast.walk(trees()[module])]
+    named = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    named |= {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    tops = {name.partition(".")[0] for name in named}
+    assert {top for top in tops if extra_of(top) is not None} <= set(kind.requires)
 
 
 @pytest.mark.parametrize("family", models.names())
