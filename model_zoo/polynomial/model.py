@@ -121,6 +121,8 @@ class PolynomialFamily(Uncertain):
             "high_": (seen,),
             "added_": (nx,),
             "offsets_": Numbers(nx + self.system.nu, optional=True),
+            "envelope_": Numbers(2, nx, infinite=True, rising=True),  # its `stability` asks for both
+            "pairs_": ("pairs", nx + self.system.nu),
         }
 
     def kept_features(self, exponents: IntArray) -> IntArray:

@@ -252,7 +252,7 @@ class DynamicsModel(Dynamics, Estimator):
         return {
             "state_lags_": lags,
             "control_lags_": lags,
-            "envelope_": Numbers(2, nx, infinite=True, rising=True, optional=True),
+            "envelope_": Numbers(2, nx, infinite=True, rising=True, optional=not self.rest_hold),
             "pairs_": Numbers("pairs", nx + self.system.nu, optional=True),
             "held_out_error_": Numbers(nx, infinite=True, optional=True),
         }
