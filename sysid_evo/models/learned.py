@@ -17,9 +17,9 @@ Length: TypeAlias = int | str
 class Numbers:
     """An array with these ``lengths`` that a model learned; without any, one number.
 
-    ``least`` and ``most`` bound its numbers. ``whole`` ones are integers, as places, counts and exponents are. nan is
-    always refused, infinity unless ``infinite``. ``rising`` numbers do not fall along the first axis. One that is
-    ``optional`` may be missing, or None.
+    ``least`` and ``most`` bound its numbers. ``whole`` ones are integers, as places, counts and exponents are; others
+    are of single or double precision. nan is always refused, infinity unless ``infinite``. ``rising`` numbers do not
+    fall along the first axis. One that is ``optional`` may be missing, or None.
     """
 
     def __init__(
@@ -38,7 +38,8 @@ class Numbers:
     def check(self, name: str, value: object, known: dict[str, int]) -> None:
         """Raise `ShapeError` unless ``value`` is as declared; ``known`` are the lengths that names stand for."""
         array = np.asarray(value)
-        if array.dtype.kind not in ("i" if self.whole else "if"):
+        kinds = "i" if self.whole else "f" if self.lengths else "if"
+        if array.dtype.kind not in kinds or (array.dtype.kind == "f" and array.dtype.itemsize < 4):
             raise ShapeError(f"{name}: expected {'whole' if self.whole else 'real'} numbers, got {_what(value)}")
         if array.ndim == len(self.lengths):
             for length, found in zip(self.lengths, array.shape, strict=True):
