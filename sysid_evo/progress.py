@@ -39,7 +39,7 @@ class Counter:
 LONG = 600.0
 """Seconds for which nobody waits without a word."""
 WATCHED = 5.0
-"""Seconds of work from which the time that is left is foreseen."""
+"""Seconds of processor time from which the time that is left is foreseen; those of a busy machine say nothing."""
 
 
 class TimeLeft:
@@ -51,7 +51,7 @@ class TimeLeft:
 
     def long(self, done: int, total: int) -> float | None:
         """Return the seconds that are left, once, as soon as they are known to be more than `LONG`; else None."""
-        now = time.perf_counter()
+        now = time.process_time()
         if self.first is None:  # from the first part on: what is done once, such as compiling, is in it
             self.first = (now, done) if done > 0 else None
         elif done > self.first[1] and now - self.first[0] > WATCHED and not self.said:

@@ -539,7 +539,7 @@ def _kept(
         nonlocal last
         last = done, total
         if (left := foreseen.long(done, total)) is not None:
-            what = f"takes about {left / 60.0:.0f} min more; shorter with each of {shorter(self, dataset)}"
+            what = f"may take {left / 60.0:.0f} min more; shorter with each of {shorter(self, dataset)}"
             warnings.warn(f"{type(self).__name__} {what}", DataWarning, stacklevel=4)
         if progress is not None:
             progress(done, total)
