@@ -294,9 +294,8 @@ class DynamicsModel(Dynamics, Estimator):
         """Return what there is to know of a fitted model at a glance, by name; nothing before `fit`."""
         if not hasattr(self, "system_"):
             return {}
-        took = "" if self.fit_seconds is None else f" in {self.fit_seconds:.2g} s"
         said = {name: text for name, text in self.system.facts().items() if name != "name"}
-        return {"fitted": f"{_numbers_learned(self):,} numbers{took}", **said} | (
+        return {"fitted": f"{_numbers_learned(self):,} numbers", **said} | (
             {"note": self.fit_note} if self.fit_note else {}
         )
 

@@ -214,7 +214,7 @@ def test_an_episode_with_a_hole_in_it_is_refused_with_its_place():
 def test_a_split_takes_one_name_as_a_name_and_not_as_letters():
     train, test = numbered([4, 4, 4]).split("e1")
     assert (train.names, test.names) == (("e0", "e2"), ("e1",))
-    with pytest.raises(InvalidArgument, match="no episode is called 'e'; there are e0, e1, e2"):
+    with pytest.raises(InvalidArgument, match=r"no episode is called 'e'\. There are e0, e1, e2"):
         numbered([4, 4, 4]).split("e")
 
 

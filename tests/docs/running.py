@@ -6,6 +6,7 @@ import contextlib
 import re
 import shlex
 import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,8 +42,12 @@ def run_page(page: str, folder: Path, further: Mapping[str, tuple[str, ...]]) ->
         if file is not None:
             (folder / file[1]).write_text(text)
         elif language == "python":
-            with contextlib.chdir(folder):
-                exec(compile(text, page, "exec"), names)
+            sys.path.insert(0, str(folder))  # as a notebook does
+            try:
+                with contextlib.chdir(folder):
+                    exec(compile(text, page, "exec"), names)
+            finally:
+                sys.path.remove(str(folder))
         elif language == "sh":
             for line in text.replace("\\\n", " ").splitlines():
                 yield from _run(line, folder, further)
@@ -54,7 +59,8 @@ def _run(line: str, folder: Path, further: Mapping[str, tuple[str, ...]]) -> Ite
         subprocess.run([program, *words], cwd=folder, check=True)
         return
     assert program == "sysid-evo", line
-    done = run_here(*words, *further.get(words[0], ()), cwd=folder)
+    more = () if "--only" in words else further.get(words[0], ())  # no controller is evolved there
+    done = run_here(*words, *more, cwd=folder)
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     yield Said(line, done.stdout)
 

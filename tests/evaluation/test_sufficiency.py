@@ -24,6 +24,8 @@ from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_report import _printed
 from tests.evaluation.test_tables import exploited
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some recordings stand still
+
 GOOD = {"persistence": 0.9, "linear": 0.036, "sindy": 0.6}
 
 

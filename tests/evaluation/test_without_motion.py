@@ -64,7 +64,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tupl
     assert found.data.system.states[0].name in drawn(picture.panels[0]).wide
     assert sheet is not None
     assert sheet.columns[2:] == ("settled\n(%\nof\ntrials)", "settling\ntime\n(s)", "overshoot\n(%)")
-    assert len(sheet.rows) == 4
+    assert len(sheet.rows) == 5  # two controllers in two systems, and rest
 
 
 def test_what_was_computed_is_found_again_as_it_was(report: tuple[Report, Path]) -> None:

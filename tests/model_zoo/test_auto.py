@@ -32,6 +32,8 @@ from sysid_evo.validation.bootstrap import paired_interval as interval
 from sysid_evo.validation.folds import balanced, folds_of
 from sysid_evo.validation.simulation_error import HeldOutTest, Judge, horizons_of
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some recordings stand still
+
 FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
 
 

@@ -21,6 +21,8 @@ from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some fits are to a few points
+
 Step = Callable[[Array, Array], Array]
 LAGS = ((0, 0), (0, 3), (2, 0), (1, 3))
 

@@ -13,6 +13,8 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some fits are to two steps
+
 
 def test_a_recorded_state_under_its_command_gives_the_recorded_acceleration(switched: Dataset) -> None:
     model = make_model("nearest_neighbour").fit(switched, rng=np.random.default_rng(0))

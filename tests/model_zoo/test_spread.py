@@ -22,6 +22,8 @@ from sysid_evo.validation.intervals import (
 )
 from tests.benchmarks.coverage import coverage
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the recordings stand still
+
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
 UNSEEN = {"a": 0.2, "b": 0.3, "c": 0.9}
 

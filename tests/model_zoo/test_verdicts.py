@@ -20,6 +20,8 @@ from sysid_evo.validation import intervals
 from sysid_evo.validation.held_out import DIVERGED, HeldOut
 from tests.model_zoo.small_systems import DRIVEN
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the recordings stand still
+
 LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 
 

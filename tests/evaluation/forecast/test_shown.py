@@ -27,7 +27,7 @@ def test_forecasts_stand_beside_what_was_achieved_the_highest_first() -> None:
     sheet = forecast_sheet(driven())
     assert sheet is not None
     assert [row[0] for row in sheet.rows] == ["a\n(chosen)", "b", "c"]
-    assert sheet.rows[0][2:] == ("8.8 (7.6 to 9.4)", "8.5 ±0.0", "yes")
+    assert sheet.rows[0][2:] == ("8.8 (7.6 to 9.4)", "8.50 ±0.03", "yes")
     assert sheet.rows[1][4] == "no"
     assert sheet.note.endswith("2 of 3 were inside.")
 

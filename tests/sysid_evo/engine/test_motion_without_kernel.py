@@ -21,6 +21,8 @@ from sysid_evo.types import Array
 
 from .compiled_ladder import CompiledConstant, CompiledLadder, seeds_from
 
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the data are one step
+
 
 @dataclass(frozen=True)
 class Slipping(Motion):
