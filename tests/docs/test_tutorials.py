@@ -31,7 +31,6 @@ def test_a_tutorial_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeyp
     A picture of a smaller budget has other numbers, so it is told by what is written in it.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)  # a page may import what a command of it wrote
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     for said in run_page(page, tmp_path, SMALL):
         wide = [row for row in said.printed.splitlines() if len(row.rstrip()) > WIDTH]
