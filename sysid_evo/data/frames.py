@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -210,9 +209,10 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
     path = folder / HEADER
     try:
         header = json.loads(path.read_text())
-        if not isinstance(header, dict) or header.get("schema") != SCHEMA:
-            found = header.get("schema") if isinstance(header, dict) else header
-            raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {reprlib.repr(found)}")
+        if not isinstance(header, dict):
+            raise InvalidData(f"expected names and values in {HEADER}, got a {type(header).__name__}")
+        if header.get("schema") != SCHEMA:
+            raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
         system = System.from_dict(header["system"])
         names = (*system.state_names, *system.control_names, *pose_names(system))
         table = read_parquet(folder / SAMPLES, names)
