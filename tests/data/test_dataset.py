@@ -110,6 +110,13 @@ def test_a_missing_or_damaged_file_is_refused(car_data, tmp_path, missing):
         Dataset.load(folder)
 
 
+def test_a_header_that_is_no_table_is_refused(car_data, tmp_path):
+    folder = car_data.save(tmp_path / "data")
+    (folder / "dataset.json").write_text("[1]")
+    with pytest.raises(ArtefactError, match="expected names and values in dataset.json, got a list"):
+        Dataset.load(folder)
+
+
 def test_a_stored_data_set_with_damaged_pages_or_too_many_rows_is_refused(car_data, tmp_path, monkeypatch):
     folder = car_data.save(tmp_path / "data")
     monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "10")
