@@ -113,7 +113,7 @@ def test_a_missing_or_damaged_file_is_refused(car_data, tmp_path, missing):
 def test_a_header_that_is_no_table_is_refused(car_data, tmp_path):
     folder = car_data.save(tmp_path / "data")
     (folder / "dataset.json").write_text("[1]")
-    with pytest.raises(ArtefactError, match="expected names and values in dataset.json, got a list"):
+    with pytest.raises(ArtefactError, match=r"expected names and values in dataset\.json, got a list"):
         Dataset.load(folder)
 
 
