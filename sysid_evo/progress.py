@@ -37,20 +37,20 @@ class Counter:
 
 
 LONG = 600.0
-"""Seconds for which nobody waits without a word."""
+"""A fit that is estimated to take longer than this (s) is reported."""
 WATCHED = 5.0
-"""Seconds of processor time from which the time that is left is foreseen; those of a busy machine say nothing."""
+"""Processor time (s) before the remaining time is estimated; wall time would depend on the load of the machine."""
 
 
 class TimeLeft:
-    """Foresees how long work still takes from when its parts are done."""
+    """Estimates the remaining time of work from the times at which its parts were finished."""
 
     def __init__(self) -> None:
         self.first: tuple[float, int] | None = None
         self.said = False
 
     def long(self, done: int, total: int) -> float | None:
-        """Return the seconds that are left, once, as soon as they are known to be more than `LONG`; else None."""
+        """Return the remaining time (s), once, as soon as the estimate exceeds `LONG`; else None."""
         now = time.process_time()
         if self.first is None:  # from the first part on: what is done once, such as compiling, is in it
             self.first = (now, done) if done > 0 else None

@@ -158,7 +158,7 @@ class LazyGroup(TyperGroup):
             return super().invoke(ctx)
         except Exception as error:
             if isinstance(getattr(error, "message", None), str):  # wrong usage: Typer prints it itself
-                error.message = printable(error.message)  # type: ignore[attr-defined]
+                error.message = printable(error.message)  # type: ignore[attr-defined]  # Typer has its own copy of Click's errors
             raise
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
