@@ -84,8 +84,9 @@ def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
         ("linear(a=x[0])", "is no value"),
         ("linear(a='\ud800')", "no text in UTF-8"),
         ("linear(a={[1]: 2})", "is no value"),
-        (f"linear(a={'-' * 3000}1)", "brackets inside each other"),
-        (f"linear(a={'1+' * 900}1)", "is no value"),
+        # Where Python's parser gives up depends on its recursion limit, which other libraries change.
+        (f"linear(a={'-' * 3000}1)", "brackets inside each other|is no value"),
+        (f"linear(a={'1+' * 900}1)", "brackets inside each other|is no value"),
         (f"linear(a={'1' * 4301})", "cannot be read"),
         (f"linear(a=0x{'f' * 5000})", "is no value"),
         (f"linear:{'1' * 4301}", r"expected NAME\(parameter=value"),
