@@ -64,15 +64,15 @@ class Experiment(BaseModel):
     condition of the recordings (`Dataset.labelled`) in turn, and tested there. Every model is an ensemble of one;
     ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. A ``task`` of None is the robot's own (`Robot.usual_task`), else
-    `USUAL_TASK`. What is None of ``controller``, ``strategy``, ``recipe``,
-    ``generations``, ``trials``, ``runs`` and ``polish`` is that of the ``preset``, see `Budget`. The ``schedule``
+    `USUAL_TASK`. ``controller``, ``strategy``, ``recipe``, ``generations``,
+    ``trials``, ``runs`` and ``polish`` are those of the ``preset`` where they are None, see `Budget`. The ``schedule``
     holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
-    on the robot itself, one that is a program, by one search no longer than those in models: something to compare
-    with, not the most that can be achieved; None means where the program records an emulated robot and follows the
-    recommended recipe. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
-    Controllers know the state ``estimator_delay`` s late, and are evolved with ``noise`` (`RadicalEnvelope`) and
-    ``caution`` (`Doubt`), which their claims do not meet; "none" for none. None as ``noise`` is the `Task.usual_noise`,
-    which only models meet: robots have their own.
+    on the robot itself, if that is simulated, by one search no longer than those in models: a reference for
+    comparison, not an upper limit. None: only if this run records an emulated robot and follows the recommended
+    recipe. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
+    Controllers get a state that is ``estimator_delay`` s old. They are evolved with ``noise`` (`RadicalEnvelope`) and
+    the uncertainty penalty ``caution`` (`Doubt`), neither of which counts in their claims; "none" switches one off.
+    ``noise`` None is `Task.usual_noise`, which applies to models only: robots have their own.
     ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
@@ -207,7 +207,7 @@ MEANINGLESS = (
 
 
 def meaningful(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``settings`` with those ``given`` besides, which win: without any that have no effect beside these."""
+    """Return ``settings`` updated with those ``given``, without any that have no effect next to these."""
     whole = {**settings, **given}
     idle = meaningless(MEANINGLESS, settings, whole)
     return {name: value for name, value in whole.items() if name in given or name not in idle}

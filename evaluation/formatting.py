@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the command line imports this module before it knows what e
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """Return ``value`` with that many decimals, a dash for None and nan; what is rounded to zero has no sign."""
+    """Return ``value`` with that many decimals, a dash for None and nan. A value that rounds to zero has no sign."""
     if value is None or not np.isfinite(value):
         return "–"
     return f"{value:z.{digits}f}"
@@ -26,7 +26,7 @@ def three_digits(value: float | None) -> str:
 
 
 MOST_DECIMALS = 6
-"""More of them nobody reads: a smaller error shows as zero."""
+"""A guess of what a reader can use: a smaller error is shown as zero."""
 
 
 def by_error(value: float | None, error: float) -> str:

@@ -85,11 +85,11 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
 def contenders(
     names: Sequence[str], system: System, task: str | None, *, robots: Sequence[Spec | None] = ()
 ) -> tuple[Contender, ...]:
-    """Return the controllers that ``names`` stand for: run folders, files, specs of those written by hand.
+    """Return the controllers named by ``names``: run folders, files, specs of baseline controllers.
 
-    A run folder stands for all its controllers. With ``task`` all of them do that one, else each the one it was made
-    for, and one written by hand that of the first, else that of the first of ``robots``. Raises `InvalidArgument` if
-    these differ.
+    A run folder gives all its controllers. All perform ``task``; without one, each the task that it was evolved for,
+    and a baseline controller that of the first, else that of the first of ``robots``. Raises `InvalidArgument` if
+    these tasks differ.
     """
     found: list[Contender] = []
     written: list[str] = []

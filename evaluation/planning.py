@@ -275,7 +275,7 @@ LONGEST_YARDSTICK = 600.0
 
 
 def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
-    """Return whether a controller is evolved on the robot itself; a remark says that it would take too long."""
+    """Return whether a controller is evolved on the robot itself; add a remark if that would take too long."""
     if robot is None or robot.robot is None or experiment.yardstick is not None:
         return robot is not None and bool(experiment.yardstick)
     usual = recorded and experiment.budget.recipe == "recommended" and make_robot(robot.robot).dynamics is not None
@@ -283,7 +283,7 @@ def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[st
     if about > LONGEST_YARDSTICK:
         remarks.append(
             f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
-            f"so that this would take about {about / 3600.0:.1f} hours. --yardstick does it all the same"
+            f"so this would take about {about / 3600.0:.1f} hours. Use --yardstick to do it anyway"
         )
     return usual and about <= LONGEST_YARDSTICK
 

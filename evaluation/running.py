@@ -47,8 +47,8 @@ def compare(
     ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
     run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
     written there too. Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler``
-    have room for, see `execute`. ``progress`` is called as cells go on, True shows a bar. ``settings`` are those of
-    `Experiment`::
+    have room for, see `execute`. ``progress`` is called with the state of the cells, True shows a bar. ``settings`` are
+    those of `Experiment`::
 
         from evaluation import compare
 
@@ -84,9 +84,9 @@ def compare(
 def plan_run(
     experiment: Experiment, folder: Path, dataset: Dataset | None = None
 ) -> tuple[Comparison, tuple[str, ...]]:
-    """Return what is to be computed in a run folder, and remarks on recordings, plan, and what is damaged there.
+    """Return the plan of a run folder, and remarks on recordings, plan and damaged files.
 
-    Without a ``dataset`` the recordings are read that the experiment names.
+    Without a ``dataset`` the recordings named by the experiment are read.
     """
     check_experiment(experiment)
     if dataset is None and experiment.data is not None:
@@ -98,7 +98,7 @@ def plan_run(
 
 @contextmanager
 def _observed(observer: Observer | None, progress: Progress | bool | None, title: str) -> Iterator[Observer | None]:
-    """Return what is told of an execution: the ``observer``, or one that tells ``progress`` how many cells are done."""
+    """Yield the ``observer`` of an execution, or one that reports the number of finished cells to ``progress``."""
     if observer is not None and progress:
         raise InvalidArgument(f"{title}: expected progress or an observer, got both")
     with told(progress, title) as report:
@@ -143,9 +143,9 @@ def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> 
 
 
 def _copy_chosen(report: Report, store: Store) -> None:
-    """Put a copy of the controller to take beside the others, as ``recommended``; without one there is no such file.
+    """Copy the chosen controller to ``controllers/recommended``, and remove an earlier copy if none is chosen.
 
-    A controller of the run that has this name itself stays what it is.
+    A controller of the run that has this name itself is not touched.
     """
     copy = store.path / "controllers" / CHOSEN
     if f"controllers/{CHOSEN}.json" in {name for record in store.records() for name in record.files}:
@@ -160,9 +160,9 @@ def _copy_chosen(report: Report, store: Store) -> None:
 
 
 def report_again(comparison: Comparison, store: Store, *, written: bool = True) -> Report | None:
-    """Return the report of a run, with the cells measured since, and write it anew; None if it has no model yet.
+    """Write and return the report of a run with the cells measured since; None if the run has no model yet.
 
-    Where it is not to be ``written``, nothing is: it shows what was computed before.
+    With ``written`` False it is made from the stored results and no file is changed.
     """
     if not any(store.done(fit) for fit in comparison.fits.values()):
         return None
@@ -272,7 +272,7 @@ def run_study(
 
     ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
     Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for.
-    ``progress`` is called as cells go on, True shows a bar::
+    ``progress`` is called with the state of the cells, True shows a bar::
 
         from evaluation import run_study
 

@@ -1,7 +1,7 @@
-"""Whether there is enough behind a figure to state it: test data, variation, more than what is trivial.
+"""Whether the evidence for a figure suffices: enough test data, and better than a trivial prediction or controller.
 
-Verdict, tables, drawings, document and advice ask here. A figure that may not be stated stands without star, interval
-and praise.
+Verdict, tables, plots, report.json and advice all ask here. Without enough evidence a figure gets no star, no interval
+and no recommendation.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from evaluation.transfer.uncertainty import PairedEstimate
 from sysid_evo.evolution.aggregates import mean
 
 FEWEST_BLOCKS = 10
-"""Blocks of time, independent of each other, from which on models are told apart.
+"""Independent blocks of time needed to compare models.
 
-A bootstrap over fewer gives intervals that are much too narrow; ten is the usual rule of thumb, not measured here.
+A bootstrap over fewer blocks gives intervals that are much too narrow. Ten is a rule of thumb, not measured here.
 """
 USELESS = 1.0
-"""The N of the mean of what was measured, as a prediction."""
+"""Normalised error N of predicting the mean of the measurements."""
 
 
 def enough_blocks(blocks: int) -> bool:
-    """Whether errors over so many blocks of time have an interval worth stating."""
+    """Whether that many blocks of time suffice for an interval."""
     return blocks >= FEWEST_BLOCKS
 
 
 def tells_apart(prediction: Prediction, horizon: int | None) -> bool:
-    """Whether the test data are enough to tell models apart at ``horizon`` (None: in free run)."""
+    """Whether the test data suffice to compare models at ``horizon`` (None: in simulation)."""
     return enough_blocks(prediction.cases.blocks(horizon))
 
 
 def too_little(prediction: Prediction, horizon: int | None) -> str:
-    """Return in a sentence that the test data are too few to tell models apart at ``horizon``; empty if they are not.
+    """Return a sentence if the test data do not suffice to compare models at ``horizon``, else an empty text.
 
-    It says how many blocks there are, how long each is, and what to do.
+    It gives the number and length of the blocks, and what to do.
     """
     if tells_apart(prediction, horizon):
         return ""
@@ -48,13 +48,13 @@ def too_little(prediction: Prediction, horizon: int | None) -> str:
     protocol, blocks = cases.protocol, cases.blocks(horizon)
     samples = protocol.block_samples if horizon is None else protocol.block_windows * protocol.stride
     return (
-        f"Too little test data to tell models apart: {blocks} {'block' if blocks == 1 else 'blocks'} of "
+        f"Too little test data to compare models: {blocks} {'block' if blocks == 1 else 'blocks'} of "
         f"{samples * cases.system.dt:g} s, {FEWEST_BLOCKS} are needed. Record more, or hold out more (--test)."
     )
 
 
 def leads(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model is the best at ``horizon``, or not significantly worse, as far as models can be told apart."""
+    """Whether a model is the best at ``horizon`` or not significantly worse; False if the test data do not suffice."""
     ranking = prediction.ranking(horizon)
     if not ranking or not tells_apart(prediction, horizon):
         return False
@@ -68,28 +68,29 @@ def no_worse(prediction: Prediction, model: ModelPrediction, best: ModelPredicti
 
 
 def predicts(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model is significantly better than what is trivial: the mean, and persistence."""
+    """Whether a model is significantly better than both trivial predictions: the mean and persistence."""
     score = model.score(horizon)
     known = score is not None and tells_apart(prediction, horizon)
     return known and beats_mean(score) and beats_persistence(prediction, model, horizon)
 
 
 def beats_mean(score: ErrorScore | None) -> bool:
-    """Whether an error is significantly below that of the mean of what was measured."""
+    """Whether an error is significantly below that of predicting the mean."""
     return score is not None and score.interval.high < USELESS
 
 
 def beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
-    """Whether a model is significantly better than no change at all."""
+    """Whether a model is significantly better than persistence, which predicts no change."""
     difference = prediction.compare(model.name, PERSISTENCE, horizon)
     return difference is not None and difference.significant and difference.difference < 0
 
 
 def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:
-    """Return by how much a controller does better than controls at rest; None where that is not known.
+    """Return the fitness gain of a controller over neutral controls; None if unknown.
 
-    On the robot, else on average over the models that it was not evolved in, else over all: the first where both were
-    run. Controls at rest that were run nowhere count as 0, unless some fitness is negative: then nothing is known.
+    It is measured on the robot, else on average over the models that the controller was not evolved in, else over all
+    models: the first of these on which both were run. If neutral controls were not run at all they count as 0, unless
+    some fitness is negative: then the gain is unknown.
     """
     figures, champions = Figures(matrix), {one.name: one for one in matrix.champions}
     others = [model for model in matrix.models if model not in champions[name].against]
@@ -104,7 +105,7 @@ def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:
 
 
 def beats_rest(matrix: TransferMatrix, name: str) -> bool | None:
-    """Whether a controller is surely better than controls at rest; None where that is not known."""
+    """Whether a controller is significantly better than neutral controls; None if unknown."""
     gain = gain_over_rest(matrix, name)
     if gain is None:
         return None
@@ -113,22 +114,22 @@ def beats_rest(matrix: TransferMatrix, name: str) -> bool | None:
 
 
 def none_beats_rest(matrix: TransferMatrix) -> bool:
-    """Whether it is known of every controller that it is no better than controls at rest."""
+    """Whether every controller is known to be no better than neutral controls."""
     judged = [beats_rest(matrix, name) for name in matrix.rows if name not in matrix.at_rest]
     return bool(judged) and not any(one is None or one for one in judged)
 
 
 GUESSED, MOSTLY_GUESSED = 0.1, 0.5
-"""Shares of the time outside the data from which on a forecast is a guess: if three times what is normal, and always.
+"""Shares of the time outside the data that make a forecast a guess.
 
-Round numbers, not measured.
+The first if it is also three times the share of held-out driving, the second always. Round numbers, not measured.
 """
 
 
 def guessed_share(models: Sequence[ModelExploitability], controller: str) -> float | None:
-    """Return the share of its time that a controller is outside the data, in the models that it was evolved in.
+    """Return the share of the time outside the data of a controller in the models that it was evolved in.
 
-    None where that is below a tenth, or below a half and less than three times that of held-out driving, or not known.
+    None if that is below the limits `GUESSED` and `MOSTLY_GUESSED`, or unknown.
     """
     found = [
         (share, one.outside_held_out or 0.0) for one in models for name, share in one.outside if name == controller
@@ -140,7 +141,7 @@ def guessed_share(models: Sequence[ModelExploitability], controller: str) -> flo
 
 
 def guess_warning(models: Sequence[ModelExploitability], controller: str) -> str:
-    """Return in a sentence that a controller's forecast is a guess; empty where it is none."""
+    """Return a sentence if the forecast of a controller is a guess, else an empty text."""
     share = guessed_share(models, controller)
     return (
         "" if share is None else f"{percent(share)} of its time lies outside the data: there its forecast is a guess."

@@ -229,10 +229,10 @@ class Pilot(ABC):
 
 @contextmanager
 def before_others() -> Iterator[None]:
-    """Run the threads of this process before those of others while a robot is driven, as far as the system allows it.
+    """Give the threads of this process a higher priority while a robot is driven, as far as the system allows.
 
-    They take turns in real time where the user may do that (root, or ``rtprio`` in /etc/security/limits.conf), else
-    they have another nice value (``nice`` there), else they run as usual. What they start does not inherit it.
+    That is real-time scheduling where the user has the right to it (root, or ``rtprio`` in /etc/security/limits.conf),
+    else a lower nice value (``nice`` there), else no change. Processes that they start do not inherit it.
     """
     found: list[tuple[int, int, os.sched_param, int]] = []
     threads = Path("/proc/self/task")

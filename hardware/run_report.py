@@ -167,7 +167,7 @@ class Stops:
 
     @staticmethod
     def _wait(seconds: float) -> None:
-        """Be called after that many seconds, then every second: a robot may catch what is raised."""
+        """Set the alarm to ``seconds``, then to every second: a robot may catch the first exception."""
         signal.setitimer(signal.ITIMER_REAL, seconds, GRACE if seconds else 0.0)
 
     def _unanswered(self, _: int, __: FrameType | None) -> None:

@@ -36,8 +36,8 @@ class Features:
     """What a regression or a network sees of (carry, control).
 
     States, earlier states, earlier controls, the control, then ``functions`` of one of these, such as ``abs(speed)``
-    or ``sin(2*drive[-1])``. A periodic state stands as its sine and cosine, so that equal angles are equal. From states
-    and controls, not from what functions are of, their ``offsets`` (nx + nu) are subtracted, see `offsets_of`.
+    or ``sin(2*drive[-1])``. A periodic state becomes its sine and cosine, so that equal angles are equal. The
+    ``offsets`` (nx + nu) are subtracted from states and controls, not from arguments of functions, see `offsets_of`.
     """
 
     system: System
@@ -223,18 +223,18 @@ class FunctionOf(NamedTuple):
 
 
 FAR = 10.0
-"""Standard deviations from zero beyond which monomials of a channel are too much alike: errors begin to rise there.
+"""Standard deviations from zero beyond which the monomials of a channel are too collinear: errors begin to rise there.
 
 Of a made-up vehicle and tank (1,800 samples): those of `sindy_discrete` from 0.02 to 0.31 at 12 deviations, of `sindy`
-from 0.004 to 0.006 at 40 and 0.03 at 1e6, of `narx` from 0.004 to 0.009 at 1e4. At 3 deviations nothing is gained.
+from 0.004 to 0.006 at 40 and 0.03 at 1e6, of `narx` from 0.004 to 0.009 at 1e4. At 3 deviations there is no gain.
 """
 
 
 def offsets_of(dataset: Dataset) -> tuple[float, ...]:
-    """Return what is subtracted from states and controls (nx + nu) before monomials are made; () if nothing is.
+    """Return the offsets of states and controls (nx + nu), subtracted before monomials are made; () if all are 0.
 
-    That of a channel further than `FAR` from zero is its mean, rounded to the leading digit of its deviation; of a
-    periodic state nothing is.
+    The offset of a channel further than `FAR` from zero is its mean, rounded to the leading digit of its standard
+    deviation. Periodic states have none.
     """
     values = np.concatenate([np.column_stack([e.states[:-1], e.controls]) for e in dataset])
     mean, spread = values.mean(axis=0), deviation(values)

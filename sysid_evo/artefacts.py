@@ -93,10 +93,10 @@ def write_artefact(path: Path, tensors: dict[str, np.ndarray[Any, Any]], fields:
 
 
 def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
-    """Return the manifest that ``path`` names: what is in a run may be named without the digest in its file's name.
+    """Return the manifest named by ``path``; in a run folder the digest in the file's name may be left out.
 
-    So ``models/linear`` or ``models/linear.json`` is ``models/linear-0123abcd.json``, if there is but one. Raises
-    `ArtefactError` if there are several, or for a path without a name; one of which there is no file comes back.
+    ``models/linear`` or ``models/linear.json`` is ``models/linear-0123abcd.json`` if there is only one. A path without
+    a file is returned as it is. Raises `ArtefactError` if there are several, or if the path has no name.
     """
     path = Path(path)
     stem = path.with_suffix("").name if path.suffix in SUFFIXES else path.name
@@ -203,8 +203,8 @@ class CheckpointFile:
 
     It is one safetensors file, which is the old one or the new one after a crash, never half of one.
     It is due every ``every`` s, less often where saving takes long: never more than a hundredth of the time.
-    A file that is damaged, or belongs to other work, is a `CheckpointWarning` and counts as none. One that cannot be
-    written, on a full disk for example, is one as well, and the work goes on.
+    A file that is damaged or belongs to other work is ignored with a `CheckpointWarning`. If a file cannot be written,
+    for example on a full disk, there is such a warning too, and the work continues.
     """
 
     def __init__(self, path: str | Path, *, every: float = 1.0) -> None:
@@ -244,12 +244,12 @@ class CheckpointFile:
         try:
             write_checkpoint(self.path, identity, state)
             self._fails = False
-        except OSError as error:  # results are smaller than what is kept on the way to them, and may still fit
+        except OSError as error:  # results are smaller than checkpoints, and may still fit
             self._fails = True
             if not failed:
                 warnings.warn(
-                    f"{self.path}: cannot be written ({error.strerror or error}). The work goes on; if it is stopped "
-                    "now, it begins again from what was kept before",
+                    f"{self.path}: cannot be written ({error.strerror or error}). The work continues; if it is "
+                    "interrupted now, it resumes from the checkpoint before",
                     CheckpointWarning,
                     stacklevel=2,
                 )

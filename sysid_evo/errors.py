@@ -141,9 +141,9 @@ def described(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Meaningless:
-    """A row of a table: ``settings`` without effect where all of ``beside`` are given and none of ``unless`` is.
+    """A rule: ``settings`` have no effect if all of ``beside`` are given and none of ``unless`` is.
 
-    Those of ``beside`` count where they have one of the values that stand there; where none stand there, any.
+    Each name in ``beside`` has a tuple of values to which the rule applies; an empty tuple means any value.
     """
 
     settings: tuple[str, ...]
@@ -155,7 +155,7 @@ class Meaningless:
 def meaningless(
     rules: Iterable[Meaningless], given: Mapping[str, Any], among: Mapping[str, Any]
 ) -> dict[str, Meaningless]:
-    """Return what is ``given`` and has no effect ``among`` all that is, with its rule; what is empty is not given."""
+    """Return the settings ``given`` that have no effect ``among`` all settings, with their rule. Empty is not given."""
     there = {name for name, value in among.items() if value}
     holding = [
         rule

@@ -25,7 +25,7 @@ DEEPEST, LONGEST = 12, 2**20
 
 
 def parsed_toml(text: str) -> dict[str, Any]:
-    """Return what stands in a TOML text. Raises ValueError that says why it cannot be read."""
+    """Return the content of a TOML text. Raises ValueError with the reason if it cannot be read."""
     if len(text) > LONGEST:
         raise ValueError(f"expected at most {LONGEST} characters, got {len(text)}")
     too_deep = f"expected at most {DEEPEST} tables and lists inside each other, got more"

@@ -474,7 +474,7 @@ class Predictor:
         if any(beyond) or (n_out is not None and self.writes not in (None, n_out)):
             raise ShapeError(
                 f"kernel: expected what was learned to read and write (carry, control, result) {wanted} rows, got "
-                f"{found}: it does not fit the system, or what stands around it"
+                f"{found}: it does not fit the system or the kernel that calls it"
             )
 
     @property

@@ -52,7 +52,7 @@ class TimeLeft:
     def long(self, done: int, total: int) -> float | None:
         """Return the remaining time (s), once, as soon as the estimate exceeds `LONG`; else None."""
         now = time.process_time()
-        if self.first is None:  # from the first part on: what is done once, such as compiling, is in it
+        if self.first is None:  # counted from the first part on, which includes work done once, such as compiling
             self.first = (now, done) if done > 0 else None
         elif done > self.first[1] and now - self.first[0] > WATCHED and not self.said:
             left = (now - self.first[0]) / (done - self.first[1]) * (total - done)
@@ -62,21 +62,21 @@ class TimeLeft:
 
 
 def told(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
-    """Return what long work reports to while it goes on: for True a bar, for False nothing."""
+    """Return a context with the receiver of progress reports: a progress bar for True, None for False."""
     return shown(title) if progress is True else nullcontext(progress or None)
 
 
 @contextmanager
 def shown(title: str) -> Iterator[Progress]:
-    """Draw a bar with rate and time left on standard error while the work inside goes on.
+    """Draw a progress bar with rate and time left on standard error.
 
-    Where that is no terminal, a notebook or a file, there is a line every few seconds.
+    If that is no terminal, as in a notebook or a file, print a line every few seconds.
     """
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
-    if not sys.stderr.isatty():  # a kernel of Jupyter makes rich believe in one
+    if not sys.stderr.isatty():  # rich takes a Jupyter kernel for a terminal
         yield _lines(title)
         return
     described = TextColumn("{task.description}", markup=False)

@@ -38,7 +38,7 @@ EXPLAINS = {
 """What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
 to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
 BY_INTERVAL = ("shift", "overfit", "few data", "weak region")
-"""What rests on an interval by blocks of time: not said where there are too few of them."""
+"""Remarks that rest on a block-bootstrap interval; they are left out where there are too few blocks."""
 LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,

@@ -152,9 +152,9 @@ class PredictCell(Cell):
 
 @dataclass(frozen=True)
 class HeldOutScore:
-    """N of a model ``steps`` after measured starts in data that it has not learned from, over so many ``blocks``.
+    """Normalised error N of a model after ``steps`` on held-out data that form ``blocks`` blocks of time.
 
-    ``judged_on`` says in words which data that are; ``n`` is None where nothing could be told from them.
+    ``judged_on`` names these data in words; ``n`` is None if they do not allow an estimate.
     """
 
     n: float | None
@@ -165,9 +165,9 @@ class HeldOutScore:
 
 @dataclass(frozen=True, eq=False)
 class JudgeCell(Cell):
-    """Measures how well a fitted model predicts the test part; without one, a copy fitted to all but the last quarter.
+    """Measures the prediction error on the test part; without one, of a copy fitted to all but the last quarter.
 
-    A model that held data out while it was fitted has told its error there; no copy is made of it.
+    A model that held data out during its own fit already reports its error on them; no copy is fitted.
     """
 
     kind = "judge"

@@ -87,7 +87,7 @@ class Plant:
 
 @lru_cache(maxsize=64)
 def _timed(_factory: Callable[..., Any], robot: str) -> float:
-    """Return `Robot.step_seconds`, once for all cells; its factory tells namesakes apart."""
+    """Return `Robot.step_seconds`, once for all cells; the factory is in the key as two plugins may use one name."""
     return float(make_robot(robot_spec(robot)).step_seconds())
 
 

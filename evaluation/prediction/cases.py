@@ -92,8 +92,8 @@ SECOND, FEW, MANY = 1.0, 2, 10
 def headline_steps(dt: float) -> int:
     """Return the steps after which errors count most: those nearest to one second.
 
-    Ten where a second has fewer than two: after a single step no model is told from persistence. It is the least that
-    `simulation_error` simulates, too.
+    Ten where a second has fewer than two: after a single step models do not differ from persistence. Ten is also the
+    shortest simulation of `simulation_error`.
     """
     steps = round(SECOND / dt)
     return steps if steps >= FEW else MANY
@@ -135,7 +135,7 @@ class MeasuredCases:
         return main_horizon(self.horizons, self.system.dt)
 
     def blocks(self, horizon: int | None) -> int:
-        """Return over how many bootstrap blocks errors count after ``horizon`` steps, or in free run (None)."""
+        """Return the number of bootstrap blocks with errors after ``horizon`` steps, or in simulation (None)."""
         if horizon is not None:
             return len(np.unique(self.window_block[self.moving[:, horizon - 1]]))
         size = self.protocol.block_samples

@@ -202,7 +202,7 @@ def findings(results: StudyResults) -> list[Finding]:
 
 
 def short_sheet(results: StudyResults) -> Sheet | None:
-    """What matters of each group: what is picked, what is polished, the best family alone; None without any."""
+    """The main rows of each group: the chosen controller, the polished one, the best single family; None if empty."""
     figures = controller_figures(results)
     axes, labels = _told_apart(results, [one.group for one in figures])
     rows = []

@@ -68,7 +68,7 @@ class Study(Displayed):
 
     ``experiment`` holds settings of `Experiment` that are common to all points, ``grids`` the axes by setting; the
     points of several grids are united. ``reference`` names the row that others are compared with: a controller, and
-    the labels of axes that tell rows apart; empty for the polished controller. ``file`` is where it was read from.
+    the labels of the axes that vary; empty for the polished controller. ``file`` is where it was read from.
     """
 
     title: str

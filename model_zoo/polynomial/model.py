@@ -56,8 +56,8 @@ class PolynomialFamily(Uncertain):
 
     The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
     in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
-    Channels far from zero, such as a map coordinate or a temperature in kelvin, stand without their offset: monomials
-    of 1e6 + x hardly differ, and neither fits nor thresholds could tell them apart.
+    An offset is subtracted from channels far from zero, such as a map coordinate or a temperature in kelvin: monomials
+    of 1e6 + x are nearly collinear, so that neither fits nor thresholds can separate them.
     """
 
     structure = "polynomial"
@@ -71,7 +71,7 @@ class PolynomialFamily(Uncertain):
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """What is subtracted from states and controls (nx + nu); () if nothing is, as in older stored models."""
+        """Offsets subtracted from states and controls (nx + nu); () for none, as in older stored models."""
         return tuple(getattr(self, "offsets_", ()))
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
@@ -151,7 +151,7 @@ class PolynomialFamily(Uncertain):
         return with_angles(clipped, self.system, self.lags)
 
     def _of_rows(self) -> Predictor:
-        """Return the compiled form where some features are functions of (carry, control), or stand without offset."""
+        """Return the compiled form for features that are functions of (carry, control), or have offsets subtracted."""
         rows, held = self.features.rows, self.layout.size
         found = [
             SeenRow(row.function, row.place if row.place < held else row.place - held, *row[2:], low, high)
@@ -183,7 +183,7 @@ class PolynomialFamily(Uncertain):
         return self._printed().T
 
     def _printed(self) -> Array:
-        """Return the coefficients (T, nx) without what stands on the left side."""
+        """Return the coefficients (T, nx) without the part that belongs to the left-hand side."""
         constant = ~self.exponents_.any(axis=1, keepdims=True)
         return self.coefficients_ - constant * self.zero_of(self.added_)
 
@@ -197,9 +197,9 @@ class PolynomialFamily(Uncertain):
 
 
 HIGHEST = 99
-"""Exponent that is taken from a file: a guess, far beyond any degree that data tell."""
+"""Largest exponent accepted from a file: a guess, far beyond any degree that data support."""
 DEGREES = (2, 3)
-"""What is tried where the degree is left open."""
+"""Degrees that are tried if none is given."""
 MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
 """Terms of the largest library that is tried, by how many lags are."""
 

@@ -62,7 +62,7 @@ REFUSED = {
     "export": (Meaningless(("real",), "NumPy computes in double precision", {"to": ("python",)}),),
     "drive": (
         Meaningless(("robot",), "the model is driven instead", {"model": ()}),
-        Meaningless(("watch",), "who drives by hand sees the page anyway", unless=("controller",)),
+        Meaningless(("watch",), "driving by hand shows the page anyway", unless=("controller",)),
         Meaningless(("host", "port"), "no page is served", {"controller": ()}, unless=("watch", "open")),
     ),
 }
@@ -101,10 +101,10 @@ def summary(name: str, table: Table) -> str:
 
 
 class CheckedCommand(TyperCommand):
-    """Refuses options that mean nothing beside others on the command line, before anything is done: `REFUSED`."""
+    """Refuses options that have no effect next to others on the command line, before anything is done: `REFUSED`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Read the command line; a word that belongs nowhere is told with the option that it stands behind."""
+        """Read the command line; the error for a misplaced word names the option before it."""
         words = list(args)
         ctx.allow_extra_args = True
         rest: list[str] = super().parse_args(ctx, args)
@@ -125,12 +125,12 @@ def misplaced(word: str, words: Sequence[str], options: Sequence[Any]) -> str:
         return f"{word!r} belongs to no option; see --help"
     name, commas = behind[-1].opts[0], "; did you mean values with commas, without spaces?"
     if behind[-1].multiple:
-        return f"{name} stands before each of its values: {name} {word}"
+        return f"{name} must be repeated before each of its values: {name} {word}"
     return f"{name} takes one value, not {word!r} too{commas if 'commas' in (behind[-1].help or '') else ''}"
 
 
 def typed(ctx: Any) -> dict[str, Any]:
-    """Return the values of the options that stand on the command line, by their names there: by_hand for --by-hand."""
+    """Return the values of the options given on the command line by name: by_hand for --by-hand."""
     return {
         option.opts[0].removeprefix("--").replace("-", "_"): ctx.params[option.name]
         for option in ctx.command.params

@@ -43,7 +43,7 @@ class Printer(Console):
         super().__init__(markup=False, emoji=False, **settings)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield what is shown of ``renderable``, of which all that is printed is made."""
+        """Yield the segments of ``renderable`` without control characters; all output passes here."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=printable(segment.text))
 
@@ -90,7 +90,7 @@ def note(text: str) -> None:
 
 
 def table_of(*headings: str, numbers: Collection[str] = (), whole: Collection[str] = ()) -> Table:
-    """Return a table without lines that has these columns; ``numbers`` stand on the right, ``whole`` never wrap."""
+    """Return a table without lines with these columns; ``numbers`` are right-aligned, ``whole`` never wrap."""
     table = Table(box=None, pad_edge=False)
     for heading in headings:
         side: Any = "right" if heading in numbers else "left"

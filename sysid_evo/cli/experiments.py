@@ -256,7 +256,7 @@ def print_fits(
 
 
 def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
-    """Print what the errors of fitted models are, on which data, and whether these are enough to tell models apart."""
+    """Print the errors of fitted models, the data they were measured on, and whether these suffice for a comparison."""
     found = {label: score for label, cell in comparison.judged.items() if (score := store.outcome(cell).value)}
     grouped: dict[tuple[int | None, str], list[str]] = {}
     for label, score in found.items():
@@ -265,14 +265,14 @@ def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
     for (steps, judged_on), labels in grouped.items():
         which = f" ({', '.join(labels)})" if len(grouped) > 1 else ""
         if steps is None:
-            out.print(Text(f"How good {', '.join(labels)} is cannot be told: {judged_on}"))
+            out.print(Text(f"no error of {', '.join(labels)} can be measured: {judged_on}"))
             continue
         over = "after" if found[labels[0]].blocks is not None else "over the first"
         said = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {judged_on}, in standard deviations"
         out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
     if blocks and not evaluation.enough_blocks(min(blocks)):
-        note(f"blocks of time that models were judged on: {min(blocks)}, too few to tell them apart; record more")
+        note(f"blocks of test data: {min(blocks)}, too few to compare models; record more")
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:
@@ -324,7 +324,7 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
     try:
         made = report_again(folder) if (folder / FILE).is_file() else None
     except PluginError as error:  # what was driven is kept all the same
-        tell(f"stored in {folder}, whose report is not made again: {error}")
+        tell(f"stored in {folder}; its report is not updated: {error}")
         return
     if made is not None:
         say(f"Report: {folder / 'report.html'}")
@@ -333,13 +333,13 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
 
 
 def report_again(run: Path, *, written: bool = True) -> evaluation.Report | None:
-    """Write the report of a run anew, with the cells measured since; None if the run has no model yet.
+    """Write the report of a run again, with the cells measured since; None if the run has no model yet.
 
     Raises `InvalidArgument` if ``run`` is no comparison's run.
     """
     comparison, remarks = evaluation.comparison_of(run)
     store = session.run = Store(run)
-    for remark in remarks if written else ():  # else they were told at the first attempt
+    for remark in remarks if written else ():  # else they were printed at the first attempt
         note(remark)
     return evaluation.report_again(comparison, store, written=written)
 

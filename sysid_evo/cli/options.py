@@ -80,9 +80,9 @@ def load_plugins(paths: Iterable[str | Path] | None) -> None:
 
 
 def settings_of(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Return the settings called ``names`` among the values of a command's options, those that stand there.
+    """Return the settings called ``names`` that the options of a command give.
 
-    An option is called as the setting that it is, but for ``plugin``; its value becomes that of the setting.
+    Option and setting have the same name, except ``plugin``; the value is converted to that of the setting.
     """
     becomes: dict[str, Callable[[Any], Any]] = {
         "data": resolved, "plugins": resolved, "columns": column_map, "test": tuple,

@@ -67,7 +67,7 @@ def check(
     broken = 0
     for result in _results(kind, spec, data):
         verdict = ("ok", "green") if result.failure is None else ("BROKEN", "bold red")
-        line = Table.grid(padding=(0, 1))  # whose second column is where a sentence that is wrapped goes on
+        line = Table.grid(padding=(0, 1))  # a wrapped sentence continues in the second column
         line.add_column(width=len("BROKEN"))
         said = result.sentence + (f": {result.idle}" if result.idle else "")
         line.add_row(Text("-", "dim") if result.idle else Text(*verdict), Text(said))

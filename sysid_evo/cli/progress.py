@@ -26,7 +26,7 @@ SHORTEST = 20  # characters of a title
 SHOWN = 10
 """Cells that have a bar of their own at the same time: a cluster may run hundreds."""
 TOO_EARLY = 0.1
-"""Share of the work before which nothing is said of the time left: the first steps compile kernels, or are quick."""
+"""Share of the work before the time left is shown: the first steps compile kernels, or are quick."""
 NAMED = 4
 """Cells that an interruption names."""
 
@@ -66,9 +66,9 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
 class Bars(Observer):
     """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
-    ``go_on`` are the options with which an interrupted command goes on, if it can. ``where`` tells cells of one title
-    apart: it stands in front of it. ``elsewhere`` says that cells are computed where nothing unfinished is kept. Of the
-    ``cells`` that are to be computed it knows when the last one of a group ends.
+    ``go_on`` are the options that resume an interrupted command, if it can be resumed. ``where`` is a prefix that
+    distinguishes cells of the same title. ``elsewhere``: cells are computed on workers that keep no checkpoints.
+    ``cells`` are those to be computed; they show when the last cell of a group ends.
     """
 
     def __init__(

@@ -205,9 +205,7 @@ def drive(
         words = ["sysid-evo", "transfer", controller, "--on", model, *(["--run", str(run)] if run else [])]
         raise InvalidArgument(f"drive: --controller drives a robot. To run it on a model: {shlex.join(words)}")
     if name is not None:
-        raise InvalidArgument(
-            "drive: --name is for who drives by hand; a controller has a row of its own. Leave it out"
-        )
+        raise InvalidArgument("drive: --name is for driving by hand; a controller has a row of its own. Leave it out")
     if task is not None and is_stored(controller, "controller"):
         raise InvalidArgument(f"drive: {controller} was evolved for a task and drives that one; leave --task out")
     code = drive_controller(

@@ -20,10 +20,10 @@ from sysid_evo.types import Array, IntArray
 
 FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
 STILL = 0.05  # rad/s: a body that turns more slowly says nothing about its yaw rate
-EXPLAINED = 0.5  # misfit of a rate and a change of which one is 1.6 times the other, or with a correlation of 0.87
+EXPLAINED = 0.5  # misfit if a rate is 1.6 times the change or the reverse, or if they correlate by 0.87
 FAR_APART, AS_LARGE = np.log(10.0), 0.15
-"""A rate of some state need not be that of another: only degrees, cm and mm, whose factors are large, are told by how
-large it is, and only where this fits to the noise of a differentiated encoder."""
+"""A rate need not be that of this state. So units are inferred from its size only for degrees, cm and mm, whose factors
+are large, and only if it fits to within the noise of a differentiated encoder."""
 UNUSED = 0.02
 """Share of its limits below which a recording looks like one in another unit: 0.017 of degrees, 0.001 of mA."""
 TURNS = 2.0 * TURN

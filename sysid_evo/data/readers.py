@@ -57,7 +57,7 @@ MISSING = ("", "nan", "NaN", "NA", "N/A", "null", "NULL", "None")
 
 
 class Reader(ABC):
-    """Reads one kind of file, told by its suffix.
+    """Reads one kind of file, recognised by its suffix.
 
     ``encoding`` is that of a text (None: UTF-8, or UTF-16 and UTF-32 by the mark at the start of the file). With
     ``gaps`` a missing value is read as NaN; without, it is an error.

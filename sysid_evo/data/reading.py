@@ -146,7 +146,7 @@ def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str
         if (~gone).sum() < 2:
             raise InvalidData(f"{path.name}: {told}: expected at least two rows that have them all")
         first = table.rows[gone][0]
-        notes.append(f"{path.name}: {told} and are left out, the first row {first}; the log has holes there")
+        notes.append(f"{path.name}: {told} and are left out, the first is row {first}; the log has gaps there")
         places = places[~gone]
         texts = {name: [values[place] for place in places] for name, values in texts.items()}
         numbers = {name: values[~gone] for name, values in table.columns.items()}

@@ -123,8 +123,8 @@ MOST_DECIMALS = 6
 def spelled(value: float, among: Iterable[float] = (), *, digits: int = 3) -> str:
     """Return the value of a channel as text: 1100, 0.5, 0.00314, without an exponent where there is a way.
 
-    ``digits`` are significant in the largest of the values ``among`` which it stands, as far as there are such: in a
-    channel that goes to 3.14 a value of 3e-6 is 0. Digits before the point are never rounded off.
+    ``digits`` is the number of significant digits of the largest value in ``among``, of ``value`` itself without any:
+    in a channel that goes to 3.14 a value of 3e-6 is 0. Digits before the point are never rounded.
     """
     size = max(map(abs, among), default=0.0) or abs(value)
     decimals = digits - 1 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
@@ -135,5 +135,5 @@ def spelled(value: float, among: Iterable[float] = (), *, digits: int = 3) -> st
 
 
 def spelled_range(low: float, high: float) -> str:
-    """Return ``-0.5 to 2``, or one number where both look alike."""
+    """Return ``-0.5 to 2``, or one number if both have the same text."""
     return " to ".join(dict.fromkeys(spelled(end, (low, high)) for end in (low, high)))

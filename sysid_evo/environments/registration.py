@@ -59,9 +59,9 @@ def make_vector_env(
 def _drawn(render_mode: str | None) -> None:
     if render_mode is not None:
         raise InvalidArgument(
-            f"environment: expected no render_mode, as models draw nothing, got {render_mode!r}: every step tells the "
-            "state in its info; store what was learned as a controller (champion_of, save_champion), and "
-            "`sysid-evo drive --controller FILE --watch` shows it"
+            f"environment: expected no render_mode, as models draw nothing, got {render_mode!r}. The state is "
+            "in the info of every step. To watch a trained policy, store it as a controller (champion_of, "
+            "save_champion) and run `sysid-evo drive --controller FILE --watch`"
         )
 
 

@@ -1,4 +1,4 @@
-"""Vector environments of models as Stable-Baselines3 takes them."""
+"""Vector environments of models for Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ except ModuleNotFoundError as error:
 
 
 class StableBaselinesEnv(VecEnv):
-    """What `make_vector_env` makes, for an algorithm of Stable-Baselines3: a copy that has ended begins anew at once.
+    """The environment of `make_vector_env` for Stable-Baselines3: a copy that has ended is reset at once.
 
-    The last observation of an episode stands in ``infos`` as ``terminal_observation``, its reward and length as
+    The last observation of an episode is in ``infos`` as ``terminal_observation``, its reward and length as
     ``episode``.
     """
 

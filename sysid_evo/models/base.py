@@ -54,7 +54,7 @@ from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import judging_windows, simulation_error
 
 MOST_LAGS = 10_000
-"""A guess: no recording tells what that many samples earlier did, and a carry of them still fits into memory."""
+"""A guess: far more than any recording supports, and a carry of that size still fits into memory."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
@@ -242,11 +242,11 @@ class DynamicsModel(Dynamics, Estimator):
         self.pairs_ = recorded_pairs(dataset)
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        """Declare what `fit` learns by name, in terms of this fitted model: the lengths of an array, or `Numbers`.
+        """Declare the learned arrays of this fitted model by name: the shape of each, or `Numbers`.
 
-        ``{"points_": ("points", self.n_carry), "rates_": ("points", self.system.nx)}``: a name stands for one length.
-        A model is held to it where it is stored and loaded, so that a changed file cannot lead a kernel past the end of
-        an array. Those of base classes count too, without `super`; a name that is declared again replaces theirs.
+        ``{"points_": ("points", self.n_carry), "rates_": ("points", self.system.nx)}``: a length given by name is the
+        same in all arrays. Shapes are checked when a model is stored and loaded, so that a changed file cannot make a
+        kernel read beyond an array. Declarations of base classes hold too, without `super`, unless they are replaced.
         """
         nx, lags = self.system.nx, Numbers(whole=True, least=0, most=MOST_LAGS, optional=True)
         return {

@@ -116,18 +116,18 @@ def training_envelope(states: Array, multiple: float) -> Array:
 
 
 FAR = 16.0
-"""Half widths between zero and its envelope from which on a state needs double precision.
+"""Distance of a state from zero, in half widths of its state bounds, beyond which it needs double precision.
 
-At 6, or 30 standard deviations, the errors of families on a damped oscillation were 1e-5 standard deviations after
-3 s in single precision; at 200, or 1,000, they were 1e-3, and what is unstable makes more of them.
+On a damped oscillation the rounding error of single precision after 3 s was 1e-5 standard deviations at a distance of
+6 (30 standard deviations), and 1e-3 at 200 (1,000); unstable systems amplify it.
 """
 
 
 def far_from_zero(envelope: Array | None) -> IntArray:
-    """Return which states move within their ``envelope`` (2, nx) alone, and that `FAR` from zero.
+    """Return the indices of the states whose bounds, ``envelope`` (2, nx), are more than `FAR` half widths from zero.
 
-    A number of float32 is exact to 6e-8 of its size, however little it changes: 4e6 m to a quarter of a metre. Every
-    step rounds it, and the errors add up. A state without limits, or that never moves, is none of them.
+    A float32 is exact to 6e-8 of its size: 4e6 m to a quarter of a metre. Every step rounds, and the errors add up.
+    States without bounds, and states that do not change, are left out.
     """
     low, high = np.zeros((2, 0)) if envelope is None else envelope
     half, nearest = (high - low) / 2.0, np.maximum(low, -high)
@@ -135,7 +135,7 @@ def far_from_zero(envelope: Array | None) -> IntArray:
 
 
 def enough(precision: Precision, envelope: Array | None) -> Precision:
-    """Return ``precision``, or float64 where that is too little for states in ``envelope``, see `far_from_zero`."""
+    """Return ``precision``, or float64 if states within ``envelope`` need it, see `far_from_zero`."""
     return "float64" if len(far_from_zero(envelope)) else precision
 
 

@@ -1,4 +1,4 @@
-"""What a family declares of the arrays that it learned, their shapes and ranges, and the check against it."""
+"""Shapes and ranges that a family declares for its learned arrays, and the check against them."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from sysid_evo.errors import ShapeError
 
 Length: TypeAlias = int | str
-"""A number, or a name that stands for one length, at least 1, wherever a model's declaration has it."""
+"""A number, or a name: the same length, at least 1, everywhere in the declaration of a model."""
 
 
 class Numbers:
-    """An array with these ``lengths`` that a model learned; without any, one number.
+    """A learned array of shape ``lengths``; without lengths, one number.
 
-    ``least`` and ``most`` bound its numbers. ``whole`` ones are integers, as places, counts and exponents are; others
-    are of single or double precision. nan is always refused, infinity unless ``infinite``. ``rising`` numbers do not
-    fall along the first axis. One that is ``optional`` may be missing, or None.
+    ``least`` and ``most`` bound its values. ``whole`` values are integers, such as indices, counts and exponents;
+    others have single or double precision. nan is always refused, infinity unless ``infinite``. ``rising`` values never
+    decrease along the first axis. An ``optional`` array may be missing or None.
     """
 
     def __init__(
@@ -36,7 +36,7 @@ class Numbers:
         self.infinite, self.rising, self.optional = infinite, rising, optional
 
     def check(self, name: str, value: object, known: dict[str, int]) -> None:
-        """Raise `ShapeError` unless ``value`` is as declared; ``known`` are the lengths that names stand for."""
+        """Raise `ShapeError` unless ``value`` is as declared; ``known`` holds the lengths that have names."""
         array = np.asarray(value)
         kinds = "i" if self.whole else "f" if self.lengths else "if"
         if array.dtype.kind not in kinds or (array.dtype.kind == "f" and array.dtype.itemsize < 4):
@@ -58,13 +58,13 @@ class Numbers:
 
 
 Declared: TypeAlias = "Numbers | tuple[Length, ...] | list[Declared]"
-"""An array of finite numbers may be its lengths alone; a list declares every item of a list."""
+"""A tuple of lengths declares an array of finite numbers; a list declares the items of a list."""
 
 
 def check_learned(model: object) -> list[str]:
-    """Raise `ShapeError` unless what ``model`` learned is as ``learned_arrays`` of its class and of their bases say.
+    """Raise `ShapeError` unless the arrays of ``model`` are as ``learned_arrays`` of its class and bases declare.
 
-    An array of which they say nothing may have any shape, but holds no nan; the names of these are returned.
+    Arrays without a declaration may have any shape but no nan; their names are returned.
     """
     declared: dict[str, Declared] = {}
     try:
@@ -72,13 +72,13 @@ def check_learned(model: object) -> list[str]:
             if "learned_arrays" in vars(cls):
                 own = vars(cls)["learned_arrays"](model)
                 if not declared:
-                    _check_all(model, own)  # that of the base class, whose lags the others count with
+                    _check_all(model, own)  # that of the base class: the others use its lags
                 declared.update(own)
         _check_all(model, declared)
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         if isinstance(error, ShapeError):
             raise
-        raise ShapeError(f"what it learned does not fit together: {type(error).__name__}: {error}") from error
+        raise ShapeError(f"its learned arrays do not fit together: {type(error).__name__}: {error}") from error
     others = []
     for name in vars(model).keys() - declared.keys():
         value = getattr(model, name)
@@ -110,7 +110,7 @@ def _check(name: str, value: Any, declared: Declared, known: dict[str, int]) -> 
 
 
 def _what(value: object) -> str:
-    """Return what came, in a few words."""
+    """Describe a value in a few words."""
     if value is None:
         return "nothing"
     if isinstance(value, list):

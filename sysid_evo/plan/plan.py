@@ -14,7 +14,7 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.randomness import derived_seed
 
 MOST_YEARS = 10.0
-"""Of one processor for a plan; nobody means more. A thousand processors would take four days."""
+"""Longest plan, in years of one processor: a longer one is a mistake. A thousand processors take four days."""
 YEAR = 365.25 * 86400.0
 """In seconds."""
 

@@ -85,19 +85,19 @@ def spec_of(given: Spec | str) -> Spec:
 
 
 def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
-    """Return ``specs`` if their labels differ. Raises `InvalidArgument` that says how to tell them apart."""
+    """Return ``specs`` if their labels differ, else raise `InvalidArgument`."""
     labels = Counter(spec.label for spec in specs)
     repeated = min((label for label, count in labels.items() if count > 1), default=None)
     if repeated is not None:
         raise InvalidArgument(
-            f"{repeated!r} stands there {labels[repeated]} times; give each a label of its own, "
+            f"{repeated!r} is given {labels[repeated]} times; give each a label of its own, "
             f"such as a={repeated}, b={repeated}(...)"
         )
     return specs
 
 
 def split(text: str) -> list[str]:
-    """Split at the commas outside brackets and quotes; empty pieces are refused, and text that is too long."""
+    """Split at the commas outside brackets and quotes. Raises `InvalidArgument` for empty parts and long texts."""
     if len(text) > LONGEST:
         raise InvalidArgument(
             f"expected NAME(parameter=value, ...) of at most {LONGEST} characters, got {len(text)}: {_short(text)}"
@@ -196,7 +196,7 @@ def _said(node: ast.expr) -> str:
     try:
         return _short(ast.unparse(node))
     except (RecursionError, ValueError):
-        return "what stands there"
+        return "this value"
 
 
 def _key(node: ast.expr | None) -> Any:

@@ -1,6 +1,8 @@
-"""Plugin files that are not installed; what the source of a registered thing says, and its digest.
+"""Plugin files that are not installed: loading them, whether they may run, and the source of registered things.
 
-Whoever runs the program may load any; those that a stored file names must be trusted, see `trust`.
+The user may load any file. One that a stored file names must be trusted: it has run here before and is unchanged since.
+The user's state folder holds a note for each plugin file that has run: its SHA-256 and its path. SECURITY.md states the
+rule for every kind of file.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import importlib.util
+import os
 import shlex
 import sys
 import warnings
@@ -19,7 +22,7 @@ from types import CodeType
 from typing import Any
 
 from sysid_evo.errors import PluginError, PluginWarning, RegistrationError
-from sysid_evo.registry.trust import distrust, remember
+from sysid_evo.files import state_folder, write_atomically
 
 SHIPPED = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 PREFIX = "sysid_evo_plugin_"
@@ -35,7 +38,7 @@ def load_plugin(path: str | Path) -> None:
     loaded = sys.modules.get(_module(file))
     if loaded is None:
         source = _source(file)
-        remember(file, source)
+        _trust(file, source)
         _run(file, source)
     elif loaded.__file__ != str(file):
         raise PluginError(f"plugin {file}: {loaded.__file__}, a file of the same name, is loaded already; rename one")
@@ -44,7 +47,7 @@ def load_plugin(path: str | Path) -> None:
 def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]:
     """Import plugin files that the stored file ``by`` names, if they are trusted; return the files that are loaded.
 
-    What is loaded already stands for a file of the same name, with a `PluginWarning` if it is another one. Raises
+    A loaded plugin is used for a file of the same name, with a `PluginWarning` if its path differs. Raises
     `PluginError` for those that this user has not run here, unchanged, and what `load_plugin` does.
     """
     found, refused = [], []
@@ -52,7 +55,7 @@ def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]
         loaded = sys.modules.get(_module(file))
         if loaded is None:
             source = _source(file) if file.is_file() else None
-            why = "is not there" if source is None else distrust(file, source)
+            why = "is not there" if source is None else _distrust(file, source)
             if source is None or why:
                 refused.append((file, why))
                 continue
@@ -72,10 +75,32 @@ def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]
 
 
 def load_plugins_again(paths: Iterable[str]) -> None:
-    """Import the plugin files that the process has loaded on whose behalf this one computes: it took the decision."""
+    """Import the plugin files of the process that this one works for, which has decided to trust them."""
     for file in map(Path, paths):
         if _module(file) not in sys.modules:
             _run(file, _source(file))
+
+
+def _trust(file: Path, source: bytes) -> None:
+    """Note that the user has asked for ``file``, an absolute path, while it held ``source``."""
+    if _distrust(file, source):
+        line = hashlib.sha256(source).hexdigest().encode() + b"  " + os.fsencode(file) + b"\n"
+        with suppress(OSError):  # a home that cannot be written: the user will be asked again
+            write_atomically(_note(file), lambda note: note.write_bytes(line))
+
+
+def _distrust(file: Path, source: bytes) -> str:
+    """Return why ``file`` may not run unless the user asks for it; empty if it may."""
+    try:
+        known = _note(file).read_bytes().split(b" ")[0].decode(errors="replace")
+    except OSError:
+        return "has not run here yet"
+    return "" if known == hashlib.sha256(source).hexdigest() else "has changed since it ran here"
+
+
+def _note(file: Path) -> Path:
+    # by path as well as by content: the same text elsewhere may read or import other files next to it
+    return state_folder("plugins") / hashlib.sha256(os.fsencode(file)).hexdigest()
 
 
 class _FromSource(SourceFileLoader):

@@ -196,7 +196,7 @@ class Registry(Generic[T]):
     def glance(self, name: str, attribute: str = "__doc__") -> Any:
         """Return an attribute of the class or factory called ``name``, None if it has none. Raises what `get` raises.
 
-        What is shipped is not imported for it: there it must stand in the class itself.
+        A shipped class is not imported for it: the attribute must be in the class body, not in a base class.
         """
         if name not in self._entries and (module := self._point(name).value).split(".")[0] in SHIPPED:
             found = declared(module, name)
@@ -245,7 +245,7 @@ _VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 @cache
 def _installed(
     _path: tuple[str, ...],
-) -> Any:  # EntryPoints; in Python 3.11 SelectableGroups, which can be chosen from alike
+) -> Any:  # EntryPoints; in Python 3.11 SelectableGroups, which has the same select()
     """Return all entry points that are found along ``sys.path``, which takes 10 ms or more."""
     return entry_points()
 

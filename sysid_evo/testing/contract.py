@@ -32,7 +32,7 @@ class CheckResult:
 
 
 class DoesNotApply(Exception):
-    """What a check raises whose sentence says nothing about its subject; with a reason that is worth a line."""
+    """Raised by a check that does not apply to its subject; the message gives the reason."""
 
 
 def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:

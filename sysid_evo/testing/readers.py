@@ -134,7 +134,7 @@ def a_wrong_number_is_told(given: ReaderExample) -> None:
     whole = given.whole().columns
     for name, content in _with_wrong_numbers(given.content):
         table = _read_copy(given, name, content)
-        # the number may have stood in a column of words, or in a comment; then all else is read as before
+        # the number may have been in a text column or a comment; then everything else is read as before
         unharmed = table is None or all(same(values, table.columns.get(column)) for column, values in whole.items())
         expect(unharmed, f"{name} in the place of a number: expected InvalidData, got other numbers or fewer rows")
 

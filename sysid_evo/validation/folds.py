@@ -105,7 +105,7 @@ def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
 
 
 def _blocks_in_turn(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
-    """Return up to ``count`` pairs of `time_blocks`; the whole data set, once, if nothing can be held out."""
+    """Return up to ``count`` pairs of `time_blocks`; one pair of the whole data set if no block can be held out."""
     pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
     return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
 

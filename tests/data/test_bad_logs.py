@@ -235,10 +235,9 @@ def test_rows_without_a_value_are_left_out_and_the_log_is_split_there_if_the_map
     assert dataset.names == ("log[0:14]", "log[15:85]", "log[86:196]")
     np.testing.assert_array_equal(dataset.episodes[1].states[:, 0], table["u"][17:88])
     first = {"csv": 17, "line by line": 18, "parquet": 16}[kind]
-    told = (
-        "4 of 201 rows have no value in some column (u 2, throttle 1, steering 1, x 1) and are left out, the first row "
-    )
-    assert f"{path.name}: {told}{first}; the log has holes there" in dataset.notes
+    left_out = "(u 2, throttle 1, steering 1, x 1) and are left out, the first is row"
+    told = f"4 of 201 rows have no value in some column {left_out} {first}; the log has gaps there"
+    assert f"{path.name}: {told}" in dataset.notes
     assert any("2 steps outside 25 to 75 ms split it into 3 pieces" in note for note in dataset.notes)
 
 

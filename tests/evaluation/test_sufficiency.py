@@ -45,7 +45,7 @@ def test_models_are_told_apart_from_ten_blocks_of_test_data_on(episodes: int) ->
     card, said = headline(made, "Which models predict?"), first_sentence(made, "Which models predict?")
     assert (card.tone == "good") == enough
     assert ("is best" in said) == enough
-    assert (f"Too little test data to tell models apart: {episodes} blocks of 3 s, 10 are needed." in said) != enough
+    assert (f"Too little test data to compare models: {episodes} blocks of 3 s, 10 are needed." in said) != enough
     rows = {row[0]: row[1:] for row in prediction_sheet(made.prediction).rows}
     assert rows["linear"] == (("* 0.036\n0.016-0.056",) * 2 if enough else ("0.036",) * 2)
     assert (difference_sheet(made.prediction) is not None) == enough

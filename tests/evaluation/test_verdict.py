@@ -258,7 +258,7 @@ def test_a_yardstick_evolved_on_the_robot_keeps_no_claim() -> None:
 
 @pytest.mark.parametrize(
     ("achieved", "expected"),
-    [(9.0, "a achieves 75 % of that."), (15.0, "a achieves more than that search, which is no limit.")],
+    [(9.0, "a achieves 75 % of that."), (15.0, "a achieves more than that search, which is no upper limit.")],
 )
 def test_no_share_of_more_than_all_is_stated(achieved: float, expected: str) -> None:
     fitness = {

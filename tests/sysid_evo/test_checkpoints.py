@@ -185,8 +185,8 @@ def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole: Champion, tmp_
     assert_same(found, whole)
     unwritten = [str(warning.message) for warning in told if "cannot be written" in str(warning.message)]
     assert unwritten == [
-        f"{file.path}: cannot be written (File too large). The work goes on; if it is stopped now, it begins again "
-        "from what was kept before"
+        f"{file.path}: cannot be written (File too large). The work continues; if it is interrupted now, it resumes "
+        "from the checkpoint before"
     ]
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [kept]
 

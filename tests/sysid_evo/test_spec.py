@@ -95,8 +95,8 @@ def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
         (f"linear(a={'[' * 3000}{']' * 3000})", "at most 12 brackets|too many nested"),
         ("a(b=" * 40 + "1" + ")" * 40, "at most 12 brackets"),
         (f"linear(a='{'x' * 10**6}')", "at most 100000 characters, got 1000012"),
-        ("linear, linear", "'linear' stands there 2 times; give each a label"),
-        ("a=linear, a=narx", "'a' stands there 2 times"),
+        ("linear, linear", "'linear' is given 2 times; give each a label"),
+        ("a=linear, a=narx", "'a' is given 2 times"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_a_sentence(text: str, complaint: str) -> None:

@@ -434,8 +434,8 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         pick = next((c for c in tested if c.name == summary.pick), None)
         assert reference.achieved is not None
         share = None if pick is None else pick.share_of(reference.achieved.value)
-        if pick is not None and share is not None:  # one search is no upper limit, so that there are no 107 % of it
-            told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no limit"
+        if pick is not None and share is not None:  # one search is no upper limit: 107 % would mislead
+            told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no upper limit"
             answers.append(f"{pick.name} achieves {told}.")
     shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
     if shares:

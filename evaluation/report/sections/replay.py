@@ -64,7 +64,7 @@ OVER_TIME = (
     "model has left the robot by a tenth of the range of a state."
 )
 CONTROLS = (
-    " Bars: the controls, from neutral. All begin alike, in the first trial if no other is named. "
+    " Bars: the controls, from neutral. All start from the same state, that of the first trial if no other is named. "
     "Keys: space plays and pauses, comma and full stop go a step back and on."
 )
 

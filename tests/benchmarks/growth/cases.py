@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +52,10 @@ def cases(quick: bool) -> Iterator[Growth]:
 def _search(quick: bool) -> Iterator[Growth]:
     """One generation in a compiled model on one thread: candidates run in all trials on all models."""
 
-    def generation(**chosen: int) -> Callable[[], object]:
-        return _generation(
-            **{"population": POPULATION, "trials": TRIALS, "models": 1, "hidden": 5, "horizon": HORIZON, **chosen}
-        )
+    usual = {"population": POPULATION, "trials": TRIALS, "models": 1, "hidden": 5, "horizon": HORIZON}
+
+    def along(axis: str) -> Callable[[int], Callable[[], object]]:
+        return lambda size: _generation(**{**usual, axis: size})
 
     top = 2 if quick else 16
     for axis, unit, first, best in (
@@ -71,7 +71,7 @@ def _search(quick: bool) -> Iterator[Growth]:
             f"a generation, {axis}",
             unit,
             doubled(first, first * top),
-            make=lambda size, axis=axis: generation(**{axis: size}),  # type: ignore[misc]  # the loop's own axis
+            make=along(axis),
             best=best,
             note=note,
         )
@@ -100,7 +100,7 @@ def _strategies(quick: bool) -> Iterator[Growth]:
             f"ask and tell, {name}",
             "candidates",
             sizes,
-            make=lambda size, name=name: _asking(name, size),  # type: ignore[misc]  # the loop's own name
+            make=partial(_asking, name),
         )
 
 
@@ -239,6 +239,9 @@ def _tests(quick: bool) -> Iterator[Growth]:
     in_pieces = doubled(100, 200 if quick else 800)
     model = "linear"
 
+    def with_data(test: Callable[[Dataset], Callable[[], object]]) -> Callable[[int], Callable[[], object]]:
+        return lambda size: test(long_car(size))
+
     def scoring(data: Dataset) -> Callable[[], object]:
         fitted = make_model(model).fit(data, rng=0)
         return lambda: fitted.score(_anew(data))
@@ -256,7 +259,7 @@ def _tests(quick: bool) -> Iterator[Growth]:
         "prediction test": predicting,
         "share outside the data": supporting,
     }.items():
-        yield Growth("tests", name, "steps", sizes, make=lambda size, test=test: test(long_car(size)))  # type: ignore[misc]  # the loop's own test
+        yield Growth("tests", name, "steps", sizes, make=with_data(test))
     yield Growth(
         "tests",
         "prediction test",

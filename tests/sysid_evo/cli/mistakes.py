@@ -68,7 +68,7 @@ MISTAKES = (
     ),
     Mistake("a bracket that is not closed", ("compare", "--models", "linear(ridge=0.1"), "--models: expected"),
     Mistake("no model at all", ("compare", "--models", ""), "--models: expected NAME"),
-    Mistake("a name twice", ("compare", "--models", "linear,linear"), "'linear' stands there 2 times"),
+    Mistake("a name twice", ("compare", "--models", "linear,linear"), "'linear' is given 2 times"),
     Mistake(
         "an ensemble with a stranger",
         ("compare", *TWO, "--ensembles", "linear+parametrised"),
@@ -140,7 +140,9 @@ MISTAKES = (
         ("fit", "car", "--models", "linear", "narx"),
         "narx is a model and no recording; did you mean --models linear,narx?",
     ),
-    Mistake("several values of one option", ("compare", *CAR, "--test", "a", "b"), "--test stands before each of its"),
+    Mistake(
+        "several values of one option", ("compare", *CAR, "--test", "a", "b"), "--test must be repeated before each"
+    ),
     Mistake("a run for recordings", ("compare", "--data", "run"), "run: expected recordings, but this is a run folder"),
     Mistake("a log that is called otherwise", ("fit", "brokn.csv"), "Did you mean 'broken.csv'?"),
     Mistake(

@@ -54,7 +54,7 @@ def test_fit_then_evolve_against_an_ensemble(logs: Path, tmp_path: Path) -> None
     assert errors.keys() == {"linear", "nearest_neighbour"}
     assert 0.0 < errors["linear"] < errors["nearest_neighbour"]
     assert "mean error after 20 steps (1 s) on the last quarter of the data, which" in " ".join(fitted.stdout.split())
-    assert "too few to tell them apart; record more" in fitted.stderr
+    assert "too few to compare models; record more" in fitted.stderr
     tested = run_here(
         "fit", logs, "--models", "linear", "--test", "episode-2", "--json", "--out", "tested", cwd=tmp_path
     )

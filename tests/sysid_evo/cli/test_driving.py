@@ -107,7 +107,7 @@ def test_what_a_controller_cannot_be_combined_with_is_refused_with_what_to_do(ev
     file = controller(evolved / "mine", "emulated_car")
     for option, told in (
         (("--model", "linear", "--run", "my run"), f"sysid-evo transfer {file} --on linear --run 'my run'"),
-        (("--name", "human"), "--name is for who drives by hand"),
+        (("--name", "human"), "--name is for driving by hand"),
         (("--task", "point_to_point"), "was evolved for a task and drives that one; leave --task out"),
     ):
         refused = drive(evolved, *option)

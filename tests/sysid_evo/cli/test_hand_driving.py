@@ -150,7 +150,7 @@ def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path: Path) -> Non
         (("--robot", "emulated_cat"), "Didyoumean'emulated_car'"),
         (("--out", "full"), "anewor"),
         (("--host", "192.0.2.1"), "cannotbeservedat192.0.2.1"),
-        (("--controller", "x.json", "--name", "human"), "--nameisforwhodrivesbyhand"),
+        (("--controller", "x.json", "--name", "human"), "--nameisfordrivingbyhand"),
     ],
 )
 def test_what_cannot_be_driven_is_told_in_a_sentence(tmp_path: Path, options: tuple[str, ...], said: str) -> None:

@@ -161,7 +161,7 @@ def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(
 ) -> None:
     driven = Cell("anna", "linear", np.array([5.0]), unit="waypoints")
     add_measured(theirs / "run", MeasuredResult(person("anna"), driven, on_robot=False))
-    assert "whose report is not made again" in " ".join(capsys.readouterr().err.split())
+    assert "its report is not updated" in " ".join(capsys.readouterr().err.split())
     assert len(load_measured(theirs / "run")[0]) == 1
     assert not (theirs / "ran").exists()
 
