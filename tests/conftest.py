@@ -16,7 +16,7 @@ from playwright.sync_api import Browser
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import KINDS, Registry
 from sysid_evo.system import Channel, System
-from tests.browser import Visitor, chromium
+from tests.fixtures.browser import Visitor, chromium
 
 ROOT = Path(__file__).parents[1]
 

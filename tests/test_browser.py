@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from tests.browser import Visitor
+from tests.fixtures.browser import Visitor
 
 ELSEWHERE = "http://elsewhere.invalid"
 WRONG = {

@@ -32,8 +32,8 @@ from rich.table import Table
 
 from sysid_evo.plan import Store, execute
 from sysid_evo.processors import usable_processors
-from tests.sysid_evo.plan.dask_processes import Processes
-from tests.sysid_evo.plan.deeds import planned
+from tests.fixtures.dask_cluster import Processes
+from tests.fixtures.deeds import planned
 
 ROOT = Path(__file__).parents[2]
 

@@ -34,8 +34,8 @@ import numpy as np
 
 from sysid_evo.cli.console import ROBOT as LOST
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import COMMAND
-from tests.sysid_evo.plan.dask_processes import Processes
+from tests.fixtures.commands import COMMAND
+from tests.fixtures.dask_cluster import Processes
 
 MODELS = "linear,nearest_neighbour,near2=nearest_neighbour(state_lags=2)"
 EXPERIMENT = (

@@ -16,8 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.sysid_evo.cli.calling import run
-from tests.sysid_evo.cli.mistakes import MISTAKES, Mistake, prepare
+from tests.fixtures.commands import run
+from tests.fixtures.mistakes import MISTAKES, Mistake, prepare
 
 LIMIT = 3.0  # s
 EXPECTED = 2

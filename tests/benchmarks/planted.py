@@ -1,6 +1,6 @@
 """Faults planted into robots, and whether they are named and found: ``python -m tests.benchmarks.planted``.
 
-Each fault of `tests.evaluation.habits` is planted into the toy car or the pendulum, and the robot as it is stands
+Each fault of `tests.fixtures.faults` is planted into the toy car or the pendulum, and the robot as it is stands
 beside it. What drives there is looked at as a comparison does: random commands, the champion of an ordinary evolution,
 and the controller of the search for exploits. A fault is named where one of the probes that it is to trip fires, or a
 fact of the data is broken about one of the states it is to show in; else by behaviour where a state that it is to show
@@ -40,7 +40,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.models import Dynamics
 from sysid_evo.registry import Spec, make_robot
 from tests.benchmarks.cars import recording
-from tests.evaluation.habits import FAULTS, Fault, driven, equations
+from tests.fixtures.faults import FAULTS, Fault, driven, equations
 
 TASKS = {
     "emulated_car": "point_to_point",

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_evo.plan import Plan, Store, execute
 from tests.benchmarks.scaling import Recorded, copied, critical_path, main, makespan, point, recorded
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 
 def cell(name: str, seconds: float, *needs: str, kind: str = "number") -> Recorded:

@@ -10,7 +10,7 @@ import pytest
 from tests.benchmarks.shift import __main__ as benchmark
 from tests.benchmarks.shift.recordings import GROUPS, Case
 from tests.benchmarks.shift.rows import Row, errors_table, read_rows, verdicts_table, write_rows
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def row(case: str, seed: int = 0, *, shifted: bool = True, ten: float = 1.0, thirty: float, there: float = 0.5) -> Row:

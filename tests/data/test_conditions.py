@@ -17,8 +17,7 @@ from sysid_evo.data import prepare
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-
-from .conftest import Drive
+from tests.data.conftest import Drive
 
 
 @pytest.fixture

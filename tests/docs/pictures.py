@@ -20,7 +20,7 @@ from PIL import Image
 
 from tests.docs.blocks import PAGES
 from tests.docs.running import picture, run_page, shown_on
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 README = "README.md"
 COMPARISON = ("compare", "--preset", "quick", "--seed", "0")

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.docs.blocks import FENCE, PAGES
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 SMALL = {
     "compare": ("--generations", "2", "--trials", "2"),

@@ -8,8 +8,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from tests.browser import PHONE, Visitor, sideways
 from tests.docs.blocks import ROOT
+from tests.fixtures.browser import PHONE, Visitor, sideways
 
 OTHERS = {
     "github.com",

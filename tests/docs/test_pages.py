@@ -20,8 +20,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.registry import KINDS, Registry
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.template import PLUGINS, write_plugin
-
-from .blocks import PAGES, ROOT, blocks, commands, program
+from tests.docs.blocks import PAGES, ROOT, blocks, commands, program
 
 OWN_TEST = {
     "data.md": "tests/data/test_data_page.py",

@@ -16,7 +16,7 @@ from sysid_evo.export.exported_controller import law_of
 from sysid_evo.export.python_file import python_text
 from tests.docs.blocks import PAGES, blocks
 from tests.docs.running import SMALL, picture, run_page, shown_on, words_of
-from tests.sysid_evo.cli.calling import forgetting
+from tests.fixtures.commands import forgetting
 
 TUTORIALS = [page for page in PAGES if page.startswith("tutorials/")]
 WIDTH = 80

@@ -11,7 +11,7 @@ import pytest
 
 from sysid_evo.data import Dataset
 from tests.docs.blocks import Block, blocks, commands
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 PAGE = "your_own_system.md"
 SMALL = {

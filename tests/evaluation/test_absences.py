@@ -7,9 +7,9 @@ from dataclasses import replace
 from evaluation.report import Report, tables
 from evaluation.report.report import sections, to_html
 from sysid_evo.system import System
-from tests.evaluation.made_up import matrix, prediction, report
 from tests.evaluation.test_brief import printed
 from tests.evaluation.test_tables import exploited
+from tests.fixtures.reports import matrix, prediction, report
 
 FITNESS = {"a": {"a": 10.0, "b": 9.0, "car": 4.0}, "b": {"a": 8.0, "b": 8.0, "car": 8.1}}
 ALONE = {row: {column: cells[column] for column in ("a", "b")} for row, cells in FITNESS.items()}

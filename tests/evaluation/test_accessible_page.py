@@ -14,10 +14,10 @@ from axe_core_python.sync_playwright import Axe
 
 from evaluation.report import save_report
 from evaluation.report.study import save_study
-from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
-from tests.evaluation.known_models import Known, Sliding, fitted
-from tests.evaluation.study.made_up import made_up
 from tests.evaluation.test_report import make_report
+from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
+from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.studies import made_up
 
 PAPER = 718
 """CSS pixels across a sheet of A4 within its margins."""

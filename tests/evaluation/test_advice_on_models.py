@@ -18,7 +18,7 @@ from evaluation.coverage import largest_gap
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
-from tests.evaluation.planted import Fault, drive
+from tests.fixtures.faulty_recordings import Fault, drive
 
 NONE = Fault()
 

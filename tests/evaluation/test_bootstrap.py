@@ -7,7 +7,7 @@ import pytest
 
 from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from sysid_evo.validation.bootstrap import BlockErrors, draw_blocks, interval
-from tests.evaluation.known_models import Sliding, Weak, fitted, recording
+from tests.fixtures.known_models import Sliding, Weak, fitted, recording
 
 CLUSTERS, SIZE = 40, 15
 

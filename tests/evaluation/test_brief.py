@@ -11,7 +11,7 @@ from rich.console import Console, RenderableType
 from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
 from evaluation.report.sections.controllers import command_sheet, overview_sheet
 from evaluation.report.sections.summary import headlines
-from tests.evaluation.made_up import matrix, prediction, report
+from tests.fixtures.reports import matrix, prediction, report
 
 LONG = "backprop27+nearest_neighbour+parametrised"
 

@@ -11,7 +11,7 @@ from evaluation.report import brief, to_json
 from evaluation.running import compare
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 @pytest.fixture(scope="module")

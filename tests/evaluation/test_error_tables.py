@@ -11,10 +11,10 @@ from evaluation.prediction import PERSISTENCE, Prediction, PredictionProtocol, a
 from evaluation.report.render.terminal import to_rich
 from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
 from evaluation.report.sections.prediction import difference_sheet
-from tests.evaluation.known_models import Known, fitted, recording
-from tests.evaluation.made_up import prediction
 from tests.evaluation.test_brief import printed
 from tests.evaluation.test_where_errors_are import LosesGrip, noisy
+from tests.fixtures.known_models import Known, fitted, recording
+from tests.fixtures.reports import prediction
 
 
 @pytest.fixture(scope="module")

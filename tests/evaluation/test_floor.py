@@ -6,7 +6,7 @@ import pytest
 
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
-from tests.evaluation.known_models import recording
+from tests.fixtures.known_models import recording
 
 
 @pytest.mark.parametrize(

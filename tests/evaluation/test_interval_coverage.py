@@ -16,7 +16,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
-from tests.evaluation.made_up import prediction
+from tests.fixtures.reports import prediction
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
 

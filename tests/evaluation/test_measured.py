@@ -21,7 +21,7 @@ from evaluation.transfer import (
 )
 from evaluation.transfer.summary import summary_of
 from sysid_evo.evolution import Champion
-from tests.evaluation.known_models import SYSTEM
+from tests.fixtures.known_models import SYSTEM
 
 
 def champion(name: str) -> Champion:

@@ -19,8 +19,8 @@ from evaluation.running import compare
 from evaluation.transfer import Cell, MeasuredResult, person, save_measured
 from sysid_evo.testing import example_dataset
 from tests.evaluation.test_side_by_side import SMALL, Remarks
-from tests.sysid_evo.cli.calling import forgetting, run_here
-from tests.sysid_evo.plan.dask_processes import Processes
+from tests.fixtures.commands import forgetting, run_here
+from tests.fixtures.dask_cluster import Processes
 
 PLUGIN = '''
 import os

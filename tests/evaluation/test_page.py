@@ -10,10 +10,9 @@ import pytest
 
 from evaluation.plot_style import LINES, PAPER
 from evaluation.report import save_report
-from tests.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
-from tests.evaluation.known_models import Known, Sliding, fitted
 from tests.evaluation.test_report import make_report
-from tests.pixels import seen, share_of
+from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, seen, share_of, shown, sideways
+from tests.fixtures.known_models import Known, Sliding, fitted
 
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
 

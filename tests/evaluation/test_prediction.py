@@ -8,7 +8,7 @@ import pytest
 from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
-from tests.evaluation.known_models import (
+from tests.fixtures.known_models import (
     SYSTEM,
     Broken,
     Exploding,

@@ -23,8 +23,8 @@ from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Cell, TransferMatrix, transfer
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.models import DynamicsModel
-from tests.evaluation.known_models import Broken, Exploding, Known, Sliding, Weak, fitted, recording
 from tests.evaluation.test_transfer import Unplugged, champion
+from tests.fixtures.known_models import Broken, Exploding, Known, Sliding, Weak, fitted, recording
 
 EVIL = 'a<b>"&$\\frac$'
 

@@ -8,7 +8,7 @@ import pytest
 from evaluation.prediction import StepErrors, analyse, step_errors
 from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS
 from sysid_evo.types import Array
-from tests.evaluation.known_models import SYSTEM, Known, Remembering, Weak, fitted, recording
+from tests.fixtures.known_models import SYSTEM, Known, Remembering, Weak, fitted, recording
 
 STEPS, SEEDS = 400, 200
 

@@ -14,7 +14,7 @@ from evaluation.experiment import Experiment, Settings
 from evaluation.report.report import PrintedReport
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.testing import example_dataset
-from tests.evaluation.made_up import matrix, prediction, report
+from tests.fixtures.reports import matrix, prediction, report
 
 CELLS = (
     "from evaluation import Study, compare",

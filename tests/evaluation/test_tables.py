@@ -19,9 +19,9 @@ from evaluation.report.sections.prediction import SHOWN_MODELS, free_run_picture
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Estimate, TransferMatrix, summarise
-from tests.evaluation.known_models import Known, Sliding, fitted
-from tests.evaluation.made_up import matrix, prediction
 from tests.evaluation.test_report import make_report
+from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import matrix, prediction
 
 FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
 AGAINST = {"ab": ("a", "b")}

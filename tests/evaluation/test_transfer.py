@@ -23,7 +23,7 @@ from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Seeds
-from tests.evaluation.known_models import SYSTEM, Boxed, Known, Stopped, Undefined, Weak, fitted
+from tests.fixtures.known_models import SYSTEM, Boxed, Known, Stopped, Undefined, Weak, fitted
 
 TABLE_2 = {
     "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),

@@ -10,8 +10,8 @@ import pytest
 from evaluation.prediction import PredictionProtocol, measured_cases
 from evaluation.report import Report, tells_nothing, verdict
 from sysid_evo.data import Dataset
-from tests.evaluation.known_models import recording
-from tests.evaluation.made_up import matrix, prediction, report
+from tests.fixtures.known_models import recording
+from tests.fixtures.reports import matrix, prediction, report
 
 GOOD = {"persistence": 0.9, "linear": 0.3, "sindy": 0.6}
 Made = Callable[[], Report]

@@ -15,7 +15,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import BlockErrors, interval
-from tests.evaluation.known_models import Known, Sliding, Weak, fitted, recording
+from tests.fixtures.known_models import Known, Sliding, Weak, fitted, recording
 
 PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
 

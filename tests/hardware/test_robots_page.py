@@ -27,7 +27,7 @@ from hardware.run_report import Reason
 from hardware.trackers.udp import FrameMessage
 from sysid_evo.data import Dataset
 from sysid_evo.registry import load_plugin, robot_spec, robots
-from tests.rig.pose_stream import format_message
+from tests.system.rig.pose_stream import format_message
 
 PAGE = (Path(__file__).parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
 

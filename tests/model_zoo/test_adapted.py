@@ -19,7 +19,7 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import AND
 from tests.benchmarks.coverage import coverage
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
 

@@ -15,7 +15,7 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import make_robot
 from sysid_evo.testing.examples import example_dataset
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 @pytest.fixture(scope="module")

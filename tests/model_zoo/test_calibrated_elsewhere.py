@@ -16,7 +16,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
 from sysid_evo.validation import intervals
 from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 NOISE = 0.05
 

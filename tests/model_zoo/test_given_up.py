@@ -13,7 +13,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.adaptation.selection import FURTHER
 from sysid_evo.models.base import make_model
 from sysid_evo.validation.acceptance import AND
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def polynomial(thrust: float) -> DynamicsModel:

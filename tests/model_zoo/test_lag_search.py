@@ -12,7 +12,7 @@ from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.validation.folds import FOLDS
 from sysid_evo.validation.held_out import GOOD, HeldOut
-from tests.model_zoo.small_systems import DRIVEN
+from tests.fixtures.systems import DRIVEN
 
 SYSTEM = System(
     (Channel("speed", "m/s"), Channel("angle", "rad")), (Channel("force", "N", low=-1.0, high=1.0),), dt=0.1

@@ -18,8 +18,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
-
-from .conftest import TRUTH
+from tests.model_zoo.conftest import TRUTH
 
 DT = 0.05
 

@@ -10,7 +10,7 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
-from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, ONE_STATE, LinearSystem
+from tests.fixtures.systems import AUTONOMOUS, DRIVEN, ONE_STATE, LinearSystem
 
 EXACT = 1e-8
 EXACT_FAMILIES: dict[str, dict[str, Any]] = {

@@ -15,7 +15,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.testing.models import rows_are_independent
-from tests.model_zoo.small_systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS
+from tests.fixtures.systems import AUTONOMOUS, DRIVEN, SMALL_SYSTEMS
 from tests.model_zoo.test_contract import OFTEN, SMALL
 
 CARS = ("hybrid_ode", "parametrised", "single_track")

@@ -24,7 +24,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import check_model, example_dataset
 from tests.docs.blocks import blocks
-from tests.model_zoo.small_systems import DRIVEN
+from tests.fixtures.systems import DRIVEN
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("torchdiffeq")

@@ -13,7 +13,7 @@ from model_zoo.scaling import Mirror
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5, "input_noise": 0.07}
 FAMILIES: dict[str, dict[str, Any]] = {

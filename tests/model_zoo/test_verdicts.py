@@ -18,7 +18,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 from sysid_evo.validation import intervals
 from sysid_evo.validation.held_out import DIVERGED, HeldOut
-from tests.model_zoo.small_systems import DRIVEN
+from tests.fixtures.systems import DRIVEN
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the recordings stand still
 

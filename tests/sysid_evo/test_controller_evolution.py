@@ -21,8 +21,7 @@ from sysid_evo.registry import Spec, aggregates
 from sysid_evo.system import System
 from sysid_evo.tasks import Task
 from sysid_evo.types import Array, Seeds
-
-from .made_up import Climber, Constant, Ladder
+from tests.fixtures.by_hand import Climber, Constant, Ladder
 
 
 @dataclass

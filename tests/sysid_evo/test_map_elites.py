@@ -11,8 +11,7 @@ from sysid_evo.evolution import Scores, evolve
 from sysid_evo.evolution.strategies.map_elites import MapElites
 from sysid_evo.testing import check_strategy
 from sysid_evo.types import Array
-
-from .test_niches import CONTROLS, NAMES, trap
+from tests.sysid_evo.test_niches import CONTROLS, NAMES, trap
 
 
 def made(**arguments: object) -> MapElites:

@@ -13,8 +13,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.tasks.point_to_point import PointToPointState
-
-from .made_up import Ladder
+from tests.fixtures.by_hand import Ladder
 
 IDLE = np.zeros((1, 2))
 

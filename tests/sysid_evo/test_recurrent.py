@@ -8,8 +8,7 @@ import pytest
 from sysid_evo.controllers import RecurrentNetwork, View
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.tasks import TaskState
-
-from .made_up import network_by_hand
+from tests.fixtures.by_hand import network_by_hand
 
 TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
 

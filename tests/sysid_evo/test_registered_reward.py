@@ -18,7 +18,7 @@ from sysid_evo.registry import tasks
 from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum, switched_car
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 NAMES = ("swung", "swung_in_python", "braked", "rooted", "odd")
 

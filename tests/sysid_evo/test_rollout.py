@@ -17,8 +17,7 @@ from sysid_evo.randomness import step_noise, trial_draws, trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array
-
-from .made_up import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
+from tests.fixtures.by_hand import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
 
 SEEDS = np.array([12, 7, 33], dtype=np.uint64)
 RADIUS = 1.0  # m: a random network passes a few waypoints of this size

@@ -28,8 +28,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.types import Array
-
-from .test_checkpoints import Stop, StopAfter, assert_same
+from tests.sysid_evo.test_checkpoints import Stop, StopAfter, assert_same
 
 SETTINGS = ControllerEvolution(
     generations=6,

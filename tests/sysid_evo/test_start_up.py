@@ -155,7 +155,7 @@ def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
 
 
 def test_the_emulated_car_starts_without_what_only_models_and_kernels_need() -> None:
-    _, imported = answer("import json, sys, tests.rig.__main__\nprint(json.dumps(sorted(sys.modules)))")
+    _, imported = answer("import json, sys, tests.system.rig.__main__\nprint(json.dumps(sorted(sys.modules)))")
     assert not {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"} & set(imported)
 
 

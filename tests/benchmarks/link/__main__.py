@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from tests.rig.build import build_c
+from tests.system.rig.build import build_c
 
 SOURCE = Path(__file__).with_name("corruption.c")
 RATES = (0.001, 0.01, 0.1)

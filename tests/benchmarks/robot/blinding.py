@@ -16,8 +16,8 @@ from hardware.toy_car import CAR
 from sysid_evo.data.preparation import prepare
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import Host, Rig, messages
-from tests.rig.faults import Fault
-from tests.rig.journal import Entry
+from tests.system.rig.faults import Fault
+from tests.system.rig.journal import Entry
 
 BOUND = 0.16  # s from the last pose to neutral
 STALE, LOST = 0.1, 0.5  # s: poses older than this mean neutral, end the run

@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import TIME_TO_LIVE, Rig
-from tests.rig.faults import Fault
+from tests.system.rig.faults import Fault
 
 MARGIN = 0.02  # s beyond the time to live
 BOUNDS = {"unplug": TIME_TO_LIVE, "stall": TIME_TO_LIVE, "reset": 0.0}  # s

@@ -24,7 +24,7 @@ from hardware.toy_car import CAR
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import IncompatibleRobot, LinkLost
 from sysid_evo.types import Array
-from tests.rig.journal import JournalWriter
+from tests.system.rig.journal import JournalWriter
 
 BODY = "car"
 REFUSED = 20  # exit code of a session that could not be opened

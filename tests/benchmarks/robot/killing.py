@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import TIME_TO_LIVE, Rig
-from tests.rig.journal import opened_after
+from tests.system.rig.journal import opened_after
 
 MARGIN = 0.02  # s beyond the time to live
 RUN = 1.0  # s: the moment lies within the first second of driving

@@ -14,9 +14,9 @@ from hardware.connection import Closeable
 from hardware.link.framing import FrameDecoder
 from hardware.link.messages import Message, unpack
 from hardware.recording.journal import SUFFIX
-from tests.rig.faults import Fault
-from tests.rig.journal import Entry, JournalReader, read_journal
-from tests.rig.terminal_process import TerminalProcess
+from tests.system.rig.faults import Fault
+from tests.system.rig.journal import Entry, JournalReader, read_journal
+from tests.system.rig.terminal_process import TerminalProcess
 
 TIME_TO_LIVE = 0.15  # s, of every command of the control loop
 PATIENCE = 20.0  # s for a process to come up on a busy machine

@@ -12,7 +12,7 @@ import numpy as np
 from hardware.link.messages import Stop
 from tests.benchmarks.robot.outcome import Row, spread
 from tests.benchmarks.robot.rig import TIME_TO_LIVE, Rig, messages
-from tests.rig.journal import opened_after
+from tests.system.rig.journal import opened_after
 
 BOUND = 0.05  # s
 SETTLED = TIME_TO_LIVE + 0.1  # s

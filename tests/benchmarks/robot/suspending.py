@@ -11,7 +11,7 @@ import numpy as np
 from hardware.link.messages import CommandMessage, State, StatusMessage
 from tests.benchmarks.robot.outcome import Row
 from tests.benchmarks.robot.rig import TIME_TO_LIVE, Rig, messages
-from tests.rig.journal import Entry
+from tests.system.rig.journal import Entry
 
 DURATIONS = (0.1, 1.0, 5.0)  # s
 WATCHED = 0.5  # s after it goes on

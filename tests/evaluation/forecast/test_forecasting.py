@@ -10,7 +10,7 @@ import pytest
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from evaluation.transfer.forecast import RULE, Rule, forecast_of, forecasts, model_forecasts, worth_by
 from evaluation.transfer.summary import summary_of
-from tests.evaluation.made_up import evolved, matrix
+from tests.fixtures.reports import evolved, matrix
 
 ERRORS = {"good": 0.1, "fair": 0.2, "poor": 1.0}
 CLAIMS = {"poor": {"good": 6.0, "fair": 7.0, "poor": 20.0}, "good": {"good": 9.0, "fair": 8.0, "poor": 4.0}}

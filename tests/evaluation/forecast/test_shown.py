@@ -9,7 +9,7 @@ import pytest
 from evaluation.report import Report, to_json
 from evaluation.report.report import sections
 from evaluation.report.sections.controllers import forecast_sheet, model_forecast_sheet, why_chosen
-from tests.evaluation.made_up import matrix, prediction, report
+from tests.fixtures.reports import matrix, prediction, report
 
 FITNESS = {
     "a": {"a": 10.0, "b": 9.0, "c": 8.0, "car": 8.5},

@@ -15,8 +15,8 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from tests.sysid_evo.cli.calling import run_here
-from tests.sysid_evo.plan.dask_processes import LIMIT, Processes
+from tests.fixtures.commands import run_here
+from tests.fixtures.dask_cluster import LIMIT, Processes
 
 STUDY = """
 title = "Small"

@@ -13,7 +13,7 @@ from evaluation.study import (
     forecast_figures,
     prediction_figures,
 )
-from tests.evaluation.study.made_up import made_up
+from tests.fixtures.studies import made_up
 
 SHARES = [value / best for best in (10.0, 11.0, 12.0) for value in (best - 1.0,)]
 """Of the yardstick of each car, what ``both`` achieves."""

@@ -24,7 +24,7 @@ from evaluation.study import (
 )
 from evaluation.study.figures import prediction_axes
 from evaluation.study.results import Error, with_yardsticks
-from tests.evaluation.study.made_up import made_up
+from tests.fixtures.studies import made_up
 
 
 def row(point: PointRow, controller: str, achieved: float | None, **fields: Any) -> ControllerRow:

@@ -30,8 +30,7 @@ from sysid_evo.engine import Rollouts
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import Task
 from sysid_evo.tasks.task import make_task
-from tests.browser import Visitor, sideways
-from tests.pixels import seen
+from tests.fixtures.browser import Visitor, seen, sideways
 
 SEEDS = trial_seeds(3, 2)
 CASES = {

@@ -20,8 +20,7 @@ from hardware.emulation.simulated_robot import in_real_time
 from hardware.run_report import Reason, Stops
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
-from tests.browser import Visitor
-from tests.pixels import seen
+from tests.fixtures.browser import Visitor, seen
 
 BANNER = "document.getElementById('banner').textContent"
 READY = f"{BANNER}.startsWith('Press')"

@@ -17,7 +17,7 @@ from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Lifted, Precision
 from sysid_evo.models import Dynamics
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.types import Array
-from tests.hardware.emulation.delayed import Delayed
+from tests.fixtures.by_hand import Delayed
 
 Step = Callable[[Array, Array, Array], Array]
 

@@ -9,7 +9,7 @@ from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.held_control import HeldControl
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
-from tests.hardware.emulation.delayed import Delayed
+from tests.fixtures.by_hand import Delayed
 
 
 def test_coarse_step_equals_ten_fine_ones_exactly(rng):

@@ -16,7 +16,7 @@ from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum
-from tests.hardware.environments import small
+from tests.fixtures import environments as small
 
 NAME = "Slider-v0"
 ENDS = 1.5

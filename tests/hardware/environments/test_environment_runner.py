@@ -16,8 +16,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task, TaskState
 from sysid_evo.types import Array, Seeds
-
-from .small import BREAKS, NAME, register
+from tests.fixtures.environments import BREAKS, NAME, register
 
 register()
 SEEDS = trial_seeds(5, 4)

@@ -12,8 +12,7 @@ from hardware.simulators.gymnasium_robot import GymnasiumRobot, parse_angles
 from hardware.testing import check_robot
 from sysid_evo.angles import TURN
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-
-from .small import NAME, register
+from tests.fixtures.environments import NAME, register
 
 register()
 CLASSIC = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")

@@ -11,8 +11,7 @@ from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.models.base import make_model
-
-from .small import BREAKS, NAME, register
+from tests.fixtures.environments import BREAKS, NAME, register
 
 register()
 

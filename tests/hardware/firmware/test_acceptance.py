@@ -22,9 +22,8 @@ from hardware.link.messages import (
     Stop,
     unpack,
 )
-from tests.rig.core import FirmwareCore
-
-from .acceptance import Acceptance
+from tests.hardware.firmware.acceptance import Acceptance
+from tests.system.rig.core import FirmwareCore
 
 GO = Buttons.FORWARD | Buttons.LEFT
 BUTTONS = [Buttons(value) for value in range(16) if not any(value & pair == pair for pair in EXCLUSIVE)]

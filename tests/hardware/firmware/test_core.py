@@ -25,9 +25,9 @@ from hardware.link.messages import (
     unpack,
 )
 from sysid_evo.errors import InvalidArgument
-from tests.hardware.link.golden import CONVERSATION, ROBOT
-from tests.rig.build import build_c, build_core
-from tests.rig.core import FirmwareCore
+from tests.fixtures.golden_frames import CONVERSATION, ROBOT
+from tests.system.rig.build import build_c, build_core
+from tests.system.rig.core import FirmwareCore
 
 SANITIZE = ("-O1", "-g", "-Werror", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 SESSION = 39022  # of the first HELLO with nonce 0

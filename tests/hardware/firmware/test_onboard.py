@@ -17,8 +17,8 @@ from hardware.link.session import HostSession
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Real, c_text, law_of
 from sysid_evo.types import Array
-from tests.rig.build import FOLDER, SOURCES, WARNINGS, compiler
-from tests.sysid_evo.export.made import champion_of, decided, wandering
+from tests.fixtures.exports import champion_of, decided, wandering
+from tests.system.rig.build import FOLDER, SOURCES, WARNINGS, compiler
 
 OBSERVED = Path(__file__).with_name("observed.c")
 STEP = 50  # ms, the controller's own

@@ -13,7 +13,7 @@ import pytest
 from hardware.link.messages import Buttons, State
 from hardware.link.session import HostSession
 from sysid_evo.errors import InvalidArgument, LinkLost
-from tests.rig.build import FOLDER, build_c
+from tests.system.rig.build import FOLDER, build_c
 
 WATCHDOG_ENABLED = 0x08
 STEP = 0.005  # s

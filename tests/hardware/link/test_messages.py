@@ -14,8 +14,7 @@ from hardware.link.messages import EXCLUSIVE, MESSAGES, Buttons, unpack
 from hardware.link.serial_robot import buttons_of, control_of
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, ShapeError
-
-from .golden import CONVERSATION
+from tests.fixtures.golden_frames import CONVERSATION
 
 VECTORS = [(m, b) for line in CONVERSATION for m, b in ((line.said, line.sent), (line.answer, line.received))]
 

@@ -25,7 +25,7 @@ from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost, UnknownName
 from sysid_evo.registry import make_robot, trackers
-from tests.rig.core import FirmwareCore
+from tests.system.rig.core import FirmwareCore
 
 FORWARD = np.array([1.0, 0.0])
 LIFE = 0.15

@@ -8,7 +8,7 @@ from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import Buttons, CommandMessage, HelloAcknowledgement, State, unpack
 from hardware.link.session import SILENCE, HostSession
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost
-from tests.rig.core import FirmwareCore
+from tests.system.rig.core import FirmwareCore
 
 GO = Buttons.FORWARD
 LIFE = 0.15

@@ -9,8 +9,7 @@ from hardware.control_loop import ControlLoop
 from hardware.run_report import Reason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
-
-from .through import Diary, FaultyRobot, Script
+from tests.hardware.loop.through import Diary, FaultyRobot, Script
 
 FORWARD = np.array([1.0, 0.0])
 

@@ -19,8 +19,8 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array
-from tests.rig.build import WARNINGS, compiler
-from tests.sysid_evo.export.made import champion_of
+from tests.fixtures.exports import champion_of
+from tests.system.rig.build import WARNINGS, compiler
 
 REAL = ctypes.POINTER(ctypes.c_double)
 

@@ -18,8 +18,7 @@ from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.tasks.point_to_point import PointToPointState
 from sysid_evo.types import Array
-
-from .through import Diary, FaultyRobot
+from tests.hardware.loop.through import Diary, FaultyRobot
 
 REST = 0.5  # s before each trial
 

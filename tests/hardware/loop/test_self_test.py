@@ -7,8 +7,7 @@ import pytest
 from hardware.robot import Robot
 from hardware.self_test import self_test
 from sysid_evo.registry import make_robot
-
-from .through import FaultyRobot
+from tests.hardware.loop.through import FaultyRobot
 
 
 @pytest.fixture

@@ -22,9 +22,8 @@ from sysid_evo.cli import console
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
-
-from .paced import Paced
-from .through import Script
+from tests.hardware.loop.paced import Paced
+from tests.hardware.loop.through import Script
 
 FORWARD = np.array([1.0, 0.0])
 PROMPT = 0.05  # s

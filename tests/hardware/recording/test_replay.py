@@ -13,7 +13,7 @@ from hardware.recording.journal import Recorder
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
 from sysid_evo.system import System
-from tests.hardware.trackers.sources import read_all
+from tests.fixtures.trackers import read_all
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from hardware.connection import Measurement
 from hardware.trackers.process import RECORD, record_of
 from sysid_evo.errors import InvalidArgument, LinkLost, MissingExtra
 from sysid_evo.registry import trackers
-from tests.hardware.trackers.sources import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker, read_all
+from tests.fixtures.trackers import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker, read_all
 
-SOURCE = "from tests.hardware.trackers.sources import ScriptedTracker"
+SOURCE = "from tests.fixtures.trackers import ScriptedTracker"
 
 
 def alive(pid: int) -> bool:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hardware.trackers.udp import FrameMessage, UdpStream, UdpTracker, parse_message
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
-from tests.rig.pose_stream import format_message
+from tests.system.rig.pose_stream import format_message
 
 numbers = st.floats(-1e6, 1e6)
 frames = st.builds(

@@ -23,7 +23,7 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import run_checks
-from tests.model_zoo.grey.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
+from tests.fixtures.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 
 QUICK: dict[str, Any] = {"starts": 2, "windows": 80}
 

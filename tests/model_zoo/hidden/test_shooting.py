@@ -18,7 +18,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
-from tests.model_zoo.hidden.small import OSCILLATOR, OUTPUT_ONLY, recording
+from tests.fixtures.systems import OSCILLATOR, OUTPUT_ONLY, one_output
 
 
 def spaces(*, flow: bool = False) -> Spaces:
@@ -117,7 +117,7 @@ def test_a_differential_equation_that_grows_is_brought_back() -> None:
 
 
 def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit() -> None:
-    lesson = Lesson.of(recording(0, bend=0.03), 100)
+    lesson = Lesson.of(one_output(0, bend=0.03), 100)
     linear = lesson.linear_trained(2, 3, 3, lambda: None)
     begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
     trained = lesson.learned(begun, lesson.blank(lesson.short, begun), 3, lambda: None).spaces
@@ -155,7 +155,7 @@ def test_an_unstable_space_is_found_and_brought_back() -> None:
 
 
 def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_does_not() -> None:
-    lesson = Lesson.of(recording(0), 100)
+    lesson = Lesson.of(one_output(0), 100)
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     growing = trained.spaces.outer.copy()
     growing[0, 0, 0] += 0.5 / trained.spaces.pace[0]
@@ -175,7 +175,7 @@ def quiet_recording() -> Dataset:
 
 @pytest.mark.parametrize(
     ("data", "name", "place"),
-    [(recording(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
+    [(one_output(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
     ids=["longer", "larger"],
 )
 def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothing_shows_within(
@@ -203,10 +203,10 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
 @pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
 def test_every_kind_of_unit_is_the_same_compiled(family: str) -> None:
     model = make_model(family, order=2, members=1, trial=2, iterations=2, horizon=50)
-    model.fit(recording(0), rng=0)
+    model.fit(one_output(0), rng=0)
     model.inner_ = [4.0 * inner for inner in model.inner_]
     model.outer_ = [outer + 0.1 for outer in model.outer_]
-    windows = recording(1).windows(1, stride=20, history=model.n_lags)
+    windows = one_output(1).windows(1, stride=20, history=model.n_lags)
     carry, control = model.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
     for kind in range(len(UNITS)):
         model.kinds_ = [np.resize([UNITS.index("sharp"), kind], len(model.kinds_[0]))]
@@ -215,7 +215,7 @@ def test_every_kind_of_unit_is_the_same_compiled(family: str) -> None:
 
 
 def test_a_space_that_says_what_no_other_says_is_astray() -> None:
-    lesson = Lesson.of(recording(0), 100)
+    lesson = Lesson.of(one_output(0), 100)
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     outer = trained.spaces.outer.repeat(3, axis=0)
     outer[2, :, 2] *= 1.3

@@ -10,18 +10,18 @@ import pytest
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
-from tests.model_zoo.hidden.small import chain, recording
+from tests.fixtures.systems import chain, one_output
 
 
 @pytest.fixture(scope="module")
 def linear() -> DynamicsModel:
-    return make_model("linear_state_space", order=2).fit(recording(0, noise=0.02), rng=0)
+    return make_model("linear_state_space", order=2).fit(one_output(0, noise=0.02), rng=0)
 
 
 def test_a_linear_system_is_recovered_from_its_output_alone() -> None:
     """What the observer has not found of the initial state dies out, and nothing else is off."""
-    model = make_model("linear_state_space", order=2).fit(recording(0, centre=3.0))
-    fresh = recording(1, centre=3.0)
+    model = make_model("linear_state_space", order=2).fit(one_output(0, centre=3.0))
+    fresh = one_output(1, centre=3.0)
     run = fresh.episodes[0]
     off = np.abs(model.simulate(run) - run.states[model.n_lags + 1 :])
     assert off.max() < 0.02
@@ -29,13 +29,13 @@ def test_a_linear_system_is_recovered_from_its_output_alone() -> None:
 
 
 def test_the_order_is_found() -> None:
-    model = make_model("linear_state_space", iterations=10, folds=1).fit(recording(0, noise=0.01))
+    model = make_model("linear_state_space", iterations=10, folds=1).fit(one_output(0, noise=0.01))
     assert model.gain_.shape == (2, 1)
 
 
 def test_a_measured_output_corrects_the_hidden_state_and_a_free_run_does_not(linear: DynamicsModel) -> None:
     """From a wrong hidden state, a model that is told the outputs finds the way back; its own output tells nothing."""
-    run = recording(2).episodes[0]
+    run = one_output(2).episodes[0]
     wrong = np.concatenate([run.states[:1], np.full((1, 2), 2.0)], axis=1)
     told = free = wrong
     for k in range(30):
@@ -48,7 +48,7 @@ def test_a_measured_output_corrects_the_hidden_state_and_a_free_run_does_not(lin
 
 def test_samples_repeated_before_the_first_are_no_history(linear: DynamicsModel) -> None:
     """What a short history is padded with would otherwise look like a long rest where there was none."""
-    run, lags = recording(2).episodes[0], linear.n_lags
+    run, lags = one_output(2).episodes[0], linear.n_lags
     few = 3
     states = np.concatenate([np.repeat(run.states[:1], lags - few, axis=0), run.states[: few + 1]])
     controls = np.concatenate([np.zeros((lags - few, 1)), run.controls[:few]])
@@ -75,10 +75,10 @@ FEW: dict[str, Any] = {"order": 2, "members": 2, "mixtures": 3, "trial": 3, "ite
 
 def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_says_so() -> None:
     model = make_model("nonlinear_state_space", gated=False, **FEW)
-    short = model.fit(recording(0, 120, bend=0.01, noise=0.05), rng=0)
+    short = model.fit(one_output(0, 120, bend=0.01, noise=0.05), rng=0)
     assert "this is a linear state space of order 2" in short.fit_note
     assert [len(units) for units in short.inner_] == [0]
-    long = model.variant().fit(recording(0, 600, bend=0.03, noise=0.01), rng=0)
+    long = model.variant().fit(one_output(0, 600, bend=0.03, noise=0.01), rng=0)
     assert not long.fit_note
     assert all(len(units) for units in long.inner_)
 
@@ -93,7 +93,7 @@ def test_networks_have_as_many_states_as_a_longer_chain_needs() -> None:
 def test_networks_become_wider_only_where_that_pays() -> None:
     few = {"order": 2, "gated": False, "members": 1, "mixtures": 1, "trial": 5, "hidden": 2, "iterations": 10}
     for bend, waves, wider in ((0.03, 0.0, False), (0.0, 2.0, True)):
-        data = recording(0, 600, noise=0.01, bend=bend, waves=waves)
+        data = one_output(0, 600, noise=0.01, bend=bend, waves=waves)
         model = make_model("nonlinear_state_space", **few).fit(data, rng=0)
         assert any(len(inner) > 2 for inner in model.inner_) == wider
 
@@ -103,13 +103,13 @@ def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_bet
     family: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Asked for the impossible, it gives the linear state space in both forms, and networks again when refitted."""
-    data = recording(0, 300, bend=0.03)
+    data = one_output(0, 300, bend=0.03)
     passed, stopped = (make_model(family, **FEW) for _ in range(2))
     assert not passed.fit(data, rng=0).fit_note
     monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.BETTER", 0.0)
     assert "linear state space" in stopped.fit(data, rng=0).fit_note
     assert [len(units) for units in stopped.inner_] == [0]
-    windows = recording(1).windows(1, stride=20, history=stopped.n_lags)
+    windows = one_output(1).windows(1, stride=20, history=stopped.n_lags)
     carry, control = stopped.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
     compiled = kernel_step(stopped.kernel(), carry, control, precision="float64")
     np.testing.assert_allclose(compiled, stopped.step(carry, control), rtol=1e-9, atol=1e-9)
@@ -125,7 +125,7 @@ OWN: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
 def test_networks_follow_a_spring_that_stiffens_where_a_linear_model_cannot(family: str) -> None:
-    training, fresh = recording(0, 600, bend=0.03, noise=0.01), recording(1, 600, bend=0.03)
+    training, fresh = one_output(0, 600, bend=0.03, noise=0.01), one_output(1, 600, bend=0.03)
     run = fresh.episodes[0]
 
     def error(model: DynamicsModel) -> float:

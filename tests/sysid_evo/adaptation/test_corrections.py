@@ -15,8 +15,7 @@ from sysid_evo.system import System
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
 from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import error_of
-
-from .cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_frame() -> None:

@@ -8,8 +8,7 @@ import pytest
 from sysid_evo.models.adaptation.selection import decided
 from sysid_evo.validation.acceptance import Held, Kind, Trial, failed, judged, surely_positive
 from sysid_evo.validation.folds import blocks_of
-
-from .cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def test_a_window_is_never_on_both_sides_and_every_block_is_held_back_once() -> None:

@@ -11,8 +11,7 @@ from sysid_evo.models.adaptation import NONE, adaptation, held_out_error
 from sysid_evo.models.adaptation.selection import AS_AT_HOME, MOST_PIECES, times_home
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
-
-from .cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def fitted() -> DynamicsModel:

@@ -12,8 +12,7 @@ from sysid_evo.models.adaptation.selection import Verdict, moving_seconds, refit
 from sysid_evo.models.base import make_model
 from sysid_evo.validation.acceptance import Held, Trial, judged, surely_positive
 from sysid_evo.validation.folds import Block, blocks_of
-
-from .cars import FloorCar, drive
+from tests.fixtures.systems import FloorCar, drive
 
 
 def verdict(chosen: str, *trials: Trial) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import Caller
+from tests.fixtures.commands import Caller
 
 
 @pytest.fixture(scope="session")

@@ -9,8 +9,8 @@ import pytest
 
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
-from tests.sysid_evo.adaptation.cars import FloorCar, drive
-from tests.sysid_evo.cli.calling import Caller
+from tests.fixtures.commands import Caller
+from tests.fixtures.systems import FloorCar, drive
 
 
 @pytest.fixture(scope="module")

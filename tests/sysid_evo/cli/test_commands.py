@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tests.sysid_evo.cli.calling import run, run_here
+from tests.fixtures.commands import run, run_here
 
 PLUGIN = '''
 """A family outside the repository: the mean acceleration, whatever the state."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluation.transfer import load_measured
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 UNSEEN = '''
 """A robot that no tracker sees, and one that nothing answers for."""

@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.transfer import load_measured
 from sysid_evo.data import Dataset
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 CART = 'gymnasium(id="CartPole-v1")'
 TASK = 'environment(id="CartPole-v1", horizon=20)'

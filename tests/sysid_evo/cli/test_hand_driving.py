@@ -33,7 +33,7 @@ from sysid_evo.errors import MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.__main__ import main; main()", "drive"]
 SECONDS = 3.0

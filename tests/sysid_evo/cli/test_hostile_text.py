@@ -14,7 +14,7 @@ from sysid_evo.cli.console import Printer
 from sysid_evo.cli.progress import Bars
 from sysid_evo.errors import UNSEEN
 from sysid_evo.progress import shown
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e[link=file:///]:boom:"
 QUOTED = EVIL.encode("unicode_escape").decode().replace("\\x", "\\u00")

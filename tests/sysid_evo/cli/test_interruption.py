@@ -18,7 +18,7 @@ from sysid_evo.evolution import MuPlusLambda
 from sysid_evo.registry import strategies
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-from tests.sysid_evo.cli.calling import Caller, run_here
+from tests.fixtures.commands import Caller, run_here
 
 PLUGIN = """
 import signal

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from sysid_evo.cli.console import sentence_of
-from tests.sysid_evo.cli.calling import Caller, run
-from tests.sysid_evo.cli.mistakes import MISTAKES, Mistake, prepare
+from tests.fixtures.commands import Caller, run
+from tests.fixtures.mistakes import MISTAKES, Mistake, prepare
 
 
 @pytest.fixture(scope="module")

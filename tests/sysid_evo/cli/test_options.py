@@ -15,7 +15,7 @@ from sysid_evo.cli.app import COMMANDS, REFUSED, CheckedCommand, load, typed
 from sysid_evo.cli.console import as_option
 from sysid_evo.errors import InvalidArgument, refuse_meaningless
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import Caller
+from tests.fixtures.commands import Caller
 
 ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": ["logs"], "adapt": ["m"],
              "tune": ["linear"], "exploit": ["m"], "transfer": ["c"], "export": ["c"], "report": ["run"]}  # fmt: skip

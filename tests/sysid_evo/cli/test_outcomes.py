@@ -18,7 +18,7 @@ from evaluation import compare
 from evaluation.cells.data import GivenData
 from sysid_evo.plan import Store, StoredCell
 from sysid_evo.testing import example_dataset
-from tests.sysid_evo.cli.calling import Caller, Ended, run, run_here
+from tests.fixtures.commands import Caller, Ended, run, run_here
 
 BUDGET = ("--generations", "1", "--trials", "1", "--runs", "1", "--strategy", "mu_plus_lambda(parents=2, children=2)")
 SMALL = ("--only", "prediction")

@@ -15,7 +15,7 @@ from sysid_evo.cli.plugins import app
 from sysid_evo.errors import InvalidArgument, SysidEvoError
 from sysid_evo.registry import KINDS
 from sysid_evo.testing.template import PLUGINS, write_plugin
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 OPTIONS = ["-q", "-p", "no:cacheprovider", "--import-mode=prepend", "-c", os.devnull, "--rootdir", "."]
 

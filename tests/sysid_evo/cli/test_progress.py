@@ -13,7 +13,7 @@ from rich.console import Console
 
 from sysid_evo.cli import console, progress
 from sysid_evo.cli.progress import Bars
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 NOTE = (
     "best 11.2, mean 8.1; linear 11.9, nearest_neighbour 11.2, parametrised 13.4; run 1 of 2; forwards 12, backwards 9"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import Dataset
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 COMMAND = [sys.executable, "-c", "from sysid_evo.__main__ import main; main()", "record"]
 ENVIRONMENT = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}

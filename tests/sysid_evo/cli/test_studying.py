@@ -12,7 +12,7 @@ import pytest
 from evaluation.study import Study, plan_study
 from evaluation.study.planning import seconds_about
 from sysid_evo.cli.progress import duration
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 STUDY = """
 title = "Tiny"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sysid_evo.cli.calling import Caller, run_here
+from tests.fixtures.commands import Caller, run_here
 
 BUDGET = ("--generations", "2", "--trials", "2", "--strategy", "mu_plus_lambda(parents=2, children=2)")
 TASK = "point_to_point(horizon=40)"

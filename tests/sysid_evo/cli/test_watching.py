@@ -18,7 +18,7 @@ from sysid_evo.evolution import Champion
 from sysid_evo.evolution.champion import save_champion
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks.task import make_task
-from tests.sysid_evo.cli.calling import run_here
+from tests.fixtures.commands import run_here
 
 
 class Viewer(threading.Thread):

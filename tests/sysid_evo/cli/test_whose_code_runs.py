@@ -16,7 +16,7 @@ from evaluation.transfer.matrix import person
 from sysid_evo import load_plugin
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
-from tests.sysid_evo.cli.calling import forgetting, run_here
+from tests.fixtures.commands import forgetting, run_here
 
 PLUGIN = '''
 """A task of somebody's, which leaves a trace when it runs."""

@@ -11,7 +11,7 @@ from sysid_evo.kernels import LANES, ControllerKernel, DynamicsKernel, KernelSou
 from sysid_evo.system import System
 from sysid_evo.tasks import TaskState
 from sysid_evo.types import Array, Seeds
-from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState
+from tests.fixtures.by_hand import Climber, Constant, Ladder, LadderState
 
 
 def climb(x, u, w, p):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import other_name
+from tests.sysid_evo.engine import other_name
 
 
 def helper(x):  # type: ignore[no-untyped-def]  # read by Numba

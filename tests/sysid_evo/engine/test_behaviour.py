@@ -14,7 +14,7 @@ from sysid_evo.registry import make_robot
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
-from tests.sysid_evo.made_up import Climber, Constant, Ladder
+from tests.fixtures.by_hand import Climber, Constant, Ladder
 
 
 def test_names_stand_in_the_order_of_states_and_controls() -> None:

@@ -17,9 +17,14 @@ from sysid_evo.models import Dynamics
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Task
 from sysid_evo.types import Array, Seeds
-from tests.sysid_evo.made_up import Climber, Constant, Ladder, LadderState
-
-from .compiled_ladder import BlindLadder, CompiledClimber, CompiledConstant, CompiledLadder, seeds_from
+from tests.fixtures.by_hand import Climber, Constant, Ladder, LadderState
+from tests.sysid_evo.engine.compiled_ladder import (
+    BlindLadder,
+    CompiledClimber,
+    CompiledConstant,
+    CompiledLadder,
+    seeds_from,
+)
 
 COMPILED: tuple[Engine, ...] = ("float32", "float64")
 

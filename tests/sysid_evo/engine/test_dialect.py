@@ -19,9 +19,8 @@ from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
 from sysid_evo.kernels import REALS, KernelSource, Precision, Signature
-
-from . import same_name
-from .running import PRECISIONS
+from tests.sysid_evo.engine import same_name
+from tests.sysid_evo.engine.running import PRECISIONS
 
 SIGNATURE = Signature(x=REALS, y=REALS)
 GAIN = 0.1

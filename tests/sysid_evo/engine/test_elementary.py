@@ -11,8 +11,7 @@ import pytest
 
 from sysid_evo.kernels import NUMBER, REALS, Signature
 from sysid_evo.types import Array
-
-from .running import compile_for_python
+from tests.sysid_evo.engine.running import compile_for_python
 
 ONE = Signature(n=NUMBER, x=REALS, y=REALS)
 TWO = Signature(n=NUMBER, a=REALS, b=REALS, y=REALS)

@@ -24,8 +24,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array
-
-from .running import PRECISIONS, RTOL, call_block
+from tests.sysid_evo.engine.running import PRECISIONS, RTOL, call_block
 
 FAMILIES = {
     "parametrised": {"generations": 60},

@@ -34,8 +34,7 @@ from sysid_evo.kernels import (
     where_bits,
     where_less,
 )
-
-from .running import PRECISIONS
+from tests.sysid_evo.engine.running import PRECISIONS
 
 RNG = np.random.default_rng(3)
 A, B = RNG.normal(size=LANES), RNG.normal(size=LANES)

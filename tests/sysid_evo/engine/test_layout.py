@@ -8,8 +8,7 @@ import pytest
 from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, KernelSource, Layout, Signature, padded
-
-from .running import call_block
+from tests.sysid_evo.engine.running import call_block
 
 HEAD = Layout("n", "gain", align=4)
 

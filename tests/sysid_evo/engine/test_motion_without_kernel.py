@@ -18,8 +18,7 @@ from sysid_evo.models.kernels.stepping import stepping_kernel
 from sysid_evo.motion import Motion
 from sysid_evo.system import System
 from sysid_evo.types import Array
-
-from .compiled_ladder import CompiledConstant, CompiledLadder, seeds_from
+from tests.sysid_evo.engine.compiled_ladder import CompiledConstant, CompiledLadder, seeds_from
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the data are one step
 

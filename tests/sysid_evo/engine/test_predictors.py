@@ -21,8 +21,7 @@ from sysid_evo.models.kernels import (
     polynomial_predictor,
 )
 from sysid_evo.types import Array
-
-from .running import EXACT_FIRST, RTOL, predictions
+from tests.sysid_evo.engine.running import EXACT_FIRST, RTOL, predictions
 
 few = settings(max_examples=8, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -26,8 +26,7 @@ from sysid_evo.models.kernels.stepping import Output
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
-
-from .running import EXACT_FIRST, RTOL, predictions
+from tests.sysid_evo.engine.running import EXACT_FIRST, RTOL, predictions
 
 few = settings(max_examples=5, deadline=None, derandomize=True)
 

@@ -13,9 +13,8 @@ import pytest
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.export import Law, Real, c_text, law_of
 from sysid_evo.testing.examples import continuous_car
-from tests.rig.build import WARNINGS, compiler
-
-from .made import SPECS, Step, champion_of, decided, stepped, wandering, write
+from tests.fixtures.exports import SPECS, Step, champion_of, decided, stepped, wandering, write
+from tests.system.rig.build import WARNINGS, compiler
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,8 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import controllers
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-from tests.sysid_evo.cli.calling import Caller
-
-from .made import champion_of
+from tests.fixtures.commands import Caller
+from tests.fixtures.exports import champion_of
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ from sysid_evo.errors import MissingExtra
 from sysid_evo.export import Real, law_of, onnx_bytes
 from sysid_evo.testing.examples import continuous_car
 from sysid_evo.types import Array
-
-from .made import SPECS, champion_of, decided, stepped, wandering
+from tests.fixtures.exports import SPECS, champion_of, decided, stepped, wandering
 
 needs_onnx = pytest.mark.skipif(find_spec("onnx") is None, reason="the library onnx is not installed")
 Run = Callable[[Any, dict[str, Array]], list[Array]]

@@ -14,8 +14,7 @@ import pytest
 
 from sysid_evo.export import c_text, law_of, python_text
 from sysid_evo.testing.examples import continuous_car, switched_car
-
-from .made import SPECS, champion_of, decided, stepped, wandering, write
+from tests.fixtures.exports import SPECS, champion_of, decided, stepped, wandering, write
 
 
 def loaded(text: str) -> Any:

@@ -24,9 +24,9 @@ from distributed import Client
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.plan import Cell, Plan, Scheduler, Store, execute
-from tests.sysid_evo.plan.dask_processes import LIMIT, ROOT, Processes
-from tests.sysid_evo.plan.deeds import planned
-from tests.sysid_evo.plan.made_up_cells import AtHome, Number, Watching
+from tests.fixtures.cells import AtHome, Number, Watching
+from tests.fixtures.dask_cluster import LIMIT, ROOT, Processes
+from tests.fixtures.deeds import planned
 from tests.sysid_evo.plan.test_side_by_side import eventually as soon
 from tests.sysid_evo.plan.test_side_by_side import gone
 
@@ -346,7 +346,7 @@ import signal
 import sys
 from pathlib import Path
 from sysid_evo.plan import Store, execute
-from tests.sysid_evo.plan.deeds import planned
+from tests.fixtures.deeds import planned
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 folder = Path(sys.argv[1])
 cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("queued", "wait 60", ["quick"])]

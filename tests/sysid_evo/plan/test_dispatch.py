@@ -14,7 +14,7 @@ from sysid_evo.errors import SchedulerLost
 from sysid_evo.plan import Again, Plan, Store, execute
 from sysid_evo.plan.dask_executor import BEFORE, FILES, Dispatch
 from sysid_evo.plan.store import digest_of
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 ONE, OTHER = Number(1, label="one"), Number(2, label="other")
 

@@ -13,7 +13,7 @@ import pytest
 
 from sysid_evo.errors import ArtefactError, InvalidData
 from sysid_evo.plan import Cell, Plan, Store, Work, execute
-from tests.sysid_evo.plan.made_up_cells import Named, Number, Tolerant, Watching
+from tests.fixtures.cells import Named, Number, Tolerant, Watching
 
 
 def run(folder: Path, *wanted: Cell, only: tuple[Cell, ...] | None = None) -> tuple[Watching, Store]:

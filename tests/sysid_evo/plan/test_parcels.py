@@ -10,7 +10,7 @@ import pytest
 from sysid_evo.errors import ArtefactError
 from sysid_evo.plan import Again, Plan, Store, execute
 from sysid_evo.plan.store import Parcel, Record, digest_of, packed, unpack
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 ONE, OTHER = Number(1, label="one"), Number(2, label="other")
 

@@ -10,7 +10,7 @@ import pytest
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Cell, Plan, cell_seed
 from sysid_evo.plan import cell as module
-from tests.sysid_evo.plan.made_up_cells import Number, Tolerant
+from tests.fixtures.cells import Number, Tolerant
 
 
 def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_not() -> None:

@@ -13,7 +13,7 @@ import pytest
 from sysid_evo.plan import Plan, Store, dask_worker, execute
 from sysid_evo.plan.dask_worker import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
 from sysid_evo.plan.store import Parcel
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 ASKED: dict[str, Any] = {"run": "r", "function": "tests:none", "settings": {}, "files": {"own.py": "0/own.py"}}
 ONE = Number(1, label="one")

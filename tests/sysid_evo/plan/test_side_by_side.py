@@ -18,8 +18,8 @@ from sysid_evo.plan import Again, Plan, Store, execute, executors
 from sysid_evo.plan.executors import number_of_jobs
 from sysid_evo.plan.plan import work_ahead
 from sysid_evo.processors import usable_processors
-from tests.sysid_evo.plan.deeds import planned
-from tests.sysid_evo.plan.made_up_cells import Number, Watching
+from tests.fixtures.cells import Number, Watching
+from tests.fixtures.deeds import planned
 
 ROOT = Path(__file__).parents[3]
 ROW = [(f"row {i}", "wait 0.05", ["base"]) for i in range(4)]
@@ -131,7 +131,7 @@ def test_a_full_disk_stops_all_processes(tmp_path: Path) -> None:
     assert Store(tmp_path).records() == []
 
 
-@pytest.mark.parametrize("function", ["tests.sysid_evo.plan.deeds:nothing", "no.such.module:made"])
+@pytest.mark.parametrize("function", ["tests.fixtures.deeds:nothing", "no.such.module:made"])
 def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path: Path, function: str) -> None:
     plan = planned(tmp_path / "diary", *LADDER)
     assert plan.again is not None
@@ -176,7 +176,7 @@ import signal
 import sys
 from pathlib import Path
 from sysid_evo.plan import Store, execute
-from tests.sysid_evo.plan.deeds import planned
+from tests.fixtures.deeds import planned
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 folder = Path(sys.argv[1])
 cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("longer", "wait 60", ["quick"])]

@@ -11,7 +11,7 @@ from collections import Counter
 from pathlib import Path
 
 from sysid_evo.plan import Plan, Store, execute
-from tests.sysid_evo.plan.made_up_cells import Number
+from tests.fixtures.cells import Number
 
 ROOT = Path(__file__).parents[3]
 WIDTH = 5

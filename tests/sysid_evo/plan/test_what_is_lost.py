@@ -16,7 +16,7 @@ from sysid_evo.plan.dask_worker import BLOCKED, ENDED, FAILED, LACKS
 from sysid_evo.plan.plan import at_home
 from sysid_evo.plan.run_state import Ledger
 from sysid_evo.version import versions
-from tests.sysid_evo.plan.made_up_cells import AtHome, Number, Watching
+from tests.fixtures.cells import AtHome, Number, Watching
 
 ONE = Number(1, label="one")
 TOP = Number(2, (ONE,), label="top")

@@ -16,7 +16,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-from tests.sysid_evo.made_up import Climber, SluggishCar
+from tests.fixtures.by_hand import Climber, SluggishCar
 
 DT = 0.1
 LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), DT)

@@ -31,9 +31,8 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-from tests.sysid_evo.made_up import Climber, Constant, Ladder
-
-from .test_noise import started
+from tests.fixtures.by_hand import Climber, Constant, Ladder
+from tests.sysid_evo.wrappers.test_noise import started
 
 LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), 0.1)
 GIVEN = RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (13, 78)), PointToPoint(horizon=60)

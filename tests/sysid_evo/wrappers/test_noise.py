@@ -31,7 +31,7 @@ from sysid_evo.testing import example_dataset
 from sysid_evo.testing.closed_loop import expect_engines_agree
 from sysid_evo.testing.examples import ExampleDynamics, pendulum
 from sysid_evo.types import Array
-from tests.sysid_evo.made_up import Climber, SluggishCar
+from tests.fixtures.by_hand import Climber, SluggishCar
 
 SPREAD = np.array([0.5, 0.1, 1.0])
 LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), 0.1)

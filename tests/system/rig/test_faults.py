@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import InvalidArgument
-from tests.rig.faults import KINDS, Fault, FaultSchedule
-from tests.rig.wire import Wire
+from tests.system.rig.faults import KINDS, Fault, FaultSchedule
+from tests.system.rig.wire import Wire
 
 DATA = bytes(range(1, 256)) * 20
 

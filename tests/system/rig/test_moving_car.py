@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware.emulation.cars import emulated_car
-from tests.rig.moving_car import MOST_BEHIND, MovingCar
+from tests.system.rig.moving_car import MOST_BEHIND, MovingCar
 
 FORWARD = np.array([1.0, 0.0])
 

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from tests.rig.faults import FaultSchedule
+from tests.system.rig.faults import FaultSchedule
 
 
 class Wire:

@@ -1,4 +1,4 @@
-"""The emulated car on a pseudo-terminal: ``python -m tests.rig``.
+"""The emulated car on a pseudo-terminal: ``python -m tests.system.rig``.
 
 Prints one JSON line (port, tracker, pid) when it is ready, takes further faults as JSON lines on
 its input, and ends when its input closes.
@@ -20,13 +20,13 @@ from pathlib import Path
 import numpy as np
 
 from hardware.emulation.cars import emulated_car
-from tests.rig.board import Board
-from tests.rig.faults import KINDS, Fault, FaultSchedule
-from tests.rig.journal import JournalWriter
-from tests.rig.moving_car import MovingCar
-from tests.rig.pose_stream import PoseStream
-from tests.rig.pseudo_port import PseudoPort
-from tests.rig.terminal import Terminal
+from tests.system.rig.board import Board
+from tests.system.rig.faults import KINDS, Fault, FaultSchedule
+from tests.system.rig.journal import JournalWriter
+from tests.system.rig.moving_car import MovingCar
+from tests.system.rig.pose_stream import PoseStream
+from tests.system.rig.pseudo_port import PseudoPort
+from tests.system.rig.terminal import Terminal
 
 PRIORITY = -10  # board and tracker stand for machines of their own, which the host's load does not slow
 
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m tests.rig", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.system.rig", description=__doc__)
     parser.add_argument("--seed", type=int, default=None, help="of all noise and chances; drawn without it")
     parser.add_argument("--car", type=int, default=None, help="seed of another car of the kind")
     parser.add_argument("--body", default="car", help="name under which the tracker sees the car")

@@ -16,14 +16,14 @@ from typing import IO, cast
 
 from hardware.connection import Closeable
 from sysid_evo.errors import LinkLost
-from tests.rig.faults import Fault
+from tests.system.rig.faults import Fault
 
 START = 30.0  # s for an interpreter and its libraries on a busy machine, and a compiler the first time
 PATIENCE = 2.0  # s for the process to end by itself
 
 
 class TerminalProcess(Closeable):
-    """A running ``python -m tests.rig``; use it in a ``with`` statement.
+    """A running ``python -m tests.system.rig``; use it in a ``with`` statement.
 
     ``port`` is the path to open, the same after every unplugging; ``pid`` the process. Frames go to
     ``tracker``. It is in a session of its own, so that an interrupt at the keyboard reaches the host
@@ -49,7 +49,7 @@ class TerminalProcess(Closeable):
         words = [str(word) for pair in options.items() for word in pair]
         words += [word for fault in faults for word in ("--fault", fault.to_json())]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.rig", *words],
+            [sys.executable, "-m", "tests.system.rig", *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,

@@ -9,11 +9,11 @@ import numpy as np
 
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, unpack
-from tests.rig.core import FirmwareCore
-from tests.rig.faults import FaultSchedule
-from tests.rig.journal import JournalWriter
-from tests.rig.pseudo_port import PseudoPort
-from tests.rig.wire import Wire
+from tests.system.rig.core import FirmwareCore
+from tests.system.rig.faults import FaultSchedule
+from tests.system.rig.journal import JournalWriter
+from tests.system.rig.pseudo_port import PseudoPort
+from tests.system.rig.wire import Wire
 
 POWER_ON, EXTERNAL = 1, 2  # causes of a reset, bits of the AVR's register MCUSR
 

@@ -12,8 +12,8 @@ from hardware.robot import Robot
 from hardware.toy_car import CAR
 from hardware.trackers.tracker import Tracker, TrackerStream
 from hardware.trackers.udp import UdpTracker
-from tests.rig.faults import Fault
-from tests.rig.terminal_process import TerminalProcess
+from tests.system.rig.faults import Fault
+from tests.system.rig.terminal_process import TerminalProcess
 
 BODY = "car"
 

@@ -9,9 +9,9 @@ import pytest
 
 from hardware.connection import Connection, GateLimits
 from sysid_evo.errors import LinkLost
-from tests.rig.faults import Fault
-from tests.rig.journal import read_journal
-from tests.rig.terminal_car import TerminalCar
+from tests.system.rig.faults import Fault
+from tests.system.rig.journal import read_journal
+from tests.system.rig.terminal_car import TerminalCar
 
 FORWARD = np.array([1.0, 0.0])
 

@@ -9,12 +9,12 @@ import time
 
 from hardware.link.messages import Buttons
 from hardware.link.serial_robot import control_of
-from tests.rig.board import Board
-from tests.rig.faults import Fault, FaultSchedule
-from tests.rig.journal import JournalWriter
-from tests.rig.moving_car import MovingCar
-from tests.rig.pose_stream import PoseStream
-from tests.rig.pseudo_port import PseudoPort
+from tests.system.rig.board import Board
+from tests.system.rig.faults import Fault, FaultSchedule
+from tests.system.rig.journal import JournalWriter
+from tests.system.rig.moving_car import MovingCar
+from tests.system.rig.pose_stream import PoseStream
+from tests.system.rig.pseudo_port import PseudoPort
 
 LONGEST_WAIT = 0.1  # s between two looks at the parent
 LINES = 4096  # bytes read at once from the host's side

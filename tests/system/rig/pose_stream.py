@@ -13,7 +13,7 @@ import numpy as np
 from hardware.connection import Measurement
 from hardware.trackers.udp import FrameMessage
 from sysid_evo.types import Array
-from tests.rig.faults import FaultSchedule
+from tests.system.rig.faults import FaultSchedule
 
 OTHER_BODY = "other"
 OTHER_POSE = (1.2, -0.8, 2.0)  # m, m, rad: where the other body stands

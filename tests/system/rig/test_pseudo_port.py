@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.rig.pseudo_port import PseudoPort
+from tests.system.rig.pseudo_port import PseudoPort
 
 EVERY_BYTE = bytes(range(256))
 

@@ -10,8 +10,8 @@ import pytest
 
 from hardware.connection import Measurement
 from hardware.trackers.udp import FrameMessage, parse_message
-from tests.rig.faults import Fault, FaultSchedule
-from tests.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
+from tests.system.rig.faults import Fault, FaultSchedule
+from tests.system.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 
 POSES = np.array([[0.01 * k, 0.02 * k, 0.1 * k] for k in range(5)])
 

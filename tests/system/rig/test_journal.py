@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sysid_evo.errors import InvalidData
-from tests.rig.journal import Entry, JournalReader, JournalWriter, buttons_at, opened_after, read_journal
+from tests.system.rig.journal import Entry, JournalReader, JournalWriter, buttons_at, opened_after, read_journal
 
 PRESSES = [Entry(1.0, "buttons", 1), Entry(2.0, "buttons", 5), Entry(3.0, "buttons", 0), Entry(3.5, "out", "00")]
 

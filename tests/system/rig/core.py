@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from functools import cache
 
-from tests.rig.build import build_core
+from tests.system.rig.build import build_core
 
 TRANSMIT_SIZE = 256
 

@@ -17,10 +17,10 @@ import pytest
 from hardware.link.messages import Buttons, State
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import LinkLost
-from tests.rig.bare_host import PATIENCE, BareHost
-from tests.rig.faults import Fault
-from tests.rig.journal import opened_after, read_journal
-from tests.rig.terminal_process import TerminalProcess
+from tests.system.rig.bare_host import PATIENCE, BareHost
+from tests.system.rig.faults import Fault
+from tests.system.rig.journal import opened_after, read_journal
+from tests.system.rig.terminal_process import TerminalProcess
 
 MARGIN = 0.1  # s for a loaded machine, on top of what the firmware guarantees
 TRACKER = UdpTracker("car", 0, clock="host")
@@ -164,7 +164,7 @@ def test_it_cleans_up_when_it_is_told_to_go(number: signal.Signals) -> None:
 
 def test_it_ends_when_its_host_is_killed() -> None:
     program = (
-        "from tests.rig.terminal_process import TerminalProcess\n"
+        "from tests.system.rig.terminal_process import TerminalProcess\n"
         "import json, time\n"
         "process = TerminalProcess(seed=1)\n"
         "print(json.dumps([process.pid, process.port]), flush=True)\n"
