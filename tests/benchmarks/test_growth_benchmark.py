@@ -24,7 +24,7 @@ def test_a_fixed_cost_of_small_sizes_does_not_hide_that_large_ones_grow_with_the
     assert slope(sizes, 1.0 + (sizes / 100.0) ** 2) > 1.8
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_quick_run_measures_every_family_and_draws_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

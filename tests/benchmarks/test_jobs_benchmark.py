@@ -7,7 +7,7 @@ import pytest
 from tests.benchmarks.jobs import main
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_small_comparison_with_one_job_and_with_two_is_timed_and_has_one_report(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 from tests.benchmarks.kill_and_go_on import rows
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_killed_twice_goes_on_to_the_same_result(tmp_path: Path) -> None:
     table = rows(tmp_path, times=2, seed=0)
     assert [row.same for row in table] == [True] * 9

@@ -13,7 +13,7 @@ from tests.benchmarks.c_reference.__main__ import main as against_c
 from tests.benchmarks.rollout.__main__ import main
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["--quick", "--json", str(tmp_path / "speeds.json")])
     rows = json.loads((tmp_path / "speeds.json").read_text())["models"]
@@ -23,7 +23,7 @@ def test_a_quick_run_reports_the_speed_of_every_model(tmp_path: Path, capsys: py
     assert all(len(line) <= 80 for line in printed.splitlines())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_c_reference_steps_with_the_numbers_of_the_engine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -40,7 +40,7 @@ def test_the_c_reference_steps_with_the_numbers_of_the_engine(
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_quick_run_sets_the_speed_of_other_tasks_beside_waypoints(capsys: pytest.CaptureFixture[str]) -> None:
     assert task_speed.main(["--quick", "--tasks", "point_to_point, walled_track"]) == 0
     printed = capsys.readouterr().out

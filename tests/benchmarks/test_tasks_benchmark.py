@@ -9,7 +9,7 @@ import pytest
 from tests.benchmarks.tasks import main
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tiny_run_prints_what_is_achieved_beside_one_search_on_the_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,7 +41,7 @@ def megabytes(*arguments: object) -> float:
     return float(json.loads(done.stdout.splitlines()[-1])["megabytes"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_log_of_200_000_rows_is_imported_inspected_and_learned_from_in_little_memory(tmp_path: Path) -> None:
     log, columns = write_log(tmp_path, ROWS)
     used = megabytes("import", log, "--columns", columns, "--out", tmp_path / "data")

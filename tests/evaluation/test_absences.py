@@ -7,9 +7,7 @@ from dataclasses import replace
 from evaluation.report import Report, tables
 from evaluation.report.report import sections, to_html
 from sysid_evo.system import System
-from tests.evaluation.test_brief import printed
-from tests.evaluation.test_tables import exploited
-from tests.fixtures.reports import matrix, prediction, report
+from tests.fixtures.reports import exploited, matrix, prediction, printed, report
 
 FITNESS = {"a": {"a": 10.0, "b": 9.0, "car": 4.0}, "b": {"a": 8.0, "b": 8.0, "car": 8.1}}
 ALONE = {row: {column: cells[column] for column in ("a", "b")} for row, cells in FITNESS.items()}

@@ -14,9 +14,9 @@ from axe_core_python.sync_playwright import Axe
 
 from evaluation.report import save_report
 from evaluation.report.study import save_study
-from tests.evaluation.test_report import make_report
 from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, shown, sideways
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import make_report
 from tests.fixtures.studies import made_up
 
 PAPER = 718

@@ -12,9 +12,8 @@ from evaluation.report import Report, advice_lines, tables, to_json, verdict
 from evaluation.report.report import sections
 from evaluation.running import gather_results
 from sysid_evo.plan import Store, execute
-from tests.evaluation.test_brief import printed
 from tests.fixtures.faulty_recordings import Fault, drive
-from tests.fixtures.reports import prediction, report
+from tests.fixtures.reports import prediction, printed, report
 
 REMARKS = tuple(Remark(f"topic {i}", f"Sentence {i}.", 0.5 - 0.1 * i, {"share": 0.1}) for i in range(4))
 QUESTION = "What limits linear, and what to record next?"

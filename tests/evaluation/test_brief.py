@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import replace
-
-from rich.console import Console, RenderableType
 
 from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
 from evaluation.report.sections.controllers import command_sheet, overview_sheet
 from evaluation.report.sections.summary import headlines
-from tests.fixtures.reports import matrix, prediction, report
+from tests.fixtures.reports import matrix, prediction, printed, report
 
 LONG = "backprop27+nearest_neighbour+parametrised"
-
-
-def printed(parts: Sequence[RenderableType], width: int = 80) -> list[str]:
-    console = Console(width=width, file=io.StringIO())
-    for part in parts:
-        console.print(part, crop=False)
-    return [line.rstrip() for line in console.file.getvalue().splitlines()]  # type: ignore[attr-defined]
 
 
 def compared(*, seeds: Sequence[float] = ()) -> Report:

@@ -11,8 +11,7 @@ from evaluation.exploitability.optimism import Optimism
 from evaluation.report.sections.exploitability import exploitability_cards, worst_trials
 from evaluation.transfer import Estimate, TransferMatrix
 from tests.evaluation.test_replay import on_a_plane
-from tests.evaluation.test_tables import exploited
-from tests.fixtures.reports import matrix
+from tests.fixtures.reports import exploited, matrix
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from evaluation.report import Report, save_report
-from tests.evaluation.test_report import make_report
 from tests.fixtures.browser import DESK, PHONE, Visitor, shown
 from tests.fixtures.known_models import Known, Sliding, Weak, fitted
+from tests.fixtures.reports import make_report
 
 HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Predicted and measured", "Claimed and achieved"
 

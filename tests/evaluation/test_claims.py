@@ -7,8 +7,8 @@ import pytest
 
 from evaluation.exploitability import assess_exploitability
 from evaluation.transfer import Cell, Estimate, TransferMatrix, fitness_on, is_exploited, summarise
-from tests.evaluation.test_transfer import champion
 from tests.fixtures.known_models import recording
+from tests.fixtures.reports import champion
 
 
 def matrix_of(*cells: Cell, against: tuple[str, ...] = ("a",), aggregate: str = "min") -> TransferMatrix:

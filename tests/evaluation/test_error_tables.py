@@ -11,10 +11,9 @@ from evaluation.prediction import PERSISTENCE, Prediction, PredictionProtocol, a
 from evaluation.report.render.terminal import to_rich
 from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
 from evaluation.report.sections.prediction import difference_sheet
-from tests.evaluation.test_brief import printed
 from tests.evaluation.test_where_errors_are import LosesGrip, noisy
 from tests.fixtures.known_models import Known, fitted, recording
-from tests.fixtures.reports import prediction
+from tests.fixtures.reports import prediction, printed
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,8 @@ from evaluation.report.report import sections, story_of
 from evaluation.report.save import write_format
 from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
-from tests.evaluation.test_brief import printed
-from tests.evaluation.test_report import make_report
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import make_report, printed
 
 AWKWARD = Sheet("50 % of a_b", ("name", "x|y\n(m/s²)"), (("a_b & {c}", "1 ±2\n< 3"), ("#1", "–")))
 

@@ -8,8 +8,7 @@ from evaluation.report import Report
 from evaluation.report.elements import Headline
 from evaluation.report.sections.summary import headlines
 from evaluation.transfer import Estimate
-from tests.evaluation.test_tables import exploited
-from tests.fixtures.reports import matrix, prediction, report
+from tests.fixtures.reports import exploited, matrix, prediction, report
 
 FITNESS = {"a": {"a": 10.0, "b": 9.0, "car": 4.0}, "b": {"a": 8.0, "b": 8.0, "car": 8.1}}
 

@@ -26,9 +26,8 @@ from evaluation.plots import plot_claims, plot_fitness, plot_free_run, plot_hori
 from evaluation.report import Report
 from evaluation.report.render.svg import inline_svg
 from evaluation.transfer import summarise
-from tests.evaluation.test_report import make_report
 from tests.fixtures.known_models import Known, Sliding, fitted
-from tests.fixtures.reports import matrix
+from tests.fixtures.reports import make_report, matrix
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
 from sysid_evo.types import Array
-from tests.evaluation.test_transfer import champion
 from tests.fixtures import reports as made_up
 from tests.fixtures.known_models import SYSTEM
+from tests.fixtures.reports import champion
 
 DT = 0.05
 RADIUS = 0.3

@@ -10,9 +10,9 @@ import pytest
 
 from evaluation.plot_style import LINES, PAPER
 from evaluation.report import save_report
-from tests.evaluation.test_report import make_report
 from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, seen, share_of, shown, sideways
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import make_report
 
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
 

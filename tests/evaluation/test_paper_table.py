@@ -11,8 +11,8 @@ import pytest
 from evaluation.report.sections import transfer as section
 from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet
 from evaluation.transfer import Cell, TransferMatrix, person
-from tests.evaluation.test_transfer import paper_matrix
 from tests.fixtures import reports as made_up
+from tests.fixtures.reports import paper_matrix
 
 TABLES = Path(__file__).parents[2] / "shared" / "paper" / "tables.json"
 

@@ -23,8 +23,8 @@ from evaluation.report import Report
 from evaluation.transfer import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.errors import InvalidData
-from tests.evaluation.test_report import make_report
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import make_report
 
 
 @pytest.fixture(scope="module")

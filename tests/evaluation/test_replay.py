@@ -17,9 +17,8 @@ from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
-from tests.evaluation.test_report import EVIL
-from tests.evaluation.test_transfer import champion
 from tests.fixtures.known_models import Known, Sliding, fitted
+from tests.fixtures.reports import EVIL, champion
 
 ARM = System((Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")), (Channel("torque"),), 0.1)
 

@@ -16,9 +16,9 @@ from playwright.sync_api import Page, expect
 from evaluation.plot_style import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
-from tests.evaluation.test_report import make_report
 from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, share_of, shown, sideways
 from tests.fixtures.known_models import SYSTEM, Known, Sliding, fitted
+from tests.fixtures.reports import make_report
 
 CLOCK, PLAY, TIME, ROW, PACE = "#replay-clock", "#replay-play", "#replay-time", "#replay-row", "#replay-pace"
 FRAMES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done))))"

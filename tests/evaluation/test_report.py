@@ -14,43 +14,14 @@ import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
-from evaluation.exploitability import assess_exploitability
-from evaluation.prediction import PredictionProtocol, assess_prediction
-from evaluation.report import DataSummary, Failure, ModelSummary, Report, save, save_report, tables, to_json, verdict
+from evaluation.prediction import assess_prediction
+from evaluation.report import DataSummary, Failure, Report, save, save_report, tables, to_json, verdict
 from evaluation.report.render.terminal import to_rich
 from evaluation.report.report import to_html
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import Cell, TransferMatrix, transfer
-from sysid_evo.engine import DynamicsRunner
-from sysid_evo.models import DynamicsModel
-from tests.evaluation.test_transfer import Unplugged, champion
+from evaluation.transfer import Cell, TransferMatrix
 from tests.fixtures.known_models import Broken, Exploding, Known, Sliding, Weak, fitted, recording
-
-EVIL = 'a<b>"&$\\frac$'
-
-
-def make_report(models: dict[str, DynamicsModel], *, robot: bool = True, unplugged: bool = False) -> Report:
-    """Return a small report of everything; the robot is the known car."""
-    training, test = recording(4), recording(3, seed=8)
-    training = replace(training, notes=("recorded on a linear floor",))
-    runners = {name: DynamicsRunner(model) for name, model in models.items()}
-    names = tuple(models)
-    champions = [champion(f"{name}_c", (name,), seed=2 + i) for i, name in enumerate(names)]
-    if len(names) > 1:
-        champions.append(champion("ensemble_c", names[:2], seed=9))
-    columns = {**runners, "car": Unplugged() if unplugged else DynamicsRunner(fitted(Known()))} if robot else runners
-    matrix = transfer(champions, columns, seed=4, robot="car" if robot else None, trials=4, traces=2)
-    return Report(
-        title="Known cars",
-        data=DataSummary.of(training, test, name="linear floor"),
-        models=tuple(ModelSummary.of(name, model) for name, model in models.items()),
-        prediction=assess_prediction(models, training, test, protocol=PredictionProtocol(resamples=50)),
-        matrix=matrix,
-        exploitability=assess_exploitability(matrix, training, test),
-        settings={"seed": 4, "evolution": {"generations": 2}},
-        versions={"python": "3.11"},
-        timings={"all": 1.5},
-    )
+from tests.fixtures.reports import EVIL, champion, make_report
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,8 @@ import pytest
 
 from evaluation.report import Report, report_schema, to_json
 from evaluation.report.report import SCHEMA
-from tests.evaluation.test_report import make_report
 from tests.fixtures.known_models import Broken, Known, Sliding, fitted
-from tests.fixtures.reports import matrix, prediction, report
+from tests.fixtures.reports import make_report, matrix, prediction, report
 
 WITHOUT_ROBOT = {"linear": {"linear": 12.0, "sindy": 11.0}, "sindy": {"linear": 9.0, "sindy": 10.0}}
 

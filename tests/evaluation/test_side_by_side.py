@@ -89,7 +89,7 @@ def test_the_yardstick_of_a_recorded_run_is_planned_again(tmp_path: Path) -> Non
     assert [cell.digest for cell in again.plan] == [cell.digest for cell in first.plan]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_recorded_comparison_with_a_yardstick_is_the_same_for_any_number_of_jobs(tmp_path: Path) -> None:
     settings = {
         "models": ("linear", "parametrised", "nearest_neighbour", "mlp_ensemble"),

@@ -20,8 +20,8 @@ from evaluation.transfer import (
     standings,
     summarise,
 )
-from tests.evaluation.test_transfer import champion
 from tests.fixtures import reports as made_up
+from tests.fixtures.reports import champion
 
 FITNESS = {
     "a": {"a": 12.0, "b": 11.0, "c": 2.0, "car": 9.0},

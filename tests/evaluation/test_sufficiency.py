@@ -20,9 +20,8 @@ from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from tests.evaluation.test_report import _printed
-from tests.evaluation.test_tables import exploited
 from tests.fixtures.known_models import SYSTEM, Known, fitted, recording
-from tests.fixtures.reports import matrix, prediction, report
+from tests.fixtures.reports import exploited, matrix, prediction, report
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some recordings stand still
 

@@ -19,9 +19,8 @@ from evaluation.report.sections.prediction import SHOWN_MODELS, free_run_picture
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Estimate, TransferMatrix, summarise
-from tests.evaluation.test_report import make_report
 from tests.fixtures.known_models import Known, Sliding, fitted
-from tests.fixtures.reports import matrix, prediction
+from tests.fixtures.reports import exploited, make_report, matrix, prediction
 
 FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
 AGAINST = {"ab": ("a", "b")}
@@ -30,28 +29,6 @@ AGAINST = {"ab": ("a", "b")}
 @pytest.fixture(scope="module")
 def report() -> Report:
     return make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
-
-
-def exploited(visited: float | None = 0.5, *, outside: float | None = 0.1, **changes: object) -> ModelExploitability:
-    """A model whose controllers claim 10 ± 0.1 and reach 4 on the robot, turning on the spot in half of their steps."""
-    probe = ProbeResult("spinning", "rad/s", "turn on the spot", 1.0, visited, 0.01, 0.0)
-    made = ModelExploitability(
-        model="linear",
-        family="linear",
-        controllers=("linear",),
-        claimed=Estimate(10.0, 0.1),
-        others=Estimate(8.0, 0.1),
-        achieved=Estimate(4.0, 0.1),
-        gap=Estimate(6.0, 0.1),
-        outside_visited=outside,
-        outside_held_out=0.01,
-        outside_robot=0.02,
-        clipped_share=0.0,
-        diverged_share=0.0,
-        probes=(probe,),
-        unit="waypoints",
-    )
-    return replace(made, **changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -12,54 +12,14 @@ from scipy.stats import spearmanr
 from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
 from evaluation.transfer.matrix import load_cell, save_cell
 from evaluation.transfer.summary import mean_ranks
-from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import make_controller
-from sysid_evo.engine import DynamicsRunner, Rollouts, Runner, rollout
+from sysid_evo.engine import DynamicsRunner, Runner, rollout
 from sysid_evo.errors import ArtefactError, InvalidArgument
-from sysid_evo.evolution import Champion
 from sysid_evo.evolution.controller_evolution import SELECTION
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry import Spec
-from sysid_evo.tasks import Task
 from sysid_evo.tasks.task import make_task
-from sysid_evo.types import Seeds
-from tests.fixtures.known_models import SYSTEM, Boxed, Known, Stopped, Undefined, Weak, fitted
-
-TABLE_2 = {
-    "bp27c": ([18.6, 9, 1.3, 14, 9.33], ("backprop27",)),
-    "paramc": ([18.1, 15.1, 1.3, 15.5, 14], ("parametrised",)),
-    "evo3c": ([0.7, 0.2, 13.4, 0.3, 0.33], ("evolved3",)),
-    "nnc": ([15, 5, 0.7, 17.0, 5.33], ("nearest_neighbour",)),
-    "mm1c": ([11, 4, 15.0, 12, 8.33], ("evolved3", "nearest_neighbour")),
-}
-COLUMNS = ("backprop27", "parametrised", "evolved3", "nearest_neighbour", "real")
-
-
-def champion(name: str, against: tuple[str, ...], *, seed: int = 0, aggregate: str = "min") -> Champion:
-    parameters = np.random.default_rng(seed).normal(size=78)
-    history = np.array([[1.0, 0.5, 0.0], [2.0, 1.0, 0.0]])
-    task = Spec.parse("point_to_point(horizon=60)")
-    return Champion(name, parameters, against, aggregate, seed, history, task=task, system=SYSTEM)
-
-
-def paper_matrix() -> TransferMatrix:
-    """Table 2 of the paper, as if every trial had given the mean."""
-    cells = [
-        Cell(name, column, np.full(3, value), unit="waypoints")
-        for name, (row, _) in TABLE_2.items()
-        for column, value in zip(COLUMNS, row, strict=True)
-    ]
-    champions = [champion(name, against) for name, (_, against) in TABLE_2.items()]
-    return TransferMatrix.of(champions, COLUMNS, cells, robot="real")
-
-
-class Unplugged:
-    """A robot that cannot be reached."""
-
-    def run(
-        self, controller: Controller, parameters: np.ndarray, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        raise ConnectionError("no answer from the car")
+from tests.fixtures.known_models import Boxed, Known, Stopped, Undefined, Weak, fitted
+from tests.fixtures.reports import Unplugged, champion, paper_matrix
 
 
 def test_a_cell_holds_the_numbers_of_the_rollout() -> None:

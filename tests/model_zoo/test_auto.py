@@ -286,7 +286,7 @@ def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without
     assert {name for name in LARGE if importlib.util.find_spec(name)} <= set(loaded)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_model_is_the_same_for_any_number_of_processes() -> None:
     data = example_dataset()
     spec = make_model("neural_ode", hidden=[6], one_step_updates=30, updates=10, horizon=5)

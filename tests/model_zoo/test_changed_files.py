@@ -181,7 +181,7 @@ def disagreement(model: DynamicsModel, dataset: Dataset) -> str:
 
 
 @pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")
-@pytest.mark.parametrize("name", [*MODELS, *(pytest.param(name, marks=pytest.mark.slow) for name in HEAVY)])
+@pytest.mark.parametrize("name", [*MODELS, *(pytest.param(name, marks=pytest.mark.nightly) for name in HEAVY)])
 def test_a_changed_model_is_refused_or_steps_as_its_reference_does(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -190,7 +190,7 @@ def test_a_changed_model_is_refused_or_steps_as_its_reference_does(
     save_model(model, tmp_path / "whole")
     assert not disagreement(load_model(tmp_path / "whole"), dataset)
     wrong, refused = [], 0
-    for seed in range(50 if request.config.getoption("--slow") else 16):
+    for seed in range(50 if request.config.getoption("--nightly") else 16):
         for suffix in (".json", ".safetensors"):
             (tmp_path / f"changed{suffix}").write_bytes((tmp_path / f"whole{suffix}").read_bytes())
         said = change(tmp_path / "changed", np.random.default_rng([seed, *name.encode()]))

@@ -38,21 +38,21 @@ SMALL: dict[str, dict[str, Any]] = {
 }
 """The contract does not ask for accuracy."""
 TRAINED = ("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history", "torch_ode")
-"""Families whose every fit takes seconds; on a second system they are tried with --slow."""
+"""Families whose every fit takes seconds; on a second system they are tried with --nightly."""
 SLOWEST = ("adapted", "hybrid_ode", "torch_ode")
-"""Those that are tried on a car with --slow alone."""
-OFTEN = [pytest.param(name, marks=pytest.mark.slow) if name in TRAINED else name for name in models.names()]
+"""Those that are tried on a car with --nightly alone."""
+OFTEN = [pytest.param(name, marks=pytest.mark.nightly) if name in TRAINED else name for name in models.names()]
 SLOW_TO_LEARN = [name for name in (*TRAINED, "auto", "latent_ode") if name != "neural_ode"]
-"""Families that learn as `neural_ode` and `nonlinear_state_space` do; how well they do is asked with --slow."""
+"""Families that learn as `neural_ode` and `nonlinear_state_space` do; how well they do is asked with --nightly."""
 ONE_OF_A_KIND = [
-    pytest.param(name, marks=pytest.mark.slow) if name in SLOW_TO_LEARN else name for name in models.names()
+    pytest.param(name, marks=pytest.mark.nightly) if name in SLOW_TO_LEARN else name for name in models.names()
 ]
 
 
-@pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("recording", ["switched", pytest.param("proportional", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
     "family",
-    [pytest.param(name, marks=pytest.mark.slow) if name in SLOWEST else name for name in models.names()],
+    [pytest.param(name, marks=pytest.mark.nightly) if name in SLOWEST else name for name in models.names()],
 )
 def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(
     family: str, recording: str, request: pytest.FixtureRequest

@@ -71,7 +71,7 @@ def test_one_step_is_that_of_numpy_near_the_data_and_far_from_it(
         np.testing.assert_allclose(step(carry, control), model.step(carry, control), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_step_in_float32_is_that_of_numpy_to_its_precision(proportional: Dataset, rng: np.random.Generator) -> None:
     model = fitted(proportional, 20, (1, 3))
     carry, control = queries(model, rng, 0.3)
@@ -131,7 +131,7 @@ def test_the_compiled_body_rests_where_that_of_numpy_does(switched: Dataset, rng
     assert (found[::2] == 0.0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scores_of_an_evolved_population_are_those_of_numpy() -> None:
     model = fitted(example_dataset(), 8, (0, 1))
     settings = ControllerEvolution(generations=12, trials=3, selection_trials=5)

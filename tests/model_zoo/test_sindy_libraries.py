@@ -121,7 +121,7 @@ def test_every_function_has_a_compiled_form_inside_and_outside_the_data() -> Non
     "options",
     [
         pytest.param(
-            {"library": "fourier(n_frequencies=2)", "optimizer": "SR3(reg_weight_lam=0.1)"}, marks=pytest.mark.slow
+            {"library": "fourier(n_frequencies=2)", "optimizer": "SR3(reg_weight_lam=0.1)"}, marks=pytest.mark.nightly
         ),
         {
             "degree": 2,

@@ -46,7 +46,7 @@ def test_inside_the_data_the_continuation_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("car", "duration"), [(2, 60.0), *(pytest.param(n, 360.0, marks=pytest.mark.slow) for n in range(5))]
+    ("car", "duration"), [(2, 60.0), *(pytest.param(n, 360.0, marks=pytest.mark.nightly) for n in range(5))]
 )
 def test_a_cubic_equation_of_a_car_runs_free_for_a_whole_trial_without_diverging(car: int, duration: float) -> None:
     robot = make_robot(f"emulated_car:{car}" if car else "emulated_car")

@@ -111,7 +111,7 @@ def test_the_compiled_form_adds_the_same_noise_and_counts_the_steps() -> None:
 
 @pytest.mark.parametrize(
     "family",
-    ["linear", *(pytest.param(name, marks=pytest.mark.slow) for name in ("narx", "k_neighbours"))],
+    ["linear", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("narx", "k_neighbours"))],
 )
 def test_families_with_a_spread_keep_the_contract(family: str, switched: Dataset) -> None:
     options = {

@@ -14,7 +14,7 @@ import pytest
 
 from tests.packaging.conftest import ROOT, Environment, build
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 OPTIONAL = (

@@ -166,7 +166,7 @@ def test_core_takes_arbitrary_bytes_under_sanitizers(replayer, chunks):
     _survives(replayer, chunks)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=100_000, suppress_health_check=list(HealthCheck), deadline=None)
 @given(_CHUNKS)
 def test_core_takes_a_hundred_thousand_streams_under_sanitizers(replayer, chunks):

@@ -16,7 +16,7 @@ def test_damaged_frames_are_refused_and_intact_ones_after_a_delimiter_accepted(r
     assert found.accepted > 0.2 * found.frames
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("rate", RATES)
 def test_no_wrong_command_is_accepted_in_ten_million_frames(rate):
     found = damage(10**7, rate, seed=1)

@@ -56,7 +56,7 @@ def test_decoder_takes_arbitrary_bytes_and_resynchronises_at_the_next_delimiter(
     _takes(stream, cut)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=100_000, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.binary(max_size=400), st.integers(1, 400))
 def test_decoder_takes_a_hundred_thousand_streams(stream, cut):

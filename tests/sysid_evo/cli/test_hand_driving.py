@@ -108,7 +108,7 @@ def test_a_model_is_recorded_in_the_same_way(tmp_path: Path) -> None:
     assert read_journal(tmp_path / "felt/journal/trial-1.rcj").limits.speed == np.inf
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_whole_trials_become_a_row_of_the_matrix(tmp_path: Path) -> None:
     (tmp_path / "runs/a/models").mkdir(parents=True)
     options = ("--run", "runs/a", "--name", "human", "--trials", "1")

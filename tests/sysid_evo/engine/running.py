@@ -15,8 +15,8 @@ from sysid_evo.models.kernels import Predictor
 from sysid_evo.types import Array
 
 PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
-EXACT_FIRST = ("float64", pytest.param("float32", marks=pytest.mark.slow))
-"""For functions that are compiled at length: the tighter tolerance always, the other precision with --slow."""
+EXACT_FIRST = ("float64", pytest.param("float32", marks=pytest.mark.nightly))
+"""For functions that are compiled at length: the tighter tolerance always, the other precision with --nightly."""
 RTOL: Mapping[str, float] = {"float64": 1e-9, "float32": 2e-4}
 
 

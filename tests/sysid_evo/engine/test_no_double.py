@@ -66,7 +66,7 @@ def llvm(source: Source, signature: Signature, folder: Path, *, pointer: bool = 
     return text if isinstance(text, str) else "\n".join(text.values())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
     ["networks", "polynomial", "neighbours", "command networks", "recurrent", "observe", "advance", "open loop"],

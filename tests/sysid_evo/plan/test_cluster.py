@@ -174,7 +174,7 @@ def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path: Path, own: Processes
     assert diary(tmp_path)["base"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path: Path, own: Processes) -> None:
     own.start(1)
 
@@ -192,7 +192,7 @@ def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path:
     assert finished(tmp_path) == {cell.title: 1 for cell in plan}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path: Path, own: Processes) -> None:
     own.environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
     own.start(2)
@@ -233,7 +233,7 @@ def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it
     assert finished(tmp_path) == {cell.title: 1 for cell in plan}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_work_goes_on_by_itself_when_the_scheduler_comes_back_at_once(tmp_path: Path, own: Processes) -> None:
     own.start(1)
     address = own.address

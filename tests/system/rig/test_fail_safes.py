@@ -47,26 +47,26 @@ def test_a_blind_tracker_stops_the_car_and_no_speed_comes_out_of_a_jump(tmp_path
     check(blind(tmp_path, repeats=1, seed=SEED, bound=BOUND + LOAD, faults=(("dropout", 0.3), ("identity_swap", 0.3))))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_host_that_ends_in_any_way_stops_the_car_and_says_that_it_failed(tmp_path: Path) -> None:
     check(stop(tmp_path, repeats=2, seed=SEED, bound=0.05 + LOAD))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_clogged_line_and_a_reset_stop_the_car(tmp_path: Path) -> None:
     check(cut(tmp_path, repeats=3, seed=SEED, margin=LOAD))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_all_faults_of_the_tracker(tmp_path: Path) -> None:
     check(blind(tmp_path, repeats=3, seed=SEED, bound=BOUND + LOAD))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_stops_of_the_host_of_any_length(tmp_path: Path) -> None:
     check(suspend(tmp_path, repeats=3, seed=SEED))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_buttons_open_whenever_the_host_is_killed(tmp_path: Path) -> None:
     check(kill(tmp_path, repeats=20, seed=SEED, margin=LOAD))
