@@ -11,7 +11,7 @@ from .recording.manoeuvres import measuring
 from .recording.record import save_raw, store_journals
 from .robot import Robot, find_robot
 from .run_report import LoopReport, Reason, Stops
-from .testing import run_robot_checks
+from .testing import ROBOT_KIT
 
 __all__ = [
     "JOURNALS",
@@ -20,6 +20,7 @@ __all__ = [
     "LoopReport",
     "ModelledRobot",
     "PageAddress",
+    "ROBOT_KIT",
     "Reason",
     "Recorder",
     "Robot",
@@ -35,7 +36,6 @@ __all__ = [
     "measuring",
     "play_back",
     "recorder_of",
-    "run_robot_checks",
     "save_raw",
     "shown_live",
     "store_journals",

@@ -94,15 +94,7 @@ def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
     """Yield the verdicts of the kit of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
-    kits: Mapping[str, Callable[..., Iterator[CheckResult]]] = {
-        "model": sysid_evo.testing.run_checks,
-        "task": sysid_evo.testing.run_task_checks,
-        "controller": sysid_evo.testing.run_controller_checks,
-        "strategy": sysid_evo.testing.run_strategy_checks,
-        "robot": hardware.run_robot_checks,
-        "reader": sysid_evo.testing.run_reader_checks,
-    }
-    run = kits[kind]
+    run = (hardware.ROBOT_KIT if kind == "robot" else sysid_evo.testing.KITS[kind]).run_checks
     if kind == "reader" and data is None:
         raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
     if data is None:

@@ -77,6 +77,10 @@ class Registry(Generic[T]):
 
         return decorate
 
+    def forget(self, name: str) -> None:
+        """Undo `register` for ``name``, if it is registered; an entry point keeps its name and its imported module."""
+        self._entries.pop(name, None)
+
     def names(self) -> tuple[str, ...]:
         """Return every known name, sorted; nothing is imported."""
         return tuple(sorted({*self._entries, *(point.name for point in self._points())}))

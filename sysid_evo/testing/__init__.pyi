@@ -2,11 +2,13 @@ from .closed_loop import check_controller, check_task, run_controller_checks, ru
 from .contract import CheckResult
 from .evolution import check_strategy, run_strategy_checks
 from .examples import ExampleDynamics, example_dataset, example_systems
+from .kits import KITS
 from .models import CHECKS, check_model, run_checks
 from .readers import check_reader, run_reader_checks
 
 __all__ = [
     "CHECKS",
+    "KITS",
     "CheckResult",
     "ExampleDynamics",
     "check_controller",

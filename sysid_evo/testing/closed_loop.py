@@ -19,7 +19,6 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.task import Task, TaskState, make_task
 from sysid_evo.testing.contract import (
-    Check,
     CheckResult,
     DoesNotApply,
     expect,
@@ -154,8 +153,8 @@ def candidates_and_trials_are_independent(given: ControllerExample) -> None:
             one, trial = slice(p, p + 1), slice(e, e + 1)
             alone = given.bound.act(given.parameters[one], memory[one, trial], given.view(2, one, trial))
             for found, expected in zip(alone, together, strict=True):
-                if not np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12):
-                    raise ContractViolation(f"candidate {p} in trial {e} acts otherwise when it is alone")
+                alike = np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12)
+                expect(alike, f"candidate {p} in trial {e} acts otherwise when it is alone")
 
 
 def the_compiled_form_acts_as_act_does(given: ControllerExample) -> None:
@@ -182,7 +181,7 @@ def the_form_for_other_languages_acts_as_act_does(given: ControllerExample) -> N
             )
 
 
-CONTROLLER_CHECKS: tuple[Check[ControllerExample], ...] = (
+CONTROLLER_CHECKS = (
     binding_gives_a_controller_of_that_size,
     it_has_parameters_to_evolve,
     an_action_has_the_right_shape_and_type,
@@ -380,7 +379,7 @@ def the_compiled_form_is_the_reference(given: TaskExample) -> None:
     expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
 
 
-TASK_CHECKS: tuple[Check[TaskExample], ...] = (
+TASK_CHECKS = (
     binding_leaves_the_task_as_it_is,
     a_missing_role_is_named,
     it_says_what_it_is,

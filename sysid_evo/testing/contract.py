@@ -14,6 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from sysid_evo.errors import ContractViolation, SysidEvoError, described
+from sysid_evo.registry.registry import Registry
 from sysid_evo.types import Array, BoolArray
 
 Subject = TypeVar("Subject")
@@ -33,6 +34,15 @@ class CheckResult:
 
 class DoesNotApply(Exception):
     """Raised by a check that does not apply to its subject; the message gives the reason."""
+
+
+@dataclass(frozen=True)
+class Kit:
+    """The contract of one kind: the registry of its names, ``run_checks(name, ...)``, and all checks."""
+
+    registry: Registry[Any]
+    run_checks: Callable[..., Iterator[CheckResult]]
+    checks: tuple[Callable[..., None], ...]
 
 
 def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
@@ -88,14 +98,26 @@ def expect(holds: Any, reason: str) -> None:
 
 
 Result = TypeVar("Result")
+Failure = TypeVar("Failure", bound=Exception)
+
+
+def expect_error(
+    kind: type[Failure], when: str, function: Callable[..., Any], *arguments: Any, **options: Any
+) -> Failure:
+    """Call ``function`` and return the error of this ``kind``. Raises `ContractViolation` if there is none."""
+    try:
+        function(*arguments, **options)
+    except kind as error:
+        return error
+    raise ContractViolation(f"{when}: expected {kind.__name__}, got no error")
 
 
 def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:
     """Raise `ContractViolation` unless ``array`` holds finite float64 numbers of this shape."""
     if not isinstance(array, np.ndarray):
         raise ContractViolation(f"{name}: expected an array {shape} float64, got {type(array).__name__}")
-    if array.shape != shape or array.dtype != np.float64:
-        raise ContractViolation(f"{name}: expected {shape} float64, got {array.shape} {array.dtype}")
+    sound = array.shape == shape and array.dtype == np.float64
+    expect(sound, f"{name}: expected {shape} float64, got {array.shape} {array.dtype}")
     if not np.isfinite(array).all():
         raise ContractViolation(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
 

@@ -19,7 +19,7 @@ from sklearn.base import clone
 from sysid_evo.carry import clip_state
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.engine.compiled.open_loop import kernel_step
-from sysid_evo.errors import ContractViolation, NotFitted
+from sysid_evo.errors import NotFitted
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.learned import check_learned
@@ -30,6 +30,8 @@ from sysid_evo.testing.contract import (
     CheckResult,
     DoesNotApply,
     copied,
+    expect,
+    expect_error,
     normal,
     raise_broken,
     rows_off,
@@ -71,24 +73,19 @@ def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) 
 
 def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
     """A model that is not fitted says so instead of failing somewhere inside"""
-    try:
-        model.simulate(
-            np.zeros((1, 1, dataset.system.nx)),
-            np.zeros((1, 0, dataset.system.nu)),
-            np.zeros((1, 1, dataset.system.nu)),
-        )
-    except NotFitted:
-        return
-    raise ContractViolation("simulate before fit should raise NotFitted")
+    nx, nu = dataset.system.nx, dataset.system.nu
+    nothing = np.zeros((1, 1, nx)), np.zeros((1, 0, nu)), np.zeros((1, 1, nu))
+    expect_error(NotFitted, "simulate before fit", model.simulate, *nothing)
 
 
 def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None:
     """fit learns from a recording, leaves it as it is, and returns the model itself"""
     fingerprint = dataset.fingerprint
-    if model.fit(dataset, rng=np.random.default_rng(1)) is not model:
-        raise ContractViolation("fit must return self")
-    if dataset.with_episodes(dataset.episodes).fingerprint != fingerprint:
-        raise ContractViolation("fit overwrites the recording")
+    expect(model.fit(dataset, rng=np.random.default_rng(1)) is model, "fit must return self")
+    expect(dataset.with_episodes(dataset.episodes).fingerprint == fingerprint, "fit overwrites the recording")
+
+
+FIRST_CHECKS = (an_unfitted_model_says_so, fit_returns_the_model_itself)
 
 
 def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
@@ -106,22 +103,17 @@ def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None
         return progress
 
     clone(model).fit(dataset, rng=rng(1), progress=lambda done, total: told.append((done, total)))
-    if len(told) < 2 or told[-1][0] != told[-1][1] or any(not 0 <= done <= total for done, total in told):
-        raise ContractViolation(f"expected progress from 0 to all of the steps, got {told[:3]} ... {told[-3:]}")
+    whole = len(told) >= 2 and told[-1][0] == told[-1][1] and all(0 <= done <= total for done, total in told)
+    expect(whole, f"expected progress from 0 to all of the steps, got {told[:3]} ... {told[-3:]}")
     unfitted, fitted = clone(model), copy.copy(model)
     inputs = _some_inputs(model, dataset)
     expected = step(model, inputs)
     for start, after in ((unfitted, 0), (unfitted, len(told) // 2), (fitted, len(told) // 2)):
         before = set(vars(start))
-        try:
-            start.fit(dataset, rng=rng(1), progress=stopping(after))
-        except _Stopped:
-            if set(vars(start)) != before:
-                raise ContractViolation(f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind") from None
-        else:
-            raise ContractViolation("an exception from progress does not stop the fit")
-    if not same(step(fitted, inputs), expected):
-        raise ContractViolation("a fitted model steps differently after a second fit was stopped")
+        goes_on = "an exception from progress does not stop the fit"
+        expect_error(_Stopped, goes_on, start.fit, dataset, rng=rng(1), progress=stopping(after))
+        expect(set(vars(start)) == before, f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind")
+    expect(same(step(fitted, inputs), expected), "a fitted model steps differently after a second fit was stopped")
 
 
 class _Stopped(Exception):
@@ -137,8 +129,8 @@ def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> N
     """The carry begins with the state"""
     windows = dataset.windows(1, history=model.n_lags)
     carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows)))
-    if not np.array_equal(carry[:, : dataset.system.nx], windows.start_states):
-        raise ContractViolation("carry[:, :nx] after start is not the last measured state")
+    begins = same(carry[:, : dataset.system.nx], windows.start_states)
+    expect(begins, "carry[:, :nx] after start is not the last measured state")
 
 
 def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
@@ -166,16 +158,14 @@ def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> Non
             carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
         if not np.isfinite(carry).all():
             return  # another sentence says so
-        if not np.allclose(carry[:, : dataset.system.nx], simulated[:, k]):
-            raise ContractViolation(f"they differ at step {k + 1}")
+        expect(np.allclose(carry[:, : dataset.system.nx], simulated[:, k]), f"they differ at step {k + 1}")
 
 
 def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) -> None:
     """The same data and seed give the same model"""
     again = clone(model).fit(dataset, rng=np.random.default_rng(1))
     inputs = _some_inputs(model, dataset)
-    if not same(step(model, inputs), step(again, inputs)):
-        raise ContractViolation("two fits with the same seed step differently")
+    expect(same(step(model, inputs), step(again, inputs)), "two fits with the same seed step differently")
 
 
 def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Dataset) -> None:
@@ -187,17 +177,15 @@ def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Da
         warnings.simplefilter("always")
         short.fit(dataset, rng=np.random.default_rng(1))
     part = f"of {dataset.n_steps:,} steps"
-    if part not in short.fit_note or not any(part in str(one.message) for one in given):
-        raise ContractViolation(f"fit_note is {short.fit_note!r} after a fit with most_steps={short.most_steps}")
+    told = part in short.fit_note and any(part in str(one.message) for one in given)
+    expect(told, f"fit_note is {short.fit_note!r} after a fit with most_steps={short.most_steps}")
 
 
 def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
     """get_params and clone give back the constructor's arguments, unfitted"""
     copy = clone(model)
-    if copy.get_params() != model.get_params():
-        raise ContractViolation(f"expected {model.get_params()}, got {copy.get_params()}")
-    if hasattr(copy, "system_"):
-        raise ContractViolation("a clone must not be fitted")
+    expect(copy.get_params() == model.get_params(), f"expected {model.get_params()}, got {copy.get_params()}")
+    expect(not hasattr(copy, "system_"), "a clone must not be fitted")
 
 
 def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) -> None:
@@ -206,23 +194,20 @@ def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) 
     with tempfile.TemporaryDirectory() as folder:
         save_model(model, Path(folder) / "model")
         loaded = load_model(Path(folder) / "model")
-    if not same(step(loaded, inputs), step(model, inputs)):
-        raise ContractViolation("it steps differently after loading")
-    if loaded.get_params() != model.get_params():
-        raise ContractViolation(f"its parameters were {model.get_params()} and are now {loaded.get_params()}")
+    expect(same(step(loaded, inputs), step(model, inputs)), "it steps differently after loading")
+    before, after = model.get_params(), loaded.get_params()
+    expect(after == before, f"its parameters were {before} and are now {after}")
 
 
 def learned_arrays_declares_what_was_learned(model: DynamicsModel, _: Dataset) -> None:
     """What fit learned is as learned_arrays declares it; a family that declares something declares every array"""
     undeclared = check_learned(model)
-    if undeclared and "learned_arrays" in vars(type(model)):
-        raise ContractViolation(f"learned_arrays says nothing of {', '.join(undeclared)}")
+    sound = not undeclared or "learned_arrays" not in vars(type(model))
+    expect(sound, f"learned_arrays says nothing of {', '.join(undeclared)}")
 
 
 def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset) -> None:
     """The compiled form steps as step does"""
-    if model.kernel() is None:
-        raise DoesNotApply("it has none, so that Python computes every step")
     resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
     idle = np.tile(dataset.system.neutral_control, (2, 1))
     expect_compiled_alike(model, _some_inputs(model, dataset).followed_by(resting, idle))
@@ -239,8 +224,7 @@ def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> Non
     idle = np.tile(system.neutral_control, (2, 1))
     for _ in range(CHAINED_STEPS):
         carry = model.step(carry, idle, normal(model.n_noise, 2))
-        if not np.array_equal(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))):
-            raise ContractViolation("it moves off by itself")
+        expect(same(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))), "it moves off by itself")
 
 
 def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: Dataset) -> None:
@@ -252,8 +236,8 @@ def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: 
         return
     idle = dataset.system.neutral_control[None]
     free = copy.copy(model).set_params(rest_hold=False)
-    if not np.array_equal(model.step(carry, idle, noise), free.step(carry, idle, noise)):
-        raise ContractViolation("it is held although an earlier control in its carry is not neutral")
+    stepped, expected = model.step(carry, idle, noise), free.step(carry, idle, noise)
+    expect(same(stepped, expected), "it is held although an earlier control in its carry is not neutral")
 
 
 CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
@@ -317,12 +301,11 @@ def step(dynamics: Dynamics, inputs: StepInputs) -> Array:
 def expect_shape_and_type(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` unless a step gives finite carries of the same shape, in float64."""
     carry, after = inputs.carry, step(dynamics, inputs)
-    if carry.shape[1] != dynamics.n_carry:
-        raise ContractViolation(f"start gives a carry of {carry.shape[1]} numbers, n_carry says {dynamics.n_carry}")
-    if after.shape != carry.shape or after.dtype != np.float64:
-        raise ContractViolation(f"expected {carry.shape} float64, got {after.shape} {after.dtype}")
-    if not np.isfinite(after).all():
-        raise ContractViolation("a step from a training state is not finite")
+    given = carry.shape[1]
+    expect(given == dynamics.n_carry, f"start gives a carry of {given} numbers, n_carry says {dynamics.n_carry}")
+    sound = after.shape == carry.shape and after.dtype == np.float64
+    expect(sound, f"expected {carry.shape} float64, got {after.shape} {after.dtype}")
+    expect(np.isfinite(after).all(), "a step from a training state is not finite")
 
 
 def expect_independent_rows(dynamics: Dynamics, inputs: StepInputs) -> None:
@@ -332,8 +315,8 @@ def expect_independent_rows(dynamics: Dynamics, inputs: StepInputs) -> None:
     back = np.arange(len(inputs.carry))[::-1]
     backwards = step(dynamics, inputs.rows(back))[back]
     alike = np.allclose(together, alone, rtol=1e-9, atol=1e-12, equal_nan=True)
-    if not (alike and np.allclose(together, backwards, rtol=1e-9, equal_nan=True)):
-        raise ContractViolation("a row's result changes with the other rows of its batch")
+    alike = alike and np.allclose(together, backwards, rtol=1e-9, equal_nan=True)
+    expect(alike, "a row's result changes with the other rows of its batch")
 
 
 def expect_pure(dynamics: Dynamics, inputs: StepInputs) -> None:
@@ -342,23 +325,20 @@ def expect_pure(dynamics: Dynamics, inputs: StepInputs) -> None:
 
 
 def expect_compiled_alike(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if the compiled form, where there is one, steps otherwise than `step`."""
+    """Raise `ContractViolation` if the compiled form steps otherwise than `step`, `DoesNotApply` if there is none."""
     kernel = dynamics.kernel()
     if kernel is None:
-        return
+        raise DoesNotApply("it has none, so that Python computes every step")
     carry, control, noise = inputs.carry, inputs.control, inputs.noise
     stepped = step(dynamics, inputs)
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")
     off = rows_off(compiled, stepped, COMPILED_TOLERANCE["float64"])
-    if off.any():
-        raise ContractViolation(f"{off.sum()} of {len(off)} rows differ after one step in float64")
+    expect(not off.any(), f"{off.sum()} of {len(off)} rows differ after one step in float64")
     compiled = stepped = carry
     for _ in range(CHAINED_STEPS):
         compiled = kernel_step(kernel, compiled, control, noise, precision=kernel.precision)
         compiled, _ = clip_state(compiled, dynamics.envelope)
         stepped, _ = clip_state(dynamics.step(stepped, control, noise), dynamics.envelope)
     off = rows_off(compiled, stepped, COMPILED_TOLERANCE[kernel.precision])
-    if off.mean() > 0.1:  # a few may: two neighbours as near as each other
-        raise ContractViolation(
-            f"{off.sum()} of {len(off)} rows differ after {CHAINED_STEPS} steps in {kernel.precision}"
-        )
+    few = off.mean() <= 0.1  # may differ: two neighbours as near as each other
+    expect(few, f"{off.sum()} of {len(off)} rows differ after {CHAINED_STEPS} steps in {kernel.precision}")

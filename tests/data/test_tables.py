@@ -140,7 +140,7 @@ def test_a_plugin_reader_is_found_by_its_suffix(tmp_path):
     try:
         assert isinstance(reader_for(tmp_path / "log.made"), Made)
     finally:
-        del readers._entries["made"]
+        readers.forget("made")
 
 
 def test_folders_are_searched_for_logs_in_order_and_names_must_differ(write_csv, table, tmp_path):

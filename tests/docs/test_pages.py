@@ -17,7 +17,7 @@ import pytest
 
 from sysid_evo.cli.app import loaded
 from sysid_evo.data import Dataset
-from sysid_evo.registry import KINDS, Registry
+from sysid_evo.registry import KINDS
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.template import PLUGINS, write_plugin
 from tests.docs.blocks import PAGES, ROOT, blocks, commands, program
@@ -91,11 +91,7 @@ def forgetting() -> Iterator[None]:
     for kind, registry in KINDS.items():
         for name, factory in dict(registry.loaded).items():
             if before[kind].get(name) is None and factory.__module__.startswith("page_"):
-                forget(registry, name)
-
-
-def forget(registry: Registry[Any], name: str) -> None:
-    del registry._entries[name]
+                registry.forget(name)
 
 
 @pytest.mark.parametrize("page", PAGES)

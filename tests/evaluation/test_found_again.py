@@ -264,7 +264,7 @@ def plugin(tmp_path: Path) -> Iterator[Path]:
     kinds: list[Registry[Any]] = [models, task_registry, controller_registry, strategy_registry, aggregate_registry]
     for registry in kinds:
         for name in [name for name in registry.loaded if name.startswith("their_")]:
-            del registry._entries[name]
+            registry.forget(name)
 
 
 @pytest.mark.parametrize(

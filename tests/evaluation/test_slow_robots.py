@@ -66,7 +66,7 @@ def carts() -> Iterator[None]:
     robots.register("slow_cart")(lambda: SensedRobot("slow_cart", OneByOne()))
     yield
     for name in ("cart", "slow_cart"):
-        del robots._entries[name]
+        robots.forget(name)
 
 
 def planned(robot: str, yardstick: bool | None = None, channel: str = "x") -> Comparison:

@@ -153,7 +153,7 @@ def test_the_boat_on_the_network_is_driven_by_the_loop_and_left_in_neutral(folde
         assert driven.count([1.0, 0.5]) == 8
         assert driven[-1] == [0.0, 0.0]
     finally:
-        robots._entries.pop("real_boat", None)
+        robots.forget("real_boat")
         sys.modules.pop("sysid_evo_plugin_real_boat", None)
 
 

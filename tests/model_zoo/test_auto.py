@@ -25,7 +25,7 @@ from sysid_evo.models.adaptation import held_out_error
 from sysid_evo.models.adaptation.selection import ANEW, adaptation
 from sysid_evo.models.base import make_model
 from sysid_evo.processors import use_processors
-from sysid_evo.registry import models, register_model
+from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.bootstrap import paired_interval as interval
@@ -216,11 +216,7 @@ def test_whole_recordings_are_held_out_and_blocks_of_time_of_a_single_one() -> N
     assert horizons_of(single, [10, 20, 60]) == [10, 20]
 
 
-def test_a_plugin_that_declares_a_structure_is_a_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
-    offered(example_dataset().system)  # imports the families: what registers in the copy alone is lost with it
-    monkeypatch.setattr(models, "_entries", dict(models._entries))
-
-    @register_model("made_up_zero")
+def test_a_plugin_that_declares_a_structure_is_a_candidate(register):
     class Zero(DynamicsModel):
         """The state stays as it is."""
 
@@ -232,6 +228,7 @@ def test_a_plugin_that_declares_a_structure_is_a_candidate(monkeypatch: pytest.M
         def acceleration(self, carry: Any, control: Any) -> Any:
             return 0.0 * carry
 
+    register(models, "made_up_zero", Zero)
     data = example_dataset()
     assert offered(data.system)[0][0].spec.name == "made_up_zero"
     model = make_model("auto", candidates=["made_up_zero"]).fit(data, rng=0)

@@ -49,7 +49,7 @@ def registered() -> Iterator[None]:
     register_reward("rooted", lowest=-3.0, horizon=1)(rooted)
     yield
     for name in NAMES:
-        tasks._entries.pop(name, None)
+        tasks.forget(name)
 
 
 def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters() -> None:

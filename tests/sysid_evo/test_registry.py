@@ -183,7 +183,7 @@ def forget_robots() -> Iterator[None]:
     before = set(robots.loaded)
     yield
     for name in set(robots.loaded) - before:
-        del robots._entries[name]
+        robots.forget(name)
 
 
 def test_a_plugin_file_registers_what_it_holds_once(tmp_path: Path, plugin_modules: None, forget_robots: None) -> None:
@@ -369,7 +369,8 @@ def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_
         path.write_text(text.format(name="crawler"))
         load_plugin(path)
         digests.append(source_digest(robots.get("crawler")))
-        del robots._entries["crawler"], sys.modules["sysid_evo_plugin_crawler"]
+        robots.forget("crawler")
+        del sys.modules["sysid_evo_plugin_crawler"]
     assert digests[0] == digests[1] != digests[2]
     assert len(digests[0]) == 64
     assert source_digest(models.get("linear")) == ""

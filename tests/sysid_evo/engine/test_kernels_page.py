@@ -36,7 +36,7 @@ def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, register: Callable
     spec.loader.exec_module(module)
     yield module
     for name in NAMES:
-        models._entries.pop(name, None)
+        models.forget(name)
 
 
 def test_every_example_keeps_the_contract_and_its_kernel_is_its_numpy_form(examples: Any, recording: Dataset) -> None:

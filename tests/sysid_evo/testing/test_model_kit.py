@@ -314,7 +314,7 @@ def test_what_is_not_finite_breaks_no_other_sentence(register: Callable[..., Any
         (Unsavable, STORED, "cache_ is a dict; what a model learns must be arrays"),
         (Forgetful, STORED, "it steps differently after loading"),
         (Meddling, CLONE, "RuntimeError: Cannot clone"),
-        (BlindToFitting, "A model that is not fitted says so", "simulate before fit should raise NotFitted"),
+        (BlindToFitting, "A model that is not fitted says so", "simulate before fit: expected NotFitted, got no error"),
     ],
 )
 def test_a_broken_model_is_caught_with_the_sentence_it_breaks(

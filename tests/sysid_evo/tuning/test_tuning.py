@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -13,7 +14,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, at_least
-from sysid_evo.registry import models, register_model
+from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.tuning import Tuning, search_space, tune
 
@@ -34,11 +35,9 @@ def decaying(truth: float = 2.0) -> Dataset:
 
 
 @pytest.fixture
-def guess(monkeypatch: pytest.MonkeyPatch) -> type:
+def guess(register: Callable[..., type]) -> type:
     """A family outside the zoo that learns nothing: the decay is a parameter, and one of its kinds always fails."""
-    monkeypatch.setattr(models, "_entries", dict(models._entries))
 
-    @register_model("made_up_guess")
     class Guess(DynamicsModel):
         """The state decays as the parameter says."""
 
@@ -61,7 +60,7 @@ def guess(monkeypatch: pytest.MonkeyPatch) -> type:
         def acceleration(self, carry: Any, control: Any) -> Any:
             return control - self.decay * carry + self.shift
 
-    return Guess
+    return register(models, "made_up_guess", Guess)
 
 
 def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and_defaults(guess: type) -> None:
