@@ -1,15 +1,9 @@
 """A made-up drive whose velocities are known, and log files written from it."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from sysid_evo.data import RawLog
-from sysid_evo.types import Array
 
 FINE = 20  # integration steps for each row
 
@@ -20,7 +14,7 @@ class Drive:
     ``pose`` (N, 3) is integrated twenty times finer than the rows, at ``time`` (N,).
     """
 
-    def __init__(self, *, rate: float = 200.0, seconds: float = 6.0, frequency: float = 1.0) -> None:
+    def __init__(self, *, rate=200.0, seconds=6.0, frequency=1.0):
         self.frequency = frequency
         self.time = np.arange(round(rate * seconds) + 1) / rate
         fine = np.arange((len(self.time) - 1) * FINE + 1) / (rate * FINE)
@@ -30,12 +24,12 @@ class Drive:
         y = _integral(forward * np.sin(heading) + lateral * np.cos(heading), fine)
         self.pose = np.stack([x, y, heading], axis=1)[::FINE]
 
-    def velocity(self, time: Array) -> Array:
+    def velocity(self, time):
         """Return forward speed, lateral speed and yaw rate, (N, 3)."""
         angle = 2.0 * np.pi * self.frequency * time
         return np.stack([1.0 + 0.5 * np.sin(angle), 0.2 * np.cos(angle), 1.5 * np.sin(angle) + 0.3], axis=1)
 
-    def log(self, *, keep: Array | None = None, stamps: Array | None = None, name: str = "drive") -> RawLog:
+    def log(self, *, keep=None, stamps=None, name="drive"):
         """Return a log, of the rows ``keep`` only; its controls are the number of the row and 1."""
         keep = np.arange(len(self.time)) if keep is None else keep
         controls = np.stack([keep.astype(float), np.ones(len(keep))], axis=1)
@@ -43,13 +37,13 @@ class Drive:
         return RawLog(name, time[keep], self.pose[keep], controls)
 
 
-def _integral(rate: Array, time: Array) -> Array:
+def _integral(rate, time):
     middle = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)
     return np.concatenate([[0.0], np.cumsum(middle)])
 
 
 @pytest.fixture
-def make_drive() -> type[Drive]:
+def make_drive():
     return Drive
 
 
@@ -75,10 +69,10 @@ yaw_rate = "yaw_rate"
 
 
 @pytest.fixture
-def columns_file(tmp_path: Path) -> Callable[..., Path]:
+def columns_file(tmp_path):
     """A function that writes the column map above, with some text replaced, and returns its path."""
 
-    def write(*changes: tuple[str, str], name: str = "car.toml") -> Path:
+    def write(*changes, name="car.toml"):
         text = COLUMNS
         for old, new in changes:
             assert old in text
@@ -91,7 +85,7 @@ def columns_file(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def table() -> dict[str, Array]:
+def table():
     """Columns of a 20 Hz log of the drive above without sideways motion, 10 s."""
     drive = Drive(rate=20.0, seconds=10.0, frequency=0.4)
     time = drive.time
@@ -107,10 +101,10 @@ def table() -> dict[str, Array]:
 
 
 @pytest.fixture
-def write_csv(tmp_path: Path) -> Callable[..., Path]:
+def write_csv(tmp_path):
     """A function that writes columns as CSV and returns the path."""
 
-    def write(columns: dict[str, Array], name: str = "log.csv", separator: str = ",") -> Path:
+    def write(columns, name="log.csv", separator=","):
         path = tmp_path / name
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
         lines = [separator.join(columns), *(separator.join(map(repr, row)) for row in rows)]

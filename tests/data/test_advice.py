@@ -1,14 +1,12 @@
 """Advice on data sets whose excitation, coverage and delays are known."""
 
-from __future__ import annotations
-
 import io
 import json
 import tracemalloc
 
 import numpy as np
 import pytest
-from rich.console import Console, RenderableType
+from rich.console import Console
 
 from sysid_evo.cli.recordings import advice_as_json, advice_tables
 from sysid_evo.data import Dataset, RawLog, advise, find_delays
@@ -18,7 +16,7 @@ from sysid_evo.system import Channel, System
 LEVELS = (-1.0, 0.0, 1.0)
 
 
-def render(what: RenderableType) -> str:
+def render(what):
     """Return what a terminal of 80 columns shows, with single spaces."""
     console = Console(file=io.StringIO(), width=80)
     console.print(what)

@@ -1,7 +1,5 @@
 """Every bad log is refused, or doubted, by a message that names file, row and column."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np
@@ -12,17 +10,17 @@ from sysid_evo.data import Dataset, read_recording
 from sysid_evo.errors import DataWarning, InvalidData
 
 
-def refused(path, columns) -> str:
+def refused(path, columns):
     with pytest.raises(InvalidData) as caught:
         Dataset.read(path, columns=columns)
     return str(caught.value)
 
 
-def doubts(path, columns) -> tuple[str, ...]:
+def doubts(path, columns):
     return read_recording(path, columns=columns).doubts
 
 
-def with_value(path, row: int, column: int, text: str):
+def with_value(path, row, column, text):
     """Put ``text`` into a cell; ``row`` counts as an editor does."""
     lines = path.read_text().splitlines()
     cells = lines[row - 1].split(",")

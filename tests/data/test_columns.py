@@ -1,7 +1,5 @@
 """Column maps: what they may say, what they do to the numbers, and how one is chosen."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

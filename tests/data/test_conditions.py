@@ -1,10 +1,6 @@
 """Conditions of recordings: named by patterns, kept when cut and stored, left out whole."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -16,19 +12,17 @@ from sysid_evo.cli.recordings import patterns_of
 from sysid_evo.data import prepare
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.testing import example_dataset
-from sysid_evo.types import Array
-from tests.data.conftest import Drive
 
 
 @pytest.fixture
-def days() -> Dataset:
+def days():
     """Four drives on two floors and one elsewhere."""
     plain = example_dataset(episodes=5, steps=30)
     names = ["rain_1", "sun_1", "rain_2", "sun_2", "hall"]
     return Dataset.from_arrays(plain.system, [e.states for e in plain], [e.controls for e in plain], names=names)
 
 
-def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days: Dataset) -> None:
+def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days):
     known = days.with_episodes([days.episodes[0][0:10], *days.episodes[1:]]).labelled({"wet": "rain_*", "dry": "sun*"})
     assert [episode.condition for episode in known] == ["wet", "dry", "wet", "dry", ""]
     assert known.conditions == ("wet", "dry", "")
@@ -36,14 +30,14 @@ def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days: Da
     assert known.split(0.5)[0].conditions == known.conditions
 
 
-def test_a_stored_data_set_keeps_its_conditions_and_its_fingerprint(days: Dataset, tmp_path: Path) -> None:
+def test_a_stored_data_set_keeps_its_conditions_and_its_fingerprint(days, tmp_path):
     known = days.labelled({"wet": "rain_*"})
     loaded = Dataset.load(known.save(tmp_path / "data"))
     assert [episode.condition for episode in loaded] == ["wet", "", "wet", "", ""]
     assert loaded.fingerprint == days.fingerprint
 
 
-def test_every_condition_is_left_out_once_and_whole(days: Dataset) -> None:
+def test_every_condition_is_left_out_once_and_whole(days):
     known = days.labelled({"wet": "rain_*", "dry": "sun_*"})
     folds = [(learned.tolist(), held.tolist()) for learned, held in ConditionFold().split(known)]
     assert folds == [([1, 3, 4], [0, 2]), ([0, 2, 4], [1, 3]), ([0, 1, 2, 3], [4])]
@@ -52,7 +46,7 @@ def test_every_condition_is_left_out_once_and_whole(days: Dataset) -> None:
         list(ConditionFold().split(days))
 
 
-def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days: Dataset) -> None:
+def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days):
     with pytest.raises(InvalidArgument, match=r"no episode fits 'snow\*'"):
         days.labelled({"white": "snow*"})
     with pytest.raises(InvalidArgument, match="'rain_1' fits the pattern of 'wet' as well"):
@@ -69,12 +63,8 @@ FLOORS = np.array(["tiles"] * 80 + ["carpet"] * 120 + [""])
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_column_names_the_condition_of_each_row_and_splits_the_log_where_it_changes(
-    kind: str,
-    table: dict[str, Array],
-    write_csv: Callable[..., Path],
-    columns_file: Callable[..., Path],
-    tmp_path: Path,
-) -> None:
+    kind, table, write_csv, columns_file, tmp_path
+):
     named = {**table, "floor": FLOORS}
     path = tmp_path / "log.parquet"
     if kind == "parquet":
@@ -93,9 +83,7 @@ def test_a_column_names_the_condition_of_each_row_and_splits_the_log_where_it_ch
     assert Dataset.read(path, columns=by_map).conditions == ("tiles", "carpet")
 
 
-def test_numbers_name_conditions_too_and_a_missing_column_is_named(
-    table: dict[str, Array], write_csv: Callable[..., Path], columns_file: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_numbers_name_conditions_too_and_a_missing_column_is_named(table, write_csv, columns_file, tmp_path):
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({**table, "day": np.repeat([1.0, 2.0], [100, 101])}), path)
     data = Dataset.read(path, columns=columns_file(), condition_column="day")
@@ -107,7 +95,7 @@ def test_numbers_name_conditions_too_and_a_missing_column_is_named(
         Dataset.read(stored, condition_column="day")
 
 
-def test_a_fast_log_is_filtered_within_each_condition_alone(make_drive: type[Drive]) -> None:
+def test_a_fast_log_is_filtered_within_each_condition_alone(make_drive):
     drive = make_drive()
     log = drive.log()
     floors = np.where(log.time < 3.0, "tiles", "carpet")

@@ -1,7 +1,5 @@
 """Real recordings: preparation against the sensors on the car, rows against the file."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 

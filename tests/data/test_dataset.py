@@ -1,7 +1,5 @@
 """Data sets: stored and loaded, split, cut into windows."""
 
-from __future__ import annotations
-
 import json
 import tracemalloc
 
@@ -22,14 +20,14 @@ from sysid_evo.validation.simulation_error import judging_windows
 LINE = System((Channel("place", "m"),), (Channel("push"),), 0.1)
 
 
-def numbered(lengths, system: System = LINE) -> Dataset:
+def numbered(lengths, system=LINE):
     """A data set whose states are 1000 * episode + sample and whose controls are the same, negative."""
     samples = [1000.0 * i + np.arange(length + 1)[:, None] for i, length in enumerate(lengths)]
     return Dataset.from_arrays(system, samples, [-s for s in samples], names=[f"e{i}" for i in range(len(lengths))])
 
 
 @pytest.fixture
-def car_data(car, rng) -> Dataset:
+def car_data(car, rng):
     episodes = [
         Trajectory(
             rng.normal(size=(n + 1, 3)),

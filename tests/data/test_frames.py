@@ -1,7 +1,5 @@
 """Data sets as tables of pandas and labelled arrays of xarray."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,7 +11,7 @@ from sysid_evo.system import Channel, System
 LINE = System((Channel("place", "m"), "speed"), (Channel("push", "N"),), 0.1, name="line")
 
 
-def two_runs() -> Dataset:
+def two_runs():
     rng = np.random.default_rng(3)
     lengths = {"long": 5, "short": 2}
     return Dataset(

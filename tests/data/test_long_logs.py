@@ -1,11 +1,8 @@
 """Long logs: read, looked at and learned from in memory that is a small multiple of their numbers."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -32,7 +29,7 @@ print(json.dumps({"megabytes": (after - before) / 1024}))
 """
 
 
-def megabytes(*arguments: object) -> float:
+def megabytes(*arguments):
     """Return by how much a command raises the peak of resident memory over what its imports take."""
     done = subprocess.run(
         [sys.executable, "-c", WATCHED, *map(str, arguments)], capture_output=True, text=True, check=False
@@ -42,7 +39,7 @@ def megabytes(*arguments: object) -> float:
 
 
 @pytest.mark.nightly
-def test_a_log_of_200_000_rows_is_imported_inspected_and_learned_from_in_little_memory(tmp_path: Path) -> None:
+def test_a_log_of_200_000_rows_is_imported_inspected_and_learned_from_in_little_memory(tmp_path):
     log, columns = write_log(tmp_path, ROWS)
     used = megabytes("import", log, "--columns", columns, "--out", tmp_path / "data")
     assert used < 8 * NUMBERS

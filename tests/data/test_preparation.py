@@ -1,7 +1,5 @@
 """Preparation of pose logs, against motions whose velocities are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy
@@ -14,12 +12,12 @@ from sysid_evo.system import Channel, System
 
 
 @pytest.fixture
-def logged_car(car) -> System:
+def logged_car(car):
     """The toy car with controls that may take any value, so that a log can number its rows in them."""
     return System(car.states, (Channel("drive"), Channel("steer")), car.dt, car.motion)
 
 
-def first_tick(rate: float = 200.0, dt: float = 0.05) -> int:
+def first_tick(rate=200.0, dt=0.05):
     """The first tick that has half a filter before it."""
     margin = REACH + len(low_pass(CUTOFF / dt, rate, 0.5 / dt)) // 2
     return -(-margin // round(rate * dt))

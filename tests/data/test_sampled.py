@@ -1,7 +1,5 @@
 """Logs at the control rate, taken row by row."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from sysid_evo.data.preparation import at_control_rate
 from sysid_evo.errors import InvalidData
 
 
-def log_with(time, car, rng) -> RawLog:
+def log_with(time, car, rng):
     n = len(time)
     states = {name: rng.normal(size=n) for name in car.state_names}
     return RawLog("log", np.asarray(time), rng.normal(size=(n, 3)), rng.integers(-1, 2, (n, 2)).astype(float), states)

@@ -1,7 +1,5 @@
 """Advice for robots that are no cars: pendulums, tanks, recordings that are too short, still or noisy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy
@@ -24,7 +22,7 @@ def held(rng, values, n, shortest, longest):
     return np.repeat(rng.choice(values, n), rng.integers(shortest, longest + 1, n))[:n]
 
 
-def pendulum(rng, *, seconds=100.0, noise=0.0, hold=(3, 25)) -> Dataset:
+def pendulum(rng, *, seconds=100.0, noise=0.0, hold=(3, 25)):
     """A swinging pendulum (time scale 0.22 s), exactly solved for small angles."""
     n = round(seconds / PENDULUM.dt)
     torque = held(rng, (-1.0, 0.0, 1.0), n, *hold)
@@ -38,7 +36,7 @@ def pendulum(rng, *, seconds=100.0, noise=0.0, hold=(3, 25)) -> Dataset:
     return Dataset.from_arrays(PENDULUM, x + noise * rng.normal(size=x.shape), torque)
 
 
-def tank(rng, *, hours=3.0, hold=(60, 400), dead_time=0) -> Dataset:
+def tank(rng, *, hours=3.0, hold=(60, 400), dead_time=0):
     """A tank whose level follows the valve with a time constant of 100 s, ``dead_time`` samples late."""
     n = round(3600.0 * hours)
     valve = held(rng, (0.0, 0.3, 0.7, 1.0), n, *hold)
@@ -48,7 +46,7 @@ def tank(rng, *, hours=3.0, hold=(60, 400), dead_time=0) -> Dataset:
     return Dataset.from_arrays(TANK, level, valve)
 
 
-def told(dataset: Dataset) -> str:
+def told(dataset):
     return "\n".join(advise(dataset).suggestions)
 
 

@@ -1,7 +1,5 @@
 """A part of a very long recording: blocks of time at random places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from sysid_evo.system import Channel, System
 
 
 @pytest.fixture
-def counted() -> Dataset:
+def counted():
     """Three episodes whose state is the number of the sample; 25,000 steps in all."""
     system = System(("sample",), (Channel("u", low=0.0, high=1.0),), 0.1)
     samples = [np.arange(n + 1.0) + 100_000 * i for i, n in enumerate((20_000, 400, 4_600))]

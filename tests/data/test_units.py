@@ -1,7 +1,5 @@
 """Units of a log: what they become, and which are refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Arrays without names, given to `fit` as pysindy takes them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,9 +1,5 @@
 """A real recording of a car on a slippery floor, and the split that every comparison uses."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,7 +11,7 @@ TEST_EPISODE = "2025-04-16-17-36-01"
 
 
 @pytest.fixture(scope="session")
-def throttle_car() -> System:
+def throttle_car():
     """A car with continuous throttle and steering at 20 Hz."""
     return System(
         states=(Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
@@ -27,7 +23,7 @@ def throttle_car() -> System:
 
 
 @pytest.fixture(scope="session")
-def slippery(recordings: Path, throttle_car: System) -> tuple[Dataset, Dataset]:
+def slippery(recordings, throttle_car):
     """Training and test set of the slippery recordings."""
     states, controls, poses, names = [], [], [], []
     for path in sorted((recordings / "dart" / "slippery_20hz").glob("*.csv")):

@@ -24,17 +24,17 @@ NONE = Fault()
 
 
 @functools.cache
-def evidence(fault: Fault = NONE, seed: int = 0, *, noise: float = 0.02) -> Evidence:
+def evidence(fault=NONE, seed=0, *, noise=0.02):
     """Return a linear model of the machine on three quarters of each recording, and the rest."""
     training, test = drive(fault, seed, noise=noise).split(0.25)
     return Evidence("linear", make_model("linear").fit(training), training, test)
 
 
-def visiting(where: Evidence, visited: Dataset) -> Evidence:
+def visiting(where, visited):
     return Evidence(where.name, where.model, where.training, where.test, Steps.of(visited.system, visited.episodes))
 
 
-def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of() -> None:
+def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of():
     more = 0
     for seed in range(8):
         remarks = [remark for look in LOOKS if (remark := look(evidence(NONE, seed))) is not None]
@@ -44,7 +44,7 @@ def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spok
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.05])
-def test_the_noise_is_estimated_to_a_tenth(noise: float) -> None:
+def test_the_noise_is_estimated_to_a_tenth(noise):
     where = evidence(noise=noise)
     found = estimate_noise(where)
     assert found is not None
@@ -52,7 +52,7 @@ def test_the_noise_is_estimated_to_a_tenth(noise: float) -> None:
     assert found.n == pytest.approx(found.floor, rel=0.1)
 
 
-def test_a_model_whose_form_is_wrong_is_told_so_and_not_that_little_is_left() -> None:
+def test_a_model_whose_form_is_wrong_is_told_so_and_not_that_little_is_left():
     remark = noise_floor(evidence(Fault(bend=1.5)))
     assert remark is not None
     assert remark.topic == "form"
@@ -62,7 +62,7 @@ def test_a_model_whose_form_is_wrong_is_told_so_and_not_that_little_is_left() ->
     assert found.n > 1.5 * found.floor
 
 
-def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time() -> None:
+def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time():
     remark = late_controls(evidence(Fault(late=6)))
     assert remark is not None
     assert "Controls act up to 300 ms later" in remark.sentence
@@ -75,7 +75,7 @@ def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time()
     assert late_controls(knowing) is None
 
 
-def test_a_push_that_nobody_measures_is_a_hidden_state_and_noisy_measurements_are_none() -> None:
+def test_a_push_that_nobody_measures_is_a_hidden_state_and_noisy_measurements_are_none():
     unseen, noisy = (hidden_state(evidence(fault)) for fault in (Fault(drift=0.03), Fault(measured=0.03)))
     assert unseen is not None
     assert unseen.topic == "hidden state"
@@ -86,7 +86,7 @@ def test_a_push_that_nobody_measures_is_a_hidden_state_and_noisy_measurements_ar
     assert hidden_state(evidence(Fault(late=6))) is None
 
 
-def test_a_day_with_less_grip_is_named_and_other_driving_on_the_same_machine_is_not() -> None:
+def test_a_day_with_less_grip_is_named_and_other_driving_on_the_same_machine_is_not():
     remark = shift(evidence(Fault(grip=0.4)))
     assert remark is not None
     assert remark.sentence.startswith("day 3 behaves unlike the other recordings: ")
@@ -97,19 +97,19 @@ def test_a_day_with_less_grip_is_named_and_other_driving_on_the_same_machine_is_
     assert shift(Evidence("linear", make_model("linear").fit(training), training, test)) is None
 
 
-def test_a_recording_of_states_that_no_other_has_seen_is_no_other_condition() -> None:
+def test_a_recording_of_states_that_no_other_has_seen_is_no_other_condition():
     gentle, wild = drive(Fault(push=0.15, bend=1.5), episodes=3), drive(Fault(bend=1.5), 4, episodes=1)
     data = gentle.with_episodes([*gentle.episodes[:2], replace(wild.episodes[0], name="wild")])
     training, test = data.split(0.25)
     assert shift(Evidence("linear", make_model("linear").fit(gentle), training, test)) is None
 
 
-def test_one_recording_alone_differs_from_no_other() -> None:
+def test_one_recording_alone_differs_from_no_other():
     training, test = drive(episodes=1).split(0.25)
     assert shift(Evidence("linear", make_model("linear").fit(training), training, test)) is None
 
 
-def test_where_controllers_go_and_the_data_do_not_is_named() -> None:
+def test_where_controllers_go_and_the_data_do_not_is_named():
     slow = evidence(Fault(push=0.5))
     remark = missing_excitation(visiting(slow, drive(seed=5)))
     assert remark is not None
@@ -118,7 +118,7 @@ def test_where_controllers_go_and_the_data_do_not_is_named() -> None:
     assert missing_excitation(visiting(evidence(), drive(seed=5))) is None
 
 
-def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it() -> None:
+def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it():
     data = drive()
     system = data.system
     assert system.controls[0].high == 1.0
@@ -132,7 +132,7 @@ def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it() -> N
     assert gap.words == "push at 1 and steer at 1"
 
 
-def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers() -> None:
+def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers():
     data = drive()
     kept = []
     for episode in data:
@@ -146,7 +146,7 @@ def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers() 
     assert " was hardly tried with speed above " in remark.sentence
 
 
-def test_a_test_part_that_lies_elsewhere_is_named() -> None:
+def test_a_test_part_that_lies_elsewhere_is_named():
     gentle, wild = drive(Fault(push=0.4)), drive(seed=5)
     model = make_model("linear").fit(gentle)
     remark = other_states(Evidence("linear", model, gentle, wild))
@@ -155,7 +155,7 @@ def test_a_test_part_that_lies_elsewhere_is_named() -> None:
     assert other_states(evidence()) is None
 
 
-def test_controllers_that_go_where_no_test_is_made_are_named() -> None:
+def test_controllers_that_go_where_no_test_is_made_are_named():
     wild, gentle = drive(seed=5), drive(Fault(push=0.4))
     where = visiting(Evidence("linear", make_model("linear").fit(wild), wild, gentle), drive(seed=6))
     remark = other_states(where)
@@ -163,7 +163,7 @@ def test_controllers_that_go_where_no_test_is_made_are_named() -> None:
     assert "its errors say nothing of what models do there" in remark.sentence
 
 
-def test_two_channels_make_a_place_where_each_alone_was_visited() -> None:
+def test_two_channels_make_a_place_where_each_alone_was_visited():
     seen, asked = Steps.moving(drive()), Steps.moving(drive(seed=1))
     corner = (seen.before[:, 0] > 0.1) & (seen.control[:, 1] > 0.0)
     apart = Steps(seen.system, seen.before[~corner], seen.control[~corner], seen.after[~corner])
@@ -173,27 +173,27 @@ def test_two_channels_make_a_place_where_each_alone_was_visited() -> None:
     assert largest_gap(seen, asked) is None
 
 
-def test_a_command_without_effect_in_one_region_is_named() -> None:
+def test_a_command_without_effect_in_one_region_is_named():
     remark = dead_command(evidence(Fault(dead=True)))
     assert remark is not None
     assert remark.sentence.startswith("steer has no effect on turn with speed below -0.")
     assert dead_command(evidence(Fault(bend=0.5))) is None
 
 
-def test_a_region_where_the_error_is_larger_is_named() -> None:
+def test_a_region_where_the_error_is_larger_is_named():
     remark = weak_region(evidence(Fault(loud=4.0)))
     assert remark is not None
     assert "linear is worst with speed above 0.3" in remark.sentence
 
 
-def few(lags: int) -> tuple[Evidence, Dataset]:
+def few(lags):
     """Return a linear model with so many lags of little data, and much to test it on."""
     training = drive(episodes=1, steps=200)
     model = make_model("linear", state_lags=lags, control_lags=lags).fit(training)
     return Evidence("linear", model, training, drive(seed=9)), training
 
 
-def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns() -> None:
+def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():
     where, training = few(20)
     remark = overfit(where)
     assert remark is not None
@@ -205,20 +205,20 @@ def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns() -> N
     assert remark.figures["half"] > 1.05 * remark.figures["all"]
 
 
-def test_a_model_with_enough_data_is_neither_overfit_nor_in_want_of_more() -> None:
+def test_a_model_with_enough_data_is_neither_overfit_nor_in_want_of_more():
     where = evidence()
     assert overfit(where) is None
     assert too_few_data(where, where.model.unfitted().fit(halved(where.training))) is None
 
 
-def test_half_the_data_are_every_other_piece_of_each_episode() -> None:
+def test_half_the_data_are_every_other_piece_of_each_episode():
     data = drive(episodes=1, steps=800)
     half = halved(data)
     assert [len(episode) for episode in half] == [200, 200]
     np.testing.assert_array_equal(half.episodes[1].controls, data.episodes[0].controls[400:600])
 
 
-def test_the_most_important_comes_first_and_there_are_five_at_most() -> None:
+def test_the_most_important_comes_first_and_there_are_five_at_most():
     where = evidence(Fault(late=6, dead=True, loud=3.0, push=0.6))
     advice = advise_model(where.model, where.training, where.test, visited=drive(seed=5).episodes, name="linear")
     weights = [remark.weight for remark in advice.remarks]
@@ -228,7 +228,7 @@ def test_the_most_important_comes_first_and_there_are_five_at_most() -> None:
     assert "noise" not in [remark.topic for remark in advice.remarks]
 
 
-def test_the_form_of_a_model_that_is_nearly_right_does_not_limit_it() -> None:
+def test_the_form_of_a_model_that_is_nearly_right_does_not_limit_it():
     where = evidence(Fault(bend=0.1), noise=1e-4)
     remark = noise_floor(where)
     assert remark is not None
@@ -240,7 +240,7 @@ def test_the_form_of_a_model_that_is_nearly_right_does_not_limit_it() -> None:
     assert advise_model(wrong.model, wrong.training, wrong.test).remarks[0].topic == "form"
 
 
-def test_what_follows_from_something_else_is_left_out() -> None:
+def test_what_follows_from_something_else_is_left_out():
     where = evidence(Fault(late=6))
     assert noise_floor(where) is not None
     assert [remark.topic for remark in advise_model(where.model, where.training, where.test).remarks] == [
@@ -248,7 +248,7 @@ def test_what_follows_from_something_else_is_left_out() -> None:
     ]
 
 
-def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back() -> None:
+def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back():
     advice = advise_model(make_model("linear").fit(drive(Fault(late=6))), drive(Fault(late=6)))
     assert advice.model == "Linear"
     assert advice.judged_on.startswith("the last quarter of each episode")
@@ -257,7 +257,7 @@ def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back() -> None:
     assert advise_model(make_model("linear").fit(short), short).judged_on == "its own training data"
 
 
-def test_a_family_that_takes_long_is_never_fitted_again() -> None:
+def test_a_family_that_takes_long_is_never_fitted_again():
     family = type(make_model("linear"))
     once = type("Slow", (family,), {"cheap": False, "__module__": __name__})().fit(drive())
     once.unfitted = lambda: pytest.fail("fitted again")
@@ -265,7 +265,7 @@ def test_a_family_that_takes_long_is_never_fitted_again() -> None:
     assert advise_model(once, *drive().split(0.25)).judged_on == "the test part"
 
 
-def test_advice_is_the_same_every_time_and_comes_back_from_json() -> None:
+def test_advice_is_the_same_every_time_and_comes_back_from_json():
     where = evidence(Fault(late=6))
     once, again = (advise_model(where.model, where.training, where.test) for _ in range(2))
     assert once == again

@@ -1,7 +1,5 @@
 """Intervals: they must cover as often as they claim, on errors that come in clusters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,12 +10,12 @@ from tests.fixtures.known_models import Sliding, Weak, fitted, recording
 CLUSTERS, SIZE = 40, 15
 
 
-def _covered(errors: np.ndarray, blocks: np.ndarray, seed: int) -> bool:
+def _covered(errors, blocks, seed):
     resampled = BlockErrors.of(errors, blocks).resampled_n(np.ones(1), 300, seed)
     return interval(resampled, 0.95).spans(1.0)
 
 
-def test_block_intervals_cover_the_true_error_and_plain_ones_do_not(rng: np.random.Generator) -> None:
+def test_block_intervals_cover_the_true_error_and_plain_ones_do_not(rng):
     blocks = np.repeat(np.arange(CLUSTERS), SIZE)
     rows = np.arange(CLUSTERS * SIZE)
     by_block, by_row = [], []
@@ -29,27 +27,27 @@ def test_block_intervals_cover_the_true_error_and_plain_ones_do_not(rng: np.rand
     assert np.mean(by_row) < 0.6
 
 
-def test_the_same_seed_draws_the_same_blocks_for_every_model() -> None:
+def test_the_same_seed_draws_the_same_blocks_for_every_model():
     assert (draw_blocks(30, 50, 4) == draw_blocks(30, 50, 4)).all()
     assert (draw_blocks(30, 50, 4) != draw_blocks(30, 50, 5)).any()
 
 
-def test_a_draw_of_all_blocks_once_is_the_plain_error(rng: np.random.Generator) -> None:
+def test_a_draw_of_all_blocks_once_is_the_plain_error(rng):
     errors = rng.normal(size=(31, 2))
     blocks = BlockErrors.of(errors, np.arange(31) // 4)
     once = blocks.rmse(np.arange(len(blocks.counts))[None])
     np.testing.assert_allclose(once[0], np.sqrt((errors**2).mean(axis=0)))
 
 
-def test_an_interval_without_numbers_is_nan() -> None:
+def test_an_interval_without_numbers_is_nan():
     assert np.isnan(interval(np.array([np.nan]), 0.95)).all()
 
 
-def test_an_interval_of_95_per_cent_leaves_a_fortieth_at_either_end() -> None:
+def test_an_interval_of_95_per_cent_leaves_a_fortieth_at_either_end():
     assert interval(np.linspace(0.0, 1.0, 1001), 0.95) == pytest.approx((0.025, 0.975))
 
 
-def test_scores_and_differences_have_intervals_of_95_per_cent() -> None:
+def test_scores_and_differences_have_intervals_of_95_per_cent():
     models = {"one": fitted(Weak()), "two": fitted(Sliding())}
     prediction = assess_prediction(models, recording(), recording(1, seed=5))
     one, two = (prediction.model(name).score(20) for name in models)
@@ -62,7 +60,7 @@ def test_scores_and_differences_have_intervals_of_95_per_cent() -> None:
     assert "95 % intervals" in prediction.cases.protocol.describe(0.05)
 
 
-def test_a_free_run_of_two_blocks_has_three_draws() -> None:
+def test_a_free_run_of_two_blocks_has_three_draws():
     protocol = PredictionProtocol(block_samples=100, resamples=100)
     test = recording(1, steps=200 + protocol.first)
     score = assess_prediction({}, recording(), test, protocol=protocol).model(PERSISTENCE).free_run

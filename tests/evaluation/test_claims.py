@@ -1,7 +1,5 @@
 """Claims: one statistic wherever they are made, and the rule for "exploited" to the digit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,14 +9,14 @@ from tests.fixtures.known_models import recording
 from tests.fixtures.reports import champion
 
 
-def matrix_of(*cells: Cell, against: tuple[str, ...] = ("a",), aggregate: str = "min") -> TransferMatrix:
+def matrix_of(*cells, against=("a",), aggregate="min"):
     columns = tuple(cell.column for cell in cells)
     return TransferMatrix.of(
         [champion("c", against, aggregate=aggregate)], columns, cells, robot="car" if "car" in columns else None
     )
 
 
-def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng: np.random.Generator) -> None:
+def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng):
     cells = [Cell("c", name, mean + rng.normal(size=30)) for name, mean in (("a", 9.0), ("b", 6.0), ("car", 5.0))]
     matrix = matrix_of(*cells)
     controller = summarise(matrix).controller("c")
@@ -33,7 +31,7 @@ def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng
 
 
 @pytest.mark.parametrize("trials", [2, 5, 100])
-def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng: np.random.Generator, trials: int) -> None:
+def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng, trials):
     cell = Cell("c", "a", rng.normal(size=trials))
     claimed = summarise(matrix_of(cell)).controller("c").claimed
     assert claimed is not None
@@ -41,7 +39,7 @@ def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng: np.random.G
     assert claimed.standard_error == pytest.approx(cell.standard_error, rel=0.08)
 
 
-def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution() -> None:
+def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution():
     here, there = np.array([0.0, 4.0, 1.0, 5.0]), np.array([4.0, 0.0, 5.0, 1.0])
     cells = (Cell("c", "a", here), Cell("c", "b", there))
     least = fitness_on(champion("c", ("a", "b")), ("a", "b"), matrix_of(*cells, against=("a", "b")))
@@ -54,14 +52,14 @@ def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution() -> None:
     assert mean[1:].mean() == pytest.approx(2.5, abs=0.05)
 
 
-def test_a_claim_needs_every_model_that_it_is_about() -> None:
+def test_a_claim_needs_every_model_that_it_is_about():
     ran, failed = Cell("c", "a", np.ones(3)), Cell("c", "b", reason="no answer")
     assert fitness_on(champion("c", ("a",)), ("a", "b"), matrix_of(ran, failed)) is None
     assert fitness_on(champion("c", ("a",)), ("a", "gone"), matrix_of(ran)) is None
     assert fitness_on(champion("c", ()), (), matrix_of(ran)) is None
 
 
-def test_models_with_different_trials_are_joined_over_the_trials_of_both() -> None:
+def test_models_with_different_trials_are_joined_over_the_trials_of_both():
     cells = (Cell("c", "a", np.array([1.0, 3.0, 50.0])), Cell("c", "b", np.array([4.0, 6.0])))
     drawn = fitness_on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"), matrix_of(*cells))
     assert drawn is not None
@@ -80,18 +78,16 @@ def test_models_with_different_trials_are_joined_over_the_trials_of_both() -> No
         (10.0, 9.0, float("nan"), None),
     ],
 )
-def test_a_claim_is_exploited_beyond_a_tenth_of_it_and_two_standard_errors(
-    claimed: float, gap: float, error: float, exploited: bool | None
-) -> None:
+def test_a_claim_is_exploited_beyond_a_tenth_of_it_and_two_standard_errors(claimed, gap, error, exploited):
     assert is_exploited(Estimate(claimed, 0.1), Estimate(gap, error)) is exploited
 
 
-def test_nothing_is_exploited_where_nothing_is_claimed_or_nowhere_else_is_tested() -> None:
+def test_nothing_is_exploited_where_nothing_is_claimed_or_nowhere_else_is_tested():
     assert is_exploited(None, Estimate(1.0, 0.1)) is None
     assert is_exploited(Estimate(1.0, 0.1), None) is None
 
 
-def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models() -> None:
+def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models():
     own, other, robot = (Cell("c", name, np.full(4, v)) for name, v in (("a", 9.0), ("b", 1.0), ("car", 9.0)))
     on_robot = summarise(matrix_of(own, other, robot)).controller("c")
     on_models = summarise(matrix_of(own, other)).controller("c")
@@ -100,6 +96,6 @@ def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models
     assert on_models.elsewhere == on_models.others
 
 
-def test_a_controller_evolved_on_the_robot_itself_exploits_nothing() -> None:
+def test_a_controller_evolved_on_the_robot_itself_exploits_nothing():
     cells = (Cell("c", "a", np.full(4, 9.0)), Cell("c", "car", np.full(4, 9.0)))
     assert summarise(matrix_of(*cells, against=("car",))).controller("c").exploited is None

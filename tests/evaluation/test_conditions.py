@@ -1,9 +1,6 @@
 """A comparison that leaves whole conditions out: errors within and across them, side by side."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +12,7 @@ from tests.fixtures.systems import FloorCar, drive
 
 
 @pytest.fixture(scope="module")
-def floors() -> Dataset:
+def floors():
     """Two drives on a floor that grips and two on one that does not."""
     pieces = [
         replace(drive(car, seconds=20.0, seed=seed).episodes[0], condition=condition)
@@ -26,7 +23,7 @@ def floors() -> Dataset:
     return Dataset(FloorCar().system, tuple(pieces))
 
 
-def test_a_condition_left_out_is_predicted_worse_than_one_learned_from(floors: Dataset, tmp_path: Path) -> None:
+def test_a_condition_left_out_is_predicted_worse_than_one_learned_from(floors, tmp_path):
     report = compare(floors, out=tmp_path / "run", models=["linear"], only="prediction", leave_out="condition", jobs=1)
     grip, ice = report.conditions["linear"]
     assert (grip.condition, ice.condition, grip.horizon) == ("grip", "ice", 20)
@@ -41,7 +38,7 @@ def test_a_condition_left_out_is_predicted_worse_than_one_learned_from(floors: D
     assert again.conditions == report.conditions
 
 
-def test_other_conditions_of_the_same_numbers_are_other_data(floors: Dataset, tmp_path: Path) -> None:
+def test_other_conditions_of_the_same_numbers_are_other_data(floors, tmp_path):
     settings = {"models": ["linear"], "only": "prediction", "leave_out": "condition", "jobs": 1}
     renamed = floors.with_episodes([replace(e, condition=f"the {e.condition}") for e in floors])
     compare(floors, out=tmp_path / "run", **settings)
@@ -49,7 +46,7 @@ def test_other_conditions_of_the_same_numbers_are_other_data(floors: Dataset, tm
     assert [found.condition for found in report.conditions["linear"]] == ["the grip", "the ice"]
 
 
-def test_without_several_conditions_it_is_refused_before_any_work(floors: Dataset, tmp_path: Path) -> None:
+def test_without_several_conditions_it_is_refused_before_any_work(floors, tmp_path):
     plain = floors.with_episodes([replace(e, condition="") for e in floors])
     with pytest.raises(InvalidArgument, match=r"leave_out: expected recordings of two or more conditions, got 1"):
         compare(plain, out=tmp_path / "run", models=["linear"], only="prediction", leave_out="condition")

@@ -1,7 +1,5 @@
 """Controls at rest are a row of the matrix where they may bring something."""
 
-from __future__ import annotations
-
 import pytest
 
 from evaluation.experiment import Experiment
@@ -17,11 +15,7 @@ from tests.fixtures.known_models import recording
         ("CartPole-v1", (), ["linear", "rest"]),
     ],
 )
-def test_controls_at_rest_are_a_row_where_they_may_bring_something(
-    id: str,  # noqa: A002  # as Gymnasium calls it
-    by_hand: tuple[str, ...],
-    rows: list[str],
-) -> None:
+def test_controls_at_rest_are_a_row_where_they_may_bring_something(id, by_hand, rows):  # noqa: A002  # as Gymnasium calls it
     task, robot = f'environment(id="{id}")', f'gymnasium(id="{id}")'
     planned = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), by_hand=by_hand))
     assert planned.matrix is not None
@@ -33,13 +27,13 @@ def test_controls_at_rest_are_a_row_where_they_may_bring_something(
     assert only.matrix is None
 
 
-def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing() -> None:
+def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing():
     planned = plan_comparison(Experiment(models=("linear",), yardstick=False))
     assert planned.matrix is not None
     assert [champion.name for champion in planned.matrix.champions] == ["linear"]
 
 
-def test_controls_at_rest_are_a_row_without_a_robot() -> None:
+def test_controls_at_rest_are_a_row_without_a_robot():
     task = 'set_point(channels="forward_speed")'
     without_robot = plan_comparison(Experiment(models=("linear",), task=task), dataset=recording(3, steps=400))
     assert without_robot.matrix is not None

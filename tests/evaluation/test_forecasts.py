@@ -1,9 +1,5 @@
 """The history that a model is given when fewer samples were measured than it wants."""
 
-from __future__ import annotations
-
-from typing import Self
-
 import numpy as np
 
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
@@ -11,7 +7,6 @@ from evaluation.prediction.scoring import forecast
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 SYSTEM = System((Channel("place"),), (Channel("push", low=0.25, high=5000.0),), 0.1)
 STEPS = 60
@@ -20,23 +15,23 @@ STEPS = 60
 class Echo(DynamicsModel):
     """The next state is the state ``reach`` samples ago plus 10,000 times the control as long ago."""
 
-    def __init__(self, *, state_lags: int = 4, control_lags: int = 4, reach: int = 4) -> None:
+    def __init__(self, *, state_lags=4, control_lags=4, reach=4):
         self.state_lags = state_lags
         self.control_lags = control_lags
         self.reach = reach
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: object = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         return self
 
     @property
-    def envelope(self) -> None:
+    def envelope(self):
         """No limits."""
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return carry[:, [self.reach]] + 1e4 * carry[:, [self.state_lags + self.reach]]
 
 
-def reached_back_to(*, history: int | None, lags: int, reach: int) -> tuple[float, float]:
+def reached_back_to(*, history, lags, reach):
     """Return the state and the control that the first step from sample 20 used; both are the number of their sample."""
     numbers = np.arange(STEPS + 1.0)
     data = Dataset.from_arrays(SYSTEM, numbers, np.maximum(numbers, 0.25))
@@ -47,18 +42,18 @@ def reached_back_to(*, history: int | None, lags: int, reach: int) -> tuple[floa
     return state, (found - state) / 1e4
 
 
-def test_a_history_that_is_long_enough_is_the_measured_one() -> None:
+def test_a_history_that_is_long_enough_is_the_measured_one():
     assert reached_back_to(history=6, lags=6, reach=6) == (14.0, 14.0)
     assert reached_back_to(history=6, lags=4, reach=1) == (19.0, 19.0)
 
 
-def test_a_model_is_given_what_it_wants_as_far_back_as_the_record_goes() -> None:
+def test_a_model_is_given_what_it_wants_as_far_back_as_the_record_goes():
     assert reached_back_to(history=None, lags=12, reach=12) == (8.0, 8.0)
     assert reached_back_to(history=None, lags=25, reach=20) == (0.0, 0.25)
     assert reached_back_to(history=None, lags=25, reach=22) == (0.0, 0.25)
 
 
-def test_a_short_history_is_padded_with_the_first_state_and_neutral_controls() -> None:
+def test_a_short_history_is_padded_with_the_first_state_and_neutral_controls():
     assert reached_back_to(history=3, lags=6, reach=6) == (17.0, 0.25)
     assert reached_back_to(history=3, lags=6, reach=4) == (17.0, 0.25)
     assert reached_back_to(history=3, lags=6, reach=3) == (17.0, 17.0)

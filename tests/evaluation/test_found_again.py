@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +13,9 @@ from evaluation import planning
 from evaluation.cells.controllers import PolishCell
 from evaluation.cells.models import StoredModel
 from evaluation.experiment import Experiment
-from evaluation.planning import Comparison, plan_comparison, unsettled
+from evaluation.planning import plan_comparison, unsettled
 from evaluation.transfer import Cell, person
 from evaluation.transfer.matrix import MeasuredResult
-from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion
 from sysid_evo.models import save_model
@@ -64,21 +61,21 @@ ON_ROBOT = {title for title in RUNS if title.endswith("emulated_car")}
 RECORDED = {title for title in RUNS if title not in ("run linear on near", "run near on linear")}
 
 
-def planned(dataset: Dataset | None = None, **changes: Any) -> Comparison:
+def planned(dataset=None, **changes):
     return plan_comparison(Experiment.of({**BASE, **changes}), dataset=dataset or example_dataset())
 
 
-def digests(comparison: Comparison) -> dict[str, str]:
+def digests(comparison):
     return {cell.title: cell.digest for cell in comparison.plan}
 
 
-def changed(before: Comparison, after: Comparison) -> set[str]:
+def changed(before, after):
     """Return the titles of the cells of ``after`` that ``before`` does not have."""
     known = set(digests(before).values())
     return {title for title, digest in digests(after).items() if digest not in known}
 
 
-def test_the_plan_has_the_cells_that_the_table_below_speaks_of() -> None:
+def test_the_plan_has_the_cells_that_the_table_below_speaks_of():
     assert set(digests(planned())) == ALL
 
 
@@ -117,14 +114,14 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of() -> None:
     ],
     ids=lambda value: next(iter(value), "nothing") if isinstance(value, dict) else "",
 )  # fmt: skip
-def test_exactly_the_cells_that_depend_on_a_setting_change_with_it(change: dict[str, Any], expected: set[str]) -> None:
+def test_exactly_the_cells_that_depend_on_a_setting_change_with_it(change, expected):
     assert changed(planned(), planned(**change)) == expected
 
 
 RECOMMENDED = {"recipe": "recommended", "models": ("linear", "near=nearest_neighbour", "parametrised"), "ensembles": ()}
 
 
-def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_the_best_are_polished() -> None:
+def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_the_best_are_polished():
     found = planned(**RECOMMENDED, yardstick=True)
     titles = set(digests(found))
     names = ("linear", "near", "parametrised")
@@ -135,7 +132,7 @@ def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_
     assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "polished"]
 
 
-def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again() -> None:
+def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again():
     found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
     assert found.matrix is not None
     polished = found.matrix.champions[-1]
@@ -144,32 +141,32 @@ def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolve
     assert sum(cell.title == "evolve linear+near" for cell in found.plan) == 1
 
 
-def test_a_further_model_judges_and_evolves_nothing_again() -> None:
+def test_a_further_model_judges_and_evolves_nothing_again():
     fewer = planned(**{**RECOMMENDED, "models": ("linear", "near=nearest_neighbour")})
     anew = {title for title in changed(fewer, planned(**RECOMMENDED)) if "parametrised" not in title}
     assert {"choose linear", "choose near", "polish the best"} <= anew
     assert not {title for title in anew if title.startswith(("fit", "evolve", "predict"))}
 
 
-def test_one_family_alone_has_nobody_to_judge_it() -> None:
+def test_one_family_alone_has_nobody_to_judge_it():
     titles = set(digests(planned(**{**RECOMMENDED, "models": ("linear", "ridged=linear(ridge=0.1)")})))
     assert not {"choose linear", "choose ridged"} & titles
     assert "polish the best" in titles
 
 
-def test_the_polish_alone_changes_with_its_generations() -> None:
+def test_the_polish_alone_changes_with_its_generations():
     runs = {f"run polished on {name}" for name in ("linear", "near", "parametrised", "emulated_car")}
     assert changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish=7)) == {"polish the best"} | runs | ASSESS
 
 
-def test_a_polish_is_no_longer_than_the_search_before_it_unless_it_is_asked_for() -> None:
+def test_a_polish_is_no_longer_than_the_search_before_it_unless_it_is_asked_for():
     assert Experiment.of({"generations": 3}).budget.polish == 3
     assert Experiment.of({"generations": 3, "polish": 9}).budget.polish == 9
     assert Experiment.of({"generations": 5000}).budget.polish == 240
     assert Experiment.of({}).budget.polish == 240
 
 
-def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_given() -> None:
+def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_given():
     chosen = {"models": ("linear", "parametrised"), "ensembles": ()}
     found = changed(planned(**chosen), planned(**chosen, preset="standard"))
     assert "fit parametrised" in found
@@ -178,7 +175,7 @@ def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_
     assert "evolve linear" in changed(planned(**chosen), planned(**chosen, preset="standard", generations=None))
 
 
-def test_a_stored_experiment_under_another_preset_is_what_it_would_have_been_from_the_start() -> None:
+def test_a_stored_experiment_under_another_preset_is_what_it_would_have_been_from_the_start():
     asked = {"models": ("linear", "par=parametrised", "sure=parametrised(generations=7)"), "ensembles": (),
              "generations": None}  # fmt: skip
     stored = planned(**asked).experiment.model_dump(mode="json", exclude_none=True)
@@ -190,25 +187,25 @@ def test_a_stored_experiment_under_another_preset_is_what_it_would_have_been_fro
     assert changed(planned(**asked), again) != set()
 
 
-def test_other_data_change_everything_and_their_copy_nothing() -> None:
+def test_other_data_change_everything_and_their_copy_nothing():
     assert changed(planned(), planned(example_dataset(seed=1))) == ALL
     assert changed(planned(), planned(example_dataset(seed=0))) == set()
 
 
-def test_a_measured_cell_changes_the_assessment_alone() -> None:
+def test_a_measured_cell_changes_the_assessment_alone():
     drove = MeasuredResult(person("anna"), Cell("anna", "linear", np.ones(2), unit="waypoints"), on_robot=False)
     experiment = Experiment.of(BASE)
     after = plan_comparison(experiment, dataset=example_dataset(), measured=[drove])
     assert changed(planned(), after) == {"assess exploitability"}
 
 
-def test_another_contract_changes_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_contract_changes_everything(monkeypatch):
     before = digests(planned())
     monkeypatch.setattr(plan_cell, "CONTRACT", plan_cell.CONTRACT + 1)
     assert not set(before.values()) & set(digests(planned()).values())
 
 
-def test_a_default_that_is_written_out_and_a_seed_in_shorthand_change_nothing() -> None:
+def test_a_default_that_is_written_out_and_a_seed_in_shorthand_change_nothing():
     ridge = models.parameters("linear")["ridge"]
     written = planned(models=(f"linear(ridge={ridge!r})", "near=nearest_neighbour"))
     assert changed(planned(), written) == set()
@@ -254,7 +251,7 @@ def their_aggregate(fitness):
 
 
 @pytest.fixture
-def plugin(tmp_path: Path) -> Iterator[Path]:
+def plugin(tmp_path):
     """A plugin file with one thing of every kind, until the test ends."""
     path = tmp_path / "theirs.py"
     path.write_text(PLUGIN)
@@ -278,14 +275,14 @@ def plugin(tmp_path: Path) -> Iterator[Path]:
     ],
     ids=("model", "task", "controller", "strategy", "aggregate"),
 )
-def test_another_source_of_a_plugin_is_another_result(plugin: Path, change: dict[str, Any], expected: str) -> None:
+def test_another_source_of_a_plugin_is_another_result(plugin, change, expected):
     before = planned(**change)
     plugin.write_text(PLUGIN + "\n# mended\n")
     assert expected in changed(before, planned(**change))
     assert changed(planned(), planned()) == set()  # what is shipped does not change with it
 
 
-def test_a_result_is_found_again_under_another_label_and_carries_it(tmp_path: Path) -> None:
+def test_a_result_is_found_again_under_another_label_and_carries_it(tmp_path):
     small = {**BASE, "robot": None, "generations": 1, "ensembles": ()}
     first = plan_comparison(Experiment.of({**small, "models": ("old=linear",)}), dataset=example_dataset())
     execute(first.plan, Store(tmp_path))
@@ -301,7 +298,7 @@ def test_a_result_is_found_again_under_another_label_and_carries_it(tmp_path: Pa
     assert store.outcome(second.predictions["new"]).value.name == "new"
 
 
-def test_two_labels_of_one_model_are_two_rows_of_equal_numbers(tmp_path: Path) -> None:
+def test_two_labels_of_one_model_are_two_rows_of_equal_numbers(tmp_path):
     small = {**BASE, "robot": None, "generations": 1, "ensembles": ()}
     both = plan_comparison(Experiment.of({**small, "models": ("a=linear", "b=linear")}), dataset=example_dataset())
     store = Store(tmp_path)
@@ -313,7 +310,7 @@ def test_two_labels_of_one_model_are_two_rows_of_equal_numbers(tmp_path: Path) -
     np.testing.assert_array_equal(matrix.cell("a", "a").fitness, matrix.cell("b", "a").fitness)
 
 
-def test_claims_are_measured_with_the_delay_of_evolution(tmp_path: Path) -> None:
+def test_claims_are_measured_with_the_delay_of_evolution(tmp_path):
     small = {**BASE, "robot": None, "ensembles": (), "models": ("linear",), "task": "point_to_point(horizon=200)",
              "generations": 5}  # fmt: skip
     late = plan_comparison(Experiment.of({**small, "estimator_delay": 0.2}), dataset=example_dataset())
@@ -328,7 +325,7 @@ def test_claims_are_measured_with_the_delay_of_evolution(tmp_path: Path) -> None
     assert not np.array_equal(with_delay.traces[0].trajectory.states, without.traces[0].trajectory.states)
 
 
-def test_a_champion_is_refused_on_another_system() -> None:
+def test_a_champion_is_refused_on_another_system():
     system = example_dataset().system
     champion = Champion("c", np.zeros(3), ("a",), "min", 0, np.ones((1, 3)), system=system)
     champion.check_system(system)
@@ -340,7 +337,7 @@ def test_a_champion_is_refused_on_another_system() -> None:
         champion.check_system(replace(system, controls=system.controls[::-1]))
 
 
-def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path: Path) -> None:
+def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
     data = example_dataset()
     rng = np.random.default_rng(0)
     fitted = make_model("k_neighbours(neighbours=3)").fit(data, rng=rng)
@@ -354,10 +351,10 @@ def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path: Path) -> N
     assert one.digest != other.digest
 
 
-def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_file(tmp_path: Path) -> None:
+def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_file(tmp_path):
     data, base = example_dataset(), tmp_path / "base"
 
-    def fitted() -> str:
+    def fitted():
         return digests(planned(models=("linear", f"near=adapted(base='{base}')")))["fit near"]
 
     save_model(make_model("linear").fit(data, rng=0), base)
@@ -367,9 +364,7 @@ def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_fil
     assert fitted() != before
 
 
-def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_named(
-    register: Callable[[Registry[Any], str, Any], Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_named(register, monkeypatch):
     class Lacking(FailsInFit):
         """A family that needs a package which is not there."""
 

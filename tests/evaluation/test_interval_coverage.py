@@ -1,10 +1,6 @@
 """How often intervals hold the truth stands in the report, in numbers and in words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -15,7 +11,6 @@ from evaluation.report.sections.prediction import coverage_sheet, intervals_hold
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 from tests.fixtures.reports import prediction
 
 SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
@@ -26,28 +21,28 @@ class Walk(DynamicsModel):
 
     envelope = None
 
-    def __init__(self, *, size: float = 1.0, stochastic: bool = True) -> None:
+    def __init__(self, *, size=1.0, stochastic=True):
         self.size = size
         self.stochastic = stochastic
 
     @property
-    def n_noise(self) -> int:
+    def n_noise(self):
         return 2 if self.stochastic else 0
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         return self
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         return carry if noise is None else carry + self.size * noise
 
 
-def walked(seed: int) -> Dataset:
+def walked(seed):
     steps = np.random.default_rng(seed).standard_normal((20, 300, 2))
     states = np.concatenate([np.zeros((20, 1, 2)), np.cumsum(steps, axis=1)], axis=1)
     return Dataset.from_arrays(SYSTEM, list(states), [np.zeros((300, 1))] * 20)
 
 
-def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path: Path) -> None:
+def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
     data = walked(0)
     cases = measured_cases(data, walked(1), PredictionProtocol(stride=20))
     fitted = {size: Walk(size=size).fit(data, rng=np.random.default_rng(0)) for size in (1.0, 0.4)}
@@ -74,7 +69,7 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path: Pa
         ((), ""),
     ],
 )
-def test_intervals_that_do_not_hold_what_they_should_are_said_in_words(shares: tuple[float, ...], said: str) -> None:
+def test_intervals_that_do_not_hold_what_they_should_are_said_in_words(shares, said):
     made_up = prediction({"persistence": 0.9, "linear": 0.3})
     held = tuple(Coverage(h, 100, 0.9, np.full(3, share)) for h, share in zip((1, 20), shares, strict=False))
     model = replace(made_up.model("linear"), coverage=held)

@@ -1,7 +1,5 @@
 """What a controller does: known paths give known numbers, and these the words for them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -15,7 +13,6 @@ from evaluation.transfer import Cell, Trace, TransferMatrix
 from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
-from sysid_evo.types import Array
 from tests.fixtures import reports as made_up
 from tests.fixtures.known_models import SYSTEM
 from tests.fixtures.reports import champion
@@ -24,7 +21,7 @@ DT = 0.05
 RADIUS = 0.3
 
 
-def path(*legs: tuple[float, float, float]) -> tuple[Array, Array, Array]:
+def path(*legs):
     """Return pose (T + 1, 3), speed and yaw rate of driving legs of (seconds, m/s, rad/s) from the origin."""
     rates = np.concatenate([np.tile([speed, turn], (round(seconds / DT), 1)) for seconds, speed, turn in legs])
     pose = np.zeros((len(rates) + 1, 3))
@@ -35,7 +32,7 @@ def path(*legs: tuple[float, float, float]) -> tuple[Array, Array, Array]:
     return pose, both[:, 0], both[:, 1]
 
 
-def trace(*legs: tuple[float, float, float], markers: Array | None = None, controls: Array | None = None) -> Trace:
+def trace(*legs, markers=None, controls=None):
     """Return the trial of a car on this path."""
     pose, speed, turn = path(*legs)
     states = np.zeros((len(pose), SYSTEM.nx))
@@ -46,11 +43,11 @@ def trace(*legs: tuple[float, float, float], markers: Array | None = None, contr
     return Trace(Trajectory(states, held, DT, pose), 1.0, places, RADIUS)
 
 
-def numbers(one: Trace) -> dict[str, float]:
+def numbers(one):
     return dict(measured(one, SYSTEM, np.full(SYSTEM.nx, 1.0)))
 
 
-def test_a_marker_that_is_driven_straight_to_is_not_missed() -> None:
+def test_a_marker_that_is_driven_straight_to_is_not_missed():
     pose, speed, _ = path((4.0, 1.0, 0.0))
     found = chase(pose[:, :2], np.array([[1.0, 0.2], [3.0, 0.0], [9.0, 0.0]]), RADIUS, speed, DT, still=0.1)
     assert (found.markers, found.reached, found.missed, found.reactions, found.orbiting) == (3, 2, 0, (), 0.0)
@@ -64,20 +61,20 @@ def test_a_marker_that_is_driven_straight_to_is_not_missed() -> None:
         (((1.8, 1.0, 0.0), (3.0, -1.0, 0.0)), "turns back"),
     ],
 )
-def test_what_follows_a_miss_is_told(legs: tuple[tuple[float, float, float], ...], reaction: str) -> None:
+def test_what_follows_a_miss_is_told(legs, reaction):
     pose, speed, _ = path(*legs)
     found = chase(pose[:, :2], np.array([[1.0, 0.5]]), RADIUS, speed, DT, still=0.1)
     assert found.reactions[0] == reaction
     assert (found.missed, found.reached) == (1, 0)
 
 
-def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss() -> None:
+def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss():
     pose, speed, _ = path((4.0, 1.0, 0.0))
     for marker in ([2.0, 1.0], [-0.5, 0.0]):
         assert chase(pose[:, :2], np.array([marker]), RADIUS, speed, DT, still=0.1).missed == 0
 
 
-def test_the_time_from_a_miss_to_the_marker_is_measured() -> None:
+def test_the_time_from_a_miss_to_the_marker_is_measured():
     ahead = np.stack([np.linspace(0.0, 2.0, 41), np.zeros(41)], axis=1)
     back = ahead[-1] + np.linspace(0.0, 1.0, 24)[1:, None] * np.array([-1.0, 0.5])  # 1.12 m, at about 1 m/s
     found = chase(np.concatenate([ahead, back]), np.array([[1.0, 0.5]]), RADIUS, np.ones(64), DT, still=0.1)
@@ -85,7 +82,7 @@ def test_the_time_from_a_miss_to_the_marker_is_measured() -> None:
     assert found.after[0] == pytest.approx(1.0 + (1.118 - RADIUS) / (1.118 / 23 / DT), abs=DT)
 
 
-def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none() -> None:
+def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none():
     pose, speed, _ = path((12.0, 1.0, 1.0))  # circles of 1 m around (0, 1)
     around = chase(pose[:, :2], np.array([[0.0, 1.0]]), RADIUS, speed, DT, still=0.1)
     assert around.orbiting == pytest.approx(1.0, abs=0.06)
@@ -93,7 +90,7 @@ def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none() -> 
     assert beside.orbiting == 0.0
 
 
-def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial() -> None:
+def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial():
     found = numbers(trace((3.0, -1.0, 0.5), (1.0, 0.0, 0.0), (1.0, 0.8, -0.5), (1.0, 0.0, 0.0)))
     assert found["backwards"] == pytest.approx(0.75, abs=0.01)
     assert found["turning left"] == pytest.approx(0.75, abs=0.01)
@@ -102,7 +99,7 @@ def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial() -> Non
     assert found["speed"] == pytest.approx(3.8 / 6.0, abs=0.01)
 
 
-def test_a_control_of_any_system_switches_and_saturates() -> None:
+def test_a_control_of_any_system_switches_and_saturates():
     system = System((Channel("angle", "rad"),), (Channel("torque", low=-2.0, high=2.0),), dt=0.1)
     controls = np.tile([[2.0], [2.0], [-1.0], [-1.05]], (25, 1))
     one = Trace(Trajectory(np.zeros((101, 1)), controls, 0.1), 0.0)
@@ -113,7 +110,7 @@ def test_a_control_of_any_system_switches_and_saturates() -> None:
     assert "backwards" not in found
 
 
-def test_settling_is_the_time_after_which_no_target_is_left() -> None:
+def test_settling_is_the_time_after_which_no_target_is_left():
     angle = Channel("angle", "rad", period=2 * np.pi)
     system = System((angle,), (Channel("torque", low=-1.0, high=1.0),), dt=0.1)
     states = np.concatenate([np.linspace(3.0, 0.0, 31), np.zeros(70)])[:, None] + 2 * np.pi
@@ -129,12 +126,12 @@ def test_settling_is_the_time_after_which_no_target_is_left() -> None:
     assert "settles after 3.0 s in 50 % of the trials" in describe(manner)
 
 
-def manner(name: str = "c", column: str = "car", **measures: float) -> Manner:
+def manner(name="c", column="car", **measures):
     named = {key.replace("_", " "): Measure(value, value - 0.01, value + 0.01, 5) for key, value in measures.items()}
     return Manner(name, column, 5, named)
 
 
-def test_a_sentence_says_what_a_driver_would() -> None:
+def test_a_sentence_says_what_a_driver_would():
     orbiting = manner(
         speed=1.2, backwards=0.93, turning_left=0.1, stops_per_minute=3.0, missed_at_first=0.4, orbiting=0.12,
         drives_on_after_a_miss=0.7, stops_after_a_miss=0.25, turns_back_after_a_miss=0.05,
@@ -148,7 +145,7 @@ def test_a_sentence_says_what_a_driver_would() -> None:
     assert "hardly ever misses a waypoint" in describe(manner(speed=1.0, backwards=0.0, missed_at_first=0.01))
 
 
-def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not() -> None:
+def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not():
     robot = manner(speed=1.0, backwards=0.9, orbiting=0.3)
     model = manner(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
     told = described([model, robot], "car")["c"]
@@ -157,7 +154,7 @@ def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not() ->
     assert described([model], None)["c"].startswith("In sindy: ")
 
 
-def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be() -> None:
+def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be():
     trials = [trace((4.0, -1.0, 0.0)), trace((4.0, -1.0, 0.0)), trace((2.0, 1.0, 0.0), (2.0, -1.0, 0.0))]
     found = manner_of("c", "car", trials, SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"]
     assert found.value == pytest.approx((1 + 1 + 0.5) / 3, abs=0.01)
@@ -165,13 +162,13 @@ def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be() -> N
     assert np.isnan(manner_of("c", "car", trials[:1], SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"].low)
 
 
-def recorded() -> TransferMatrix:
+def recorded():
     traces = (trace((4.0, -1.0, 0.0), markers=np.array([[-1.0, 0.0]])), trace((4.0, -1.0, 0.1)))
     cells = [Cell("c", column, np.ones(2), traces=traces, unit="waypoints") for column in ("a", "b", "car")]
     return TransferMatrix.of([champion("c", ("a",))], ("a", "b", "car"), cells, robot="car")
 
 
-def test_controllers_are_described_on_the_robot_and_where_they_were_evolved() -> None:
+def test_controllers_are_described_on_the_robot_and_where_they_were_evolved():
     found = manners(recorded())
     assert [(one.controller, one.column) for one in found] == [("c", "a"), ("c", "car")]
     words, table = manner_sheet(found, "car"), behaviour_sheet(found, "car")
@@ -183,7 +180,7 @@ def test_controllers_are_described_on_the_robot_and_where_they_were_evolved() ->
     assert manner_sheet((), None) is behaviour_sheet((), None) is None
 
 
-def test_the_report_holds_the_numbers_and_the_sentences() -> None:
+def test_the_report_holds_the_numbers_and_the_sentences():
     document = json.loads(json.dumps(to_json(made_up.report(transfer=recorded())), allow_nan=False))
     row = document["behaviour"][-1]
     assert (row["controller"], row["column"], row["trials"]) == ("c", "car", 2)

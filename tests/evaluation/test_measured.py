@@ -1,9 +1,6 @@
 """Cells measured once, on robots that are driven and by people, in the matrix of a run."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,28 +21,28 @@ from sysid_evo.evolution import Champion
 from tests.fixtures.known_models import SYSTEM
 
 
-def champion(name: str) -> Champion:
+def champion(name):
     return Champion(name, np.array([0.1, 1 / 3]), (name,), "min", 3, np.ones((2, 3)), estimator_delay=0.02)
 
 
-def cell(row: str, column: str, *fitness: float) -> Cell:
+def cell(row, column, *fitness):
     return Cell(row, column, np.array(fitness), unit="waypoints", engine="robot")
 
 
 ROWS = (champion("a"), champion("b"))
 
 
-def computed(robot: str | None = None) -> TransferMatrix:
+def computed(robot=None):
     columns = ("a", "b", "c", *((robot,) if robot else ()))
     cells = [cell(row.name, column, 5.0, 7.0, 9.0) for row in ROWS for column in columns]
     return TransferMatrix.of(ROWS, columns, cells, families={"a": "f", "b": "g", "c": "h"}, robot=robot)
 
 
-def driven(row: Champion, column: str, *fitness: float, physical: bool = True) -> MeasuredResult:
+def driven(row, column, *fitness, physical=True):
     return MeasuredResult(row, cell(row.name, column, *fitness), on_robot=True, physical=physical)
 
 
-def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures() -> None:
+def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures():
     matrix = with_measured(computed(), [driven(ROWS[0], "car", 4.0, 6.0)])
     assert matrix is not None
     assert (matrix.robot, matrix.columns, matrix.models) == ("car", ("a", "b", "c", "car"), ("a", "b", "c"))
@@ -58,7 +55,7 @@ def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures() -> 
     assert summary.controller("b").achieved is None
 
 
-def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either() -> None:
+def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either():
     matrix = with_measured(
         computed("emulated"), [driven(ROWS[0], "car", 4.0), driven(ROWS[0], "emulated driven", 8.0, physical=False)]
     )
@@ -69,13 +66,13 @@ def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either(
     assert matrix.columns[-1] == "car"
 
 
-def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the_run() -> None:
+def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the_run():
     matrix = with_measured(computed("emulated"), [driven(ROWS[0], "emulated driven", 8.0, physical=False)])
     assert matrix is not None
     assert (matrix.robot, matrix.other_robots) == ("emulated", ("emulated driven",))
 
 
-def test_person_is_a_row_that_claims_nothing_and_is_never_chosen() -> None:
+def test_person_is_a_row_that_claims_nothing_and_is_never_chosen():
     human = person("anna")
     cells = [MeasuredResult(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
     matrix = with_measured(computed(), [*cells, driven(human, "car", 70.0), driven(ROWS[1], "car", 2.0)])
@@ -90,7 +87,7 @@ def test_person_is_a_row_that_claims_nothing_and_is_never_chosen() -> None:
     assert matrix.families["a"] == "f"
 
 
-def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is() -> None:
+def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is():
     alone = with_measured(None, [driven(ROWS[0], "car", 4.0)])
     assert alone is not None
     assert (alone.rows, alone.columns, alone.robot) == (("a",), ("car",), "car")
@@ -99,7 +96,7 @@ def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is() -> None
     assert with_measured(matrix, []) is matrix
 
 
-def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Path) -> None:
+def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path):
     save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
     missing = replace(cell("anna", "a", 3.0), missing=("interrupted",))
     save_measured(tmp_path, MeasuredResult(person("anna"), missing, on_robot=False))
@@ -114,7 +111,7 @@ def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path: Pat
     assert (found["anna"].cell.missing, found["anna"].on_robot) == (("interrupted",), False)
 
 
-def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path: Path) -> None:
+def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path):
     save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
     save_measured(tmp_path, driven(ROWS[0], "truck", 9.0))
     matrix = with_measured(computed(), load_measured(tmp_path)[0])
@@ -123,7 +120,7 @@ def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path: Pa
     assert [matrix.cell("a", column).mean for column in ("car", "truck")] == [4.0, 9.0]
 
 
-def test_damaged_cell_is_a_remark_that_names_the_file_and_the_others_are_read(tmp_path: Path) -> None:
+def test_damaged_cell_is_a_remark_that_names_the_file_and_the_others_are_read(tmp_path):
     path = save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
     save_measured(tmp_path, driven(ROWS[1], "car", 5.0))
     path.write_text(path.read_text().replace('"cell"', '"sell"'))
@@ -132,7 +129,7 @@ def test_damaged_cell_is_a_remark_that_names_the_file_and_the_others_are_read(tm
     assert remark.startswith(f"{path} is damaged and left out: KeyError")
 
 
-def test_who_drove_on_what_decides_the_digest_of_a_measured_cell() -> None:
+def test_who_drove_on_what_decides_the_digest_of_a_measured_cell():
     one = driven(ROWS[0], "car", 4.0)
     assert one.digest == driven(ROWS[0], "car", 4.0).digest
     others = [driven(ROWS[1], "car", 4.0), driven(ROWS[0], "cat", 4.0), driven(ROWS[0], "car", 4.5)]

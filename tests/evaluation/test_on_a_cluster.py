@@ -7,8 +7,6 @@ import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import dask
@@ -40,7 +38,7 @@ class Mine(Linear):
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+def cluster(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dask")
     made = Processes(folder, environment={"PLUGIN_DIARY": str(folder / "plugins")})
     made.start(2)
@@ -48,7 +46,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
     made.stop()
 
 
-def results(folder: Path) -> dict[str, bytes]:
+def results(folder):
     """Return the files of all results by their path; how long a fit took is left out."""
     places = ("data", "models", "controllers", "results")
     return {
@@ -59,15 +57,13 @@ def results(folder: Path) -> dict[str, bytes]:
     }
 
 
-def report(folder: Path) -> dict[str, Any]:
+def report(folder):
     found: dict[str, Any] = json.loads((folder / "report.json").read_text())
     del found["timings"]
     return found
 
 
-def test_a_comparison_is_the_same_in_every_byte(
-    tmp_path: Path, cluster: Processes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_comparison_is_the_same_in_every_byte(tmp_path, cluster, monkeypatch):
     monkeypatch.setenv("PLUGIN_DIARY", str(tmp_path / "plugins"))
     (tmp_path / "own.py").write_text(PLUGIN)
     settings = {
@@ -102,9 +98,7 @@ def test_a_comparison_is_the_same_in_every_byte(
     assert not any(file.startswith(str(tmp_path)) for file in loaded.values())
 
 
-def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is_the_same(
-    tmp_path: Path, cluster: Processes
-) -> None:
+def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is_the_same(tmp_path, cluster):
     example_dataset().save(tmp_path / "logs")
     for name, models in (("one", "linear,near=nearest_neighbour"), ("two", "far=linear(ridge=0.5)")):
         done = run_here("fit", "logs", "--models", models, "--out", name, "--jobs", "1", cwd=tmp_path)
@@ -126,7 +120,7 @@ def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is
     assert set(Counter(line["digest"] for line in log).values()) == {1}
 
 
-def test_a_scheduler_that_is_lost_ends_the_command_with_a_sentence_and_a_code(tmp_path: Path) -> None:
+def test_a_scheduler_that_is_lost_ends_the_command_with_a_sentence_and_a_code(tmp_path):
     example_dataset().save(tmp_path / "logs")
     command = ("fit", "logs", "--models", "linear", "--out", "run", "--scheduler", "tcp://127.0.0.1:9")
     with dask.config.set({"distributed.comm.timeouts.connect": "0.5s"}):

@@ -20,13 +20,13 @@ SWING = System(
 )
 
 
-def swings(lengths: list[int]) -> Dataset:
+def swings(lengths):
     rng = np.random.default_rng(0)
     states = [np.cumsum(rng.standard_normal((length + 1, 2)), axis=0) for length in lengths]
     return Dataset.from_arrays(SWING, states, [rng.uniform(-1.0, 1.0, length) for length in lengths])
 
 
-def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there() -> None:
+def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there():
     plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
     assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
     assert plan.experiment.models is not None
@@ -37,7 +37,7 @@ def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_t
     assert not any("left out" in text for text in asked.plan.remarks)
 
 
-def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later() -> None:
+def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later():
     data = swings([300])
     names = [name for name in models.names() if getattr(models.get(name), "periodic", False)]
     assert {"nearest_neighbour", "k_neighbours", "sindy", "narx", "mlp_ensemble", "gaussian_process"} <= set(names)
@@ -51,7 +51,7 @@ def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later() -> None
         np.testing.assert_allclose(model.next_state(later, control), model.next_state(begun, control) + turn)
 
 
-def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short() -> None:
+def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short():
     short = swings([40, 90] * 10)
     names = whole_episodes(short, 0.25)
     held = sum(len(episode) for episode in short if episode.name in names)
@@ -62,7 +62,7 @@ def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short() -
     assert {*parts.training.names, *names} == set(short.names)
 
 
-def test_a_few_episodes_or_long_ones_are_cut_instead() -> None:
+def test_a_few_episodes_or_long_ones_are_cut_instead():
     assert whole_episodes(swings([40] * 7), 0.25) == []
     assert whole_episodes(swings([400] * 9), 0.25) == []
     assert whole_episodes(swings([400] * 9 + [20] * 9), 0.25) == []

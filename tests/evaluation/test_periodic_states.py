@@ -1,7 +1,5 @@
 """Errors, distances and plots of an angle that passes pi."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_predic
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 TURN = 2.0 * np.pi
 PENDULUM = System(
@@ -24,21 +21,21 @@ PROTOCOL = PredictionProtocol(resamples=50)
 class TurnedRound(DynamicsModel):
     """Predicts a pendulum that spins evenly, exactly, but one whole turn away from where it is."""
 
-    def fit(self, dataset: Dataset, **keywords: object) -> TurnedRound:
+    def fit(self, dataset, **keywords):
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return carry + np.array([0.05, 0.0]) * carry[:, 1:] + np.array([TURN, 0.0])
 
 
-def spinning(steps: int = 200) -> Dataset:
+def spinning(steps=200):
     rate = 2.0 + 0.0 * np.arange(steps + 1)
     return Dataset.from_arrays(
         PENDULUM, [np.stack([3.0 + np.cumsum(0.05 * rate), rate], axis=1)], [np.zeros((steps, 1))]
     )
 
 
-def test_a_prediction_that_is_a_whole_turn_away_is_right() -> None:
+def test_a_prediction_that_is_a_whole_turn_away_is_right():
     model = TurnedRound().fit(spinning(), rng=np.random.default_rng(0))
     row = assess_prediction({"turned": model}, spinning(), spinning(), protocol=PROTOCOL).model("turned")
     assert row.free_run is not None
@@ -49,7 +46,7 @@ def test_a_prediction_that_is_a_whole_turn_away_is_right() -> None:
     assert row.divergence.share == 0.0, "the guard must not stop an angle that turns on"
 
 
-def test_the_error_of_persistence_is_the_short_way_round() -> None:
+def test_the_error_of_persistence_is_the_short_way_round():
     row = assess_prediction({}, spinning(), spinning(), protocol=PROTOCOL).model(PERSISTENCE)
     for score in row.at:
         assert score.horizon is not None
@@ -57,13 +54,13 @@ def test_the_error_of_persistence_is_the_short_way_round() -> None:
         assert score.rmse[0] == pytest.approx(abs(off - TURN * np.round(off / TURN)))
 
 
-def test_the_spread_of_an_angle_does_not_grow_with_its_turns() -> None:
+def test_the_spread_of_an_angle_does_not_grow_with_its_turns():
     short, long = (assess_prediction({}, spinning(), spinning(n), protocol=PROTOCOL).cases.std for n in (126, 1260))
     assert short[0] == pytest.approx(long[0], rel=0.01)
     assert short[0] == pytest.approx(TURN / np.sqrt(12.0), rel=0.02)
 
 
-def test_states_a_turn_apart_are_equally_far_outside_the_data() -> None:
+def test_states_a_turn_apart_are_equally_far_outside_the_data():
     rng = np.random.default_rng(0)
     states = np.stack([rng.uniform(-1.0, 1.0, 301), rng.uniform(-1.0, 1.0, 301)], axis=1)
     support = training_support(Dataset.from_arrays(PENDULUM, [states], [np.zeros((300, 1))]))
@@ -75,7 +72,7 @@ def test_states_a_turn_apart_are_equally_far_outside_the_data() -> None:
     assert there.share_outside(support) < 0.05
 
 
-def test_the_line_of_an_angle_breaks_where_it_jumps() -> None:
+def test_the_line_of_an_angle_breaks_where_it_jumps():
     model = TurnedRound().fit(spinning(), rng=np.random.default_rng(0))
     prediction = assess_prediction({"turned": model}, spinning(), spinning(), protocol=PROTOCOL)
     ax = plot_free_run(prediction, 0, seconds=(0.0, 10.0))

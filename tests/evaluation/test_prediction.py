@@ -1,7 +1,5 @@
 """Prediction error: against theory first, then against published figures for the same recording."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ from tests.fixtures.known_models import (
 PROTOCOL = PredictionProtocol(resamples=200)
 
 
-def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run() -> None:
+def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run():
     test = recording(2, seed=9)
     row = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL).model("known")
     assert [score.horizon for score in row.at] == [1, 10, 20, 60]
@@ -38,12 +36,12 @@ def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run() -> None:
     assert row.divergence.share == 0.0
 
 
-def test_persistence_is_the_first_row() -> None:
+def test_persistence_is_the_first_row():
     prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1), protocol=PROTOCOL)
     assert prediction.names == (PERSISTENCE, "known")
 
 
-def test_the_error_counts_at_the_horizon_where_the_body_moves() -> None:
+def test_the_error_counts_at_the_horizon_where_the_body_moves():
     test = recording(1, steps=200, standstill=60)
     row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
     states, moving = test.episodes[0].states, test.moving[0]
@@ -61,7 +59,7 @@ def test_the_error_counts_at_the_horizon_where_the_body_moves() -> None:
         )
 
 
-def test_the_free_run_starts_once_and_is_scored_to_the_end() -> None:
+def test_the_free_run_starts_once_and_is_scored_to_the_end():
     test = recording(1, steps=120)
     row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
     states = test.episodes[0].states
@@ -70,14 +68,14 @@ def test_the_free_run_starts_once_and_is_scored_to_the_end() -> None:
     np.testing.assert_allclose(row.free_run.rmse, np.sqrt(((states[5] - states[6:]) ** 2).mean(axis=0)))
 
 
-def test_the_curve_passes_through_the_scores() -> None:
+def test_the_curve_passes_through_the_scores():
     row = assess_prediction({}, recording(), recording(2, seed=3), protocol=PROTOCOL).model(PERSISTENCE)
     for score in row.at:
         assert score.horizon is not None
         assert row.curve[score.horizon - 1] == pytest.approx(score.n)
 
 
-def test_identical_models_have_no_significant_difference() -> None:
+def test_identical_models_have_no_significant_difference():
     models = {"one": fitted(Weak()), "two": fitted(Weak())}
     prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
     for horizon in prediction.horizons:
@@ -87,7 +85,7 @@ def test_identical_models_have_no_significant_difference() -> None:
         assert difference.verdict == "no significant difference"
 
 
-def test_a_better_model_is_significantly_better() -> None:
+def test_a_better_model_is_significantly_better():
     models = {"weak": fitted(Weak()), "known": fitted(Known())}
     prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
     difference = prediction.compare("weak", "known", 20)
@@ -97,7 +95,7 @@ def test_a_better_model_is_significantly_better() -> None:
     assert prediction.ranking(20)[0].name == "known"
 
 
-def test_a_model_that_doubles_reaches_the_guard_when_theory_says() -> None:
+def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
     training, test = recording(), recording(1, seed=5)
     prediction = assess_prediction({"exploding": fitted(Exploding(), training)}, training, test, protocol=PROTOCOL)
     row, cases = prediction.model("exploding"), prediction.cases
@@ -111,7 +109,7 @@ def test_a_model_that_doubles_reaches_the_guard_when_theory_says() -> None:
     assert all(np.isfinite(score.n) for score in row.at)
 
 
-def test_a_model_that_is_not_a_number_is_scored_at_the_guard() -> None:
+def test_a_model_that_is_not_a_number_is_scored_at_the_guard():
     prediction = assess_prediction({"undefined": fitted(Undefined())}, recording(), recording(1), protocol=PROTOCOL)
     row = prediction.model("undefined")
     assert row.divergence is not None
@@ -120,7 +118,7 @@ def test_a_model_that_is_not_a_number_is_scored_at_the_guard() -> None:
     assert all(np.isfinite(score.n) for score in row.at)
 
 
-def test_horizons_longer_than_every_episode_are_left_out_with_a_note() -> None:
+def test_horizons_longer_than_every_episode_are_left_out_with_a_note():
     test = recording(2, steps=30)
     prediction = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL)
     assert prediction.cases.horizons == (1, 10, 20)
@@ -128,7 +126,7 @@ def test_horizons_longer_than_every_episode_are_left_out_with_a_note() -> None:
     assert prediction.model("known").curve.shape == (20,)
 
 
-def test_an_episode_too_short_for_anything_leaves_only_notes() -> None:
+def test_an_episode_too_short_for_anything_leaves_only_notes():
     prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5), protocol=PROTOCOL)
     assert prediction.horizons == ()
     assert prediction.model("known").at == ()
@@ -136,7 +134,7 @@ def test_an_episode_too_short_for_anything_leaves_only_notes() -> None:
     assert any("no free run" in note for note in prediction.cases.notes)
 
 
-def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on() -> None:
+def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
     models = {"broken": fitted(Broken()), "known": fitted(Known())}
     prediction = assess_prediction(models, recording(), recording(1), protocol=PROTOCOL)
     reason = prediction.model("broken").reason
@@ -146,18 +144,18 @@ def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on() -> None:
     assert prediction.model("known").at
 
 
-def test_ctrl_c_while_a_model_predicts_ends_the_assessment() -> None:
+def test_ctrl_c_while_a_model_predicts_ends_the_assessment():
     with pytest.raises(KeyboardInterrupt):
         assess_prediction({"stopped": fitted(Stopped())}, recording(), recording(1), protocol=PROTOCOL)
 
 
-def test_a_model_that_wants_more_history_gets_it_padded_and_says_so() -> None:
+def test_a_model_that_wants_more_history_gets_it_padded_and_says_so():
     row = assess_prediction({"long": fitted(Remembering())}, recording(), recording(1), protocol=PROTOCOL).model("long")
     assert row.at[0].n < 1e-12
     assert "padded" in row.notes[0]
 
 
-def test_a_constant_channel_is_left_out_of_n_with_a_note() -> None:
+def test_a_constant_channel_is_left_out_of_n_with_a_note():
     states = recording(1).episodes[0].states.copy()
     states[:, 1] = 0.0
     test = Dataset.from_arrays(SYSTEM, [states], [recording(1).episodes[0].controls])
@@ -166,20 +164,20 @@ def test_a_constant_channel_is_left_out_of_n_with_a_note() -> None:
     assert np.isfinite(prediction.model("weak").at[0].n)
 
 
-def test_a_test_set_that_stands_still_is_refused() -> None:
+def test_a_test_set_that_stands_still_is_refused():
     still = Dataset.from_arrays(SYSTEM, [np.zeros((100, 3))], [np.zeros((99, 2))])
     with pytest.raises(InvalidData, match="stands still"):
         assess_prediction({}, recording(), still)
 
 
-def test_a_protocol_that_makes_no_sense_is_refused() -> None:
+def test_a_protocol_that_makes_no_sense_is_refused():
     with pytest.raises(InvalidArgument, match="horizons"):
         PredictionProtocol(horizons=(0,))
     with pytest.raises(InvalidArgument, match="history"):
         PredictionProtocol(history=6, first=5)
 
 
-def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery: tuple[Dataset, Dataset]) -> None:
+def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery):
     row = assess_prediction({}, *slippery, protocol=PROTOCOL).model(PERSISTENCE)
     assert [round(score.n, 3) for score in row.at] == [0.197, 1.127, 1.339, 1.447]
     assert row.free_run is not None

@@ -11,7 +11,7 @@ import pytest
 from evaluation.cells.data import GivenData
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_again, plan_comparison
-from evaluation.report import Report, to_json
+from evaluation.report import to_json
 from evaluation.running import compare
 from sysid_evo.plan import Observer, Record, StoredCell
 from sysid_evo.registry import make_robot
@@ -33,28 +33,28 @@ SMALL: dict[str, Any] = {
 
 
 @pytest.fixture(autouse=True)
-def _others_find_the_project(monkeypatch: pytest.MonkeyPatch) -> None:
+def _others_find_the_project(monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
 
 
 class Remarks(Observer):
     """Keeps the remarks."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.said: list[str] = []
 
-    def remark(self, sentence: str) -> None:
+    def remark(self, sentence):
         self.said.append(sentence)
 
 
-def without_timings(report: Report) -> str:
+def without_timings(report):
     found = to_json(report)
     assert isinstance(found["timings"], dict)
     found["timings"] = sorted(found["timings"])
     return json.dumps(found)
 
 
-def test_the_report_is_the_same_for_any_number_of_jobs(tmp_path: Path) -> None:
+def test_the_report_is_the_same_for_any_number_of_jobs(tmp_path):
     remarks = Remarks()
     one, two = (
         compare(example_dataset(), out=tmp_path / str(jobs), jobs=jobs, observer=remarks, **SMALL) for jobs in (1, 2)
@@ -67,7 +67,7 @@ def test_the_report_is_the_same_for_any_number_of_jobs(tmp_path: Path) -> None:
     assert written[0] == written[1]
 
 
-def test_another_process_plans_the_same_cells_of_the_run_folder(tmp_path: Path) -> None:
+def test_another_process_plans_the_same_cells_of_the_run_folder(tmp_path):
     settings = {**SMALL, "only": None, "preset": "quick", "by_hand": ("pursuit",)}
     compare(example_dataset(), out=tmp_path, **meaningful(settings, {"only": "prediction"}))
     first = plan_comparison(Experiment.of(settings), dataset=example_dataset())
@@ -76,7 +76,7 @@ def test_another_process_plans_the_same_cells_of_the_run_folder(tmp_path: Path) 
     assert [cell.digest for cell in again] == [cell.digest for cell in first.plan]
 
 
-def test_the_yardstick_of_a_recorded_run_is_planned_again(tmp_path: Path) -> None:
+def test_the_yardstick_of_a_recorded_run_is_planned_again(tmp_path):
     first = plan_comparison(Experiment.of({"models": ("linear",), "robot": "emulated_car", "minutes": 0.5}))
     data = first.data
     record = Record(
@@ -90,7 +90,7 @@ def test_the_yardstick_of_a_recorded_run_is_planned_again(tmp_path: Path) -> Non
 
 
 @pytest.mark.nightly
-def test_a_recorded_comparison_with_a_yardstick_is_the_same_for_any_number_of_jobs(tmp_path: Path) -> None:
+def test_a_recorded_comparison_with_a_yardstick_is_the_same_for_any_number_of_jobs(tmp_path):
     settings = {
         "models": ("linear", "parametrised", "nearest_neighbour", "mlp_ensemble"),
         "minutes": 1.0,

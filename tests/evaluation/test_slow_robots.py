@@ -1,9 +1,6 @@
 """A robot whose step takes long is timed before a comparison with it is planned."""
 
-from __future__ import annotations
-
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -11,13 +8,12 @@ import pytest
 from evaluation.cells.assessment import RunCell
 from evaluation.cells.controllers import EvolveCell
 from evaluation.experiment import Experiment
-from evaluation.planning import Comparison, plan_comparison
+from evaluation.planning import plan_comparison
 from hardware.emulation.sensed_robot import Equations, SensedRobot
 from hardware.simulators.simulator import ExternalSimulator, SimulatorSession
 from hardware.simulators.simulator_robot import SimulatorRobot
 from sysid_evo.registry import robots
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 SYSTEM = System([Channel("x", "m"), Channel("v", "m/s")], [Channel("u", "N", low=-1.0, high=1.0)], dt=0.05)
 EACH = 0.002  # s that a step of one trial takes
@@ -29,14 +25,14 @@ class Cart(Equations):
     system = SYSTEM
     substeps = 1
 
-    def rates_of_change(self, states: Array, controls: Array) -> Array:
+    def rates_of_change(self, states, controls):
         return np.column_stack([states[:, 1], controls[:, 0] - states[:, 1]])
 
 
 class OneByOne(Cart):
     """The same cart, which computes one trial after the other, and long."""
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         time.sleep(EACH * len(carry))
         return super().step(carry, control, noise)
 
@@ -46,22 +42,22 @@ class Slow(ExternalSimulator, SimulatorSession):
 
     name, system, settable = "slow", SYSTEM, False
 
-    def open(self) -> SimulatorSession:
+    def open(self):
         return self
 
-    def reset(self, seed: int, at: Array | None = None) -> Array:
+    def reset(self, seed, at=None):
         return np.zeros(2)
 
-    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+    def step(self, control):
         time.sleep(EACH)
         return np.zeros(2), 0.0, False, False
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 
 @pytest.fixture(autouse=True)
-def carts() -> Iterator[None]:
+def carts():
     robots.register("cart")(lambda: SensedRobot("cart", Cart()))
     robots.register("slow_cart")(lambda: SensedRobot("slow_cart", OneByOne()))
     yield
@@ -69,20 +65,20 @@ def carts() -> Iterator[None]:
         robots.forget(name)
 
 
-def planned(robot: str, yardstick: bool | None = None, channel: str = "x") -> Comparison:
+def planned(robot, yardstick=None, channel="x"):
     task = f"set_point(channels={channel}, low=-1, high=1)"
     return plan_comparison(Experiment(robot=robot, models=("linear",), minutes=2.0, task=task, yardstick=yardstick))
 
 
-def on_itself(comparison: Comparison) -> list[EvolveCell]:
+def on_itself(comparison):
     return [cell for cell in comparison.plan if isinstance(cell, EvolveCell) and cell.members[0].robot is not None]
 
 
-def seconds_on(comparison: Comparison, robot: str) -> float:
+def seconds_on(comparison, robot):
     return next(c for c in comparison.plan if isinstance(c, RunCell) and c.column.label == robot).seconds()
 
 
-def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for() -> None:
+def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
     began = time.monotonic()
     slow = planned("slow_cart")
     assert time.monotonic() - began < 20.0
@@ -97,7 +93,7 @@ def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for() -> No
     assert asked.seconds() > 3600.0
 
 
-def test_what_numpy_steps_for_all_trials_at_once_is_not_slow() -> None:
+def test_what_numpy_steps_for_all_trials_at_once_is_not_slow():
     quick = planned("cart")
     assert len(on_itself(quick)) == 1
     assert quick.experiment.yardstick is True
@@ -108,5 +104,5 @@ def test_what_numpy_steps_for_all_trials_at_once_is_not_slow() -> None:
     assert compiled.experiment.yardstick is None, "what is compiled need not be timed"
 
 
-def test_a_simulator_is_timed_step_by_step() -> None:
+def test_a_simulator_is_timed_step_by_step():
     assert EACH <= SimulatorRobot(Slow()).step_seconds() < 10 * EACH

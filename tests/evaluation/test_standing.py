@@ -1,7 +1,5 @@
 """What to expect of a controller: claimed, achieved, worst case, regret, with intervals over trials."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 
 from evaluation.report import to_json
-from evaluation.report.elements import Sheet
 from evaluation.report.render.terminal import WIDTH, to_rich
 from evaluation.report.sections.controllers import standing_sheet
 from evaluation.report.sections.transfer import transfer_sheet
@@ -30,7 +27,7 @@ FITNESS = {
 }
 
 
-def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against() -> None:
+def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against():
     found = standings(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
     assert {name: (one.worst.value, one.worst_on) for name, one in found.items() if one.worst} == {
         "a": (2.0, "c"),
@@ -42,7 +39,7 @@ def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against()
     assert found["hand"].claimed is found["hand"].kept is None
 
 
-def test_without_a_robot_regret_is_the_most_on_a_model_that_neither_was_evolved_against() -> None:
+def test_without_a_robot_regret_is_the_most_on_a_model_that_neither_was_evolved_against():
     fitness = {row: {c: v for c, v in values.items() if c != "car"} for row, values in FITNESS.items()}
     found = standings(made_up.matrix(fitness, against={"hand": ()}))
     # on a, b and c: b could have had 5 on c, a 4 and 5 on b and c, and nobody but b and hand was judged on a
@@ -51,7 +48,7 @@ def test_without_a_robot_regret_is_the_most_on_a_model_that_neither_was_evolved_
     assert found["a"].achieved.value == 6.5
 
 
-def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted() -> None:
+def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted():
     fitness = {**FITNESS, "own": {"a": 1.0, "b": 1.0, "c": 1.0, "car": 15.0}}
     found = standings(made_up.matrix(fitness, robot="car", against={"hand": (), "own": ("car",)}))
     assert found["own"].regret is None
@@ -59,13 +56,13 @@ def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted() -> Non
     assert found["b"].regret.value == 0.0
 
 
-def test_shares_are_measured_from_controls_at_rest() -> None:
+def test_shares_are_measured_from_controls_at_rest():
     found = standings(made_up.matrix(FITNESS, robot="car", against={"hand": ()}), "hand")
     assert found["a"].kept is not None
     assert found["a"].kept.value == pytest.approx((9.0 - 7.0) / (12.0 - 7.0))
 
 
-def test_intervals_are_over_trials_and_say_so() -> None:
+def test_intervals_are_over_trials_and_say_so():
     matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     summary = summarise(matrix)
     achieved = summary.controller("a").standing.achieved
@@ -77,7 +74,7 @@ def test_intervals_are_over_trials_and_say_so() -> None:
     assert "over fresh trials of this one controller, not over evolution seeds" in sheet.note
 
 
-def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in() -> None:
+def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in():
     cells = [
         Cell("c", column, np.full(4, value)) for column, value in (("a-1", 9.0), ("a-2", 8.0), ("b", 3.0), ("d", 5.0))
     ]
@@ -91,7 +88,7 @@ def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in() 
     assert sheet.rows[0][-1] == "4.00 ±0"
 
 
-def test_the_consensus_stands_between_models_and_robots() -> None:
+def test_the_consensus_stands_between_models_and_robots():
     sheet = transfer_sheet(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
     assert [column.split("\n")[0] for column in sheet.columns] == ["controller", "a", "b", "c", "other", "car"]
     assert sheet.heat is not None
@@ -99,8 +96,8 @@ def test_the_consensus_stands_between_models_and_robots() -> None:
     assert sheet.heat.shades[0][3] == pytest.approx(6.5 / 12.5)
 
 
-def test_the_table_of_what_to_expect_fits_eighty_columns() -> None:
-    def shown(sheet: Sheet) -> int:
+def test_the_table_of_what_to_expect_fits_eighty_columns():
+    def shown(sheet):
         return sum("Claimed" in str(part) for part in to_rich(sheet))
 
     fitness = {"nearest_neighbour": 12.0, "parametrised": 11.0, "emulated_car": 10.0}
@@ -112,7 +109,7 @@ def test_the_table_of_what_to_expect_fits_eighty_columns() -> None:
     assert WIDTH == 80
 
 
-def test_report_json_holds_every_interval() -> None:
+def test_report_json_holds_every_interval():
     matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     document = json.loads(json.dumps(to_json(made_up.report(transfer=matrix)), allow_nan=False))
     assert document["schema"] == "sysid-evo/report/4"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from tests.fixtures.known_models import Boxed, Known, Stopped, Undefined, Weak, 
 from tests.fixtures.reports import Unplugged, champion, paper_matrix
 
 
-def test_a_cell_holds_the_numbers_of_the_rollout() -> None:
+def test_a_cell_holds_the_numbers_of_the_rollout():
     model, driver, seeds = fitted(Boxed()), champion("c", ("boxed",), seed=3), transfer_seeds(7, 6)
     cell = run_cell(driver, "boxed", DynamicsRunner(model, engine="reference"), seeds, traces=2)
     task, controller = make_task("point_to_point", horizon=60), make_controller("recurrent")
@@ -38,7 +37,7 @@ def test_a_cell_holds_the_numbers_of_the_rollout() -> None:
     assert len(cell.traces) == 2
 
 
-def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed() -> None:
+def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed():
     runners = {"known": DynamicsRunner(fitted(Known())), "weak": DynamicsRunner(fitted(Weak()))}
     matrix = transfer([champion("c", ("known",))], runners, seed=1, robot="weak", trials=4, traces=3)
     own, robot = matrix.cell("c", "known"), matrix.cell("c", "weak")
@@ -48,13 +47,13 @@ def test_all_cells_meet_the_same_trials_and_record_where_it_is_needed() -> None:
         assert here.waypoint_radius == 0.3
 
 
-def test_fresh_trials_are_those_neither_of_evolution_nor_of_the_choice_of_the_champion() -> None:
+def test_fresh_trials_are_those_neither_of_evolution_nor_of_the_choice_of_the_champion():
     evolved = np.concatenate([trial_seeds(7, 10, generation=g) for g in range(50)])
     chosen = trial_seeds(7, 100, generation=SELECTION)
     assert not np.isin(transfer_seeds(7, 100), [*evolved, *chosen]).any()
 
 
-def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
+def test_a_column_that_fails_is_a_cell_with_its_reason():
     runners: dict[str, Runner] = {"known": DynamicsRunner(fitted(Known())), "car": Unplugged()}
     matrix = transfer([champion("c", ("known",))], runners, seed=1, robot="car", trials=3)
     reason = str(matrix.cell("c", "car").reason)
@@ -67,12 +66,12 @@ def test_a_column_that_fails_is_a_cell_with_its_reason() -> None:
     assert summary.reality_gap is None
 
 
-def test_ctrl_c_while_a_controller_runs_is_no_failed_cell() -> None:
+def test_ctrl_c_while_a_controller_runs_is_no_failed_cell():
     with pytest.raises(KeyboardInterrupt):
         run_cell(champion("c", ("s",)), "s", DynamicsRunner(fitted(Stopped())), transfer_seeds(0, 2))
 
 
-def test_trials_that_diverge_are_counted() -> None:
+def test_trials_that_diverge_are_counted():
     cell = run_cell(
         champion("c", ("undefined",)), "undefined", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5)
     )
@@ -80,7 +79,7 @@ def test_trials_that_diverge_are_counted() -> None:
     assert cell.mean < 0.0
 
 
-def test_a_cell_survives_json_bit_by_bit() -> None:
+def test_a_cell_survives_json_bit_by_bit():
     cell = run_cell(champion("c", ("k",)), "k", DynamicsRunner(fitted(Known())), transfer_seeds(0, 3), traces=1)
     again = Cell.from_dict(json.loads(json.dumps(cell.to_dict(), allow_nan=False)))
     np.testing.assert_array_equal(again.fitness, cell.fitness)
@@ -89,7 +88,7 @@ def test_a_cell_survives_json_bit_by_bit() -> None:
     assert again.to_dict() == cell.to_dict()
 
 
-def test_the_papers_table_gives_the_papers_gaps() -> None:
+def test_the_papers_table_gives_the_papers_gaps():
     summary = summarise(paper_matrix())
     bp27c, mm1c = summary.controller("bp27c"), summary.controller("mm1c")
     assert bp27c.claimed is not None
@@ -105,7 +104,7 @@ def test_the_papers_table_gives_the_papers_gaps() -> None:
     assert mm1c.kept == pytest.approx(8.33 / 12.0)
 
 
-def test_the_median_on_other_families_is_highest_for_the_best_controller_of_the_paper() -> None:
+def test_the_median_on_other_families_is_highest_for_the_best_controller_of_the_paper():
     matrix = paper_matrix()
     summary = summarise(matrix)
     assert summary.pick is None  # picking is left to the forecast
@@ -117,7 +116,7 @@ def test_the_median_on_other_families_is_highest_for_the_best_controller_of_the_
     assert summary.best_on["parametrised"] == "paramc"
 
 
-def test_rank_correlations_are_spearmans() -> None:
+def test_rank_correlations_are_spearmans():
     claimed, other = summarise(paper_matrix()).correlations
     # ranks of claimed 5 3 2 4 1 and of the medians on other families 4 5 1 2 3 against achieved 4 5 1 2 3
     assert claimed.value == pytest.approx(1 - 6 * (1 + 4 + 1 + 4 + 4) / (5 * 24))
@@ -125,7 +124,7 @@ def test_rank_correlations_are_spearmans() -> None:
     assert other.controllers == 5
 
 
-def test_a_model_of_the_same_family_is_no_judge() -> None:
+def test_a_model_of_the_same_family_is_no_judge():
     cells = [Cell("c", column, np.full(2, value)) for column, value in (("a-1", 9.0), ("a-2", 8.0), ("b-1", 3.0))]
     families = {"a-1": "a", "a-2": "a", "b-1": "b"}
     matrix = TransferMatrix.of([champion("c", ("a-1",))], ("a-1", "a-2", "b-1"), cells, families=families)
@@ -135,7 +134,7 @@ def test_a_model_of_the_same_family_is_no_judge() -> None:
     assert summary.others.value == pytest.approx(5.5)
 
 
-def test_a_controller_evolved_on_the_robot_is_in_no_correlation() -> None:
+def test_a_controller_evolved_on_the_robot_is_in_no_correlation():
     cells = [Cell(name, column, np.full(2, 5.0)) for name in ("cheat", "c") for column in ("a", "b", "car")]
     champions = [champion("cheat", ("car",)), champion("c", ("a",))]
     summary = summarise(TransferMatrix.of(champions, ("car", "a", "b"), cells, robot="car"))
@@ -143,7 +142,7 @@ def test_a_controller_evolved_on_the_robot_is_in_no_correlation() -> None:
     assert [correlation.controllers for correlation in summary.correlations] == [1, 1]
 
 
-def test_the_aggregate_of_the_evolution_makes_the_claim() -> None:
+def test_the_aggregate_of_the_evolution_makes_the_claim():
     cells = [Cell(name, column, np.full(2, v)) for name in ("low", "mid") for column, v in (("a", 2.0), ("b", 6.0))]
     champions = [champion("low", ("a", "b")), champion("mid", ("a", "b"), aggregate="mean")]
     summary = summarise(TransferMatrix.of(champions, ("a", "b"), cells))
@@ -153,7 +152,7 @@ def test_the_aggregate_of_the_evolution_makes_the_claim() -> None:
     assert summary.correlations == ()
 
 
-def test_the_error_of_a_gap_is_that_of_paired_trials(rng: np.random.Generator) -> None:
+def test_the_error_of_a_gap_is_that_of_paired_trials(rng):
     luck = rng.normal(size=400)
     cells = [Cell("c", "a", 5.0 + luck), Cell("c", "b", 3.0 + luck + 0.1 * rng.normal(size=400))]
     summary = summarise(TransferMatrix.of([champion("c", ("a",))], ("a", "b"), cells)).controller("c")
@@ -163,7 +162,7 @@ def test_the_error_of_a_gap_is_that_of_paired_trials(rng: np.random.Generator) -
     assert summary.exploitation_gap.standard_error == pytest.approx(0.1 / 20, rel=0.2)
 
 
-def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last() -> None:
+def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last():
     matrix = TransferMatrix.of([champion("c", ("a",))], ("car", "a"), [], robot="car")
     assert matrix.columns == ("a", "car")
     assert matrix.cell("c", "a").reason == "not run"
@@ -172,7 +171,7 @@ def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last() -> None:
 
 
 @pytest.mark.parametrize("traces", [0, 2])
-def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path: Path, traces: int) -> None:
+def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path, traces):
     driver, runner = champion("c", ("boxed",), seed=3), DynamicsRunner(fitted(Boxed()))
     cell = run_cell(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
     files = save_cell(cell, tmp_path / "here" / "c@boxed")
@@ -185,7 +184,7 @@ def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path: Path, traces: in
         load_cell(tmp_path / "here" / "c@boxed")
 
 
-def test_the_correlation_of_mean_ranks_is_that_of_scipy_with_ties_too() -> None:
+def test_the_correlation_of_mean_ranks_is_that_of_scipy_with_ties_too():
     rng = np.random.default_rng(5)
     for size in (3, 4, 12):
         first, second = rng.integers(0, size, (2, size)).astype(float)

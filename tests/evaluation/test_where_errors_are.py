@@ -1,19 +1,15 @@
 """Where a model's error is: by region, by episode, over the horizon; and what is stored of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evaluation.prediction import Interval, Prediction, PredictionProtocol, Region, assess_prediction, worst_region
+from evaluation.prediction import Interval, PredictionProtocol, Region, assess_prediction, worst_region
 from evaluation.prediction.regions import candidate_regions
 from evaluation.prediction.scores import load_prediction, save_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
-from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import BlockErrors, interval
 from tests.fixtures.known_models import Known, Sliding, Weak, fitted, recording
 
@@ -23,13 +19,13 @@ PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
 class LosesGrip(Known):
     """Wrong about steering, but only at a forward speed above 0.4 m/s."""
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         after = super().next_state(carry, control)
         after[:, 2] += np.where(carry[:, 0] > 0.4, 0.6, 0.0) * control[:, 1]
         return after
 
 
-def noisy(seed: int, episodes: int = 2, steps: int = 300) -> Dataset:
+def noisy(seed, episodes=2, steps=300):
     """Return the known car, measured with the same noise everywhere."""
     data = recording(episodes, steps, seed=seed)
     rng = np.random.default_rng(seed)
@@ -37,11 +33,11 @@ def noisy(seed: int, episodes: int = 2, steps: int = 300) -> Dataset:
     return Dataset.from_arrays(data.system, states, [episode.controls for episode in data])
 
 
-def assessed(model: Known, test: Dataset) -> Prediction:
+def assessed(model, test):
     return assess_prediction({"model": fitted(model)}, recording(), test, protocol=PROTOCOL)
 
 
-def test_the_region_where_a_model_fails_is_named_with_its_size() -> None:
+def test_the_region_where_a_model_fails_is_named_with_its_size():
     row = assessed(LosesGrip(), noisy(2, 4)).model("model")
     worst = worst_region(row.regions)
     assert worst is not None
@@ -52,13 +48,13 @@ def test_the_region_where_a_model_fails_is_named_with_its_size() -> None:
     assert worst.share == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region() -> None:
+def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region():
     data = [noisy(seed, 1) for seed in range(15)]
     found = [worst_region(assessed(Known(), test).model("model").regions) for test in data]
     assert sum(one is not None for one in found) <= 1
 
 
-def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutral() -> None:
+def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutral():
     system = pendulum()
     rng = np.random.default_rng(0)
     states = np.column_stack([rng.uniform(-9.0, 9.0, 500), rng.uniform(2.0, 3.0, 500)])
@@ -73,7 +69,7 @@ def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutr
     assert Region("tilt", "rad", "beyond", 0.5, 1.0).words == "|tilt - 1| above 0.5 rad"
 
 
-def test_no_region_is_beyond_the_end_of_its_channel() -> None:
+def test_no_region_is_beyond_the_end_of_its_channel():
     system = pendulum()
     torque = system.controls[0]
     rng = np.random.default_rng(0)
@@ -84,7 +80,7 @@ def test_no_region_is_beyond_the_end_of_its_channel() -> None:
     assert sum(region.end for region in found) == 3
 
 
-def test_each_episode_has_its_own_error() -> None:
+def test_each_episode_has_its_own_error():
     easy, hard = recording(1, seed=5), noisy(6, 1)
     test = easy.with_episodes([easy.episodes[0], replace(hard.episodes[0], name="hard")])
     row = assessed(Known(), test).model("model")
@@ -93,7 +89,7 @@ def test_each_episode_has_its_own_error() -> None:
     assert row.episodes[1].n.min() > 0.05
 
 
-def test_the_fit_is_that_of_matlab() -> None:
+def test_the_fit_is_that_of_matlab():
     test = recording(1, seed=5)
     row = assessed(Weak(), test).model("model")
     measured = test.episodes[0].states[6:]
@@ -102,7 +98,7 @@ def test_the_fit_is_that_of_matlab() -> None:
     np.testing.assert_allclose(row.episodes[0].fit, 100.0 * (1.0 - off / of_the_mean))
 
 
-def test_the_interval_of_the_curve_is_that_of_the_scores() -> None:
+def test_the_interval_of_the_curve_is_that_of_the_scores():
     row = assessed(Weak(), noisy(3)).model("model")
     assert row.curve_interval.shape == (2, 20)
     for score in row.at:
@@ -112,7 +108,7 @@ def test_the_interval_of_the_curve_is_that_of_the_scores() -> None:
     assert (row.curve < row.curve_interval[1]).all()
 
 
-def test_two_equally_good_models_have_no_significant_difference_nineteen_times_of_twenty() -> None:
+def test_two_equally_good_models_have_no_significant_difference_nineteen_times_of_twenty():
     rng, blocks, found = np.random.default_rng(7), np.repeat(np.arange(40), 15), []
     for seed in range(100):
         drawn = [
@@ -123,7 +119,7 @@ def test_two_equally_good_models_have_no_significant_difference_nineteen_times_o
     assert 0.87 <= np.mean(found) <= 0.99
 
 
-def test_what_is_stored_comes_back(tmp_path: Path) -> None:
+def test_what_is_stored_comes_back(tmp_path):
     row = assessed(Sliding(), noisy(4)).model("model")
     save_prediction(row, tmp_path / "row")
     again = load_prediction(tmp_path / "row")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.plots import plot_state, plotted_places
-from evaluation.report import Report, save_report, to_json
+from evaluation.report import save_report, to_json
 from evaluation.report.render.svg import drawn
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
@@ -34,7 +33,7 @@ SHORT: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module", params=["pendulum swing_up(horizon=40)", "thermal set_point(horizon=40)"])
-def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Report, Path]:
+def report(request, tmp_path_factory):
     robot, task = request.param.split(" ")
     folder = tmp_path_factory.mktemp(robot)
     comparison = plan_comparison(Experiment(robot=robot, task=task, **SHORT))
@@ -43,7 +42,7 @@ def report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return report_of(comparison, store), folder
 
 
-def test_every_part_of_the_report_is_there(report: tuple[Report, Path]) -> None:
+def test_every_part_of_the_report_is_there(report):
     found, folder = report
     assert found.all_failures == ()
     assert found.matrix is not None
@@ -55,7 +54,7 @@ def test_every_part_of_the_report_is_there(report: tuple[Report, Path]) -> None:
     assert "grey: what they were to do" in page
 
 
-def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tuple[Report, Path]) -> None:
+def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report):
     found, _ = report
     assert found.matrix is not None
     picture, sheet = traces_picture(found.matrix), measure_sheet(found.matrix)
@@ -67,7 +66,7 @@ def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report: tupl
     assert len(sheet.rows) == 5  # two controllers in two systems, and rest
 
 
-def test_what_was_computed_is_found_again_as_it_was(report: tuple[Report, Path]) -> None:
+def test_what_was_computed_is_found_again_as_it_was(report):
     found, folder = report
     comparison = plan_comparison(Experiment.of(found.settings))
     again = report_of(comparison, Store(folder))
@@ -77,9 +76,7 @@ def test_what_was_computed_is_found_again_as_it_was(report: tuple[Report, Path])
     assert trace.targets[0].channel == found.data.system.states[0]
 
 
-def test_a_command_drives_the_robot_and_none_is_given_where_there_are_only_recordings(
-    report: tuple[Report, Path],
-) -> None:
+def test_a_command_drives_the_robot_and_none_is_given_where_there_are_only_recordings(report):
     found, _ = report
     robot = found.settings["robot"]
     assert (drive_command(found, "linear") or "").endswith(f" --robot {robot}")
@@ -87,7 +84,7 @@ def test_a_command_drives_the_robot_and_none_is_given_where_there_are_only_recor
     assert drive_command(replace(found, settings=recordings), "linear") is None
 
 
-def test_an_angle_is_drawn_beside_its_target_and_its_line_breaks_where_it_jumps() -> None:
+def test_an_angle_is_drawn_beside_its_target_and_its_line_breaks_where_it_jumps():
     system = pendulum()
     states = np.array([[0.1, 0.0], [2.0, 0.0], [4.0, 0.0], [7.0, 0.0]])
     target = Target(Channel("angle", "rad", period=2 * np.pi), 0, np.array([np.pi]), 0.5)

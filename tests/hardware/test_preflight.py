@@ -1,15 +1,11 @@
 """What is refused before a robot moves: in a sentence, and without a connection."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hardware.connection import Connection
 from hardware.control_loop import SLOWEST
 from hardware.driving.hand_driving import HandDriving, Instruments, check_driving_by_hand
 from hardware.driving.keyboard import Keyboard
@@ -41,14 +37,14 @@ class Parked(Robot):
 
     dynamics = None
 
-    def __init__(self, system: System, missing: Exception | None = None) -> None:
+    def __init__(self, system, missing=None):
         self.name, self.system, self.missing = "parked", system, missing
 
-    def check(self) -> None:
+    def check(self):
         if self.missing is not None:
             raise self.missing
 
-    def connect(self, *, seed: int | None = None) -> Connection:
+    def connect(self, *, seed=None):
         raise AssertionError("somebody connected to the robot")
 
 
@@ -62,7 +58,7 @@ MAST = System(
 )
 
 
-def test_a_car_may_be_driven_recorded_and_driven_by_hand(car: System, tmp_path: Path) -> None:
+def test_a_car_may_be_driven_recorded_and_driven_by_hand(car, tmp_path):
     robot, task, controller = Parked(car), PointToPoint(), RecurrentNetwork()
     check_driving(robot, task, controller, np.zeros((1, 78)))
     check_driving_by_hand(robot, task)
@@ -70,7 +66,7 @@ def test_a_car_may_be_driven_recorded_and_driven_by_hand(car: System, tmp_path: 
     assert not (tmp_path / "new").exists()
 
 
-def test_a_command_must_outlive_the_sampling_time(car: System) -> None:
+def test_a_command_must_outlive_the_sampling_time(car):
     check_recording(Parked(car.with_dt(SLOWEST)), None, duration=360.0)
     for check in (
         lambda robot: check_recording(robot, None, duration=360.0),
@@ -80,9 +76,7 @@ def test_a_command_must_outlive_the_sampling_time(car: System) -> None:
             check(Parked(car.with_dt(0.2)))
 
 
-def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it_connects(
-    car: System, tmp_path: Path
-) -> None:
+def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it_connects(car, tmp_path):
     robot, task, stops = Parked(car.with_dt(0.2)), PointToPoint(), Stops()
     keyboard = Keyboard(life=0.1)
     for drive in (
@@ -97,7 +91,7 @@ def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it
             drive()
 
 
-def test_what_a_robot_cannot_do_is_said_before_it_moves(car: System, tmp_path: Path) -> None:
+def test_what_a_robot_cannot_do_is_said_before_it_moves(car, tmp_path):
     endless = replace(car, controls=(Channel("drive"), Channel("steer")))
     narrow = np.zeros((1, 5))
     for check, error, sentence in (
@@ -117,16 +111,16 @@ def test_what_a_robot_cannot_do_is_said_before_it_moves(car: System, tmp_path: P
             check()
 
 
-def test_a_task_that_does_not_fit_is_refused(car: System) -> None:
+def test_a_task_that_does_not_fit_is_refused(car):
     class Elsewhere(PointToPoint):
-        def bind(self, system: System) -> Elsewhere:
+        def bind(self, system):
             raise IncompatibleTask("this task needs a beach")
 
     with pytest.raises(IncompatibleTask, match="beach"):
         check_driving(Parked(car), Elsewhere())
 
 
-def test_what_a_robot_itself_misses_is_refused_by_every_check(car: System) -> None:
+def test_what_a_robot_itself_misses_is_refused_by_every_check(car):
     robot = Parked(car, LinkLost("port /dev/rcb: no such device; is the robot plugged in?"))
     for check in (
         lambda: check_driving(robot, PointToPoint()),
@@ -137,17 +131,13 @@ def test_what_a_robot_itself_misses_is_refused_by_every_check(car: System) -> No
             check()
 
 
-def test_a_page_that_cannot_be_served_is_said_with_its_installation(
-    car: System, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_that_cannot_be_served_is_said_with_its_installation(car, monkeypatch):
     monkeypatch.setattr("hardware.driving.server.PACKAGES", ("no_such_package",))
     with pytest.raises(MissingExtra, match="driving by hand needs the package 'no_such_package'"):
         check_driving_by_hand(Parked(car), PointToPoint())
 
 
-def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_manoeuvre(
-    car: System, tmp_path: Path
-) -> None:
+def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_manoeuvre(car, tmp_path):
     (tmp_path / "weaving.rcj").touch()
     file = tmp_path / "file"
     file.touch()
@@ -163,13 +153,13 @@ def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_mano
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="everything is permitted to root")
-def test_a_folder_without_permission_is_refused(car: System, tmp_path: Path) -> None:
+def test_a_folder_without_permission_is_refused(car, tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(InvalidArgument, match="expected a folder that can be written"):
         check_recording(Parked(car), tmp_path / "journal", duration=60.0)
 
 
-def test_data_of_another_robot_are_told_with_what_differs(car: System) -> None:
+def test_data_of_another_robot_are_told_with_what_differs(car):
     check_same_robot(replace(car, name="data"), Parked(car))
     with pytest.raises(IncompatibleSystem) as raised:
         check_same_robot(replace(car, dt=0.1, motion=None), Parked(car))
@@ -177,7 +167,7 @@ def test_data_of_another_robot_are_told_with_what_differs(car: System) -> None:
     assert "record this one" in str(raised.value)
 
 
-def test_a_robot_is_found_by_name_and_what_is_none_is_refused(register) -> None:
+def test_a_robot_is_found_by_name_and_what_is_none_is_refused(register):
     assert isinstance(find_robot("emulated_car:3"), Robot)
     register(robots, "a_text", lambda: "a text")
     with pytest.raises(InvalidArgument, match=r"robot 'a_text': expected a hardware\.robot\.Robot, got a str"):

@@ -1,11 +1,8 @@
 """What a robot or a tracker is made with: named keywords, each checked, and nothing is opened."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -56,7 +53,7 @@ def test_every_argument_of_a_robot_or_tracker_is_named_typed_and_told_of(registr
         assert f"``{parameter.name}``" in text, f"{name}: the docstring does not tell what {parameter.name} is"
 
 
-def test_making_a_robot_or_tracker_opens_nothing_starts_nothing_and_reads_nothing(tmp_path: Path) -> None:
+def test_making_a_robot_or_tracker_opens_nothing_starts_nothing_and_reads_nothing(tmp_path):
     done = subprocess.run([sys.executable, "-c", SILENT], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -124,7 +121,7 @@ def test_a_robot_asks_its_tracker_what_is_missing():
         robot.check()
 
 
-def test_without_its_packages_a_robot_can_be_made_and_says_what_to_install_when_it_is_checked() -> None:
+def test_without_its_packages_a_robot_can_be_made_and_says_what_to_install_when_it_is_checked():
     program = """
 import sys
 sys.modules.update(dict.fromkeys(("serial", "cobs")))
@@ -141,7 +138,7 @@ for attempt in (robot.check, robot.connect):
     assert done.stdout.splitlines() == 2 * [f"robot 'serial' needs the package 'cobs', {advice}"]
 
 
-def test_a_tracker_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tracker_whose_package_is_missing_says_how_to_install_it(monkeypatch):
     monkeypatch.setattr(trackers.get("natnet"), "requires", ("no_such_package",))
     with pytest.raises(MissingExtra, match="tracker 'natnet' needs the package 'no_such_package'"):
         trackers.make("natnet", body="car").check()

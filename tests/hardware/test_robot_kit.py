@@ -4,67 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from hardware import testing as kit
-from hardware.connection import Connection, Measurement
 from hardware.robot import Robot
 from hardware.testing import check_robot, run_robot_checks
 from sysid_evo.errors import ContractViolation
-from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import Dynamics
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import System
-from sysid_evo.types import Array
 from tests.broken import broken, sentence
 
 
 class Around(Dynamics):
     """Dynamics that do as those inside them."""
 
-    def __init__(self, inner: Dynamics) -> None:
+    def __init__(self, inner):
         self.inner, self.system, self.n_carry = inner, inner.system, inner.n_carry
         self.n_lags, self.n_noise, self.n_draws = inner.n_lags, inner.n_noise, inner.n_draws
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+    def start(self, states, controls, draws=None):
         return self.inner.start(states, controls, draws)
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         return self.inner.step(carry, control, noise)
 
 
 class StartsElsewhere(Around):
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+    def start(self, states, controls, draws=None):
         return super().start(states, controls, draws) + 0.01
 
 
 class Miscounting(Around):
-    def __init__(self, inner: Dynamics) -> None:
+    def __init__(self, inner):
         super().__init__(inner)
         self.n_carry += 1
 
 
 class Comparing(Around):
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         after = super().step(carry, control, noise)
         return after + 1e-3 * carry.mean(axis=0)
 
 
 class Overwriting(Around):
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         after = super().step(carry, control, noise)
         control[:] = 0.0
         return after
 
 
 class OtherKernel(Around):
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         return 1.001 * super().step(carry, control, noise)
 
-    def kernel(self) -> DynamicsKernel | None:
+    def kernel(self):
         return self.inner.kernel()
 
 
@@ -73,20 +69,20 @@ class Car(Robot):
 
     wrapping: type[Around] = Around
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.inner = make_robot("emulated_car")
         self.name, self.system = "car", self.inner.system
         self.dynamics: Dynamics = self.wrapping(self.inner.dynamics)
 
-    def connect(self, *, seed: int | None = None) -> Connection:
+    def connect(self, *, seed=None):
         return self.altered(self.inner.connect(seed=seed))
 
-    def altered(self, connection: Connection) -> Connection:
+    def altered(self, connection):
         return connection
 
 
 class Nameless(Car):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.name = ""
 
@@ -94,24 +90,24 @@ class Nameless(Car):
 class Numbered(Car):
     made = 0
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         Numbered.made += 1
         self.name = f"car number {Numbered.made}"
 
 
 class OtherSystem(Car):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         system: System = self.system
         self.system = system.with_dt(2.0 * system.dt)
 
 
 class CountingDown(Car):
-    def altered(self, connection: Connection) -> Connection:
+    def altered(self, connection):
         measure = connection.measure
 
-        def counted(timeout: float) -> Measurement | None:
+        def counted(timeout):
             frame = measure(timeout)
             return None if frame is None else replace(frame, frame=-frame.frame)
 
@@ -120,15 +116,15 @@ class CountingDown(Car):
 
 
 class Unseeded(Car):
-    def connect(self, *, seed: int | None = None) -> Connection:
+    def connect(self, *, seed=None):
         return super().connect()
 
 
 class Tireless(Car):
-    def altered(self, connection: Connection) -> Connection:
+    def altered(self, connection):
         send = connection.send
 
-        def lasting(control: Array, *, valid_for: float) -> None:
+        def lasting(control, *, valid_for):
             send(control, valid_for=100.0 * valid_for)
 
         connection.send = lasting  # type: ignore[method-assign]  # one session that is broken
@@ -136,10 +132,10 @@ class Tireless(Car):
 
 
 class Lenient(Car):
-    def altered(self, connection: Connection) -> Connection:
+    def altered(self, connection):
         send = connection.send
 
-        def clipped(control: Array, *, valid_for: float) -> None:
+        def clipped(control, *, valid_for):
             send(np.clip(control[: self.system.nu], -1.0, 1.0), valid_for=valid_for)
 
         connection.send = clipped  # type: ignore[method-assign]  # one session that is broken
@@ -147,12 +143,12 @@ class Lenient(Car):
 
 
 class Open(Car):
-    def altered(self, connection: Connection) -> Connection:
+    def altered(self, connection):
         connection.close = lambda: None  # type: ignore[method-assign]  # one session that is broken
         return connection
 
 
-def with_dynamics(wrapping: type[Around]) -> type[Car]:
+def with_dynamics(wrapping):
     return type(wrapping.__name__, (Car,), {"wrapping": wrapping})
 
 
@@ -178,15 +174,13 @@ BROKEN: list[tuple[type[Car], Callable[..., None], str]] = [
 
 
 @pytest.mark.parametrize("name", robots.names())
-def test_every_robot_keeps_every_sentence_and_a_physical_one_is_not_connected(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_robot_keeps_every_sentence_and_a_physical_one_is_not_connected(name, monkeypatch):
     if make_robot(name).dynamics is None:
         monkeypatch.setattr(robots.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
     check_robot(name)
 
 
-def test_a_sound_robot_keeps_every_sentence_but_that_of_kernels(register: Callable[..., Any]) -> None:
+def test_a_sound_robot_keeps_every_sentence_but_that_of_kernels(register):
     register(robots, "car", Car)
     results = list(run_robot_checks("car"))
     assert broken(results) == {}
@@ -197,9 +191,7 @@ def test_a_sound_robot_keeps_every_sentence_but_that_of_kernels(register: Callab
 
 
 @pytest.mark.parametrize(("made", "check", "reason"), BROKEN)
-def test_a_broken_robot_is_caught_with_the_one_sentence_it_breaks(
-    made: type[Car], check: Callable[..., None], reason: str, register: Callable[..., Any]
-) -> None:
+def test_a_broken_robot_is_caught_with_the_one_sentence_it_breaks(made, check, reason, register):
     register(robots, "broken", made)
     found = broken(run_robot_checks("broken"))
     assert list(found) == [sentence(check)]
@@ -207,5 +199,5 @@ def test_a_broken_robot_is_caught_with_the_one_sentence_it_breaks(
         check_robot("broken")
 
 
-def test_every_sentence_has_something_that_breaks_it() -> None:
+def test_every_sentence_has_something_that_breaks_it():
     assert {check for _, check, _ in BROKEN} == set(kit.CHECKS)

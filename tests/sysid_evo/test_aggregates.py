@@ -1,7 +1,5 @@
 """The shipped rules on numbers that can be followed by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,11 +26,11 @@ FITNESS = np.array(
         ("median", [4.0, 5.0]),
     ],
 )
-def test_the_rule_is_taken_over_the_models_of_their_means_over_the_trials(name: str, expected: list[float]) -> None:
+def test_the_rule_is_taken_over_the_models_of_their_means_over_the_trials(name, expected):
     np.testing.assert_array_equal(make_aggregate(name)(FITNESS), expected)
 
 
-def test_cvar_is_the_mean_of_the_worst_outcomes_of_which_the_last_counts_in_part() -> None:
+def test_cvar_is_the_mean_of_the_worst_outcomes_of_which_the_last_counts_in_part():
     # in order: 0, 1, 3, 8, 9, 9 and 0, 2, 5, 5, 9, 9; 40 % of six outcomes are 2.4
     expected = [(0.0 + 1.0 + 0.4 * 3.0) / 2.4, (0.0 + 2.0 + 0.4 * 5.0) / 2.4]
     np.testing.assert_allclose(make_aggregate("cvar(share=0.4)")(FITNESS), expected)
@@ -41,18 +39,18 @@ def test_cvar_is_the_mean_of_the_worst_outcomes_of_which_the_last_counts_in_part
 
 
 @pytest.mark.parametrize("spec", ["cvar(share=0)", "cvar(share=1.1)"])
-def test_a_parameter_that_makes_no_sense_is_refused_before_anything_is_run(spec: str) -> None:
+def test_a_parameter_that_makes_no_sense_is_refused_before_anything_is_run(spec):
     with pytest.raises(InvalidArgument, match="cvar: expected share"):
         make_aggregate(spec)
 
 
-def test_a_parameter_that_is_not_there_is_refused_with_those_that_are() -> None:
+def test_a_parameter_that_is_not_there_is_refused_with_those_that_are():
     with pytest.raises(InvalidArgument, match=r"'cvar' has no parameter 'weight'\. It takes share \(0\.3\)\."):
         make_aggregate("cvar(weight=1)")
 
 
 @pytest.mark.parametrize("name", aggregates.names())
-def test_every_rule_keeps_the_laws_of_aggregates(name: str, rng: np.random.Generator) -> None:
+def test_every_rule_keeps_the_laws_of_aggregates(name, rng):
     rule, fitness = make_aggregate(name), rng.uniform(-10.0, 10.0, (3, 7, 5))
     kept, result = fitness.copy(), rule(fitness)
     assert (result.shape, result.dtype) == ((7,), np.float64)
@@ -66,8 +64,6 @@ def test_every_rule_keeps_the_laws_of_aggregates(name: str, rng: np.random.Gener
 
 
 @pytest.mark.parametrize("name", MEAN_OF_ONE)
-def test_of_one_model_these_rules_take_the_mean_over_its_trials_to_the_last_bit(
-    name: str, rng: np.random.Generator
-) -> None:
+def test_of_one_model_these_rules_take_the_mean_over_its_trials_to_the_last_bit(name, rng):
     rule, fitness = make_aggregate(name), rng.uniform(-10.0, 10.0, (1, 7, 5))
     np.testing.assert_array_equal(rule(fitness), fitness.mean(axis=2)[0])

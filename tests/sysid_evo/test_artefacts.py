@@ -7,15 +7,12 @@ import json
 import pickle
 import shutil
 import tracemalloc
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 import pytest
 
 from sysid_evo.artefacts import is_stored
-from sysid_evo.data import Dataset
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.champion import load_champion, save_champion
@@ -23,7 +20,6 @@ from sysid_evo.models import DynamicsModel, family_name, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec, models
 from sysid_evo.testing.examples import switched_car
-from sysid_evo.types import Array
 
 CHAMPION = Champion(
     name="mm1",
@@ -45,10 +41,10 @@ CHAMPION = Champion(
 class Scrapbook(DynamicsModel):
     """Learns one thing of every kind that can be stored, and whatever ``also`` says."""
 
-    def __init__(self, *, also: Any = None) -> None:
+    def __init__(self, *, also=None):
         self.also = also
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         self.layers_ = [rng.standard_normal((2, 3)), rng.standard_normal(4)] + [np.full(1, float(i)) for i in range(10)]
         self.counts_ = np.arange(5)
         self.single_ = np.float32([0.1, 0.2])
@@ -61,7 +57,7 @@ class Scrapbook(DynamicsModel):
             self.extra_ = EXTRAS[self.also]
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return carry
 
 
@@ -69,26 +65,26 @@ EXTRAS = {"object": object(), "mapping": {"a": 1}, "nan": float("nan"), "numpy n
 
 
 @pytest.fixture
-def scrapbook(register: Callable[..., Any]) -> type[Scrapbook]:
+def scrapbook(register):
     return register(models, "scrapbook", Scrapbook)
 
 
 @pytest.fixture(scope="module")
-def linear(recording: Dataset) -> DynamicsModel:
+def linear(recording):
     return make_model("linear", ridge=0.1, state_lags=1).fit(recording, rng=np.random.default_rng(0))
 
 
 @pytest.fixture
-def stored(linear: DynamicsModel, tmp_path: Path) -> Path:
+def stored(linear, tmp_path):
     save_model(linear, tmp_path / "model", seed=3, data="abc")
     return tmp_path / "model"
 
 
-def manifest_of(path: Path) -> dict[str, Any]:
+def manifest_of(path):
     return json.loads(path.with_suffix(".json").read_text())
 
 
-def rewrite(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+def rewrite(path, change):
     """Change the manifest as someone with an editor would."""
     manifest = manifest_of(path)
     change(manifest)
@@ -96,7 +92,7 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 
 
 @pytest.mark.parametrize("family", ["linear", "nearest_neighbour"])
-def test_a_model_comes_back_bit_for_bit(family: str, recording: Dataset, tmp_path: Path) -> None:
+def test_a_model_comes_back_bit_for_bit(family, recording, tmp_path):
     model = make_model(family).fit(recording, rng=np.random.default_rng(0))
     written = save_model(model, tmp_path / "a" / "model.v2", seed=5, data=recording.fingerprint)
     assert written == tmp_path / "a" / "model.v2.json"
@@ -115,7 +111,7 @@ def test_a_model_comes_back_bit_for_bit(family: str, recording: Dataset, tmp_pat
     np.testing.assert_array_equal(loaded.simulate(*arguments), model.simulate(*arguments))
 
 
-def test_every_kind_of_learned_thing_comes_back(scrapbook: type, recording: Dataset, tmp_path: Path) -> None:
+def test_every_kind_of_learned_thing_comes_back(scrapbook, recording, tmp_path):
     model = scrapbook().fit(recording, rng=np.random.default_rng(0))
     save_model(model, tmp_path / "book")
     loaded = load_model(tmp_path / "book.json")
@@ -129,7 +125,7 @@ def test_every_kind_of_learned_thing_comes_back(scrapbook: type, recording: Data
     assert not hasattr(loaded, "scratch")
 
 
-def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
+def test_a_champion_comes_back_bit_for_bit(tmp_path):
     save_champion(CHAMPION, tmp_path / "mm1-3", data="abc")
     loaded = load_champion(tmp_path / "mm1-3")
     for name in (
@@ -150,7 +146,7 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.history, CHAMPION.history)
 
 
-def test_the_manifest_says_what_made_the_file(stored: Path) -> None:
+def test_the_manifest_says_what_made_the_file(stored):
     manifest = manifest_of(stored)
     assert (manifest["kind"], manifest["name"], manifest["module"]) == ("model", "linear", "model_zoo.linear")
     assert (manifest["seed"], manifest["data"]) == (3, "abc")
@@ -160,7 +156,7 @@ def test_the_manifest_says_what_made_the_file(stored: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".json", ".safetensors"])
-def test_half_an_artefact_is_refused(stored: Path, suffix: str) -> None:
+def test_half_an_artefact_is_refused(stored, suffix):
     stored.with_suffix(suffix).unlink()
     with pytest.raises(
         ArtefactError, match=rf"model\{suffix}: expected one half of a stored model, found no such file"
@@ -168,7 +164,7 @@ def test_half_an_artefact_is_refused(stored: Path, suffix: str) -> None:
         load_model(stored)
 
 
-def test_a_truncated_file_is_refused(stored: Path) -> None:
+def test_a_truncated_file_is_refused(stored):
     target = stored.with_suffix(".safetensors")
     target.write_bytes(target.read_bytes()[:-1])
     with pytest.raises(ArtefactError, match=r"model.safetensors: its SHA-256 is not the one in model.json: damaged"):
@@ -181,7 +177,7 @@ def test_a_truncated_file_is_refused(stored: Path) -> None:
         load_model(stored)
 
 
-def test_one_flipped_bit_is_noticed(stored: Path) -> None:
+def test_one_flipped_bit_is_noticed(stored):
     target = stored.with_suffix(".safetensors")
     content = bytearray(target.read_bytes())
     content[-1] ^= 1
@@ -190,7 +186,7 @@ def test_one_flipped_bit_is_noticed(stored: Path) -> None:
         load_model(stored)
 
 
-def test_the_tensors_of_another_artefact_are_refused(stored: Path, recording: Dataset) -> None:
+def test_the_tensors_of_another_artefact_are_refused(stored, recording):
     other = stored.with_name("other")
     save_model(make_model("linear").fit(recording, rng=np.random.default_rng(0)), other)
     shutil.copy(other.with_suffix(".safetensors"), stored.with_suffix(".safetensors"))
@@ -198,9 +194,9 @@ def test_the_tensors_of_another_artefact_are_refused(stored: Path, recording: Da
         load_model(stored)
 
 
-def test_a_pickle_in_disguise_is_never_unpickled(stored: Path, tmp_path: Path) -> None:
+def test_a_pickle_in_disguise_is_never_unpickled(stored, tmp_path):
     class Trap:
-        def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        def __reduce__(self):
             return Path.touch, (tmp_path / "sprung",)
 
     content = pickle.dumps(Trap())
@@ -242,16 +238,14 @@ def test_a_pickle_in_disguise_is_never_unpickled(stored: Path, tmp_path: Path) -
         (lambda m: m["learned"].update(system_=1), "'system_' cannot be the name of something learned"),
     ],
 )
-def test_a_manifest_that_was_tampered_with_is_refused_with_the_reason(
-    stored: Path, change: Callable[[dict[str, Any]], object], reason: str
-) -> None:
+def test_a_manifest_that_was_tampered_with_is_refused_with_the_reason(stored, change, reason):
     rewrite(stored, change)
     with pytest.raises(ArtefactError, match=reason) as raised:
         load_model(stored)
     assert str(stored) in str(raised.value)
 
 
-def test_a_model_of_an_unknown_family_says_where_it_came_from(stored: Path) -> None:
+def test_a_model_of_an_unknown_family_says_where_it_came_from(stored):
     rewrite(stored, lambda m: m.update(name="lineal", module="their_zoo"))
     with pytest.raises(
         ArtefactError, match=r"needs the model family 'lineal', which the module 'their_zoo'.*--plugin.*linear"
@@ -259,7 +253,7 @@ def test_a_model_of_an_unknown_family_says_where_it_came_from(stored: Path) -> N
         load_model(stored)
 
 
-def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_there_are_two(tmp_path: Path) -> None:
+def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_there_are_two(tmp_path):
     save_champion(CHAMPION, tmp_path / "best of 1.5-0123abcd")
     for name in ("best of 1.5", "best of 1.5.json", "best of 1.5-0123abcd", "best of 1.5-0123abcd.safetensors"):
         assert load_champion(tmp_path / name).name == CHAMPION.name
@@ -272,7 +266,7 @@ def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_th
         load_champion(tmp_path / "best")
 
 
-def test_a_model_of_a_run_is_found_without_the_digest_too(stored: Path) -> None:
+def test_a_model_of_a_run_is_found_without_the_digest_too(stored):
     for suffix in (".json", ".safetensors"):
         stored.with_suffix(suffix).rename(stored.with_name(f"model-0123abcd{suffix}"))
     assert type(load_model(stored)) is type(load_model(stored.with_name("model-0123abcd")))
@@ -281,13 +275,13 @@ def test_a_model_of_a_run_is_found_without_the_digest_too(stored: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])
-def test_a_path_without_a_name_is_refused(path: str, linear: DynamicsModel) -> None:
+def test_a_path_without_a_name_is_refused(path, linear):
     for use in (load_model, load_champion, lambda path: save_model(linear, path)):
         with pytest.raises(ArtefactError, match="expected the name of a file, such as runs/mine/models/NAME, got '"):
             use(path)
 
 
-def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: Path) -> None:
+def test_a_model_is_no_champion_and_a_champion_no_model(stored, tmp_path):
     with pytest.raises(ArtefactError, match=r"model.json: expected a stored controller, got a model"):
         load_champion(stored)
     save_champion(CHAMPION, tmp_path / "c")
@@ -296,7 +290,7 @@ def test_a_model_is_no_champion_and_a_champion_no_model(stored: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("key", ["name", "against", "aggregate", "task", "controller", "seed_fitness", "judges"])
-def test_a_champion_that_lacks_something_is_refused(tmp_path: Path, key: str) -> None:
+def test_a_champion_that_lacks_something_is_refused(tmp_path, key):
     save_champion(CHAMPION, tmp_path / "c")
     rewrite(tmp_path / "c", lambda m: m["learned"].pop(key))
     with pytest.raises(
@@ -305,14 +299,14 @@ def test_a_champion_that_lacks_something_is_refused(tmp_path: Path, key: str) ->
         load_champion(tmp_path / "c")
 
 
-def test_a_champion_with_a_wrong_type_is_refused(tmp_path: Path) -> None:
+def test_a_champion_with_a_wrong_type_is_refused(tmp_path):
     save_champion(CHAMPION, tmp_path / "c")
     rewrite(tmp_path / "c", lambda m: m["learned"].update(against=None))
     with pytest.raises(ArtefactError, match="not a stored controller: TypeError"):
         load_champion(tmp_path / "c")
 
 
-def test_a_huge_manifest_is_not_even_read(stored: Path) -> None:
+def test_a_huge_manifest_is_not_even_read(stored):
     stored.with_suffix(".json").write_bytes(b" " * (4 * 2**20 + 1))
     with pytest.raises(ArtefactError, match="a manifest has at most 4194304 bytes, this is larger"):
         load_model(stored)
@@ -327,9 +321,7 @@ def test_a_huge_manifest_is_not_even_read(stored: Path) -> None:
         ("numpy number", "extra_ is a float64"),
     ],
 )
-def test_what_cannot_be_stored_is_refused_and_the_older_file_stays(
-    scrapbook: type, recording: Dataset, tmp_path: Path, also: str, reason: str
-) -> None:
+def test_what_cannot_be_stored_is_refused_and_the_older_file_stays(scrapbook, recording, tmp_path, also, reason):
     save_model(scrapbook().fit(recording, rng=np.random.default_rng(0)), tmp_path / "book")
     before = (tmp_path / "book.safetensors").read_bytes()
     with pytest.raises(InvalidArgument, match=reason):
@@ -338,7 +330,7 @@ def test_what_cannot_be_stored_is_refused_and_the_older_file_stays(
     load_model(tmp_path / "book")
 
 
-def test_a_parameter_that_json_cannot_hold_is_refused(recording: Dataset, tmp_path: Path) -> None:
+def test_a_parameter_that_json_cannot_hold_is_refused(recording, tmp_path):
     model = make_model("linear").fit(recording, rng=np.random.default_rng(0))
     for value in (np.zeros(3), float("inf"), {1: 2}):
         model.ridge = value
@@ -347,7 +339,7 @@ def test_a_parameter_that_json_cannot_hold_is_refused(recording: Dataset, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_only_fitted_models_of_registered_families_are_stored(recording: Dataset, tmp_path: Path) -> None:
+def test_only_fitted_models_of_registered_families_are_stored(recording, tmp_path):
     with pytest.raises(NotFitted, match=r"model 'linear' is not fitted, so there is nothing to store"):
         save_model(make_model("linear"), tmp_path / "model")
     with pytest.raises(InvalidArgument, match="Scrapbook is not a registered family: decorate it with @register_model"):
@@ -355,14 +347,14 @@ def test_only_fitted_models_of_registered_families_are_stored(recording: Dataset
     assert not list(tmp_path.iterdir())
 
 
-def test_a_dot_in_a_name_is_no_suffix(linear: DynamicsModel, tmp_path: Path) -> None:
+def test_a_dot_in_a_name_is_no_suffix(linear, tmp_path):
     for name in ("model-0.5", "model-0.7"):
         save_model(linear, tmp_path / name)
     assert sorted(path.name for path in tmp_path.glob("*.json")) == ["model-0.5.json", "model-0.7.json"]
     load_model(tmp_path / "model-0.5")
 
 
-def test_a_file_larger_than_its_tensors_is_refused_before_it_is_read(recording: Dataset, tmp_path: Path) -> None:
+def test_a_file_larger_than_its_tensors_is_refused_before_it_is_read(recording, tmp_path):
     model = make_model("linear").fit(recording, rng=np.random.default_rng(0))
     save_model(model, tmp_path / "model")
     with (tmp_path / "model.safetensors").open("r+b") as file:

@@ -7,20 +7,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo.artefacts import CheckpointFile, read_checkpoint
-from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution import (
-    Champion,
     ControllerEvolution,
     MuPlusLambda,
     StrategyState,
@@ -68,7 +64,7 @@ evolved(LONG, AlwaysDue(sys.argv[1]), threads=int(sys.argv[2]), progress=told)
 class AlwaysDue(CheckpointFile):
     """Is saved after every generation, whatever that costs."""
 
-    def due(self) -> bool:
+    def due(self):
         return True
 
 
@@ -79,25 +75,17 @@ class Stop(Exception):
 class StopAfter:
     """A progress that stops the work once so many steps are done, and keeps what it was told."""
 
-    def __init__(self, steps: int) -> None:
+    def __init__(self, steps):
         self.steps = steps
         self.told: list[int] = []
 
-    def __call__(self, done: int, total: int, note: str = "") -> None:
+    def __call__(self, done, total, note=""):
         self.told.append(done)
         if done == self.steps:
             raise Stop
 
 
-def evolved(
-    settings: ControllerEvolution,
-    checkpoint: CheckpointFile | None = None,
-    *,
-    threads: int = 1,
-    dataset: Dataset | None = None,
-    seed: int = 3,
-    progress: StopAfter | None = None,
-) -> Champion:
+def evolved(settings, checkpoint=None, *, threads=1, dataset=None, seed=3, progress=None):
     """Evolve against a linear model of the made-up car."""
     dataset = dataset or example_dataset()
     model = make_model("linear").fit(dataset, rng=0)
@@ -108,18 +96,18 @@ def evolved(
 
 
 @pytest.fixture(scope="module")
-def whole() -> Champion:
+def whole():
     """The champion of an evolution that nothing stopped."""
     return evolved(SETTINGS)
 
 
-def assert_same(found: Champion, expected: Champion) -> None:
+def assert_same(found, expected):
     assert found.to_dict() == expected.to_dict()
     for name, tensor in expected.tensors.items():
         np.testing.assert_array_equal(found.tensors[name], tensor)
 
 
-def test_a_state_comes_back_bit_for_bit(tmp_path: Path) -> None:
+def test_a_state_comes_back_bit_for_bit(tmp_path):
     CheckpointFile(tmp_path / "c").save("mine", STATE)
     found = CheckpointFile(tmp_path / "c").load("mine")
     assert found is not None
@@ -133,7 +121,7 @@ def test_a_state_comes_back_bit_for_bit(tmp_path: Path) -> None:
             assert found[name] == value
 
 
-def test_a_byte_that_is_changed_anywhere_is_noticed(tmp_path: Path) -> None:
+def test_a_byte_that_is_changed_anywhere_is_noticed(tmp_path):
     file = CheckpointFile(tmp_path / "c")
     file.save("mine", STATE)
     written = file.path.read_bytes()
@@ -149,7 +137,7 @@ def test_a_byte_that_is_changed_anywhere_is_noticed(tmp_path: Path) -> None:
             assert file.load("mine") is None
 
 
-def test_a_checkpoint_is_only_for_its_own_work(tmp_path: Path) -> None:
+def test_a_checkpoint_is_only_for_its_own_work(tmp_path):
     file = CheckpointFile(tmp_path / "c")
     assert file.load("mine") is None
     file.save("mine", STATE)
@@ -157,9 +145,7 @@ def test_a_checkpoint_is_only_for_its_own_work(tmp_path: Path) -> None:
         assert file.load("yours") is None
 
 
-def test_a_file_is_due_after_its_time_and_never_costs_more_than_a_hundredth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_due_after_its_time_and_never_costs_more_than_a_hundredth(tmp_path, monkeypatch):
     clock = iter([0.0, 4.9, 5.0, 6.0, 6.2, 25.0, 26.3])
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     file = CheckpointFile(tmp_path / "c", every=5.0)
@@ -170,7 +156,7 @@ def test_a_file_is_due_after_its_time_and_never_costs_more_than_a_hundredth(
         CheckpointFile(tmp_path / "c", every=-1.0)
 
 
-def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole: Champion, tmp_path: Path) -> None:
+def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole, tmp_path):
     """The system refuses files of more than 500 bytes, as a full disk does."""
     file, before = AlwaysDue(tmp_path / "c"), resource.getrlimit(resource.RLIMIT_FSIZE)
     file.save("mine", {})
@@ -192,9 +178,7 @@ def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole: Champion, tmp_
 
 
 @pytest.mark.parametrize("after", range(1, 9))
-def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(
-    after: int, whole: Champion, tmp_path: Path
-) -> None:
+def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(after, whole, tmp_path):
     with pytest.raises(Stop):  # the file is not due: being stopped is what saves it
         evolved(SETTINGS, CheckpointFile(tmp_path / "c"), threads=1, progress=StopAfter(after))
     watched = StopAfter(0)
@@ -204,9 +188,7 @@ def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(
 
 
 @pytest.mark.parametrize("strategy", strategies.names())
-def test_with_every_strategy_an_evolution_that_is_stopped_again_and_again_ends_the_same(
-    strategy: str, tmp_path: Path
-) -> None:
+def test_with_every_strategy_an_evolution_that_is_stopped_again_and_again_ends_the_same(strategy, tmp_path):
     settings = replace(SETTINGS, generations=20, strategy=strategy)
     for after in (1, 9, 24):
         with pytest.raises(Stop):
@@ -214,11 +196,11 @@ def test_with_every_strategy_an_evolution_that_is_stopped_again_and_again_ends_t
     assert_same(evolved(settings, CheckpointFile(tmp_path / "c")), evolved(settings))
 
 
-def test_a_polish_that_is_stopped_goes_on_to_the_same_champion(whole: Champion, tmp_path: Path) -> None:
+def test_a_polish_that_is_stopped_goes_on_to_the_same_champion(whole, tmp_path):
     dataset = example_dataset()
     runners = {name: DynamicsRunner(make_model(name).fit(dataset, rng=0)) for name in ("linear", "nearest_neighbour")}
 
-    def polished(checkpoint: CheckpointFile | None, progress: StopAfter | None = None) -> Champion:
+    def polished(checkpoint, progress=None):
         return polish("p", whole, runners, SETTINGS, seed=1, generations=4, checkpoint=checkpoint, progress=progress)
 
     for after in (2, 4, 7):
@@ -227,14 +209,14 @@ def test_a_polish_that_is_stopped_goes_on_to_the_same_champion(whole: Champion, 
     assert_same(polished(CheckpointFile(tmp_path / "c")), polished(None))
 
 
-def test_an_evolution_that_has_ended_is_not_done_again(whole: Champion, tmp_path: Path) -> None:
+def test_an_evolution_that_has_ended_is_not_done_again(whole, tmp_path):
     for steps in ([*range(1, 9)], [8]):
         watched = StopAfter(0)
         assert_same(evolved(SETTINGS, CheckpointFile(tmp_path / "c"), progress=watched), whole)
         assert watched.told == steps
 
 
-def test_settings_seeds_and_names_that_differ_are_other_work(whole: Champion, tmp_path: Path) -> None:
+def test_settings_seeds_and_names_that_differ_are_other_work(whole, tmp_path):
     evolved(SETTINGS, CheckpointFile(tmp_path / "c"))
     with pytest.warns(CheckpointWarning, match="of other work"):
         evolved(replace(SETTINGS, trials=3), CheckpointFile(tmp_path / "c"))
@@ -244,7 +226,7 @@ def test_settings_seeds_and_names_that_differ_are_other_work(whole: Champion, tm
         assert_same(evolved(SETTINGS, CheckpointFile(tmp_path / "c")), whole)
 
 
-def test_a_model_that_has_changed_is_other_work(whole: Champion, tmp_path: Path) -> None:
+def test_a_model_that_has_changed_is_other_work(whole, tmp_path):
     with pytest.raises(Stop):
         evolved(SETTINGS, CheckpointFile(tmp_path / "c"), dataset=example_dataset(episodes=2), progress=StopAfter(6))
     with pytest.warns(CheckpointWarning, match="of other work"):
@@ -252,10 +234,8 @@ def test_a_model_that_has_changed_is_other_work(whole: Champion, tmp_path: Path)
 
 
 @pytest.mark.parametrize("family", ["evolved3", "parametrised"])
-def test_a_fit_by_evolution_that_was_stopped_goes_on_to_the_same_model(
-    family: str, recording: Dataset, tmp_path: Path
-) -> None:
-    def fitted(data: Dataset, checkpoint: CheckpointFile | None, progress: StopAfter | None = None) -> Array:
+def test_a_fit_by_evolution_that_was_stopped_goes_on_to_the_same_model(family, recording, tmp_path):
+    def fitted(data, checkpoint, progress=None):
         model = make_model(family, generations=6, windows=20)
         model.checkpoint = checkpoint
         return model.fit(data, rng=1, progress=progress).parameters_
@@ -280,9 +260,7 @@ CHANGES: tuple[tuple[str, Array | str | None], ...] = (
 
 
 @pytest.mark.parametrize(("name", "value"), CHANGES)
-def test_a_state_that_makes_no_sense_is_ignored(
-    name: str, value: Array | str | None, whole: Champion, tmp_path: Path
-) -> None:
+def test_a_state_that_makes_no_sense_is_ignored(name, value, whole, tmp_path):
     file = CheckpointFile(tmp_path / "c")
     with pytest.raises(Stop):
         evolved(SETTINGS, file, progress=StopAfter(6))
@@ -293,7 +271,7 @@ def test_a_state_that_makes_no_sense_is_ignored(
         assert_same(evolved(SETTINGS, file), whole)
 
 
-def test_a_process_killed_at_random_moments_goes_on_to_the_same_champion(tmp_path: Path) -> None:
+def test_a_process_killed_at_random_moments_goes_on_to_the_same_champion(tmp_path):
     """Every generation is saved, so that kills fall into saving, too."""
     rng = np.random.default_rng(0)
     path, reached = tmp_path / "c", 0
@@ -317,13 +295,11 @@ def test_a_process_killed_at_random_moments_goes_on_to_the_same_champion(tmp_pat
     assert reached <= watched.told[0] < 120
 
 
-def test_a_stop_while_a_strategy_learns_leaves_what_was_kept_last(
-    tmp_path: Path, whole: Champion, register: Callable[..., Any]
-) -> None:
+def test_a_stop_while_a_strategy_learns_leaves_what_was_kept_last(tmp_path, whole, register):
     class Torn(MuPlusLambda):
         stop = True
 
-        def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
+        def _update(self, population, fitness, behaviour):
             if self.generation == 3 and Torn.stop:
                 self._parents = self._parents[::-1]
                 raise Stop

@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import Controller
 from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose, judge, polish
 from sysid_evo.registry import Spec
-from sysid_evo.tasks import Task
 from sysid_evo.testing.examples import switched_car
-from sysid_evo.types import Array, Seeds
 
 CONTROLLER = Spec("recurrent", {"hidden": 1})
 N = 5 + 1 + 2
@@ -28,20 +25,18 @@ class Hill:
     height: float = 10.0
     met: int = 0
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
+    def run(self, controller, parameters, task, seeds, *, record=False):
         self.met = len(seeds)
         fitness = np.repeat(self.height - np.abs(parameters[:, :1] - self.peak), len(seeds), axis=1)
         steps = np.zeros(fitness.shape, dtype=np.int64)
         return Rollouts(fitness, steps, steps, task.begin(seeds), "made up")
 
 
-def finalist(first: float, fitness: float, niche: str = "") -> Finalist:
+def finalist(first, fitness, niche=""):
     return Finalist(niche, 0, fitness, np.array([first, *np.zeros(N - 1)]))
 
 
-def champion(name: str, *finalists: Finalist) -> Champion:
+def champion(name, *finalists):
     best = max(finalists, key=lambda one: one.fitness)
     return Champion(
         name, best.parameters, (name,), "min", 0, np.empty((0, 3)),
@@ -49,7 +44,7 @@ def champion(name: str, *finalists: Finalist) -> Champion:
     )  # fmt: skip
 
 
-def test_not_the_claim_counts_but_the_median_on_models_of_other_families() -> None:
+def test_not_the_claim_counts_but_the_median_on_models_of_other_families():
     mine = champion("mine", finalist(0.0, fitness=99.0, niche="boasts"), finalist(3.0, fitness=5.0, niche="modest"))
     others = {"a": Hill(3.0), "b": Hill(4.0), "c": Hill(-50.0)}
     best = choose([(mine, others)], seed=1)
@@ -61,14 +56,14 @@ def test_not_the_claim_counts_but_the_median_on_models_of_other_families() -> No
     assert others["a"].met == 100
 
 
-def test_of_several_champions_each_is_judged_by_its_own_others() -> None:
+def test_of_several_champions_each_is_judged_by_its_own_others():
     first, second = champion("first", finalist(0.0, 7.0)), champion("second", finalist(1.0, 6.0))
     best = choose([(first, {"second": Hill(1.0)}), (second, {"first": Hill(1.5)})], seed=1, trials=3)
     assert (best.name, best.parameters[0]) == ("second", 1.0)
     assert [one.elsewhere for one in best.finalists] == [9.0, 9.5]
 
 
-def test_where_nobody_judges_the_fittest_is_chosen_and_a_judged_one_goes_before_it() -> None:
+def test_where_nobody_judges_the_fittest_is_chosen_and_a_judged_one_goes_before_it():
     alone = champion("alone", finalist(0.0, 7.0), finalist(1.0, 8.0))
     assert judge(alone, {}, seed=1) is alone
     assert choose([(alone, {})], seed=1).parameters[0] == 1.0
@@ -83,7 +78,7 @@ SETTINGS = ControllerEvolution(
 )
 
 
-def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest() -> None:
+def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest():
     start = champion("start", finalist(0.0, 9.0, "left"), finalist(-30.0, 1.0, "far"))
     told: list[tuple[int, int]] = []
     better = polish(
@@ -100,7 +95,7 @@ def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest() -> Non
     assert better.judges == ()
 
 
-def test_the_most_promising_finalists_are_polished_and_one_that_nothing_beats_stays() -> None:
+def test_the_most_promising_finalists_are_polished_and_one_that_nothing_beats_stays():
     start = champion(
         "start",
         replace(finalist(-9.0, 50.0, "boasts"), elsewhere=1.0),
@@ -112,13 +107,13 @@ def test_the_most_promising_finalists_are_polished_and_one_that_nothing_beats_st
     assert best.parameters[0] == 1.0
 
 
-def test_without_finalists_there_is_nothing_to_polish() -> None:
+def test_without_finalists_there_is_nothing_to_polish():
     person = replace(champion("anna", finalist(0.0, 1.0)), finalists=())
     with pytest.raises(InvalidArgument, match="'anna' has no finalists"):
         polish("x", person, {"a": Hill(0.0)}, SETTINGS, seed=0)
 
 
-def test_a_model_that_denies_the_best_start_is_left_out_of_the_polish() -> None:
+def test_a_model_that_denies_the_best_start_is_left_out_of_the_polish():
     start = champion("start", finalist(1.0, 9.0))
     heights = {"a": 10.0, "denies": 6.6, "b": 9.5, "doubts": 6.7, "c": 10.0}  # 70 % of the median is 6.65
     runners = {name: Hill(1.0, height) for name, height in heights.items()}

@@ -1,10 +1,6 @@
 """Covariance matrix adaptation as a strategy."""
 
-from __future__ import annotations
-
 import warnings
-from collections.abc import Callable
-from pathlib import Path
 
 import cma
 import numpy as np
@@ -15,42 +11,41 @@ from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import evolve
 from sysid_evo.evolution.strategies.cma_es import CmaEs, LearningRates
 from sysid_evo.testing import check_strategy
-from sysid_evo.types import Array
 
 
-def sphere(population: Array, _: int = 0) -> Array:
+def sphere(population, _=0):
     return -(population**2).sum(axis=1)
 
 
-def valley(population: Array, _: int = 0) -> Array:
+def valley(population, _=0):
     """A hill in a narrow rotated valley, 1,000 times as steep across as along; the peak is at 1, 1, ..."""
     off = population - 1.0
     along = off.mean(axis=1, keepdims=True)
     return -(1e3 * ((off - along) ** 2).sum(axis=1) + along[:, 0] ** 2)
 
 
-def noisy(population: Array, generation: int) -> Array:
+def noisy(population, generation):
     """A hill with noise, on steps of a tenth, so that some are equal, and nothing where parameter 0 is above 2."""
     luck = np.random.default_rng(generation).standard_normal(len(population))
     fitness = np.round(luck - np.abs(population - 1.0).sum(axis=1), 1)
     return np.where(population[:, 0] > 2.0, -np.inf, fitness)
 
 
-def after(strategy: CmaEs, generations: int, fitness: Callable[[Array, int], Array], start: int = 0) -> list[Array]:
+def after(strategy, generations, fitness, start=0):
     """Return what it asks until that many generations are over."""
     return [generation.population for generation in evolve(strategy, fitness, generations, start=start)]
 
 
-def rotation(n: int, rng: np.random.Generator) -> Array:
+def rotation(n, rng):
     return np.linalg.qr(rng.standard_normal((n, n)))[0]
 
 
-def test_it_keeps_the_contract() -> None:
+def test_it_keeps_the_contract():
     check_strategy("cma_es")
     check_strategy("cma_es", population=4)
 
 
-def test_on_a_sphere_it_converges_about_as_fast_as_weighted_recombination_can(rng: np.random.Generator) -> None:
+def test_on_a_sphere_it_converges_about_as_fast_as_weighted_recombination_can(rng):
     n, population = 100, 10
     strategy = CmaEs(n_parameters=n, seed=1, population=population, sigma=1.0, initial=np.full(n, 3.0))
     distances = np.array([np.linalg.norm(asked[-1]) for asked in after(strategy, 901, sphere)])
@@ -65,7 +60,7 @@ def test_on_a_sphere_it_converges_about_as_fast_as_weighted_recombination_can(rn
     assert second == pytest.approx(first, rel=0.2)
 
 
-def test_the_covariance_becomes_the_inverse_hessian(rng: np.random.Generator) -> None:
+def test_the_covariance_becomes_the_inverse_hessian(rng):
     axes = rotation(8, rng)
     hessian = (axes * 1e4 ** np.linspace(0.0, 1.0, 8)) @ axes.T
     strategy = CmaEs(n_parameters=8, seed=1, population=20, sigma=1.0, initial=np.full(8, 3.0))
@@ -74,7 +69,7 @@ def test_the_covariance_becomes_the_inverse_hessian(rng: np.random.Generator) ->
     assert lengths.max() / lengths.min() < 10.0  # it was 10,000
 
 
-def test_ranks_alone_count() -> None:
+def test_ranks_alone_count():
     plain, bent = (CmaEs(n_parameters=5, seed=1, population=10) for _ in range(2))
     for one, other in zip(
         after(plain, 60, sphere), after(bent, 60, lambda x, _: -(np.log1p(-sphere(x)) ** 3)), strict=True
@@ -82,7 +77,7 @@ def test_ranks_alone_count() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_it_does_not_matter_where_the_origin_is_nor_how_long_a_unit() -> None:
+def test_it_does_not_matter_where_the_origin_is_nor_how_long_a_unit():
     moved = np.array([5.0, -3.0, 0.0, 2.0, 1.0])
     plain = CmaEs(n_parameters=5, seed=1, population=10, sigma=1.0)
     other = CmaEs(n_parameters=5, seed=1, population=10, sigma=8.0, initial=moved)
@@ -91,7 +86,7 @@ def test_it_does_not_matter_where_the_origin_is_nor_how_long_a_unit() -> None:
         np.testing.assert_allclose(8.0 * one + moved, scaled, atol=1e-8)
 
 
-def test_rotated_coordinates_lead_the_same_way_rotated(rng: np.random.Generator) -> None:
+def test_rotated_coordinates_lead_the_same_way_rotated(rng):
     n, turn = 40, rotation(40, rng)
     plain, turned = (CmaEs(n_parameters=n, seed=1, population=8) for _ in range(2))
     turned.restore({**turned.state, "axes": turn})  # of a sphere any axes are; from here on candidates are turned
@@ -110,7 +105,7 @@ def test_rotated_coordinates_lead_the_same_way_rotated(rng: np.random.Generator)
 @pytest.mark.parametrize(
     ("n", "population"), [(2, 4), (2, 7), (3, 5), (5, 50), (10, 10), (30, 200), (40, 9), (60, 50), (100, 20)]
 )
-def test_it_learns_from_a_generation_what_the_library_learns(n: int, population: int) -> None:
+def test_it_learns_from_a_generation_what_the_library_learns(n, population):
     strategy = CmaEs(n_parameters=n, seed=3, population=population)
     for generation in range(0, 41, 10):
         after(strategy, generation, noisy, start=int(strategy.state["generation"]))
@@ -128,7 +123,7 @@ def test_it_learns_from_a_generation_what_the_library_learns(n: int, population:
         assert own["sigma"] == pytest.approx(oracle.sigma, rel=1e-10)
 
 
-def _library(state: dict[str, Array], population: int) -> cma.CMAEvolutionStrategy:
+def _library(state, population):
     """Return the library's search as it is in this ``state``."""
     options = {"popsize": population, "CMA_mirrors": 0, "verbose": -9}
     with warnings.catch_warnings():
@@ -147,7 +142,7 @@ def _library(state: dict[str, Array], population: int) -> cma.CMAEvolutionStrate
     return search
 
 
-def test_the_axes_are_found_anew_when_the_covariance_may_have_changed_by_one_in_n() -> None:
+def test_the_axes_are_found_anew_when_the_covariance_may_have_changed_by_one_in_n():
     strategy = CmaEs(n_parameters=60, seed=1)
     found = [strategy.state["decomposed"] for _ in evolve(strategy, valley, 24)]
     assert 2.0 < strategy.rates.gap < 3.0
@@ -155,7 +150,7 @@ def test_the_axes_are_found_anew_when_the_covariance_may_have_changed_by_one_in_
 
 
 @pytest.mark.parametrize(("n", "population"), [(1, 6), (20, 50), (60, 12), (60, 50), (120, 50)])
-def test_a_search_that_was_stored_goes_on_bit_for_bit(n: int, population: int, tmp_path: Path) -> None:
+def test_a_search_that_was_stored_goes_on_bit_for_bit(n, population, tmp_path):
     whole = CmaEs(n_parameters=n, seed=3, population=population)
     expected = []
     for generation in evolve(whole, noisy, 40):
@@ -170,14 +165,14 @@ def test_a_search_that_was_stored_goes_on_bit_for_bit(n: int, population: int, t
             np.testing.assert_array_equal(value, resumed.state[name], err_msg=name)
 
 
-def test_it_finds_the_end_of_a_narrow_valley() -> None:
+def test_it_finds_the_end_of_a_narrow_valley():
     strategy = CmaEs(n_parameters=6, seed=1, population=20)
     after(strategy, 150, valley)
     np.testing.assert_allclose(strategy.elite[0], 1.0, atol=0.01)
 
 
 @pytest.mark.parametrize("population", [4, 7, 50])
-def test_one_parameter_is_enough(population: int) -> None:
+def test_one_parameter_is_enough(population):
     strategy = CmaEs(n_parameters=1, seed=1, population=population)
     after(strategy, 200, lambda x, _: -np.abs(x[:, 0] - 5.0))
     np.testing.assert_allclose(strategy.elite[0], 5.0, atol=1e-6)
@@ -185,9 +180,7 @@ def test_one_parameter_is_enough(population: int) -> None:
 
 @pytest.mark.parametrize(("n", "population"), [(1, 4), (1, 10), (2, 6), (2, 50), (10, 4), (10, 200)])
 @pytest.mark.parametrize("fitness", [sphere, lambda x, _: x[:, 0], lambda x, _: np.zeros(len(x))])
-def test_candidates_stay_finite_long_after_there_is_something_to_find(
-    fitness: Callable[[Array, int], Array], n: int, population: int
-) -> None:
+def test_candidates_stay_finite_long_after_there_is_something_to_find(fitness, n, population):
     strategy = CmaEs(n_parameters=n, seed=1, population=population, initial=np.ones(n))
     with np.errstate(over="raise", invalid="raise", divide="raise"):
         for asked in after(strategy, 2000, fitness):
@@ -197,7 +190,7 @@ def test_candidates_stay_finite_long_after_there_is_something_to_find(
     assert all(np.isfinite(value).all() for value in state.values())
 
 
-def test_what_failed_ranks_last_and_may_be_all() -> None:
+def test_what_failed_ranks_last_and_may_be_all():
     first, second = (CmaEs(n_parameters=3, seed=1, population=10) for _ in range(2))
     for strategy, failed in ((first, -np.inf), (second, -1e9)):
         after(strategy, 20, lambda x, _, failed=failed: np.where(x[:, 0] > 0.5, failed, sphere(x)))
@@ -207,7 +200,7 @@ def test_what_failed_ranks_last_and_may_be_all() -> None:
     assert 0.3 < deviation.ask().std() < 30.0  # where nothing is known, it neither contracts nor leaves
 
 
-def test_the_mean_is_asked_with_the_candidates_and_is_part_of_the_elite() -> None:
+def test_the_mean_is_asked_with_the_candidates_and_is_part_of_the_elite():
     start = np.array([2.0, -1.0, 0.5])
     strategy = CmaEs(n_parameters=3, seed=1, population=20, sigma=0.5, initial=start)
     population = strategy.ask()
@@ -220,7 +213,7 @@ def test_the_mean_is_asked_with_the_candidates_and_is_part_of_the_elite() -> Non
     np.testing.assert_array_equal(strategy.elite[-1], start)
 
 
-def test_the_mean_teaches_it_nothing() -> None:
+def test_the_mean_teaches_it_nothing():
     first, second = CmaEs(n_parameters=3, seed=1), CmaEs(n_parameters=3, seed=1)
     for strategy, of_mean in ((first, 0.0), (second, 1e6)):
         population = strategy.ask()
@@ -228,12 +221,12 @@ def test_the_mean_teaches_it_nothing() -> None:
     np.testing.assert_array_equal(first.ask(), second.ask())
 
 
-def test_it_starts_as_wide_as_it_is_told() -> None:
+def test_it_starts_as_wide_as_it_is_told():
     drawn = CmaEs(n_parameters=5, seed=3, population=400, sigma=2.0).ask()[:-1]
     np.testing.assert_allclose(drawn.std(axis=0), 2.0, rtol=0.15)
 
 
-def test_the_global_random_state_is_neither_read_nor_changed() -> None:
+def test_the_global_random_state_is_neither_read_nor_changed():
     np.random.seed(1)  # noqa: NPY002  # the global source, which must not be in use
     first = CmaEs(n_parameters=3, seed=1).ask()
     before = np.random.get_state()[1].copy()  # type: ignore[union-attr, call-overload]  # noqa: NPY002
@@ -242,7 +235,7 @@ def test_the_global_random_state_is_neither_read_nor_changed() -> None:
     np.testing.assert_array_equal(before, np.random.get_state()[1])  # type: ignore[call-overload]  # noqa: NPY002
 
 
-def test_what_cannot_be_searched_is_refused() -> None:
+def test_what_cannot_be_searched_is_refused():
     for wrong in ({"population": 3}, {"sigma": 0.0}, {"sigma": np.inf}):
         with pytest.raises(InvalidArgument, match="cma_es: expected n_parameters >= 1, population >= 4, sigma > 0"):
             CmaEs(n_parameters=2, seed=0, **wrong)  # type: ignore[arg-type]  # wrong on purpose

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import Controller
-from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, evolve_controller
@@ -18,8 +14,6 @@ from sysid_evo.models import DelayedEstimate
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, aggregates
-from sysid_evo.system import System
-from sysid_evo.tasks import Task
 from sysid_evo.types import Array, Seeds
 from tests.fixtures.by_hand import Climber, Constant, Ladder
 
@@ -33,9 +27,7 @@ class Watched:
     parameters: list[Array] = field(default_factory=list)
     fitness: list[Array] = field(default_factory=list)
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
+    def run(self, controller, parameters, task, seeds, *, record=False):
         rollouts = self.runner.run(controller, parameters, task, seeds, record=record)
         self.seeds.append(seeds)
         self.parameters.append(parameters)
@@ -44,7 +36,7 @@ class Watched:
 
 
 @pytest.fixture
-def pair(ladder: System) -> tuple[Watched, Watched]:
+def pair(ladder):
     """A ladder that breaks early and one that breaks late."""
     return (
         Watched(DynamicsRunner(Climber(ladder, breaks_above=10.2))),
@@ -52,9 +44,7 @@ def pair(ladder: System) -> tuple[Watched, Watched]:
     )
 
 
-def test_an_objective_is_the_aggregate_of_the_means_over_the_trials(
-    pair: tuple[Watched, Watched], ladder: System
-) -> None:
+def test_an_objective_is_the_aggregate_of_the_means_over_the_trials(pair, ladder):
     population = np.array([[1.0], [0.0], [-0.5]])
     seeds = trial_seeds(1, 6)
     means = [
@@ -67,16 +57,14 @@ def test_an_objective_is_the_aggregate_of_the_means_over_the_trials(
         np.testing.assert_allclose(objective(population, 0).fitness, expected)
 
 
-def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: System) -> None:
+def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder):
     """One model is good in odd trials, the other in even ones: each has a mean of one half."""
 
     @dataclass
     class Fixed:
         fitness: Array
 
-        def run(
-            self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-        ) -> Rollouts:
+        def run(self, controller, parameters, task, seeds, *, record=False):
             count = np.zeros(self.fitness.shape, dtype=np.int64)
             return Rollouts(self.fitness, count, count, task.begin(seeds), "fixed")
 
@@ -85,14 +73,12 @@ def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder: Sys
     np.testing.assert_array_equal(objective(np.zeros((1, 1)), 0).fitness, [0.5])
 
 
-def test_a_rule_may_look_at_the_spread_over_the_trials(
-    pair: tuple[Watched, Watched], register: Callable[..., Any]
-) -> None:
+def test_a_rule_may_look_at_the_spread_over_the_trials(pair, register):
     """The steady candidate beats the one with the better mean, since the rule takes the spread off."""
 
     shapes = []
 
-    def cautious(fitness: Array, *, weight: float = 1.0) -> Array:
+    def cautious(fitness, *, weight=1.0):
         shapes.append(fitness.shape)
         return (fitness.mean(axis=2) - weight * fitness.std(axis=2)).min(axis=0)
 
@@ -106,11 +92,9 @@ def test_a_rule_may_look_at_the_spread_over_the_trials(
     assert expected[0] < expected[1]
 
 
-def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder: System) -> None:
+def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder):
     class Dropping(DynamicsRunner):
-        def run(
-            self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-        ) -> Rollouts:
+        def run(self, controller, parameters, task, seeds, *, record=False):
             return super().run(controller, parameters, task, seeds[1:], record=record)
 
     objective = EnsembleObjective((Dropping(Climber(ladder)),), Constant(), Ladder(), seed=1, trials=6)
@@ -118,7 +102,7 @@ def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder: S
         objective(np.zeros((1, 1)), 0)
 
 
-def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair: tuple[Watched, Watched]) -> None:
+def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair):
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4)
     for generation in range(3):
         objective(np.zeros((3, 1)), generation)
@@ -129,7 +113,7 @@ def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(
     assert len({int(seed) for seeds in first.seeds for seed in seeds}) == 12
 
 
-def test_an_ensemble_without_models_or_trials_is_refused(pair: tuple[Watched, Watched]) -> None:
+def test_an_ensemble_without_models_or_trials_is_refused(pair):
     with pytest.raises(InvalidArgument, match="expected at least one model and one trial, got 0 and 10"):
         EnsembleObjective((), Constant(), Ladder(), seed=1)
     with pytest.raises(InvalidArgument, match="expected at least one model and one trial, got 2 and 0"):
@@ -149,16 +133,14 @@ SETTINGS = ControllerEvolution(
 
 
 @pytest.fixture(scope="module")
-def runners(recording: Dataset) -> dict[str, DynamicsRunner]:
+def runners(recording):
     fitted = {
         name: make_model(name).fit(recording, rng=np.random.default_rng(0)) for name in ("linear", "nearest_neighbour")
     }
     return {name: DynamicsRunner(model) for name, model in fitted.items()}
 
 
-def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(
-    runners: dict[str, DynamicsRunner], recording: Dataset
-) -> None:
+def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(runners, recording):
     linear = {"linear": runners["linear"]}
     champion = evolve_controller("first", linear, recording.system, SETTINGS, seed=3)
     random = 0.5 * np.random.default_rng(0).standard_normal((200, len(champion.parameters)))
@@ -170,11 +152,11 @@ def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(
     assert fitness[0] > 2.0 * fitness[1:].mean()
 
 
-def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+def test_a_champion_knows_how_it_came_about(runners, recording):
     told: list[tuple[int, int]] = []
     notes: list[str] = []
 
-    def progress(done: int, total: int, note: str = "") -> None:
+    def progress(done, total, note=""):
         told.append((done, total))
         notes.append(note)
 
@@ -205,7 +187,7 @@ def test_a_champion_knows_how_it_came_about(runners: dict[str, DynamicsRunner], 
     assert all("nearest_neighbour" in note and note.endswith(("run 1 of 2", "run 2 of 2")) for note in notes)
 
 
-def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+def test_the_result_depends_on_the_seed_alone(runners, recording):
     settings = ControllerEvolution(
         generations=3,
         trials=2,
@@ -219,9 +201,7 @@ def test_the_result_depends_on_the_seed_alone(runners: dict[str, DynamicsRunner]
     assert not np.isin(other.parameters, first.parameters).any()
 
 
-def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
-    runners: dict[str, DynamicsRunner], recording: Dataset
-) -> None:
+def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(runners, recording):
     settings = ControllerEvolution(
         generations=2,
         trials=2,
@@ -247,9 +227,7 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(
     assert len(best_runs) > 1
 
 
-def test_an_estimator_delay_is_met_on_every_model_and_remembered(
-    runners: dict[str, DynamicsRunner], recording: Dataset
-) -> None:
+def test_an_estimator_delay_is_met_on_every_model_and_remembered(runners, recording):
     settings = ControllerEvolution(
         generations=15, trials=2, selection_trials=2, task=Spec.parse("point_to_point(horizon=300)")
     )
@@ -263,14 +241,14 @@ def test_an_estimator_delay_is_met_on_every_model_and_remembered(
     assert (asked.estimator_delay, plain.estimator_delay) == (0.1, 0.0)
 
 
-def test_only_models_can_be_observed_late(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+def test_only_models_can_be_observed_late(runners, recording):
     settings = ControllerEvolution(generations=1, trials=1, estimator_delay=0.03)
     watched = {name: Watched(runner) for name, runner in runners.items()}
     with pytest.raises(InvalidArgument, match="not a model"):
         evolve_controller("c", watched, recording.system, settings, seed=1)
 
 
-def test_a_bare_model_is_run_by_a_runner_of_its_own(recording: Dataset) -> None:
+def test_a_bare_model_is_run_by_a_runner_of_its_own(recording):
     model, settings = make_model("linear").fit(recording), ControllerEvolution(generations=1, trials=1)
     bare = evolve_controller("c", {"linear": model}, recording.system, settings, seed=1)
     wrapped = evolve_controller("c", {"linear": DynamicsRunner(model)}, recording.system, settings, seed=1)
@@ -283,7 +261,7 @@ def test_a_bare_model_is_run_by_a_runner_of_its_own(recording: Dataset) -> None:
         evolve_controller("c", {"linear": model}, recording.system, settings, seed=np.random.default_rng(0))  # type: ignore[arg-type]  # same
 
 
-def test_impossible_settings_are_refused(recording: Dataset, ladder: System) -> None:
+def test_impossible_settings_are_refused(recording, ladder):
     for name in ("generations", "trials", "runs", "selection_trials"):
         with pytest.raises(InvalidArgument, match=f"expected {name} as a whole number >= 1, got 0"):
             ControllerEvolution(**{name: 0})

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
-from sysid_evo.controllers import Controller, FeedForward, LinearFeedback, Pid, Pursuit, View
+from sysid_evo.controllers import FeedForward, LinearFeedback, Pid, Pursuit, View
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
@@ -18,16 +17,15 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, SetPoint, Task, TaskState
 from sysid_evo.testing import check_controller
 from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
-from sysid_evo.types import Array
 
 TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
 
 
-def bound_to_car(controller: Controller) -> Controller:
+def bound_to_car(controller):
     return controller.bind_to(PointToPoint().bind(continuous_car()))
 
 
-def outputs(controller: Controller, parameters: Any, observations: Any) -> Array:
+def outputs(controller, parameters, observations):
     """Return what one candidate does on a sequence of observations (T, n), one after the other, (T, n_outputs)."""
     memory, found = np.zeros((1, 1, controller.n_memory)), []
     for observation in np.asarray(observations, dtype=float):
@@ -37,7 +35,7 @@ def outputs(controller: Controller, parameters: Any, observations: Any) -> Array
     return np.array(found)
 
 
-def test_a_network_with_two_hidden_layers_equals_the_loop_over_its_units() -> None:
+def test_a_network_with_two_hidden_layers_equals_the_loop_over_its_units():
     network = FeedForward(hidden=[3, 2]).bind(4, 1)
     assert network.n_parameters == 5 * 3 + 4 * 2 + 3 * 1
     rng = np.random.default_rng(0)
@@ -52,14 +50,14 @@ def test_a_network_with_two_hidden_layers_equals_the_loop_over_its_units() -> No
     assert outputs(network, theta, [observation])[0] == pytest.approx(values)
 
 
-def test_linear_feedback_weighs_the_observations_that_are_named_and_saturates() -> None:
+def test_linear_feedback_weighs_the_observations_that_are_named_and_saturates():
     law = bound_to_car(LinearFeedback(inputs=["yaw_rate", "waypoint_angle"]))
     assert law.n_parameters == 3 * 2
     found = outputs(law, [0.1, 0.0, -0.2, 0.4, 0.05, -5.0], [[1.0, 9.0, 2.0, 1.5, 9.0]])
     np.testing.assert_allclose(found, [[0.1 * 2.0 - 0.2 * 1.5 + 0.05, -1.0]])
 
 
-def pid_by_hand(gains: tuple[float, float, float], bias: float, errors: list[float], step: float) -> list[float]:
+def pid_by_hand(gains, bias, errors, step):
     """A textbook PID with conditional integration; ``step`` is dt / T."""
     integral, last, found = 0.0, None, []
     for error in errors:
@@ -73,7 +71,7 @@ def pid_by_hand(gains: tuple[float, float, float], bias: float, errors: list[flo
     return found
 
 
-def test_a_pid_loop_equals_the_textbook() -> None:
+def test_a_pid_loop_equals_the_textbook():
     law = bound_to_car(Pid(loops={"steer": "waypoint_distance"}, scales={"waypoint_distance": 2.0}, time=0.5))
     assert law.n_parameters == 3 + 2
     distances = 2.0 * np.sin(0.3 * np.arange(60)) + 0.5
@@ -86,7 +84,7 @@ def test_a_pid_loop_equals_the_textbook() -> None:
     assert np.sum(np.abs(found[:, 1]) == 1.0) >= 3
 
 
-def test_an_integral_does_not_wind_up() -> None:
+def test_an_integral_does_not_wind_up():
     law = bound_to_car(Pid(loops={"steer": "waypoint_distance"}, time=0.05))
     theta = [0.0, 0.1, 0.0, 0.0, 0.0]
     observations = np.zeros((120, 5))
@@ -96,7 +94,7 @@ def test_an_integral_does_not_wind_up() -> None:
     assert steer[109] == pytest.approx(0.0, abs=0.11)  # wound up it would still be at its limit
 
 
-def test_an_angle_that_jumps_by_a_turn_does_not_kick_the_derivative() -> None:
+def test_an_angle_that_jumps_by_a_turn_does_not_kick_the_derivative():
     law = bound_to_car(Pid(loops={"steer": "waypoint_angle"}, time=0.05))
     observations = np.zeros((2, 5))
     observations[:, 3] = 3.1, -3.1
@@ -108,7 +106,7 @@ class Errors(PointToPoint):
     observations = (Channel("bias"), Channel("speed_error", "m/s"), Channel("x"), Channel("y"), Channel("z"))
 
 
-def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows() -> None:
+def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows():
     system = continuous_car()
     assert Pid().bind_to(Errors().bind(system)).n_parameters == 3 * 2 * 1 + 2
     assert Pid().bind_to(PointToPoint().bind(system)).n_parameters == 3 * 2 * 4 + 2
@@ -126,7 +124,7 @@ def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows()
         ("pursuit(steer=wheel)", r"name yours with drive= and steer=\): the system has no control 'wheel'"),
     ],
 )
-def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec: str, reason: str) -> None:
+def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec, reason):
     with pytest.raises(IncompatibleTask, match=reason):
         bound_to_car(make_controller(spec))
 
@@ -143,12 +141,12 @@ def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec: str, rea
         ("pursuit(look=0)", "expected look, acceleration, gain > 0"),
     ],
 )
-def test_wrong_arguments_are_refused_when_they_are_given(spec: str, reason: str) -> None:
+def test_wrong_arguments_are_refused_when_they_are_given(spec, reason):
     with pytest.raises(InvalidArgument, match=reason):
         make_controller(spec)
 
 
-def test_a_controller_that_goes_by_names_says_so_when_it_gets_numbers() -> None:
+def test_a_controller_that_goes_by_names_says_so_when_it_gets_numbers():
     with pytest.raises(InvalidArgument, match=r"Pid goes by the names of a task's channels: use bind_to\(task\)"):
         Pid().bind(5, 2)
 
@@ -162,11 +160,11 @@ def test_a_controller_that_goes_by_names_says_so_when_it_gets_numbers() -> None:
         ("pursuit", {"backward": True}),
     ],
 )
-def test_other_arguments_keep_the_contract_too(name: str, parameters: dict[str, Any]) -> None:
+def test_other_arguments_keep_the_contract_too(name, parameters):
     check_controller(name, **parameters)
 
 
-def test_a_constant_controller_with_zeros_keeps_every_control_at_rest() -> None:
+def test_a_constant_controller_with_zeros_keeps_every_control_at_rest():
     system = System(
         (Channel("speed"),),
         (Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))),
@@ -180,7 +178,7 @@ def test_a_constant_controller_with_zeros_keeps_every_control_at_rest() -> None:
 
 
 @pytest.mark.parametrize("spec", ["constant", "feed_forward", "linear", "pid", "pursuit", "pursuit(backward=true)"])
-def test_both_engines_drive_a_car_with_switches_alike(spec: str) -> None:
+def test_both_engines_drive_a_car_with_switches_alike(spec):
     robot = make_robot("emulated_car")
     task, law = PointToPoint(horizon=150), make_controller(spec)
     n = law.bind_to(task.bind(robot.system)).n_parameters
@@ -194,7 +192,7 @@ def test_both_engines_drive_a_car_with_switches_alike(spec: str) -> None:
 
 
 @pytest.mark.parametrize("backward", [False, True])
-def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward: bool) -> None:
+def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward):
     runner = DynamicsRunner(make_robot("emulated_car").dynamics)
     law = Pursuit(backward=backward)
     assert law.hand_written
@@ -202,7 +200,7 @@ def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward: b
     assert fitness.mean() > 9.5
 
 
-def test_pursuit_leaves_other_controls_neutral() -> None:
+def test_pursuit_leaves_other_controls_neutral():
     car = continuous_car()
     car = replace(car, controls=(*car.controls, Channel("lamp", low=0.0, high=4.0, neutral=3.0)))
     law = Pursuit().bind_to(PointToPoint().bind(car))
@@ -211,17 +209,17 @@ def test_pursuit_leaves_other_controls_neutral() -> None:
 
 
 @pytest.mark.parametrize("system", [switched_car(), continuous_car()])
-def test_outputs_made_from_controls_give_these_controls(system: System) -> None:
+def test_outputs_made_from_controls_give_these_controls(system):
     legal = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
     np.testing.assert_array_equal(system.actuate(system.raw_of(legal)), legal)
 
 
-def test_outputs_made_from_controls_beyond_the_limits_are_the_nearest_legal_ones() -> None:
+def test_outputs_made_from_controls_beyond_the_limits_are_the_nearest_legal_ones():
     found = switched_car().raw_of(np.array([0.6, -7.0]))
     np.testing.assert_array_equal(switched_car().actuate(found), [1.0, -1.0])
     assert continuous_car().raw_of(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
 
 
-def test_a_task_is_what_every_controller_can_be_bound_to() -> None:
+def test_a_task_is_what_every_controller_can_be_bound_to():
     task: Task = PointToPoint().bind(switched_car())
     assert make_controller("recurrent").bind_to(task).n_parameters == 78

@@ -5,13 +5,11 @@ from __future__ import annotations
 import inspect
 import sys
 import types
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
-import numpy as np
 import pytest
 from sklearn.base import clone
 
-from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, UnknownParameter
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.parameters import Limit, at_least
@@ -25,7 +23,7 @@ class Declared(DynamicsModel):
     degree: int = 2
     form: Literal["plain", "odd"] = "plain"
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         return self
 
 
@@ -51,12 +49,12 @@ class Both(Wider, Weighted):
     """None of its own, from two bases."""
 
 
-def test_a_family_of_two_bases_takes_the_hyper_parameters_of_both() -> None:
+def test_a_family_of_two_bases_takes_the_hyper_parameters_of_both():
     model = Both(weight=2.0, ridge=0.5)
     assert model.get_params() == {"degree": 2, "form": "plain", "ridge": 0.5, "weight": 2.0}
 
 
-def test_declared_names_are_the_keywords_of_the_constructor_those_of_bases_too() -> None:
+def test_declared_names_are_the_keywords_of_the_constructor_those_of_bases_too():
     assert list(inspect.signature(Declared).parameters) == ["degree", "form"]
     assert list(inspect.signature(Wider).parameters) == ["degree", "form", "ridge"]
     assert Wider(degree=3, ridge=0.5).get_params() == {"degree": 3, "form": "plain", "ridge": 0.5}
@@ -74,19 +72,17 @@ def test_declared_names_are_the_keywords_of_the_constructor_those_of_bases_too()
         ({"form": "even"}, "form: expected one of 'plain', 'odd', got 'even'"),
     ],
 )
-def test_values_are_checked_as_those_of_a_constructor_written_out(
-    family: type[DynamicsModel], parameters: dict[str, Any], message: str
-) -> None:
+def test_values_are_checked_as_those_of_a_constructor_written_out(family, parameters, message):
     with pytest.raises(InvalidArgument, match=message):
         family(**parameters)
 
 
-def test_a_wrong_name_is_answered_with_the_right_ones() -> None:
+def test_a_wrong_name_is_answered_with_the_right_ones():
     with pytest.raises(UnknownParameter, match=r"no parameter 'ridgee'. Did you mean 'ridge'\? It has: degree, form"):
         Wider(ridgee=1.0)
 
 
-def test_a_type_is_read_in_the_module_that_declared_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_type_is_read_in_the_module_that_declared_it(monkeypatch):
     """A subclass elsewhere, where `Literal` has no name, is still held to it."""
     elsewhere = types.ModuleType("elsewhere")
     monkeypatch.setitem(sys.modules, "elsewhere", elsewhere)

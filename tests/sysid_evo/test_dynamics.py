@@ -1,9 +1,5 @@
 """What every model family inherits: carry, free run, clipping, and what surrounds `fit`."""
 
-from __future__ import annotations
-
-from typing import Any, Self
-
 import numpy as np
 import pytest
 
@@ -12,7 +8,6 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted, ShapeError
 from sysid_evo.models import DynamicsModel, require_planar, training_envelope
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 PAIR = System((Channel("a"), Channel("b")), (Channel("u"),), dt=0.1)
 
@@ -20,15 +15,15 @@ PAIR = System((Channel("a"), Channel("b")), (Channel("u"),), dt=0.1)
 class Lagged(DynamicsModel):
     """The next state is fixed weights times carry and control, drawn for the sizes at hand."""
 
-    def __init__(self, *, state_lags: int = 0, control_lags: int = 0) -> None:
+    def __init__(self, *, state_lags=0, control_lags=0):
         self.state_lags = state_lags
         self.control_lags = control_lags
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         self.weights_ = 0.3 * rng.standard_normal((self.n_carry + dataset.system.nu, dataset.system.nx))
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return np.concatenate([carry, control], axis=1) @ self.weights_
 
 
@@ -38,40 +33,40 @@ class Shaken(DynamicsModel):
     n_noise = 2
     n_draws = 2
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         return self
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+    def start(self, states, controls, draws=None):
         return super().start(states, controls) + 10.0 * draws
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return carry
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         assert noise is not None
         return carry + noise
 
     @property
-    def envelope(self) -> Array | None:
+    def envelope(self):
         return None
 
 
 class Falling(DynamicsModel):
     """An acceleration of (1, nan where the control is negative)."""
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         return self
 
-    def acceleration(self, carry: Array, control: Array) -> Array:
+    def acceleration(self, carry, control):
         return np.concatenate([np.ones_like(control), np.where(control < 0, np.nan, 0.0)], axis=1)
 
 
 @pytest.fixture
-def walk(rng: np.random.Generator) -> Dataset:
+def walk(rng):
     return Dataset.from_arrays(PAIR, [rng.uniform(-1, 1, (41, 2))], [rng.uniform(-1, 1, (40, 1))])
 
 
-def test_the_carry_holds_earlier_states_then_earlier_controls_newest_first(walk: Dataset) -> None:
+def test_the_carry_holds_earlier_states_then_earlier_controls_newest_first(walk):
     model = Lagged(state_lags=2, control_lags=3).fit(walk, rng=np.random.default_rng(0))
     assert (model.n_lags, model.n_carry) == (3, 2 + 4 + 3)
     states, controls = np.arange(8.0).reshape(1, 4, 2), np.array([[[10.0], [11.0], [12.0]]])
@@ -83,7 +78,7 @@ def test_the_carry_holds_earlier_states_then_earlier_controls_newest_first(walk:
 
 
 @pytest.mark.parametrize("state_lags, control_lags", [(0, 0), (2, 0), (0, 2), (1, 3)])
-def test_a_carry_from_start_is_the_carry_of_the_transitions(walk: Dataset, state_lags: int, control_lags: int) -> None:
+def test_a_carry_from_start_is_the_carry_of_the_transitions(walk, state_lags, control_lags):
     model = Lagged(state_lags=state_lags, control_lags=control_lags).fit(walk, rng=np.random.default_rng(0))
     windows = walk.windows(1, history=model.n_lags)
     transitions = walk.transitions(state_lags=state_lags, control_lags=control_lags)
@@ -91,7 +86,7 @@ def test_a_carry_from_start_is_the_carry_of_the_transitions(walk: Dataset, state
 
 
 @pytest.mark.parametrize("state_lags, control_lags", [(0, 0), (2, 1), (0, 3)])
-def test_a_free_run_equals_chained_steps(walk: Dataset, state_lags: int, control_lags: int) -> None:
+def test_a_free_run_equals_chained_steps(walk, state_lags, control_lags):
     model = Lagged(state_lags=state_lags, control_lags=control_lags).fit(walk, rng=np.random.default_rng(0))
     windows = walk.windows(6, history=model.n_lags, stride=5)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
@@ -106,7 +101,7 @@ def test_a_free_run_equals_chained_steps(walk: Dataset, state_lags: int, control
         np.testing.assert_allclose(simulated[:, k], history[-1], rtol=1e-12, atol=1e-12)
 
 
-def test_more_history_than_wanted_is_left_unused(walk: Dataset) -> None:
+def test_more_history_than_wanted_is_left_unused(walk):
     model = Lagged(state_lags=1).fit(walk, rng=np.random.default_rng(0))
     long, short = walk.windows(4, history=5), walk.windows(4, history=1, first=5)
     np.testing.assert_array_equal(
@@ -115,7 +110,7 @@ def test_more_history_than_wanted_is_left_unused(walk: Dataset) -> None:
     )
 
 
-def test_too_short_a_history_is_an_error_that_says_how_much_is_wanted(walk: Dataset) -> None:
+def test_too_short_a_history_is_an_error_that_says_how_much_is_wanted(walk):
     model = Lagged(state_lags=2).fit(walk, rng=np.random.default_rng(0))
     with pytest.raises(InvalidData, match="Lagged needs 3 measured states to start, got 2"):
         model.simulate(np.zeros((1, 2, 2)), np.zeros((1, 1, 1)), np.zeros((1, 5, 1)))
@@ -129,20 +124,20 @@ def test_too_short_a_history_is_an_error_that_says_how_much_is_wanted(walk: Data
         (((1, 3, 2), (1, 3, 1), (1, 5, 1)), r"past_controls: expected shape \(1, 2, 1\), got \(1, 3, 1\)"),
     ],
 )
-def test_simulate_names_the_array_of_the_wrong_shape(walk: Dataset, shapes: Any, message: str) -> None:
+def test_simulate_names_the_array_of_the_wrong_shape(walk, shapes, message):
     model = Lagged().fit(walk, rng=np.random.default_rng(0))
     with pytest.raises(ShapeError, match=message):
         model.simulate(*(np.zeros(shape) for shape in shapes))
 
 
-def test_a_free_run_is_clipped_to_the_envelope_and_a_nan_becomes_its_upper_limit(walk: Dataset) -> None:
+def test_a_free_run_is_clipped_to_the_envelope_and_a_nan_becomes_its_upper_limit(walk):
     model = Falling().fit(walk, rng=np.random.default_rng(0))
     model.envelope_ = np.array([[-1.0, -2.0], [0.25, 3.0]])
     simulated = model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), np.array([[[1.0], [1.0], [1.0], [-1.0]]]))
     np.testing.assert_allclose(simulated[0], [[0.1, 0.0], [0.2, 0.0], [0.25, 0.0], [0.25, 3.0]])
 
 
-def test_clipping_tells_which_rows_it_changed_and_leaves_the_rest_of_the_carry() -> None:
+def test_clipping_tells_which_rows_it_changed_and_leaves_the_rest_of_the_carry():
     carry = np.array([[0.5, 7.0], [2.0, 8.0], [np.nan, 9.0], [-np.inf, 9.0]])
     kept = carry.copy()
     clipped, touched = clip_state(carry, np.array([[-1.0], [1.0]]))
@@ -154,14 +149,14 @@ def test_clipping_tells_which_rows_it_changed_and_leaves_the_rest_of_the_carry()
     assert not touched.any()
 
 
-def test_without_an_envelope_a_nan_stays_visible(walk: Dataset) -> None:
+def test_without_an_envelope_a_nan_stays_visible(walk):
     model = Falling().fit(walk, rng=np.random.default_rng(0))
     del model.envelope_
     simulated = model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), -np.ones((1, 2, 1)))
     assert np.isnan(simulated[..., 1]).all()
 
 
-def test_a_stochastic_model_is_run_as_often_as_asked(walk: Dataset) -> None:
+def test_a_stochastic_model_is_run_as_often_as_asked(walk):
     model = Shaken().fit(walk, rng=np.random.default_rng(0))
     windows = walk.windows(5, stride=10)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
@@ -177,13 +172,13 @@ def test_a_stochastic_model_is_run_as_often_as_asked(walk: Dataset) -> None:
 
 
 @pytest.mark.parametrize("samples", [None, 3])
-def test_no_windows_give_no_simulation(walk: Dataset, samples: int | None) -> None:
+def test_no_windows_give_no_simulation(walk, samples):
     model = Shaken().fit(walk, rng=np.random.default_rng(0))
     empty = model.simulate(np.zeros((0, 1, 2)), np.zeros((0, 0, 1)), np.zeros((0, 4, 1)), samples=samples)
     assert empty.shape == ((0, 4, 2) if samples is None else (3, 0, 4, 2))
 
 
-def test_every_sample_of_a_model_without_noise_is_its_one_simulation(walk: Dataset) -> None:
+def test_every_sample_of_a_model_without_noise_is_its_one_simulation(walk):
     model = Lagged(state_lags=1, control_lags=2).fit(walk, rng=np.random.default_rng(0))
     windows = walk.windows(5, stride=10, history=2)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
@@ -192,13 +187,13 @@ def test_every_sample_of_a_model_without_noise_is_its_one_simulation(walk: Datas
         np.testing.assert_allclose(run, model.simulate(*arguments), rtol=1e-12)
 
 
-def test_an_unfitted_model_says_so() -> None:
+def test_an_unfitted_model_says_so():
     for use in (lambda m: m.system, lambda m: m.n_carry, lambda m: m.simulate(0, 0, 0)):
         with pytest.raises(NotFitted, match=r"Lagged is not fitted yet: call fit\(dataset, rng=...\) first"):
             use(Lagged())
 
 
-def test_fit_records_the_system_and_twice_the_range_of_the_training_states(walk: Dataset) -> None:
+def test_fit_records_the_system_and_twice_the_range_of_the_training_states(walk):
     model = Lagged().fit(walk, rng=np.random.default_rng(0))
     states = walk.episodes[0].states
     low, high = states.min(axis=0), states.max(axis=0)
@@ -206,26 +201,26 @@ def test_fit_records_the_system_and_twice_the_range_of_the_training_states(walk:
     np.testing.assert_allclose(model.envelope_, [low - (high - low) / 2, high + (high - low) / 2])
 
 
-def test_a_state_that_never_changed_has_an_envelope_of_its_own_value() -> None:
+def test_a_state_that_never_changed_has_an_envelope_of_its_own_value():
     envelope = training_envelope(np.array([[1.0, 5.0], [3.0, 5.0]]), 3.0)
     np.testing.assert_allclose(envelope, [[-1.0, 5.0], [5.0, 5.0]])
 
 
-def test_a_fit_that_does_not_return_the_model_is_refused(walk: Dataset) -> None:
+def test_a_fit_that_does_not_return_the_model_is_refused(walk):
     class Forgetful(Lagged):
-        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        def fit(self, dataset, *, rng, progress=None):
             return None  # type: ignore[return-value]
 
     with pytest.raises(TypeError, match=r"Forgetful\.fit must return self, got NoneType"):
         Forgetful().fit(walk, rng=np.random.default_rng(0))
 
 
-def test_a_system_is_checked_before_anything_is_learned(walk: Dataset) -> None:
+def test_a_system_is_checked_before_anything_is_learned(walk):
     class Planar(Lagged):
-        def check_system(self, system: System) -> None:
+        def check_system(self, system):
             require_planar(self, system)
 
-        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        def fit(self, dataset, *, rng, progress=None):
             raise AssertionError("never reached")
 
     model = Planar()
@@ -234,9 +229,9 @@ def test_a_system_is_checked_before_anything_is_learned(walk: Dataset) -> None:
     assert not hasattr(model, "system_")
 
 
-def test_a_family_without_a_step_says_what_it_must_define(walk: Dataset) -> None:
+def test_a_family_without_a_step_says_what_it_must_define(walk):
     class Empty(DynamicsModel):
-        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+        def fit(self, dataset, *, rng, progress=None):
             return self
 
     with pytest.raises(TypeError, match="Empty must define one of acceleration, next_state, step"):

@@ -1,15 +1,12 @@
 """Controllers evolved under noise: it is met in evolution, by every model, and decides the result."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from evaluation.cells.controllers import EvolveCell, evolution_settings
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment
-from sysid_evo.controllers import Controller
-from sysid_evo.engine import DynamicsRunner, Rollouts
+from sysid_evo.engine import DynamicsRunner
 from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import InvalidArgument, UnknownName
 from sysid_evo.evolution import ControllerEvolution, evolve_controller, polish
@@ -17,16 +14,14 @@ from sysid_evo.evolution.controller_evolution import met
 from sysid_evo.models import NoisySensors, Perturbed
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
-from sysid_evo.tasks import Task
 from sysid_evo.testing import example_dataset
-from sysid_evo.types import Seeds
 
 NOISE = "envelope(sensor=0.2, latency=2, gain=0.2)"
 SHORT = Spec.parse("point_to_point(horizon=120)")
 
 
 @pytest.fixture(scope="module")
-def models() -> dict[str, DynamicsRunner]:
+def models():
     data = example_dataset()
     return {
         name: DynamicsRunner(make_model("linear", ridge=ridge).fit(data, rng=0))
@@ -34,13 +29,11 @@ def models() -> dict[str, DynamicsRunner]:
     }
 
 
-def settings(noise: str, caution: str = "") -> ControllerEvolution:
+def settings(noise, caution=""):
     return ControllerEvolution(generations=2, trials=2, selection_trials=4, task=SHORT, noise=noise, caution=caution)
 
 
-def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(
-    models: dict[str, DynamicsRunner],
-) -> None:
+def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(models):
     system = next(iter(models.values())).dynamics.system
     first, again, other = (
         evolve_controller("x", models, system, settings(noise), seed=3) for noise in (NOISE, NOISE, "")
@@ -49,7 +42,7 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(
     assert not np.array_equal(first.history, other.history)
 
 
-def test_a_polish_meets_noise_and_caution_too(models: dict[str, DynamicsRunner]) -> None:
+def test_a_polish_meets_noise_and_caution_too(models):
     system = next(iter(models.values())).dynamics.system
     start = evolve_controller("x", models, system, settings(""), seed=3)
     plain, doubted = (
@@ -59,25 +52,23 @@ def test_a_polish_meets_noise_and_caution_too(models: dict[str, DynamicsRunner])
     assert doubted.history.min() < 0.0 <= plain.history.min()
 
 
-def test_every_model_is_met_with_noise(models: dict[str, DynamicsRunner]) -> None:
+def test_every_model_is_met_with_noise(models):
     for runner in met(models, settings(NOISE)).values():
         assert isinstance(runner, DynamicsRunner)
         assert isinstance(runner.dynamics, NoisySensors)
         assert isinstance(runner.dynamics.inner, Perturbed)
 
 
-def test_what_is_no_model_cannot_be_met_with_noise() -> None:
+def test_what_is_no_model_cannot_be_met_with_noise():
     class Elsewhere:
-        def run(
-            self, controller: Controller, parameters: object, task: Task, seeds: Seeds, *, record: bool = False
-        ) -> Rollouts:
+        def run(self, controller, parameters, task, seeds, *, record=False):
             raise AssertionError
 
     with pytest.raises(InvalidArgument, match="car is not a model"):
         met({"car": Elsewhere()}, settings(NOISE))
 
 
-def test_noise_is_checked_where_it_is_given() -> None:
+def test_noise_is_checked_where_it_is_given():
     with pytest.raises(UnknownName, match="envelope"):
         ControllerEvolution(noise="fog(density=2)")
     with pytest.raises(UnknownName, match="doubt"):
@@ -86,9 +77,7 @@ def test_noise_is_checked_where_it_is_given() -> None:
         evolution_settings(Experiment(noise="fog"))
 
 
-def test_candidates_lose_fitness_where_models_are_doubted(
-    models: dict[str, DynamicsRunner],
-) -> None:
+def test_candidates_lose_fitness_where_models_are_doubted(models):
     system = next(iter(models.values())).dynamics.system
     plain, cautious = (
         evolve_controller("x", models, system, settings("", caution), seed=3)
@@ -100,7 +89,7 @@ def test_candidates_lose_fitness_where_models_are_doubted(
     assert doubted.most == 3.0
 
 
-def test_noise_belongs_to_what_a_controllers_cell_depends_on() -> None:
+def test_noise_belongs_to_what_a_controllers_cell_depends_on():
     column = Plant("emulated_car", "emulated_car", robot=Spec("emulated_car"))
     cells = [EvolveCell((column,), settings(noise), seed=0) for noise in ("", NOISE, "envelope(sensor=0.1)")]
     cells.append(EvolveCell((column,), settings("", "doubt(outside=1)"), seed=0))

@@ -1,7 +1,5 @@
 """A robot that cannot do its task is told so before anything is evolved."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,17 +8,16 @@ from evaluation.planning import plan_comparison
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.controller_evolution import ControllerEvolution, farthest_driven, farthest_recorded
 from sysid_evo.registry import make_robot
-from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from sysid_evo.testing.examples import ExampleDynamics, pendulum
 
 
-def doubts(car: System, farthest: list[float], **sizes: float) -> tuple[str, ...]:
+def doubts(car, farthest, **sizes):
     return PointToPoint(**sizes).bind(car).doubts(np.array(farthest))
 
 
-def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_need(car: System) -> None:
+def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_need(car):
     settings = ControllerEvolution(controller="recurrent(hidden=1000000000)")
     controller = settings.make_controller(settings.make_task(car))
     with pytest.raises(InvalidArgument, match=r"000 numbers, too many for .* two candidates take 1.6e\+10"):
@@ -30,7 +27,7 @@ def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_nee
         plan_comparison(experiment)
 
 
-def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(car: System) -> None:
+def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(car):
     """At 0.1 m/s 2.5 m in 25 s; two random points of a disc of 1.5 m are 1.36 m apart, less the radius 1.06 m."""
     (sentence,) = doubts(car, [0.1, 0.0, 3.0])
     assert "drives 2.5 m in a trial of 25 s" in sentence
@@ -41,14 +38,14 @@ def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(c
     assert doubts(car, [0.1, 0.0, 3.0], arena_radius=0.6) == ()
 
 
-def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car: System) -> None:
+def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car):
     assert "never seen to move" in doubts(car, [0.0, 0.0, 0.0])[0]
     assert "drives 1 m in one step and may jump over" in doubts(car, [20.0, 0.0, 30.0])[0]
     assert "in circles of 20 m, in an arena of 1.5 m" in doubts(car, [2.0, 0.0, 0.1])[0]
     assert "in no circle" in doubts(car, [2.0, 0.0, 0.0])[0]
 
 
-def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands() -> None:
+def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands():
     car = make_robot("emulated_car").dynamics
     farthest = farthest_driven(car)
     assert farthest is not None
@@ -62,7 +59,7 @@ def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands() ->
     assert swinging[0] > 0.0
 
 
-def test_a_comparison_says_so_before_any_work_of_recordings_and_of_an_emulated_robot() -> None:
+def test_a_comparison_says_so_before_any_work_of_recordings_and_of_an_emulated_robot():
     far = "point_to_point(arena_radius=60)"
     for plan in (
         plan_comparison(Experiment(task=far, robot="emulated_car", models=("linear",))),

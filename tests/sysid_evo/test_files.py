@@ -1,19 +1,15 @@
 """Files are written whole or not at all."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from sysid_evo.files import write_atomically
 
 
-def test_a_crash_while_writing_leaves_the_older_file_whole(tmp_path: Path) -> None:
+def test_a_crash_while_writing_leaves_the_older_file_whole(tmp_path):
     path = tmp_path / "deep" / "file.txt"
     write_atomically(path, lambda temporary: temporary.write_text("old"))
 
-    def crash(temporary: Path) -> None:
+    def crash(temporary):
         temporary.write_text("half")
         raise KeyboardInterrupt
 

@@ -7,7 +7,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -32,7 +32,6 @@ from sysid_evo.models.base import make_model
 from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
-from sysid_evo.types import Array
 
 SYSTEM = System((Channel("a"), Channel("b")), (Channel("u", low=-1.0, high=1.0, neutral=0.5),), dt=0.1)
 
@@ -42,16 +41,7 @@ class Drawn(DynamicsModel):
 
     limits: ClassVar[dict[str, Limit]] = {"share": above(0, at_most=1), "sizes": at_least(1)}
 
-    def __init__(
-        self,
-        *,
-        share: float = 0.5,
-        sizes: list[int] | None = None,
-        way: Literal["plain", "other"] = "plain",
-        loud: bool = False,
-        state_lags: int = 0,
-        control_lags: int = 0,
-    ) -> None:
+    def __init__(self, *, share=0.5, sizes=None, way="plain", loud=False, state_lags=0, control_lags=0):
         self.share = share
         self.sizes = sizes
         self.way = way
@@ -59,16 +49,16 @@ class Drawn(DynamicsModel):
         self.state_lags = state_lags
         self.control_lags = control_lags
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         assert isinstance(dataset, Dataset)
         self.gain_ = float(rng.uniform(0.1, 0.9))
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return self.gain_ * carry[:, -2:] + control
 
 
-def recording(gain: float = 0.8, names: tuple[str, ...] = ("one", "two", "three")) -> Dataset:
+def recording(gain=0.8, names=("one", "two", "three")):
     rng = np.random.default_rng(1)
     states, controls = [], []
     for _ in names:
@@ -83,7 +73,7 @@ def recording(gain: float = 0.8, names: tuple[str, ...] = ("one", "two", "three"
 DATA = recording()
 
 
-def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
+def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0():
     gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
     assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
     assert Drawn().fit(DATA).gain_ == gains[0]
@@ -92,12 +82,12 @@ def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0() -> None:
 
 
 @pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])
-def test_a_seed_that_is_none_is_refused(rng: Any) -> None:
+def test_a_seed_that_is_none_is_refused(rng):
     with pytest.raises(InvalidArgument, match=r"rng: expected a seed \(a whole number >= 0\), a Generator or None"):
         Drawn().fit(DATA, rng=rng)
 
 
-def test_progress_true_draws_a_bar_on_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_true_draws_a_bar_on_standard_error(capsys):
     Drawn().fit(DATA, progress=True)
     out, err = capsys.readouterr()
     assert out == ""
@@ -120,14 +110,14 @@ def test_progress_true_draws_a_bar_on_standard_error(capsys: pytest.CaptureFixtu
         (DATA.episodes[0], r"got a Trajectory: make a data set of episodes"),
     ],
 )
-def test_fit_names_the_call_that_makes_a_data_set(given: Any, hint: str) -> None:
+def test_fit_names_the_call_that_makes_a_data_set(given, hint):
     with pytest.raises(InvalidData, match=r"^Drawn\.fit: expected a Dataset, " + hint):
         Drawn().fit(given)
     with pytest.raises(InvalidData, match=r"^Drawn\.score: expected a Dataset, " + hint):
         Drawn().fit(DATA).score(given)
 
 
-def test_several_data_sets_of_one_system_are_joined_and_of_two_refused() -> None:
+def test_several_data_sets_of_one_system_are_joined_and_of_two_refused():
     parts = [DATA[0], DATA[1:]]
     joined, whole = make_model("linear").fit(parts), make_model("linear").fit(DATA)
     np.testing.assert_array_equal(joined.coefficients_, whole.coefficients_)
@@ -154,7 +144,7 @@ def test_several_data_sets_of_one_system_are_joined_and_of_two_refused() -> None
         ({"shar": 0.5}, "Drawn: there is no parameter 'shar'. Did you mean 'share'. It has: share, sizes, way, loud"),
     ],
 )
-def test_a_wrong_parameter_is_refused_where_it_is_given(parameters: dict[str, Any], message: str) -> None:
+def test_a_wrong_parameter_is_refused_where_it_is_given(parameters, message):
     """By the constructor, by `set_params`, which then changes nothing, and by `fit`."""
     with pytest.raises(InvalidArgument, match=message):
         Drawn(**parameters)
@@ -170,12 +160,12 @@ def test_a_wrong_parameter_is_refused_where_it_is_given(parameters: dict[str, An
             model.fit(DATA)
 
 
-def test_whole_numbers_and_numbers_of_numpy_are_numbers() -> None:
+def test_whole_numbers_and_numbers_of_numpy_are_numbers():
     model = clone(Drawn(share=1, sizes=[3, 4], state_lags=np.int64(2)))  # type: ignore[arg-type]
     assert model.get_params()["state_lags"] == 2
 
 
-def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch):
     model = make_model("sindy", degree=2)
     monkeypatch.setitem(sys.modules, "pysindy", None)
     with pytest.raises(MissingExtra, match=r"Sindy needs the package 'pysindy'.*pip install \"sysid-evo\[sindy\]\""):
@@ -185,7 +175,7 @@ def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch: p
     make_model("linear").fit(DATA)
 
 
-def test_score_is_minus_the_relative_error_of_one_second_in_free_run() -> None:
+def test_score_is_minus_the_relative_error_of_one_second_in_free_run():
     perfect = Drawn().fit(DATA)
     perfect.gain_ = 0.8
     assert perfect.score(DATA) == pytest.approx(0.0, abs=1e-12)
@@ -197,7 +187,7 @@ def test_score_is_minus_the_relative_error_of_one_second_in_free_run() -> None:
     assert standing.score(DATA) == pytest.approx(-error.mean())
 
 
-def test_grid_search_over_a_data_set_of_episodes_finds_the_better_ridge() -> None:
+def test_grid_search_over_a_data_set_of_episodes_finds_the_better_ridge():
     for given in (DATA, [DATA[i] for i in range(3)]):
         search = GridSearchCV(make_model("linear"), {"ridge": [10.0, 0.0]}, cv=EpisodeFold(3)).fit(given)
         assert search.best_params_ == {"ridge": 0.0}
@@ -205,7 +195,7 @@ def test_grid_search_over_a_data_set_of_episodes_finds_the_better_ridge() -> Non
         assert search.score(DATA) > -1e-6
 
 
-def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together() -> None:
+def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together():
     dataset = recording(names=("a[0:60]", "b", "a[60:120]", "c"))
     folds = [(list(learned), list(held)) for learned, held in EpisodeFold(3).split(dataset)]
     assert folds == [([1, 3], [0, 2]), ([0, 2, 3], [1]), ([0, 1, 2], [3])]
@@ -215,7 +205,7 @@ def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together(
         EpisodeFold(1)
 
 
-def test_one_run_can_be_said_plainly() -> None:
+def test_one_run_can_be_said_plainly():
     """A state and controls; a history; a trajectory: each is the batch of one."""
     model = Drawn(state_lags=1, control_lags=2).fit(DATA)
     run, lags = DATA.episodes[0], 2
@@ -227,7 +217,7 @@ def test_one_run_can_be_said_plainly() -> None:
     assert model.simulate(past, u, samples=3).shape == (3, len(u), 2)
 
 
-def test_a_short_history_is_padded_with_its_first_state_and_neutral_controls() -> None:
+def test_a_short_history_is_padded_with_its_first_state_and_neutral_controls():
     model = Drawn(state_lags=2, control_lags=1).fit(DATA)
     x0, x1, u = np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.zeros((4, 1))
     neutral = np.full((1, 2, 1), 0.5)
@@ -244,7 +234,7 @@ def test_a_short_history_is_padded_with_its_first_state_and_neutral_controls() -
         ((np.zeros((2, 2)), np.zeros((3, 1)), np.zeros((4, 1))), "past_controls: expected 1, one fewer than"),
     ],
 )
-def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments: Any, message: str) -> None:
+def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments, message):
     with pytest.raises(ShapeError, match=message):
         Drawn().fit(DATA).simulate(*arguments)
     with pytest.raises(InvalidArgument, match="expected a state and controls, or a Trajectory; got no controls"):
@@ -255,7 +245,7 @@ def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments: Any, message:
 
 
 @pytest.mark.parametrize("habit", [((0.1 * np.arange(5), np.zeros((5, 1))), {}), ((), {"t": 0.1, "u": np.zeros(5)})])
-def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_library(habit: Any) -> None:
+def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_library(habit):
     """Times would else be taken for the controls before the run."""
     arguments, keywords = habit
     with pytest.raises(InvalidArgument, match=r"expected simulate\(x0, u\) with one row of u for each step of 0.1 s"):
@@ -263,7 +253,7 @@ def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_librar
 
 
 @pytest.mark.parametrize("name", ["linear", "nearest_neighbour", "gaussian_process"])
-def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learned(name: str) -> None:
+def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learned(name):
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
     states = episode.states.copy()
@@ -273,7 +263,7 @@ def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learn
         make_model(name).fit(broken)
 
 
-def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing() -> None:
+def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing():
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
     with pytest.warns(
@@ -297,7 +287,7 @@ class Slow(DynamicsModel):
     parts: int = 10**6
     control_lags: int | None = None
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         for done in range(5):
             until = time.process_time() + 0.01
             while time.process_time() < until:
@@ -305,11 +295,11 @@ class Slow(DynamicsModel):
             progress(done, self.parts)
         return self
 
-    def acceleration(self, carry: Array, control: Array) -> Array:
+    def acceleration(self, carry, control):
         return np.zeros((len(carry), self.system.nx))
 
 
-def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch):
     monkeypatch.setattr(progress, "WATCHED", 0.005)
     much = r"Slow may take \d+ min more; shorter with each of parts=5, control_lags=0 .of .* 2 states and 1 controls"
     with pytest.warns(DataWarning, match=much) as given:
@@ -325,11 +315,11 @@ class Counting(DynamicsModel):
 
     most_steps: int | None = 300
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         self.given_ = dataset.n_steps
         return self
 
-    def acceleration(self, carry: Array, control: Array) -> Array:
+    def acceleration(self, carry, control):
         return np.zeros((len(carry), self.system.nx))
 
 

@@ -17,7 +17,6 @@ from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Balance, SetPoint, SwingUp, TrackReference
 from sysid_evo.tasks.task import make_task
-from sysid_evo.tasks.tracking import Following, FollowingState
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import ExampleDynamics, bare_system, pendulum, switched_car
 
@@ -31,7 +30,7 @@ TANK = System(
 IDLE = np.zeros((1, 2))
 
 
-def followed(task: Following, path: list[list[float]], control: Any = IDLE) -> FollowingState:
+def followed(task, path, control=IDLE):
     """Return one trial after the states of ``path``, the first of which is its start."""
     trial: Any = task.begin(SEEDS[:1])
     states = np.array(path)[:, None]
@@ -40,20 +39,20 @@ def followed(task: Following, path: list[list[float]], control: Any = IDLE) -> F
     return trial
 
 
-def test_a_step_scores_one_on_the_target_and_a_half_at_one_tolerance() -> None:
+def test_a_step_scores_one_on_the_target_and_a_half_at_one_tolerance():
     task = SetPoint(channels="level", low=2.0, high=2.0, tolerance=0.5, horizon=4).bind(TANK)
     path = [[0.0, 0.0], [2.0, 9.0], [2.5, 0.0], [1.0, 0.0], [2.0, 0.0]]
     assert task.fitness(followed(task, path))[0] == pytest.approx(100.0 * (1.0 + 0.5 + 0.2 + 1.0) / 4.0)
 
 
-def test_of_two_channels_the_one_with_the_smaller_tolerance_weighs_more() -> None:
+def test_of_two_channels_the_one_with_the_smaller_tolerance_weighs_more():
     task = SetPoint(channels=["level", "warmth"], low=0.0, high=0.0, tolerance=[1.0, 2.0], horizon=1).bind(TANK)
     assert task.fitness(followed(task, [[0.0, 0.0], [1.0, 0.0]]))[0] == pytest.approx(50.0)
     assert task.fitness(followed(task, [[0.0, 0.0], [0.0, 1.0]]))[0] == pytest.approx(80.0)
     assert task.fitness(followed(task, [[0.0, 0.0], [1.0, 2.0]]))[0] == pytest.approx(100.0 / 3.0)
 
 
-def test_effort_is_the_mean_square_share_of_the_full_controls() -> None:
+def test_effort_is_the_mean_square_share_of_the_full_controls():
     task = SetPoint(low=0.0, high=0.0, effort=0.5, horizon=1).bind(TANK)
     path = [[0.0, 0.0], [0.0, 0.0]]
     for control, power in (([0.0, 0.0], 0.0), ([2.0, 0.0], 0.5), ([1.0, -1.0], 0.625)):
@@ -61,7 +60,7 @@ def test_effort_is_the_mean_square_share_of_the_full_controls() -> None:
         assert score == pytest.approx(100.0 * (1.0 + 0.5 * (1.0 - power)) / 1.5)
 
 
-def test_a_change_of_still_per_second_costs_half_of_the_score_the_shorter_way_round_too() -> None:
+def test_a_change_of_still_per_second_costs_half_of_the_score_the_shorter_way_round_too():
     task = SetPoint(low=0.0, high=0.0, tolerance=9e9, still=2.0, horizon=1).bind(TANK)
     assert task.fitness(followed(task, [[1.0, 0.0], [2.0, 0.0]]))[0] == pytest.approx(50.0)
     round_the_top = SwingUp(tolerance=9e9, still=10.0, horizon=1).bind(pendulum())
@@ -69,7 +68,7 @@ def test_a_change_of_still_per_second_costs_half_of_the_score_the_shorter_way_ro
     assert round_the_top.fitness(followed(round_the_top, path, np.zeros((1, 1))))[0] == pytest.approx(50.0)
 
 
-def test_targets_are_drawn_between_low_and_high_and_each_trial_begins_within_its_spread() -> None:
+def test_targets_are_drawn_between_low_and_high_and_each_trial_begins_within_its_spread():
     task = SetPoint(channels=["warmth", "level"], low=[1.0, 2.0], high=[3.0, 2.5], spread=[0.2, 0.1]).bind(TANK)
     trials = task.begin(trial_seeds(1, 200))
     drawn = trials.reference[:, 0]
@@ -80,21 +79,21 @@ def test_targets_are_drawn_between_low_and_high_and_each_trial_begins_within_its
     assert 0.09 < np.abs(trials.state[:, 0]).max() <= 0.1
 
 
-def test_without_limits_given_the_middle_half_of_the_channel_is_drawn_from() -> None:
+def test_without_limits_given_the_middle_half_of_the_channel_is_drawn_from():
     goal = SetPoint(channels="level").bind(TANK).goals[0]
     assert (goal.low, goal.high, goal.tolerance) == (1.0, 3.0, 0.1)
     free = SetPoint(channels="warmth").bind(TANK).goals[0]
     assert (free.low, free.high) == (-1.0, 1.0)
 
 
-def test_states_are_observed_by_their_limits_and_errors_in_tens_of_tolerances() -> None:
+def test_states_are_observed_by_their_limits_and_errors_in_tens_of_tolerances():
     task = SetPoint(channels="warmth", low=8.0, high=8.0, tolerance=0.5).bind(TANK)
     assert [channel.name for channel in task.observations] == ["bias", "level", "warmth", "warmth_error"]
     shown = task.observe(task.begin(SEEDS[:1]), np.array([[3.0, 7.0]]))
     np.testing.assert_allclose(shown, [[1.0, 0.5, 7.0, 0.2]])
 
 
-def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_way() -> None:
+def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_way():
     task = SwingUp(tolerance=0.5, still=9e9, horizon=1).bind(pendulum())
     names = [channel.name for channel in task.observations]
     assert names == ["bias", "sin_angle", "cos_angle", "angular_speed", "sin_angle_error", "cos_angle_error"]
@@ -104,7 +103,7 @@ def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_wa
         assert task.fitness(followed(task, [[0.0, 0.0], [angle, 0.0]], np.zeros((1, 1))))[0] == pytest.approx(50.0)
 
 
-def test_settling_is_the_last_time_outside_the_tolerance_and_overshoot_a_share_of_the_first_error() -> None:
+def test_settling_is_the_last_time_outside_the_tolerance_and_overshoot_a_share_of_the_first_error():
     task = SetPoint(channels="level", low=2.0, high=2.0, tolerance=0.5, horizon=7).bind(TANK)
     levels = [0.0, 1.0, 1.9, 2.8, 2.2, 1.9, 2.0, 2.0]
     told = task.measures(followed(task, [[level, 0.0] for level in levels]))
@@ -119,7 +118,7 @@ def test_settling_is_the_last_time_outside_the_tolerance_and_overshoot_a_share_o
     assert np.isnan(never["overshoot (%)"][0])
 
 
-def test_balance_begins_near_the_top_and_is_over_once_it_has_fallen() -> None:
+def test_balance_begins_near_the_top_and_is_over_once_it_has_fallen():
     task = Balance(spread=0.2, end=0.8, horizon=10).bind(pendulum())
     starts = task.begin(trial_seeds(1, 100)).state[:, 0]
     assert 0.19 < np.abs(starts - math.pi).max() <= 0.2
@@ -129,7 +128,7 @@ def test_balance_begins_near_the_top_and_is_over_once_it_has_fallen() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sine", "steps", "random_walk"])
-def test_a_reference_stays_in_its_range_changes_and_is_what_is_scored(kind: str) -> None:
+def test_a_reference_stays_in_its_range_changes_and_is_what_is_scored(kind):
     task = TrackReference(channels="level", kind=kind, low=1.0, high=3.0, tolerance=0.5, horizon=80).bind(TANK)
     trials = task.begin(trial_seeds(2, 50))
     assert trials.reference.shape == (50, 81, 1)
@@ -143,7 +142,7 @@ def test_a_reference_stays_in_its_range_changes_and_is_what_is_scored(kind: str)
     assert task.measures(half_off)["error (tolerances, rms)"][0] == pytest.approx(1.0)
 
 
-def test_a_sine_has_the_period_that_is_asked_for() -> None:
+def test_a_sine_has_the_period_that_is_asked_for():
     task = TrackReference(kind="sine", period=10.0, horizon=400).bind(TANK)
     reference = task.begin(trial_seeds(3, 20)).reference[:, :, 0]
     centred = reference - reference.mean(axis=1, keepdims=True)
@@ -153,7 +152,7 @@ def test_a_sine_has_the_period_that_is_asked_for() -> None:
     assert 17.0 < periods.max() < 22.0
 
 
-def test_the_scene_names_the_targets_of_each_trial() -> None:
+def test_the_scene_names_the_targets_of_each_trial():
     task = SetPoint(channels=["level", "warmth"], tolerance=0.3).bind(TANK)
     trials = task.begin(SEEDS)
     for number in (0, 4):
@@ -176,12 +175,12 @@ def test_the_scene_names_the_targets_of_each_trial() -> None:
         ("balance(spread=0.4)", pendulum()),
     ],
 )
-def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(spec: str, system: System) -> None:
+def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(spec, system):
     parsed = Spec.parse(spec)
     check_task(parsed.name, system, **parsed.parameters)
 
 
-def test_both_forms_of_the_engine_tell_the_same_of_a_trial() -> None:
+def test_both_forms_of_the_engine_tell_the_same_of_a_trial():
     network, task = (
         RecurrentNetwork(hidden=3),
         make_task("set_point(channels=[level, warmth], tolerance=1, effort=0.3)"),
@@ -206,7 +205,7 @@ def test_both_forms_of_the_engine_tell_the_same_of_a_trial() -> None:
         (Balance(channel="height"), pendulum(), "balance needs the state 'height'"),
     ],
 )
-def test_a_state_that_is_missing_is_named(task: Following, system: System, message: str) -> None:
+def test_a_state_that_is_missing_is_named(task, system, message):
     with pytest.raises(IncompatibleTask, match=message):
         task.bind(system)
 
@@ -224,6 +223,6 @@ def test_a_state_that_is_missing_is_named(task: Following, system: System, messa
         (lambda: TrackReference(kind="square"), "expected kind sine, steps, random_walk"),
     ],
 )
-def test_values_that_make_no_sense_are_refused(made: Any, message: str) -> None:
+def test_values_that_make_no_sense_are_refused(made, message):
     with pytest.raises(InvalidArgument, match=message):
         made().bind(TANK)

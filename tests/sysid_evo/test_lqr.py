@@ -1,9 +1,5 @@
 """LQR against theory: the gain of python-control, equilibria, and what it balances."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import control
 import numpy as np
 import pytest
@@ -16,13 +12,12 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, SetPoint
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car
-from sysid_evo.types import Array
 
 MASS = System([Channel("position", "m"), Channel("speed", "m/s")], [Channel("force", "N", low=-4.0, high=4.0)], dt=0.1)
 A, B, C = [[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.1]], [0.0, 0.05]
 
 
-def outputs(law: Lqr, task: SetPoint, states: Array, parameter: float = 0.0) -> tuple[Array, Array]:
+def outputs(law, task, states, parameter=0.0):
     """Return the controls in ``states`` (E, nx), and the targets, of one trial each."""
     began = task.begin(trial_seeds(4, len(states)))
     seen = task.observe(began, states)[None]
@@ -30,7 +25,7 @@ def outputs(law: Lqr, task: SetPoint, states: Array, parameter: float = 0.0) -> 
     return task.system.actuate(raw[0]), began.target
 
 
-def test_it_is_the_textbook_feedback_around_rest_at_the_target() -> None:
+def test_it_is_the_textbook_feedback_around_rest_at_the_target():
     task = SetPoint(channels="position", tolerance=0.1).bind(MASS)
     law = Lqr(a=A, b=B, c=C, weights={"speed": 0.2}, effort=0.5).bind_to(task)
     gain, _, _ = control.dlqr(A, B, np.diag([1.0, 0.2]), np.array([[0.5 / 16.0]]))
@@ -43,7 +38,7 @@ def test_it_is_the_textbook_feedback_around_rest_at_the_target() -> None:
         np.testing.assert_allclose(controls, np.clip(expected, -4.0, 4.0), atol=1e-6)
 
 
-def test_a_dynamics_is_linearised_around_the_state_that_is_asked_for() -> None:
+def test_a_dynamics_is_linearised_around_the_state_that_is_asked_for():
     body = ExampleDynamics(continuous_car())
     found = linear_model(body, np.array([1.0, 0.2, -3.0]))
     np.testing.assert_allclose(found.a, 0.9 * np.eye(3), atol=1e-9)
@@ -51,7 +46,7 @@ def test_a_dynamics_is_linearised_around_the_state_that_is_asked_for() -> None:
     np.testing.assert_allclose(found.c, body.offset, atol=1e-9)
 
 
-def test_rest_is_where_nothing_changes() -> None:
+def test_rest_is_where_nothing_changes():
     linear = LinearModel(np.array(A), np.array(B), np.array(C))
     state, push = linear.at_rest(np.array([0.7]), [0])
     np.testing.assert_allclose(state, [0.7, 0.0], atol=1e-12)
@@ -59,7 +54,7 @@ def test_rest_is_where_nothing_changes() -> None:
 
 
 @pytest.mark.parametrize("robot", ["pendulum", "cart_pole"])
-def test_it_balances_what_falls_over_by_itself(robot: str) -> None:
+def test_it_balances_what_falls_over_by_itself(robot):
     runner, task = DynamicsRunner(make_robot(robot).dynamics), make_task("balance")
     fitness = runner.run(make_controller(f"lqr(model={robot})"), np.zeros((1, 1)), task, trial_seeds(1, 10)).fitness
     assert fitness.min() > 95.0
@@ -74,12 +69,12 @@ def test_it_balances_what_falls_over_by_itself(robot: str) -> None:
         ({"a": A, "b": B, "effort": 0.0}, "expected effort > 0"),
     ],
 )
-def test_wrong_arguments_are_refused_when_they_are_given(arguments: dict[str, Any], reason: str) -> None:
+def test_wrong_arguments_are_refused_when_they_are_given(arguments, reason):
     with pytest.raises(InvalidArgument, match=reason):
         Lqr(**arguments)
 
 
-def test_what_it_cannot_do_is_refused() -> None:
+def test_what_it_cannot_do_is_refused():
     with pytest.raises(IncompatibleTask, match="leads states to targets, as set_point does; PointToPoint has none"):
         Lqr(model="emulated_car").bind_to(PointToPoint().bind(continuous_car()))
     task = SetPoint(channels="position").bind(MASS)

@@ -1,7 +1,5 @@
 """An archive of kinds of behaviour."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,27 +8,26 @@ from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.evolution import Scores, evolve
 from sysid_evo.evolution.strategies.map_elites import MapElites
 from sysid_evo.testing import check_strategy
-from sysid_evo.types import Array
 from tests.sysid_evo.test_niches import CONTROLS, NAMES, trap
 
 
-def made(**arguments: object) -> MapElites:
+def made(**arguments):
     strategy = MapElites(n_parameters=3, **{"seed": 1, "population": 20, **arguments})  # type: ignore[arg-type]
     strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=100)
     return strategy
 
 
-def shares(*leans: tuple[float, float]) -> Array:
+def shares(*leans):
     """Descriptors of candidates by the leans of speed and drive; nobody steers."""
     rows = [[(1 + s) / 2, (1 - s) / 2, (1 + d) / 2, (1 - d) / 2, 0.5, 0.5] for s, d in leans]
     return np.array(rows)
 
 
-def test_it_keeps_the_contract() -> None:
+def test_it_keeps_the_contract():
     check_strategy("map_elites")
 
 
-def test_each_cell_keeps_its_best() -> None:
+def test_each_cell_keeps_its_best():
     strategy = made(again=0)
     population = np.arange(15.0).reshape(5, 3)
     behaviour = shares((0.9, 0.9), (0.95, 0.85), (0.9, -0.9), (-0.9, 0.9), (-0.9, 0.9))
@@ -42,7 +39,7 @@ def test_each_cell_keeps_its_best() -> None:
     np.testing.assert_array_equal(strategy.elite, [population[3], population[1], population[0] + 0.7])
 
 
-def test_the_children_stand_near_a_candidate_that_was_kept() -> None:
+def test_the_children_stand_near_a_candidate_that_was_kept():
     strategy = made(again=0, sigma=1e-3, line=0.0, population=40)
     population = np.array([[5.0, 5.0, 5.0], [-5.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
     strategy.tell(population, np.array([1.0, 9.0, 0.5]), shares((0.9, 0.9), (-0.9, -0.9), (0.9, 0.9)))
@@ -56,7 +53,7 @@ def test_the_children_stand_near_a_candidate_that_was_kept() -> None:
     assert np.abs(stretched.ask()[:, None] - population).max(axis=2).min(axis=1).max() > 1.0
 
 
-def test_the_best_are_asked_again_and_their_mean_counts() -> None:
+def test_the_best_are_asked_again_and_their_mean_counts():
     strategy = made(again=1, population=2)
     lucky, steady = np.full((1, 3), 7.0), np.full((1, 3), 3.0)
     strategy.tell(np.concatenate([lucky, steady]), np.array([9.0, 6.0]), shares((0.9, 0.9), (-0.9, -0.9)))
@@ -69,7 +66,7 @@ def test_the_best_are_asked_again_and_their_mean_counts() -> None:
     np.testing.assert_array_equal(strategy.ask()[2:], steady)
 
 
-def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_then() -> None:
+def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_then():
     strategy = made(again=1, population=2)
     population = np.arange(6.0).reshape(2, 3)
     strategy.tell(population, np.array([90.0, 60.0]), shares((0.9, 0.9), (-0.9, -0.9)))
@@ -83,7 +80,7 @@ def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_th
     assert sorted(strategy.state["scores"].tolist()) == [-1.0, 3.0, 4.0]  # type: ignore[union-attr]
 
 
-def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both() -> None:
+def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both():
     strategy = made(channels="drive", sigma=0.3, spread=3.0)
     for _ in evolve(strategy, trap, 100):
         pass
@@ -93,7 +90,7 @@ def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both() -> None:
     assert found["drive -0.9"] > 4.5
 
 
-def test_finalists_are_cells_that_do_not_touch_each_with_what_lies_around_it() -> None:
+def test_finalists_are_cells_that_do_not_touch_each_with_what_lies_around_it():
     strategy = made(again=0, finalists=2)
     population = np.arange(12.0).reshape(4, 3)
     behaviour = shares((0.9, 0.9), (0.9, 0.7), (0.9, 0.5), (-0.9, -0.9))
@@ -104,15 +101,15 @@ def test_finalists_are_cells_that_do_not_touch_each_with_what_lies_around_it() -
     np.testing.assert_array_equal(finals["drive +0.5, speed +0.9"], population[[1, 2]])
 
 
-def test_a_trial_that_diverged_without_bound_is_kept_only_where_nobody_else_is() -> None:
+def test_a_trial_that_diverged_without_bound_is_kept_only_where_nobody_else_is():
     strategy = made(again=0)
     population = np.arange(6.0).reshape(2, 3)
     strategy.tell(population, np.array([-np.inf, -3.0]), shares((0.9, 0.9), (0.9, 0.9)))
     np.testing.assert_array_equal(strategy.elite, population[1:])
 
 
-def test_a_search_that_goes_on_from_a_state_ends_the_same() -> None:
-    def noisy(population: Array, generation: int) -> Scores:
+def test_a_search_that_goes_on_from_a_state_ends_the_same():
+    def noisy(population, generation):
         scores = trap(population)
         return Scores(scores.fitness + np.random.default_rng(generation).normal(size=len(population)), scores.behaviour)
 
@@ -129,7 +126,7 @@ def test_a_search_that_goes_on_from_a_state_ends_the_same() -> None:
     np.testing.assert_array_equal(whole.ask(), second.ask())
 
 
-def test_what_makes_no_sense_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_makes_no_sense_is_refused(monkeypatch):
     with pytest.raises(InvalidArgument, match="map_elites: expected n_parameters, population, bins"):
         made(sigma=0.0)
     with pytest.raises(InvalidArgument, match="one or two of the channels speed, drive, steer, got 'sped'"):

@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import ModelEvolution
-from sysid_evo.evolution.model_evolution import Weights, final_error
+from sysid_evo.evolution.model_evolution import final_error
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
@@ -16,16 +16,16 @@ SYSTEM = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 TRUTH = np.array([0.8, 0.5])
 
 
-def linear(parameters: Array, state: Array, control: Array) -> Array:
+def linear(parameters, state, control):
     return parameters[:, :1, None] * state + parameters[:, 1:, None] * control
 
 
-def runaway(parameters: Array, state: Array, control: Array) -> Array:
+def runaway(parameters, state, control):
     return state * 1e200 * (parameters[:, :1, None] > 0)
 
 
 @pytest.fixture(scope="module")
-def recorded() -> Dataset:
+def recorded():
     """x' = 0.8 x + 0.5 u without noise, in two episodes."""
     rng = np.random.default_rng(1)
     controls = [rng.uniform(-1, 1, (150, 1)) for _ in range(2)]
@@ -39,7 +39,7 @@ def recorded() -> Dataset:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_two_known_parameters_are_found_from_far_away(recorded: Dataset, seed: int) -> None:
+def test_two_known_parameters_are_found_from_far_away(recorded, seed):
     """Fifty children of deviation 0.1 in two dimensions leave a distance of about 0.1 / sqrt(50 g) after g visits."""
     told: list[int] = []
     found = ModelEvolution(generations=60, windows=40, horizon=5).run(
@@ -54,7 +54,7 @@ def test_two_known_parameters_are_found_from_far_away(recorded: Dataset, seed: i
     assert told == list(range(1, 61))
 
 
-def test_the_same_generator_finds_the_same_parameters(recorded: Dataset) -> None:
+def test_the_same_generator_finds_the_same_parameters(recorded):
     search = ModelEvolution(generations=5, windows=10, horizon=5, parents=5, children=5)
     found = [
         search.run(linear, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(seed))
@@ -64,7 +64,7 @@ def test_the_same_generator_finds_the_same_parameters(recorded: Dataset) -> None
     assert not np.isin(found[2], found[0]).any()
 
 
-def test_the_error_is_that_of_the_last_state_after_the_horizon(recorded: Dataset) -> None:
+def test_the_error_is_that_of_the_last_state_after_the_horizon(recorded):
     windows = recorded.windows(7, stride=30)
     wrong = np.array([[0.7, 0.5], TRUTH])
     state = windows.start_states.copy()
@@ -75,10 +75,10 @@ def test_the_error_is_that_of_the_last_state_after_the_horizon(recorded: Dataset
     assert error[1] == pytest.approx(0.0, abs=1e-20)
 
 
-def test_every_candidate_of_a_generation_meets_the_same_windows_and_the_next_one_others(recorded: Dataset) -> None:
+def test_every_candidate_of_a_generation_meets_the_same_windows_and_the_next_one_others(recorded):
     met: list[Array] = []
 
-    def watched(parameters: Array, state: Array, control: Array) -> Array:
+    def watched(parameters, state, control):
         assert (state == state[:1]).all()
         met.append(state[0])
         return linear(parameters, state, control)
@@ -91,19 +91,19 @@ def test_every_candidate_of_a_generation_meets_the_same_windows_and_the_next_one
     assert not np.array_equal(met[1], met[2])
 
 
-def test_a_candidate_that_diverges_has_the_largest_error_and_no_nan(recorded: Dataset) -> None:
+def test_a_candidate_that_diverges_has_the_largest_error_and_no_nan(recorded):
     error = final_error(runaway, np.array([[1.0], [-1.0]]), recorded.windows(5))
     assert error[0] == np.finfo(float).max
     assert error[1] < 10.0
 
 
-def test_episodes_shorter_than_the_horizon_are_refused(recorded: Dataset) -> None:
+def test_episodes_shorter_than_the_horizon_are_refused(recorded):
     with pytest.raises(InvalidData, match="no episode is longer than 200 steps, the horizon of the fit"):
         ModelEvolution(horizon=200).run(linear, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(("weights", "found"), [("spread", 0.36), ("paper", 0.9)])
-def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weights: Weights, found: float) -> None:
+def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weights, found):
     """One gain g for two states that keep k = 0.9 and 0.3 of themselves.
 
     By spread the sum of (g - k)^2 / k^2 is least, at g = 0.36; in their own units only the large one counts.
@@ -122,10 +122,10 @@ def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weigh
 
 
 @pytest.mark.parametrize("horizon", [1, 7])
-def test_the_search_looks_as_far_ahead_as_it_is_told(horizon: int, recorded: Dataset) -> None:
+def test_the_search_looks_as_far_ahead_as_it_is_told(horizon, recorded):
     seen: list[int] = []
 
-    def watched(parameters: Array, state: Array, control: Array) -> Array:
+    def watched(parameters, state, control):
         seen.append(len(parameters))
         return linear(parameters, state, control)
 
@@ -137,20 +137,20 @@ def test_the_search_looks_as_far_ahead_as_it_is_told(horizon: int, recorded: Dat
     assert len(seen) == 2 * horizon  # the generation, and the choice at the end
 
 
-def delayed(parameters: Array, carry: Array, control: Array) -> Array:
+def delayed(parameters, carry, control):
     """x' = a x + b u[-1]; the carry is the state and the control before."""
     state = parameters[:, :1, None] * carry[..., :1] + parameters[:, 1:, None] * carry[..., 1:]
     return np.concatenate([state, np.broadcast_to(control, state.shape)], axis=2)
 
 
-def test_a_model_with_memory_starts_from_measured_history() -> None:
+def test_a_model_with_memory_starts_from_measured_history():
     rng = np.random.default_rng(4)
     u, x = rng.uniform(-1, 1, (150, 1)), [np.zeros(1), np.zeros(1)]
     for k in range(1, 150):
         x.append(TRUTH[0] * x[-1] + TRUTH[1] * u[k - 1])
     late = Dataset.from_arrays(SYSTEM, [np.array(x)], [u])
 
-    def start(states: Array, controls: Array) -> Array:
+    def start(states, controls):
         return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
 
     error = final_error(delayed, TRUTH[None], late.windows(5, history=1), start)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,14 +13,13 @@ from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.system import System
-from sysid_evo.types import Array
 from tests.sysid_evo.test_artefacts import rewrite
 
 
 class Parts(DynamicsModel):
     """Learns other models: one by itself, and two in a list, of which one sees fewer states."""
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         system = System(("forward_speed",), dataset.system.controls, dataset.system.dt)
         fewer = Dataset(system, [Trajectory(e.states[:, :1], e.controls, e.dt, name=e.name) for e in dataset.episodes])
         self.base_ = make_model("linear", ridge=0.5).fit(dataset, rng=rng)
@@ -30,18 +27,18 @@ class Parts(DynamicsModel):
         self.weight_ = 0.25
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return self.base_.next_state(carry, control)
 
 
 @pytest.fixture
-def parts(register: Callable[..., Any], recording: Dataset, tmp_path: Path) -> DynamicsModel:
+def parts(register, recording, tmp_path):
     model = register(models, "parts", Parts)().fit(recording, rng=np.random.default_rng(0))
     save_model(model, tmp_path / "parts")
     return model
 
 
-def test_models_that_a_model_learned_come_back_with_it(parts: Any, tmp_path: Path) -> None:
+def test_models_that_a_model_learned_come_back_with_it(parts, tmp_path):
     loaded: Any = load_model(tmp_path / "parts")
     assert loaded.weight_ == 0.25
     pairs = [(loaded.base_, parts.base_), *zip(loaded.members_, parts.members_, strict=True)]
@@ -64,9 +61,7 @@ def test_models_that_a_model_learned_come_back_with_it(parts: Any, tmp_path: Pat
         (lambda learned: learned["base_"]["learned"].update(fit=1), "'fit' cannot be the name"),
     ],
 )
-def test_a_damaged_model_within_a_model_is_refused_with_the_reason(
-    parts: Any, tmp_path: Path, change: Callable[[dict[str, Any]], object], said: str
-) -> None:
+def test_a_damaged_model_within_a_model_is_refused_with_the_reason(parts, tmp_path, change, said):
     rewrite(tmp_path / "parts", lambda manifest: change(manifest["learned"]))
     with pytest.raises(ArtefactError, match=said):
         load_model(tmp_path / "parts")

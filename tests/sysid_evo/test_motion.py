@@ -1,9 +1,5 @@
 """How states move a pose, and how accelerations come out of velocities in a turning frame."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,9 +9,8 @@ from hypothesis.extra.numpy import arrays
 from sysid_evo.angles import rotate, wrap
 from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
-from sysid_evo.motion import CentralDifferences, Motion, PlanarBody
+from sysid_evo.motion import CentralDifferences, PlanarBody
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 HEAD = Layout("nx", "dt")
 MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")
@@ -25,11 +20,11 @@ fixed = settings(derandomize=True, deadline=None, database=None)
 states = arrays(np.float64, (4, 3), elements=st.floats(-20.0, 20.0))
 
 
-def system_with(motion: Motion | None, dt: float = 0.05) -> System:
+def system_with(motion, dt=0.05):
     return System(tuple(Channel(name) for name in NAMES), (), dt, motion)
 
 
-def coasting(dt: float, n: int, turn: Callable[[Array], Array]) -> Array:
+def coasting(dt, n, turn):
     """The body velocities of a body that coasts straight at (1.3, -0.4) m/s while its yaw rate varies."""
     rate = turn(np.arange(n) * dt)
     heading = np.concatenate([[0.0], np.cumsum(rate[:-1] * dt)])
@@ -37,19 +32,19 @@ def coasting(dt: float, n: int, turn: Callable[[Array], Array]) -> Array:
     return np.stack([u, v, rate], axis=1)
 
 
-def test_a_body_that_spins_while_coasting_straight_has_zero_acceleration(car: System) -> None:
+def test_a_body_that_spins_while_coasting_straight_has_zero_acceleration(car):
     states = coasting(car.dt, 200, lambda t: 3.0 + 0.0 * t)
     np.testing.assert_allclose(car.acceleration(states[:-1], states[1:]), 0.0, atol=1e-12)
 
 
-def test_only_the_yaw_rate_of_a_coasting_body_accelerates_when_it_spins_up(car: System) -> None:
+def test_only_the_yaw_rate_of_a_coasting_body_accelerates_when_it_spins_up(car):
     states = coasting(car.dt, 200, lambda t: 2.0 * t)
     acceleration = car.acceleration(states[:-1], states[1:])
     np.testing.assert_allclose(acceleration[:, :2], 0.0, atol=1e-12)
     np.testing.assert_allclose(acceleration[:, 2], 2.0, rtol=1e-9)
 
 
-def test_a_quarter_turn_to_the_left_without_a_force_leaves_the_velocity_on_the_right(car: System) -> None:
+def test_a_quarter_turn_to_the_left_without_a_force_leaves_the_velocity_on_the_right(car):
     quarter = np.array([[1.0, 0.0, np.pi / 2 / car.dt]])
     np.testing.assert_allclose(car.integrate(quarter, np.zeros((1, 3)))[:, :2], [[0.0, -1.0]], atol=1e-12)
 
@@ -57,7 +52,7 @@ def test_a_quarter_turn_to_the_left_without_a_force_leaves_the_velocity_on_the_r
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 @given(before=states, after=states, dt=st.floats(0.005, 0.2))
 @fixed
-def test_integration_inverts_differentiation(motion: Motion | None, before: Array, after: Array, dt: float) -> None:
+def test_integration_inverts_differentiation(motion, before, after, dt):
     system = system_with(motion, dt)
     scale = 1.0 + np.abs(before).max() + np.abs(after).max()
     again = system.integrate(before, system.acceleration(before, after))
@@ -67,7 +62,7 @@ def test_integration_inverts_differentiation(motion: Motion | None, before: Arra
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
 @given(state=states, acceleration=states)
 @fixed
-def test_differentiation_inverts_integration(motion: Motion | None, state: Array, acceleration: Array) -> None:
+def test_differentiation_inverts_integration(motion, state, acceleration):
     system = system_with(motion)
     scale = (1.0 + np.abs(state).max() + np.abs(acceleration).max()) / system.dt
     again = system.acceleration(state, system.integrate(state, acceleration))
@@ -75,13 +70,13 @@ def test_differentiation_inverts_integration(motion: Motion | None, state: Array
 
 
 @pytest.mark.parametrize("motion", [None, PlanarBody(lateral=None)])
-def test_without_a_turning_frame_accelerations_are_plain_differences(motion: Motion | None) -> None:
+def test_without_a_turning_frame_accelerations_are_plain_differences(motion):
     system = system_with(motion)
     before, after = np.array([[1.0, 2.0, 3.0]]), np.array([[1.5, 1.0, 3.0]])
     np.testing.assert_allclose(system.acceleration(before, after), [[10.0, -20.0, 0.0]], rtol=1e-12)
 
 
-def test_neither_direction_overwrites_its_arguments(car: System, rng: np.random.Generator) -> None:
+def test_neither_direction_overwrites_its_arguments(car, rng):
     a, b = rng.standard_normal((2, 5, 3))
     kept = a.copy(), b.copy()
     car.acceleration(a, b)
@@ -90,7 +85,7 @@ def test_neither_direction_overwrites_its_arguments(car: System, rng: np.random.
     np.testing.assert_array_equal(b, kept[1])
 
 
-def circle_error(dt: float, lateral: float) -> float:
+def circle_error(dt, lateral):
     """Distance from the closed form after 2 s at 1.2 m/s forward, ``lateral`` m/s sideways and 1.5 rad/s."""
     u, r, n = 1.2, 1.5, round(2.0 / dt)
     state = np.array([[u, lateral, r]])
@@ -105,13 +100,13 @@ def circle_error(dt: float, lateral: float) -> float:
 
 
 @pytest.mark.parametrize("lateral", [0.0, 0.3])
-def test_the_pose_on_a_steady_circle_is_second_order(lateral: float) -> None:
+def test_the_pose_on_a_steady_circle_is_second_order(lateral):
     coarse, fine = circle_error(0.05, lateral), circle_error(0.025, lateral)
     assert coarse < 1e-3
     assert coarse / fine == pytest.approx(4.0, rel=0.02)
 
 
-def test_a_left_turn_raises_the_heading_and_bends_to_positive_y() -> None:
+def test_a_left_turn_raises_the_heading_and_bends_to_positive_y():
     pose = np.zeros((1, 3))
     for _ in range(10):
         pose = PlanarBody().move(pose, np.array([[1.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 1.0]]), 0.05, NAMES)
@@ -120,13 +115,13 @@ def test_a_left_turn_raises_the_heading_and_bends_to_positive_y() -> None:
     assert pose[0, 1] > 0
 
 
-def test_changing_speeds_count_with_their_mean() -> None:
+def test_changing_speeds_count_with_their_mean():
     before, after = np.array([[1.0, 0.5, 0.0]]), np.array([[2.0, -0.5, 0.0]])
     moved = PlanarBody().move(np.array([[3.0, 4.0, np.pi / 2]]), before, after, 0.1, NAMES)
     np.testing.assert_allclose(moved, [[3.0, 4.15, np.pi / 2]], atol=1e-12)
 
 
-def test_roles_find_their_channels_in_any_order_and_under_any_name(rng: np.random.Generator) -> None:
+def test_roles_find_their_channels_in_any_order_and_under_any_name(rng):
     mixed = System(
         tuple(Channel(name) for name in ("omega", "vx", "temperature", "vy")),
         (),
@@ -136,7 +131,7 @@ def test_roles_find_their_channels_in_any_order_and_under_any_name(rng: np.rando
     plain = System(tuple(Channel(name) for name in (*NAMES, "temperature")), (), 0.05, PlanarBody())
     before, after = rng.standard_normal((2, 6, 4))
 
-    def to_plain(x: Array) -> Array:
+    def to_plain(x):
         return x[:, [1, 3, 0, 2]]
 
     np.testing.assert_array_equal(
@@ -154,7 +149,7 @@ def test_roles_find_their_channels_in_any_order_and_under_any_name(rng: np.rando
     )
 
 
-def test_the_heading_of_a_body_that_spins_on_stays_within_half_a_turn_either_way() -> None:
+def test_the_heading_of_a_body_that_spins_on_stays_within_half_a_turn_either_way():
     spinning, pose, headings = np.array([[0.0, 0.0, 40.0]]), np.array([[0.0, 0.0, 1000.0]]), []
     for _ in range(50):
         pose = PlanarBody().move(pose, spinning, spinning, 0.05, NAMES)
@@ -165,7 +160,7 @@ def test_the_heading_of_a_body_that_spins_on_stays_within_half_a_turn_either_way
 
 
 @pytest.mark.parametrize("lateral", ["lateral_speed", None])
-def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral: str | None, rng: np.random.Generator) -> None:
+def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral, rng):
     motion = PlanarBody(lateral=lateral)
     poses, before, after = 3.0 * rng.standard_normal((3, 500, 3))
     poses[0], before[0], after[0] = (0.0, 0.0, np.pi), 0.0, 0.0
@@ -185,9 +180,7 @@ def all_three(carry, control, noise, parameters, scratch):
 
 
 @pytest.mark.parametrize("lateral", ["lateral_speed", None])
-def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(
-    lateral: str | None, rng: np.random.Generator
-) -> None:
+def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(lateral, rng):
     motion, nx, dt = PlanarBody(lateral=lateral), len(MIXED), 0.05
     state, acceleration = rng.standard_normal((2, 12, nx))
     pose = rng.uniform(-2.0, 2.0, (12, 3))
@@ -206,9 +199,7 @@ def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(
 
 
 @pytest.mark.parametrize("lateral", ["lateral_speed", None])
-def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(
-    lateral: str | None, rng: np.random.Generator
-) -> None:
+def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(lateral, rng):
     motion = PlanarBody(lateral=lateral)
     state, acceleration, gradient = rng.standard_normal((3, 12, len(MIXED)))
     form, differences = motion.gradient_form(MIXED), CentralDifferences(motion, MIXED)

@@ -10,16 +10,15 @@ from hypothesis import strategies as st
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import MuPlusLambda, evolve
 from sysid_evo.evolution.strategies.strategy import make_strategy
-from sysid_evo.types import Array
 
 
-def sphere(population: Array, _: int = 0) -> Array:
+def sphere(population, _=0):
     return -np.sum(population**2, axis=1)
 
 
 @pytest.mark.parametrize("reevaluate", [True, False])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_it_converges_on_a_sphere_as_far_as_its_step_size_allows(seed: int, reevaluate: bool) -> None:
+def test_it_converges_on_a_sphere_as_far_as_its_step_size_allows(seed, reevaluate):
     """A mutation of deviation sigma at distance R changes R^2 by 2 R sigma z + sigma^2 chi^2_n, z normal.
 
     The better half of all z has a mean of 0.8, chi^2_n one of n: the better half comes nearer on
@@ -34,7 +33,7 @@ def test_it_converges_on_a_sphere_as_far_as_its_step_size_allows(seed: int, reev
     assert np.linalg.norm(strategy.elite[0]) < n * sigma / 1.6
 
 
-def test_the_elite_are_the_best_of_parents_and_children_best_first() -> None:
+def test_the_elite_are_the_best_of_parents_and_children_best_first():
     strategy = MuPlusLambda(n_parameters=3, seed=1, parents=4, children=7)
     for _ in range(3):
         population = strategy.ask()
@@ -43,7 +42,7 @@ def test_the_elite_are_the_best_of_parents_and_children_best_first() -> None:
         np.testing.assert_array_equal(sphere(strategy.elite), np.sort(fitness)[::-1][:4])
 
 
-def test_without_reevaluation_the_best_never_gets_worse_however_noisy_the_fitness() -> None:
+def test_without_reevaluation_the_best_never_gets_worse_however_noisy_the_fitness():
     rng = np.random.default_rng(0)
     strategy = MuPlusLambda(n_parameters=3, seed=1, parents=6, children=6, reevaluate=False)
     kept: dict[bytes, float] = {}
@@ -57,7 +56,7 @@ def test_without_reevaluation_the_best_never_gets_worse_however_noisy_the_fitnes
     assert best[-1] > best[0]
 
 
-def test_with_reevaluation_a_lucky_draw_does_not_last() -> None:
+def test_with_reevaluation_a_lucky_draw_does_not_last():
     """Everyone is equal but for luck in the first generation: afterwards the lucky one is nobody special."""
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2, children=2)
     population = strategy.ask()
@@ -68,7 +67,7 @@ def test_with_reevaluation_a_lucky_draw_does_not_last() -> None:
     assert not (strategy.elite == lucky).all(axis=1).any()
 
 
-def test_parents_are_asked_again_only_with_reevaluation() -> None:
+def test_parents_are_asked_again_only_with_reevaluation():
     for reevaluate, sizes in ((True, [8, 8, 8]), (False, [8, 5, 5])):
         strategy = MuPlusLambda(n_parameters=4, seed=1, parents=3, children=5, reevaluate=reevaluate)
         asked = []
@@ -81,21 +80,21 @@ def test_parents_are_asked_again_only_with_reevaluation() -> None:
         assert asked == sizes
 
 
-def test_parents_stand_first_and_bear_children_in_turn() -> None:
+def test_parents_stand_first_and_bear_children_in_turn():
     strategy = MuPlusLambda(n_parameters=3, seed=1, parents=2, children=5, sigma=1e-9, spread=1.0)
     population = strategy.ask()
     np.testing.assert_array_equal(population[:2], strategy.elite)
     np.testing.assert_allclose(population[2:], strategy.elite[[0, 1, 0, 1, 0]], atol=1e-8)
 
 
-def test_asking_twice_gives_the_same_population() -> None:
+def test_asking_twice_gives_the_same_population():
     strategy = MuPlusLambda(n_parameters=3, seed=1)
     np.testing.assert_array_equal(strategy.ask(), strategy.ask())
 
 
 @given(seed=st.integers(0, 2**32 - 1), told=st.integers(0, 1000))
 @settings(derandomize=True, deadline=None, database=None, max_examples=20)
-def test_a_mutation_depends_on_seed_generation_and_child_alone(seed: int, told: int) -> None:
+def test_a_mutation_depends_on_seed_generation_and_child_alone(seed, told):
     """Two runs with other starts, sizes and fitnesses add the same numbers to the bearers."""
     rng = np.random.default_rng(told)
     few = MuPlusLambda(n_parameters=3, seed=seed, parents=4, children=4, initial=np.array([5.0, 0.0, -5.0]))
@@ -107,7 +106,7 @@ def test_a_mutation_depends_on_seed_generation_and_child_alone(seed: int, told: 
         many.tell(b, rng.standard_normal(len(b)))
 
 
-def test_mutations_are_normal_with_the_standard_deviation_sigma() -> None:
+def test_mutations_are_normal_with_the_standard_deviation_sigma():
     strategy = MuPlusLambda(n_parameters=50, seed=1, parents=1, children=400, sigma=0.1, spread=0.0)
     steps = (strategy.ask()[1:] - strategy.elite).ravel()
     n = len(steps)
@@ -118,13 +117,13 @@ def test_mutations_are_normal_with_the_standard_deviation_sigma() -> None:
     assert len(np.unique(np.concatenate([steps, (strategy.ask()[1:] - strategy.elite).ravel()]))) == 2 * n
 
 
-def test_the_first_parents_stand_around_initial_with_the_deviation_spread() -> None:
+def test_the_first_parents_stand_around_initial_with_the_deviation_spread():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2000, children=1, initial=np.array([3.0, -1.0]), spread=0.5)
     np.testing.assert_allclose(strategy.elite.mean(axis=0), [3.0, -1.0], atol=4 * 0.5 / np.sqrt(2000))
     np.testing.assert_allclose(strategy.elite.std(axis=0), 0.5, atol=4 * 0.5 / np.sqrt(4000))
 
 
-def test_the_newest_survive_among_equals() -> None:
+def test_the_newest_survive_among_equals():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=3, children=3)
     population = strategy.ask()
     strategy.tell(population, np.zeros(6))
@@ -136,7 +135,7 @@ def test_the_newest_survive_among_equals() -> None:
         np.testing.assert_array_equal(np.sort(kept.elite, axis=0), np.sort(children[-3:], axis=0))
 
 
-def test_the_same_seed_runs_the_same_way_and_another_one_another() -> None:
+def test_the_same_seed_runs_the_same_way_and_another_one_another():
     ends = []
     for seed in (1, 1, 2):
         strategy = make_strategy("mu_plus_lambda", n_parameters=4, seed=seed, parents=5, children=5)
@@ -147,7 +146,7 @@ def test_the_same_seed_runs_the_same_way_and_another_one_another() -> None:
     assert not np.isin(ends[2], ends[0]).any()
 
 
-def test_a_nan_is_no_fitness() -> None:
+def test_a_nan_is_no_fitness():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2, children=2)
     with pytest.raises(InvalidArgument, match="expected a fitness for every candidate, got nan for candidate 2"):
         strategy.tell(strategy.ask(), np.array([0.0, 1.0, np.nan, 2.0]))
@@ -162,12 +161,12 @@ def test_a_nan_is_no_fitness() -> None:
 @pytest.mark.parametrize(
     "parameters", [{"n_parameters": 0}, {"parents": 0}, {"children": 0}, {"sigma": 0.0}, {"spread": -1.0}]
 )
-def test_impossible_sizes_are_refused(parameters: dict[str, float]) -> None:
+def test_impossible_sizes_are_refused(parameters):
     with pytest.raises(InvalidArgument, match="expected n_parameters, parents, children >= 1, sigma > 0, spread >= 0"):
         MuPlusLambda(**{"n_parameters": 2, "seed": 1, **parameters})
 
 
-def test_the_loop_yields_what_was_asked_and_told() -> None:
+def test_the_loop_yields_what_was_asked_and_told():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2, children=3)
     seen = []
     loop = evolve(strategy, lambda p, index: sphere(p) + index, 3)
@@ -182,7 +181,7 @@ def test_the_loop_yields_what_was_asked_and_told() -> None:
 
 @pytest.mark.parametrize("reevaluate", [True, False])
 @pytest.mark.parametrize("generations", [0, 3])
-def test_a_restored_strategy_goes_on_as_the_one_it_was_taken_from(generations: int, reevaluate: bool) -> None:
+def test_a_restored_strategy_goes_on_as_the_one_it_was_taken_from(generations, reevaluate):
     given = {"n_parameters": 3, "seed": 5, "parents": 4, "children": 6, "reevaluate": reevaluate}
     strategy, other = MuPlusLambda(**given), MuPlusLambda(**given)
     for _ in evolve(strategy, sphere, generations):
@@ -195,7 +194,7 @@ def test_a_restored_strategy_goes_on_as_the_one_it_was_taken_from(generations: i
     np.testing.assert_array_equal(other.elite, strategy.elite)
 
 
-def test_the_state_of_another_strategy_is_refused() -> None:
+def test_the_state_of_another_strategy_is_refused():
     strategy = MuPlusLambda(n_parameters=3, seed=5, parents=4)
     with pytest.raises(ShapeError, match=r"state: parents: expected shape \(4, 3\), got \(4, 2\)"):
         strategy.restore(MuPlusLambda(n_parameters=2, seed=5, parents=4).state)

@@ -15,32 +15,32 @@ NAMES = ("speed above", "speed below", "drive above", "drive below", "steer abov
 CONTROLS = ("drive", "steer")
 
 
-def described(population: Array) -> Array:
+def described(population):
     """A made-up behaviour: drives and moves by the sign of parameter 0, steers both ways alike."""
     forwards = np.clip(0.5 + population[:, 0], 0.0, 1.0)
     half = np.full(len(population), 0.5)
     return np.stack([forwards, 1.0 - forwards, forwards, 1.0 - forwards, half, half], axis=1)
 
 
-def trap(population: Array, _: int = 0) -> Scores:
+def trap(population, _=0):
     """A broad hill of height 5 at -2 (backwards), and a steep one of height 10 at +2 (forwards)."""
     broad = 5.0 - 0.1 * ((population + 2.0) ** 2).sum(axis=1)
     steep = 10.0 - ((population - 2.0) ** 2).sum(axis=1)
     return Scores(np.maximum(broad, steep), described(population))
 
 
-def prepared(generations: int = 100, **arguments: object) -> Niches:
+def prepared(generations=100, **arguments):
     strategy = Niches(n_parameters=3, seed=1, **{"strategy": "cma_es(population=20, sigma=2.0)", **arguments})  # type: ignore[arg-type]
     strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=generations)
     return strategy
 
 
-def test_it_keeps_the_contract_without_and_with_descriptors() -> None:
+def test_it_keeps_the_contract_without_and_with_descriptors():
     check_strategy("niches")
     check_strategy("niches", strategy="mu_plus_lambda(parents=5, children=5)", slots=1)
 
 
-def test_a_niche_finds_the_high_hill_beside_the_broad_one() -> None:
+def test_a_niche_finds_the_high_hill_beside_the_broad_one():
     strategy = prepared()
     for _ in evolve(strategy, trap, 100):
         pass
@@ -51,7 +51,7 @@ def test_a_niche_finds_the_high_hill_beside_the_broad_one() -> None:
     assert strategy.status == "2 niches, best drive above"
 
 
-def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on() -> None:
+def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on():
     strategy = prepared()
     assert [island.name for island in strategy.islands] == ["drive above", "drive below", "steer above", "steer below"]
     for _ in evolve(strategy, trap, 20):
@@ -63,13 +63,13 @@ def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on() 
     assert set(ages.values()) == {10}  # every island of the survey had the same
 
 
-def test_an_island_ranks_what_leaves_its_niche_below_all_inside() -> None:
+def test_an_island_ranks_what_leaves_its_niche_below_all_inside():
     told: list[Array] = []
 
     class Listening:
         elite = np.zeros((1, 3))
 
-        def tell(self, population: Array, fitness: Array) -> None:
+        def tell(self, population, fitness):
             told.append(fitness)
 
     island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)  # type: ignore[arg-type]
@@ -82,7 +82,7 @@ def test_an_island_ranks_what_leaves_its_niche_below_all_inside() -> None:
 
 
 @pytest.mark.parametrize(("failed", "promise"), [(0, 16.8), (12, 16.8), (17, -np.inf), (21, -np.inf)])
-def test_an_island_of_which_most_fail_promises_nothing(failed: int, promise: float) -> None:
+def test_an_island_of_which_most_fail_promises_nothing(failed, promise):
     island = prepared().islands[0]
     population = island.strategy.ask()
     fitness = np.where(np.arange(21) < failed, -np.inf, np.arange(1.0, 22.0) - 0.2)
@@ -92,10 +92,10 @@ def test_an_island_of_which_most_fail_promises_nothing(failed: int, promise: flo
     assert island.promise == promise
 
 
-def test_an_empty_niche_promises_nothing() -> None:
+def test_an_empty_niche_promises_nothing():
     strategy = prepared()
 
-    def forwards_only(population: Array, _: int) -> Scores:
+    def forwards_only(population, _):
         ahead = np.tile([1.0, 0.0, 1.0, 0.0, 0.5, 0.5], (len(population), 1))
         return Scores(-(population**2).sum(axis=1), ahead)
 
@@ -106,7 +106,7 @@ def test_an_empty_niche_promises_nothing() -> None:
     assert len(strategy.going) == 2
 
 
-def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_promise_more() -> None:
+def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_promise_more():
     strategy = prepared()
     strategy.islands  # noqa: B018  # the survey begins
     leans = {"drive above": (0.9, 0.1), "drive below": (0.0, 1.0), "steer above": (0.6, 0.4), "steer below": (0.4, 0.6)}
@@ -119,7 +119,7 @@ def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_pr
     assert strategy._choose() == [1, 0]
 
 
-def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end() -> None:
+def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end():
     strategy = prepared(generations=400)
     for generation in evolve(strategy, trap, 400):
         if generation.index == 300:
@@ -132,10 +132,10 @@ def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_
     assert set(strategy.finals) == set(asked)
 
 
-def test_less_than_a_hundredth_more_is_no_rise() -> None:
+def test_less_than_a_hundredth_more_is_no_rise():
     island = prepared().islands[0]
 
-    def reaches(fitness: float) -> int:
+    def reaches(fitness):
         """Return the generation of the last rise when a generation has this fitness, and the 20 after it."""
         for _ in range(21):
             population = island.strategy.ask()
@@ -148,7 +148,7 @@ def test_less_than_a_hundredth_more_is_no_rise() -> None:
     assert reaches(101.1) > 42
 
 
-def test_a_kind_is_known_when_several_of_its_starts_reached_the_same() -> None:
+def test_a_kind_is_known_when_several_of_its_starts_reached_the_same():
     assert not _known([])
     assert not _known([12.0])
     assert _known([12.0, 11.7])
@@ -156,7 +156,7 @@ def test_a_kind_is_known_when_several_of_its_starts_reached_the_same() -> None:
     assert _known([-10.0, -10.2])
 
 
-def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open() -> None:
+def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open():
     strategy = prepared()
     strategy.islands  # noqa: B018  # the survey begins
     strategy._chosen = [0, 1]
@@ -172,20 +172,20 @@ def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open() -> None
     assert strategy._hoped() == 1  # as many, and it reached more
 
 
-def test_other_channels_can_tell_niches_apart() -> None:
+def test_other_channels_can_tell_niches_apart():
     strategy = prepared(channels="speed")
     assert [island.name for island in strategy.islands] == ["speed above", "speed below"]
     with pytest.raises(InvalidArgument, match="channels are speed, drive, steer, got 'sped'"):
         prepared(channels="sped").ask()
 
 
-def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot() -> None:
+def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot():
     strategy = Niches(n_parameters=3, seed=1)
     assert [island.name for island in strategy.islands] == ["anything", "anything #2"]
     assert strategy.ask().shape == (102, 3)
 
 
-def test_a_state_of_another_plan_is_refused() -> None:
+def test_a_state_of_another_plan_is_refused():
     state = dict(prepared().state)
     with pytest.raises(InvalidArgument, match="expected a state with generation, kinds, chosen, running"):
         prepared().restore({"generation": 3})
@@ -195,7 +195,7 @@ def test_a_state_of_another_plan_is_refused() -> None:
         prepared().restore({**state, "running": np.array([9.0])})
 
 
-def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_ends_the_same() -> None:
+def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_ends_the_same():
     for before in (3, 20, 150, 330):
         whole, first, second = (prepared(generations=400) for _ in range(3))
         for _ in evolve(whole, trap, 340):

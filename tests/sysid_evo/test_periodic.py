@@ -1,7 +1,5 @@
 """Periodic states: differences go the shortest way round, however far an angle has turned."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from sysid_evo.data.preparation import RawLog, prepare
 from sysid_evo.errors import InvalidSystem
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 TURN = 2.0 * np.pi
 PENDULUM = System(
@@ -22,40 +19,40 @@ PENDULUM = System(
 class Spinning(DynamicsModel):
     """d angle / dt = rate, known exactly; there is nothing to learn."""
 
-    def fit(self, dataset: Dataset, **keywords: object) -> Spinning:
+    def fit(self, dataset, **keywords):
         return self
 
-    def acceleration(self, carry: Array, control: Array) -> Array:
+    def acceleration(self, carry, control):
         return np.stack([carry[:, 1], np.zeros(len(carry))], axis=1)
 
 
-def spin(steps: int = 200, rate: float = 3.0) -> Array:
+def spin(steps=200, rate=3.0):
     """The states of a pendulum that turns over and over, its angle within (-pi, pi]."""
     angle = 3.0 + rate * PENDULUM.dt * np.arange(steps + 1)
     return np.stack([wrap(angle), np.full(steps + 1, rate)], axis=1)
 
 
 @pytest.mark.parametrize("turns", [-1000, -1, 0, 3, 1000])
-def test_an_angle_is_wrapped_into_half_a_turn_either_way(turns: int) -> None:
+def test_an_angle_is_wrapped_into_half_a_turn_either_way(turns):
     angles = np.array([-3.0, -0.1, 0.0, 1.0, 3.1])
     np.testing.assert_allclose(wrap(angles + turns * TURN), angles, atol=1e-9)
     assert wrap(np.array([np.pi, -np.pi])).tolist() == [np.pi, np.pi]
 
 
-def test_a_difference_across_pi_is_the_short_one() -> None:
+def test_a_difference_across_pi_is_the_short_one():
     before, after = np.array([3.1, 1.0]), np.array([-3.1, 1.5])
     np.testing.assert_allclose(PENDULUM.difference(after, before), [TURN - 6.2, 0.5])
     np.testing.assert_allclose(PENDULUM.acceleration(before, after), [(TURN - 6.2) / 0.05, 10.0])
     np.testing.assert_allclose(PENDULUM.near(after, before), [TURN - 3.1, 1.5])
 
 
-def test_integration_inverts_differentiation_up_to_whole_turns() -> None:
+def test_integration_inverts_differentiation_up_to_whole_turns():
     states = spin()
     again = PENDULUM.integrate(states[:-1], PENDULUM.acceleration(states[:-1], states[1:]))
     np.testing.assert_allclose(PENDULUM.wrapped(again), states[1:], atol=1e-12)
 
 
-def test_other_channels_and_other_systems_are_left_alone(car: System, rng: np.random.Generator) -> None:
+def test_other_channels_and_other_systems_are_left_alone(car, rng):
     a, b = 10.0 * rng.standard_normal((2, 5, 3))
     np.testing.assert_array_equal(car.difference(a, b), a - b)
     np.testing.assert_array_equal(car.wrapped(a), a)
@@ -63,13 +60,13 @@ def test_other_channels_and_other_systems_are_left_alone(car: System, rng: np.ra
     assert car.regressor_names == car.state_names
 
 
-def test_a_data_set_runs_on_across_pi() -> None:
+def test_a_data_set_runs_on_across_pi():
     data = Dataset.from_arrays(PENDULUM, [spin()], [np.zeros((200, 1))])
     np.testing.assert_allclose(np.diff(data.episodes[0].states[:, 0]), 0.15, atol=1e-12)
     assert data.episodes[0].states[-1, 0] > 20.0
 
 
-def test_a_logged_angle_is_interpolated_the_short_way() -> None:
+def test_a_logged_angle_is_interpolated_the_short_way():
     time, angle = np.arange(0.0, 4.0, 0.005), 3.0 + 2.0 * np.arange(0.0, 4.0, 0.005)
     time[1::2] += 0.001  # an uneven clock, so that there is something to interpolate
     angle = 3.0 + 2.0 * time
@@ -79,7 +76,7 @@ def test_a_logged_angle_is_interpolated_the_short_way() -> None:
     np.testing.assert_allclose(np.diff(episode.states[:, 0]), 2.0 * PENDULUM.dt, atol=1e-3)
 
 
-def test_a_simulation_turns_over_and_is_never_clipped() -> None:
+def test_a_simulation_turns_over_and_is_never_clipped():
     data = Dataset.from_arrays(PENDULUM, [spin(20)], [np.zeros((20, 1))])
     model = Spinning().fit(data, rng=np.random.default_rng(0))
     assert model.envelope is not None
@@ -88,7 +85,7 @@ def test_a_simulation_turns_over_and_is_never_clipped() -> None:
     np.testing.assert_allclose(run[0, :, 0], 3.0 + 0.15 * np.arange(1, 401), atol=1e-9)
 
 
-def test_rest_of_a_periodic_state_is_a_share_of_its_period() -> None:
+def test_rest_of_a_periodic_state_is_a_share_of_its_period():
     model = Spinning()
     model.rest_hold = True
     model.fit(Dataset.from_arrays(PENDULUM, [spin(20)], [np.zeros((20, 1))]), rng=np.random.default_rng(0))
@@ -96,7 +93,7 @@ def test_rest_of_a_periodic_state_is_a_share_of_its_period() -> None:
     assert model.rest_band[0] == pytest.approx(0.005 * TURN)
 
 
-def test_regressors_are_the_same_after_a_whole_turn() -> None:
+def test_regressors_are_the_same_after_a_whole_turn():
     states = np.array([[0.3, 2.0], [0.3 + TURN, 2.0], [np.pi / 2, 0.0]])
     found = PENDULUM.regressors(states)
     assert PENDULUM.regressor_names == ("sin angle", "cos angle", "rate")
@@ -104,7 +101,7 @@ def test_regressors_are_the_same_after_a_whole_turn() -> None:
     np.testing.assert_allclose(found[2], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_period_is_stored_and_older_systems_without_one_are_read() -> None:
+def test_a_period_is_stored_and_older_systems_without_one_are_read():
     assert System.from_dict(PENDULUM.to_dict()) == PENDULUM
     old = PENDULUM.to_dict()
     assert [channel.get("period") for channel in (*old["states"], *old["controls"])] == [TURN, None, None]
@@ -113,7 +110,7 @@ def test_a_period_is_stored_and_older_systems_without_one_are_read() -> None:
     assert not System.from_dict(old).periods
 
 
-def test_a_period_that_makes_no_sense_is_refused() -> None:
+def test_a_period_that_makes_no_sense_is_refused():
     for period in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(InvalidSystem, match="channel 'a': expected a finite period > 0"):
             Channel("a", period=period)

@@ -1,7 +1,5 @@
 """The paper's task against cases worked out by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -12,19 +10,16 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.tasks.point_to_point import PointToPointState
 from tests.fixtures.by_hand import Ladder
 
 IDLE = np.zeros((1, 2))
 
 
-def seeds_of(*values: int) -> np.ndarray:
+def seeds_of(*values):
     return np.array(values, dtype=np.uint64)
 
 
-def started(
-    car: System, waypoints: list[tuple[float, float]], **parameters: float
-) -> tuple[PointToPoint, PointToPointState]:
+def started(car, waypoints, **parameters):
     """The task on the toy car and one trial with known waypoints (the last one repeats)."""
     task = PointToPoint(**parameters).bind(car)
     begun = task.begin(seeds_of(1))
@@ -32,7 +27,7 @@ def started(
     return task, dataclasses.replace(begun, waypoints=np.array([padded]))
 
 
-def test_driving_straight_past_known_waypoints_counts_them_when_they_are_near(car: System) -> None:
+def test_driving_straight_past_known_waypoints_counts_them_when_they_are_near(car):
     """At 1 m/s, 0.05 m a step: (1.02, 0) is within 0.3 m from x = 0.75, (1.5, 0.2) from x = 1.30 m."""
     task, trial = started(car, [(1.02, 0.0), (1.5, 0.2), (5.0, 5.0)])
     state = np.array([[1.0, 0.0, 0.0]])
@@ -46,7 +41,7 @@ def test_driving_straight_past_known_waypoints_counts_them_when_they_are_near(ca
     np.testing.assert_allclose(trial.pose, [[2.0, 0.0, 0.0]], atol=1e-12)
 
 
-def test_at_most_one_waypoint_is_passed_in_a_step(car: System) -> None:
+def test_at_most_one_waypoint_is_passed_in_a_step(car):
     task, trial = started(car, [(0.0, 0.0)], horizon=5)
     rest = np.zeros((1, 3))
     for k in range(5):
@@ -55,7 +50,7 @@ def test_at_most_one_waypoint_is_passed_in_a_step(car: System) -> None:
     assert np.isfinite(task.observe(trial, rest)).all()
 
 
-def test_the_waypoint_radius_counts_from_the_centre_of_the_body(car: System) -> None:
+def test_the_waypoint_radius_counts_from_the_centre_of_the_body(car):
     rest = np.zeros((1, 3))
     for distance, passed in ((0.29, 1), (0.31, 0)):
         for direction in (0.0, 2.0, 4.0):
@@ -76,15 +71,13 @@ def test_the_waypoint_radius_counts_from_the_centre_of_the_body(car: System) -> 
         (20.0 * np.pi, (1.0, 1.0), np.pi / 4),
     ],
 )
-def test_a_waypoint_to_the_left_has_a_positive_angle(
-    car: System, heading: float, waypoint: tuple[float, float], angle: float
-) -> None:
+def test_a_waypoint_to_the_left_has_a_positive_angle(car, heading, waypoint, angle):
     task, trial = started(car, [waypoint])
     trial = dataclasses.replace(trial, pose=np.array([[0.0, 0.0, heading]]))
     assert task.observe(trial, np.zeros((1, 3)))[0, 3] == pytest.approx(angle, abs=1e-5)
 
 
-def test_a_controller_is_given_bias_speed_yaw_rate_angle_and_distance(car: System) -> None:
+def test_a_controller_is_given_bias_speed_yaw_rate_angle_and_distance(car):
     task, trial = started(car, [(4.0, 6.0)])
     trial = dataclasses.replace(trial, pose=np.array([[1.0, 2.0, 0.1]]))
     observed = task.observe(trial, np.array([[1.5, -0.3, 0.7]]))
@@ -98,7 +91,7 @@ def test_a_controller_is_given_bias_speed_yaw_rate_angle_and_distance(car: Syste
     ]
 
 
-def test_the_roles_of_the_motion_say_which_states_are_observed() -> None:
+def test_the_roles_of_the_motion_say_which_states_are_observed():
     system = System(
         (Channel("omega"), Channel("temperature"), Channel("vx")),
         (Channel("u", levels=(-1, 0, 1)),),
@@ -113,7 +106,7 @@ def test_the_roles_of_the_motion_say_which_states_are_observed() -> None:
     np.testing.assert_allclose(moved.pose, [[0.1, 0.0, 0.0]])
 
 
-def test_a_measured_pose_takes_the_place_of_the_motion(car: System) -> None:
+def test_a_measured_pose_takes_the_place_of_the_motion(car):
     task = PointToPoint(horizon=20).bind(car)
     trial, rest = task.begin(seeds_of(3)), np.zeros((1, 3))
     there = np.array([[*trial.waypoint[0], 0.5]])
@@ -122,7 +115,7 @@ def test_a_measured_pose_takes_the_place_of_the_motion(car: System) -> None:
     assert task.fitness(seen)[0] == 1.0
 
 
-def test_a_trial_begins_at_rest_in_the_origin_heading_along_x(car: System) -> None:
+def test_a_trial_begins_at_rest_in_the_origin_heading_along_x(car):
     trial = PointToPoint(horizon=20).bind(car).begin(seeds_of(1, 2, 3))
     np.testing.assert_array_equal(trial.state, np.zeros((3, 3)))
     np.testing.assert_array_equal(trial.pose, np.zeros((3, 3)))
@@ -130,7 +123,7 @@ def test_a_trial_begins_at_rest_in_the_origin_heading_along_x(car: System) -> No
     assert trial.waypoints.shape == (3, 21, 2)
 
 
-def test_a_seed_always_gives_the_same_waypoints_and_another_one_others(car: System) -> None:
+def test_a_seed_always_gives_the_same_waypoints_and_another_one_others(car):
     task = PointToPoint(horizon=30).bind(car)
     together = task.begin(seeds_of(5, 6, 2**63 + 1)).waypoints
     for i, seed in enumerate((5, 6, 2**63 + 1)):
@@ -138,7 +131,7 @@ def test_a_seed_always_gives_the_same_waypoints_and_another_one_others(car: Syst
     assert len(np.unique(together.round(12))) == together.size
 
 
-def test_waypoints_are_uniform_over_the_disc(car: System) -> None:
+def test_waypoints_are_uniform_over_the_disc(car):
     task = PointToPoint(arena_radius=1.5).bind(car)
     waypoints = task.begin(trial_seeds(1, 40)).waypoints.reshape(-1, 2)
     n = len(waypoints)
@@ -154,7 +147,7 @@ def test_waypoints_are_uniform_over_the_disc(car: System) -> None:
         assert np.hypot(np.cos(angle).mean(), np.sin(angle).mean()) < 4.0 / np.sqrt(n)
 
 
-def test_a_system_without_a_planar_motion_is_refused_by_the_roles_it_lacks() -> None:
+def test_a_system_without_a_planar_motion_is_refused_by_the_roles_it_lacks():
     system = System((Channel("x"),), (Channel("u"),), dt=0.05, name="pendulum")
     with pytest.raises(
         IncompatibleTask, match=r"needs a planar body \(roles forward and yaw_rate\); pendulum has no motion"
@@ -162,19 +155,19 @@ def test_a_system_without_a_planar_motion_is_refused_by_the_roles_it_lacks() -> 
         PointToPoint().bind(system)
 
 
-def test_binding_leaves_the_task_itself_unbound(car: System) -> None:
+def test_binding_leaves_the_task_itself_unbound(car):
     task = PointToPoint()
     assert task.bind(car).system is car
     assert not hasattr(task, "system")
 
 
 @pytest.mark.parametrize("parameters", [{"horizon": 0}, {"waypoint_radius": 0.0}, {"arena_radius": -1.0}])
-def test_impossible_tasks_are_refused(parameters: dict[str, float]) -> None:
+def test_impossible_tasks_are_refused(parameters):
     with pytest.raises(InvalidArgument, match="expected horizon >= 1 and radii > 0, got"):
         PointToPoint(**parameters)
 
 
-def test_tiling_puts_the_candidate_first_and_the_trial_second(car: System) -> None:
+def test_tiling_puts_the_candidate_first_and_the_trial_second(car):
     task = PointToPoint(horizon=10).bind(car)
     trials = task.begin(seeds_of(1, 2, 3))
     tiled = trials.tile(2)
@@ -185,7 +178,7 @@ def test_tiling_puts_the_candidate_first_and_the_trial_second(car: System) -> No
     np.testing.assert_array_equal(tiled.waypoint[3:], trials.waypoint)
 
 
-def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car: System) -> None:
+def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car):
     task = PointToPoint(horizon=10).bind(car)
     old = task.begin(seeds_of(1, 2, 3))
     new = dataclasses.replace(old, pose=old.pose + 1.0, passed=old.passed + 5)
@@ -195,7 +188,7 @@ def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car: System) -> N
     assert kept.passed.dtype == old.passed.dtype
 
 
-def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car: System) -> None:
+def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car):
     task = PointToPoint(horizon=50, waypoint_radius=0.4, arena_radius=2.0).bind(car)
     began = task.begin(np.array([3, 8], dtype=np.uint64)).tile(2)
     state = dataclasses.replace(began, passed=np.array([0, 2, 1, 4]))
@@ -208,7 +201,7 @@ def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car: Syst
         assert (scene.radius, scene.extent) == (0.4, 2.0)
 
 
-def test_a_task_without_places_has_an_empty_scene(ladder: System) -> None:
+def test_a_task_without_places_has_an_empty_scene(ladder):
     task = Ladder().bind(ladder)
     scene = task.scene(task.begin(np.array([1], dtype=np.uint64)), 0)
     assert scene.markers.shape == (0, 2)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -29,15 +27,15 @@ from sysid_evo.types import Array
 class Steered(Dynamics):
     """A planar body whose speeds follow its controls: x' = x / 2 + controls."""
 
-    def __init__(self, system: System, n_lags: int = 0) -> None:
+    def __init__(self, system, n_lags=0):
         self.system, self.n_carry, self.n_lags = system, system.nx, n_lags
         self.started: list[tuple[Array, Array]] = []
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+    def start(self, states, controls, draws=None):
         self.started.append((states.copy(), controls.copy()))
         return states[:, -1].copy()
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         after = 0.5 * carry
         after[:, 0] += 0.6 * control[:, 0]
         after[:, 2] += 2.0 * control[:, 1]
@@ -48,7 +46,7 @@ TASK = PointToPoint(horizon=60)
 
 
 @pytest.mark.parametrize("system", [switched_car(), continuous_car()])
-def test_with_the_robot_itself_inside_it_passes_waypoints_without_evolution(system: System) -> None:
+def test_with_the_robot_itself_inside_it_passes_waypoints_without_evolution(system):
     body = Steered(system)
     planning = Predictive(model=body, samples=24, horizon=12)
     fitness = {
@@ -59,7 +57,7 @@ def test_with_the_robot_itself_inside_it_passes_waypoints_without_evolution(syst
     assert fitness["nothing"] == 0.0
 
 
-def test_a_seed_makes_it_repeatable_and_trials_are_independent() -> None:
+def test_a_seed_makes_it_repeatable_and_trials_are_independent():
     body, law = Steered(switched_car()), Predictive(model=Steered(switched_car()), samples=24, horizon=4)
     task = PointToPoint(horizon=10)
     first, again = (rollout(body, law, np.zeros((1, 2)), task, trial_seeds(1, 3), record=True) for _ in range(2))
@@ -71,7 +69,7 @@ def test_a_seed_makes_it_repeatable_and_trials_are_independent() -> None:
     assert not np.array_equal(other.trajectories[0].controls, first.trajectories[0].controls)
 
 
-def test_it_imagines_what_a_rollout_would_do() -> None:
+def test_it_imagines_what_a_rollout_would_do():
     system = continuous_car()
     body, task = Steered(system), PointToPoint(horizon=25).bind(system)
     seeds = trial_seeds(3, 4)
@@ -91,11 +89,11 @@ def test_it_imagines_what_a_rollout_would_do() -> None:
 class Exploding(Steered):
     """Diverges where it is driven forward hard."""
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         return np.where(control[:, :1] > 0.5, np.inf, super().step(carry, control))
 
 
-def test_the_lowest_score_of_several_models_counts() -> None:
+def test_the_lowest_score_of_several_models_counts():
     system = continuous_car()
     task = PointToPoint().bind(system)
     state = task.begin(trial_seeds(2, 1))
@@ -109,7 +107,7 @@ def test_the_lowest_score_of_several_models_counts() -> None:
     assert drives[0] > 0.5 >= drives[1]
 
 
-def test_a_model_with_lags_is_given_the_states_and_controls_before() -> None:
+def test_a_model_with_lags_is_given_the_states_and_controls_before():
     system = continuous_car()
     body = Steered(system, n_lags=2)
     law = Predictive(model=body, samples=16, horizon=3)
@@ -122,7 +120,7 @@ def test_a_model_with_lags_is_given_the_states_and_controls_before() -> None:
     np.testing.assert_allclose(last[1][0], controls[2:4])
 
 
-def test_it_does_not_know_the_waypoint_after_the_next() -> None:
+def test_it_does_not_know_the_waypoint_after_the_next():
     system = continuous_car()
     task = PointToPoint().bind(system)
     state = task.begin(trial_seeds(2, 3))
@@ -137,7 +135,7 @@ def test_it_does_not_know_the_waypoint_after_the_next() -> None:
     np.testing.assert_array_equal(first, second)
 
 
-def test_a_sequence_on_which_the_model_diverges_is_the_worst() -> None:
+def test_a_sequence_on_which_the_model_diverges_is_the_worst():
     system = continuous_car()
     task = PointToPoint().bind(system)
     began = task.begin(trial_seeds(2, 1))
@@ -146,7 +144,7 @@ def test_a_sequence_on_which_the_model_diverges_is_the_worst() -> None:
     assert scores[0, 0] == task.worst - 1.0 < scores[1, 0]
 
 
-def test_a_stored_model_is_named_by_its_file(tmp_path: Path) -> None:
+def test_a_stored_model_is_named_by_its_file(tmp_path):
     data = example_dataset()
     model = make_model("linear").fit(data, rng=np.random.default_rng(0))
     file = save_model(model, tmp_path / "body")
@@ -168,8 +166,6 @@ def test_a_stored_model_is_named_by_its_file(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_planned_with_is_refused(
-    law: Callable[[], Predictive], error: type[Exception], reason: str
-) -> None:
+def test_what_cannot_be_planned_with_is_refused(law, error, reason):
     with pytest.raises(error, match=reason):
         law().bind_to(PointToPoint().bind(switched_car()))

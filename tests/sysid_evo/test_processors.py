@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -15,7 +13,6 @@ import scipy.linalg
 import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from sysid_evo.data import Dataset
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.models.base import make_model
 from sysid_evo.models.storage import save_model
@@ -42,7 +39,7 @@ FAMILIES: dict[str, dict[str, Any]] = {
 
 
 @contextmanager
-def on_threads(count: int) -> Iterator[None]:
+def on_threads(count):
     """Let linear algebra and torch use so many threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
@@ -52,11 +49,11 @@ def on_threads(count: int) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def recording() -> Dataset:
+def recording():
     return example_dataset(episodes=2, steps=1000)
 
 
-def blas_threads() -> set[int]:
+def blas_threads():
     return {
         library["num_threads"]
         for library in threadpool_info()
@@ -65,7 +62,7 @@ def blas_threads() -> set[int]:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_model_is_the_same_for_any_number_of_threads(family: str, recording: Dataset, tmp_path: Path) -> None:
+def test_a_model_is_the_same_for_any_number_of_threads(family, recording, tmp_path):
     found = []
     for count in (1, 4):
         with on_threads(count):
@@ -76,7 +73,7 @@ def test_a_model_is_the_same_for_any_number_of_threads(family: str, recording: D
     assert found[0] == found[1]
 
 
-def test_a_champion_is_the_same_for_any_number_of_threads(recording: Dataset) -> None:
+def test_a_champion_is_the_same_for_any_number_of_threads(recording):
     settings = ControllerEvolution(
         generations=24,
         trials=2,
@@ -95,7 +92,7 @@ def test_a_champion_is_the_same_for_any_number_of_threads(recording: Dataset) ->
     assert found[0] == found[1]
 
 
-def test_afterwards_linear_algebra_works_on_as_many_threads_as_before() -> None:
+def test_afterwards_linear_algebra_works_on_as_many_threads_as_before():
     scipy.linalg.eigh(np.eye(2))  # its library is one of those
     with on_threads(3):
         with one_blas_thread():
@@ -105,7 +102,7 @@ def test_afterwards_linear_algebra_works_on_as_many_threads_as_before() -> None:
         assert blas_threads() == {3}
 
 
-def test_a_library_that_is_imported_meanwhile_works_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_library_that_is_imported_meanwhile_works_on_one_thread(monkeypatch):
     with on_threads(3), one_blas_thread(), on_threads(3):  # it is loaded with as many as there are processors
         monkeypatch.setitem(sys.modules, "loaded_meanwhile", ModuleType("loaded_meanwhile"))
         known = _LinearAlgebra.found

@@ -1,7 +1,5 @@
 """The recurrent network against a loop over single numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
 
 
 @pytest.mark.parametrize("hidden, inputs, outputs", [(6, 5, 2), (1, 3, 1), (4, 1, 3)])
-def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden: int, inputs: int, outputs: int) -> None:
+def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden, inputs, outputs):
     rng = np.random.default_rng(4)
     network = RecurrentNetwork(hidden=hidden).bind(inputs, outputs)
     parameters = rng.standard_normal((3, network.n_parameters))
@@ -30,11 +28,11 @@ def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden: int, inpu
             np.testing.assert_allclose([raw[p, e] for raw in acted], expected, rtol=1e-12, atol=1e-14)
 
 
-def test_the_network_of_the_paper_has_78_weights() -> None:
+def test_the_network_of_the_paper_has_78_weights():
     assert RecurrentNetwork(hidden=6).bind(5, 2).n_parameters == 78
 
 
-def test_a_candidate_acts_the_same_whoever_else_is_there() -> None:
+def test_a_candidate_acts_the_same_whoever_else_is_there():
     rng = np.random.default_rng(5)
     network = RecurrentNetwork().bind(5, 2)
     parameters = rng.standard_normal((7, 78))
@@ -47,14 +45,14 @@ def test_a_candidate_acts_the_same_whoever_else_is_there() -> None:
         np.testing.assert_array_equal(alone[1], after[one])
 
 
-def test_binding_leaves_the_network_itself_unbound() -> None:
+def test_binding_leaves_the_network_itself_unbound():
     network = RecurrentNetwork(hidden=3)
     assert network.bind(5, 2).n_parameters == 30
     assert network.bind(4, 1).n_parameters == 24
     assert not hasattr(network, "n_parameters")
 
 
-def test_wrong_numbers_of_units_and_weights_are_refused() -> None:
+def test_wrong_numbers_of_units_and_weights_are_refused():
     with pytest.raises(InvalidArgument, match="expected at least one hidden unit, got 0"):
         RecurrentNetwork(hidden=0)
     network = RecurrentNetwork().bind(5, 2)

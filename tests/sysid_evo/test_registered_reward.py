@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +39,7 @@ def rooted(angle):
 
 
 @pytest.fixture(autouse=True)
-def registered() -> Iterator[None]:
+def registered():
     start = {"angle": (-1.0, 1.0), "angular_speed": (0.0, 2.0)}
     register_reward("swung", lowest=-2.0, horizon=60, ended=fast, start=start)(worth)
     register_reward("swung_in_python", lowest=-2.0, horizon=60, ended=fast, start=start, compiled=False)(worth)
@@ -52,7 +50,7 @@ def registered() -> Iterator[None]:
         tasks.forget(name)
 
 
-def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters() -> None:
+def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters():
     states, controls = np.array([[0.3, 9.0], [2.0, -9.0]]), np.array([[1.0], [-2.0]])
     for weight in (0.5, 0.1):
         task = make_task(f"swung(weight={weight})" if weight != 0.5 else "swung").bind(pendulum())
@@ -66,12 +64,12 @@ def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters() -
 @pytest.mark.parametrize(
     ("name", "system"), [("swung", pendulum()), ("swung_in_python", pendulum()), ("braked", switched_car())]
 )
-def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(name: str, system: Any) -> None:
+def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(name, system):
     check_task(name, system)
     assert (make_task(name).bind(system).kernel() is None) == (name == "swung_in_python")
 
 
-def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says() -> None:
+def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says():
     task = make_task("swung").bind(pendulum())
     trials: Any = task.begin(trial_seeds(1, 50))
     assert np.all(np.abs(trials.state[:, 0]) <= 1.0)
@@ -82,7 +80,7 @@ def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says() ->
     assert moved.alive.tolist() == [True, False]
 
 
-def test_what_cannot_be_computed_counts_as_the_lowest() -> None:
+def test_what_cannot_be_computed_counts_as_the_lowest():
     task = make_task("rooted").bind(pendulum())
     np.testing.assert_array_equal(
         np.isnan(task.worth(np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]), np.zeros((3, 1)))), [True, True, False]
@@ -92,7 +90,7 @@ def test_what_cannot_be_computed_counts_as_the_lowest() -> None:
     assert task.fitness(trial)[0] == -3.0
 
 
-def test_what_a_system_lacks_is_named_and_odd_arguments_are_refused() -> None:
+def test_what_a_system_lacks_is_named_and_odd_arguments_are_refused():
     with pytest.raises(IncompatibleTask, match=r"swung needs 'torque' as a state, a control or .*forward_speed"):
         make_task("swung").bind(switched_car())
     register_reward("odd", lowest=0.0, start={"torque": (0.0, 1.0)})(rooted)
@@ -104,7 +102,7 @@ def test_what_a_system_lacks_is_named_and_odd_arguments_are_refused() -> None:
         register_reward("wrong", lowest=0.0)(lambda horizon: 0.0)
 
 
-def test_in_a_file_of_its_own_it_has_a_name_on_the_command_line(tmp_path: Path) -> None:
+def test_in_a_file_of_its_own_it_has_a_name_on_the_command_line(tmp_path):
     (tmp_path / "warm.py").write_text(
         "from sysid_evo import register_reward\n\n\n"
         '@register_reward("warm", lowest=-100.0)\n'

@@ -9,23 +9,19 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import step_noise, trial_draws, trial_seeds
-from sysid_evo.system import Channel, System
+from sysid_evo.system import Channel
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.types import Array
 from tests.fixtures.by_hand import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
 
 SEEDS = np.array([12, 7, 33], dtype=np.uint64)
 RADIUS = 1.0  # m: a random network passes a few waypoints of this size
 
 
-def drive_by_hand(
-    weights: Array, waypoints: Array, noise: Array, draw: float, horizon: int
-) -> tuple[int, list[list[float]]]:
+def drive_by_hand(weights, waypoints, noise, draw, horizon):
     """One network drives one `SluggishCar` for one trial: waypoints passed, and every state."""
     dt = 0.05
     u = v = r = x = y = heading = last_drive = 0.0
@@ -58,7 +54,7 @@ def drive_by_hand(
     return passed, states
 
 
-def test_a_rollout_equals_a_plain_scalar_loop(car: System) -> None:
+def test_a_rollout_equals_a_plain_scalar_loop(car):
     horizon = 60
     task = PointToPoint(horizon=horizon, waypoint_radius=RADIUS)
     weights = np.random.default_rng(8).standard_normal((4, 78))
@@ -74,7 +70,7 @@ def test_a_rollout_equals_a_plain_scalar_loop(car: System) -> None:
     assert (run.survived == horizon).all()
 
 
-def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car: System) -> None:
+def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car):
     task = PointToPoint(horizon=40, waypoint_radius=0.5)
     weights = np.random.default_rng(8).standard_normal((5, 78))
     every = rollout(SluggishCar(car), RecurrentNetwork(), weights, task, SEEDS, record=True)
@@ -89,7 +85,7 @@ def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car:
             np.testing.assert_allclose(part.pose, whole.pose, rtol=1e-12, atol=1e-12)
 
 
-def test_the_same_seeds_give_the_same_numbers(car: System) -> None:
+def test_the_same_seeds_give_the_same_numbers(car):
     task = PointToPoint(horizon=40, waypoint_radius=0.5)
     weights = np.random.default_rng(8).standard_normal((5, 78))
     runner = DynamicsRunner(SluggishCar(car))
@@ -100,7 +96,7 @@ def test_the_same_seeds_give_the_same_numbers(car: System) -> None:
     assert not runner.run(RecurrentNetwork(), weights, task, SEEDS).trajectories
 
 
-def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder: System) -> None:
+def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder):
     parameters = np.array([[0.0], [0.5], [0.0]])
     dynamics = Climber(ladder, n_noise=2)
     run = rollout(dynamics, Constant(), parameters, Ladder(horizon=12), SEEDS, record=True)
@@ -112,7 +108,7 @@ def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder: System) 
     assert np.abs(noise[0, 0] - noise[0, 1]).min() > 1e-6
 
 
-def test_a_controller_that_wants_noise_gets_the_same_in_the_same_trial(ladder: System) -> None:
+def test_a_controller_that_wants_noise_gets_the_same_in_the_same_trial(ladder):
     parameters = np.array([[0.1], [0.3]])
     given = (Climber(ladder), Restless(), parameters, Ladder(horizon=12), SEEDS)
     run = rollout(*given, record=True)
@@ -126,7 +122,7 @@ def test_a_controller_that_wants_noise_gets_the_same_in_the_same_trial(ladder: S
     assert np.abs(drawn[0] - other).max() > 0.1, "the dynamics draws from a stream of its own"
 
 
-def test_noise_depends_on_its_own_trial_and_step_alone() -> None:
+def test_noise_depends_on_its_own_trial_and_step_alone():
     long = step_noise(SEEDS, 50, 3)
     assert long.shape == (3, 50, 3)
     np.testing.assert_array_equal(step_noise(SEEDS[1:2], 20, 3)[0], long[1, :20])
@@ -136,14 +132,14 @@ def test_noise_depends_on_its_own_trial_and_step_alone() -> None:
     assert abs(step_noise(trial_seeds(1, 100), 100, 1).std() - 1.0) < 0.03
 
 
-def test_trial_seeds_are_keyed_by_seed_generation_and_trial() -> None:
+def test_trial_seeds_are_keyed_by_seed_generation_and_trial():
     seeds = trial_seeds(3, 10, generation=4)
     np.testing.assert_array_equal(trial_seeds(3, 4, generation=4), seeds[:4])
     others = np.concatenate([trial_seeds(3, 10, generation=5), trial_seeds(4, 10, generation=4)])
     assert len({*seeds, *others}) == 30
 
 
-def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder: System) -> None:
+def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder):
     """From height 2 at 0.5 a step: infinite on step 3 above 3.2, so that two steps survive of ten."""
     parameters = np.array([[0.5], [0.0], [1.0]])
     seeds = np.array([2, 0], dtype=np.uint64)
@@ -157,7 +153,7 @@ def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder:
     np.testing.assert_array_equal(first.controls[:, 0], [0.5, 0.5])
 
 
-def test_a_trial_that_diverges_at_once_scores_least_and_leaves_no_trajectory(ladder: System) -> None:
+def test_a_trial_that_diverges_at_once_scores_least_and_leaves_no_trajectory(ladder):
     seeds = np.array([9, 0], dtype=np.uint64)
     run = rollout(
         Climber(ladder, breaks_above=3.0), Constant(), np.array([[0.1]]), Ladder(horizon=4), seeds, record=True
@@ -167,13 +163,13 @@ def test_a_trial_that_diverges_at_once_scores_least_and_leaves_no_trajectory(lad
 
 
 @pytest.mark.parametrize("weights", [np.nan, np.inf, 1e300])
-def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder: System, weights: float) -> None:
+def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder, weights):
     for controller, size in ((Constant(), 1), (RecurrentNetwork(hidden=1), 3)):
         run = rollout(Climber(ladder), controller, np.full((1, size), weights), Ladder(horizon=5), SEEDS)
         assert np.isfinite(run.fitness).all()
 
 
-def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder: System) -> None:
+def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder):
     dynamics = Climber(ladder, envelope=np.array([[-1.0], [1.2]]))
     seeds = np.array([0], dtype=np.uint64)
     run = rollout(dynamics, Constant(), np.array([[0.5], [0.1], [-1.0]]), Ladder(horizon=5), seeds, record=True)
@@ -183,7 +179,7 @@ def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder:
     np.testing.assert_array_equal(run.fitness[:, 0], [5, 5, 5])
 
 
-def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder: System) -> None:
+def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
     seeds = np.array([0, 2], dtype=np.uint64)
     run = rollout(Climber(ladder), Constant(), np.array([[0.5], [0.0]]), Ladder(horizon=8, top=3.2), seeds, record=True)
     # from 0: 0.5 ... 3.5 on step 7; from 2: 2.5, 3.0, 3.5 on step 3
@@ -195,7 +191,7 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder: 
     np.testing.assert_array_equal(run.trajectories[1].states[:, 0], [2.0, 2.5, 3.0, 3.5])
 
 
-def test_a_trial_that_is_over_is_clipped_no_more(ladder: System) -> None:
+def test_a_trial_that_is_over_is_clipped_no_more(ladder):
     dynamics = Climber(ladder, envelope=np.array([[-1.0], [2.1]]))
     seeds = np.array([0], dtype=np.uint64)
     run = rollout(dynamics, Constant(), np.array([[0.5], [0.1]]), Ladder(horizon=8, top=1.7), seeds)
@@ -204,14 +200,14 @@ def test_a_trial_that_is_over_is_clipped_no_more(ladder: System) -> None:
     np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
 
 
-def test_a_wall_alters_the_state_that_goes_on(ladder: System) -> None:
+def test_a_wall_alters_the_state_that_goes_on(ladder):
     seeds = np.array([0], dtype=np.uint64)
     run = rollout(Climber(ladder), Constant(), np.array([[0.5]]), Ladder(horizon=4, ceiling=0.8), seeds, record=True)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 0.8, 0.8, 0.8])
     assert run.clipped[0, 0] == 0
 
 
-def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_controls(ladder: System) -> None:
+def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_controls(ladder):
     seeds = np.array([3], dtype=np.uint64)
     run = rollout(Echo(ladder), Constant(), np.array([[1.0]]), Ladder(horizon=4), seeds, record=True)
     # neutral is 0.25: 10 * 0.25 + 3 twice, then 10 * 1 + 3, then 10 * 1 + 5.5
@@ -219,7 +215,7 @@ def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_control
 
 
 @pytest.mark.parametrize("lags", [{}, {"state_lags": 2, "control_lags": 1}])
-def test_a_recorded_rollout_is_the_free_run_under_its_controls(recording: Dataset, lags: dict[str, int]) -> None:
+def test_a_recorded_rollout_is_the_free_run_under_its_controls(recording, lags):
     model = make_model("linear", **lags).fit(recording, rng=np.random.default_rng(0))
     weights = np.random.default_rng(8).standard_normal((3, 78))
     run = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=50), SEEDS, record=True, engine="float64")
@@ -231,7 +227,7 @@ def test_a_recorded_rollout_is_the_free_run_under_its_controls(recording: Datase
         np.testing.assert_allclose(trajectory.states[1:], again, rtol=1e-9, atol=1e-9)
 
 
-def test_recorded_poses_follow_from_the_recorded_states(car: System) -> None:
+def test_recorded_poses_follow_from_the_recorded_states(car):
     run = rollout(
         SluggishCar(car),
         RecurrentNetwork(),
@@ -248,7 +244,7 @@ def test_recorded_poses_follow_from_the_recorded_states(car: System) -> None:
         np.testing.assert_array_equal(t.pose[0], [0.0, 0.0, 0.0])
 
 
-def test_wrong_arguments_are_refused_before_anything_runs(car: System, ladder: System) -> None:
+def test_wrong_arguments_are_refused_before_anything_runs(car, ladder):
     task = PointToPoint(horizon=5)
     with pytest.raises(ShapeError, match=r"parameters: expected shape \(any, 78\), got \(2, 77\)"):
         rollout(SluggishCar(car), RecurrentNetwork(), np.zeros((2, 77)), task, SEEDS)
@@ -258,7 +254,7 @@ def test_wrong_arguments_are_refused_before_anything_runs(car: System, ladder: S
         rollout(Climber(ladder), RecurrentNetwork(), np.zeros((2, 78)), task, SEEDS)
 
 
-def test_a_continuous_control_is_scaled_before_it_reaches_the_dynamics(ladder: System) -> None:
+def test_a_continuous_control_is_scaled_before_it_reaches_the_dynamics(ladder):
     wide = dataclasses.replace(ladder, controls=(Channel("climb", "m", 0.0, 4.0),))
     run = rollout(Climber(wide), Constant(), np.array([[-1.0], [0.0], [1.0]]), Ladder(horizon=1), SEEDS, record=True)
     np.testing.assert_allclose([t.controls[0, 0] for t in run.trajectories[::3]], [0.0, 2.0, 4.0])

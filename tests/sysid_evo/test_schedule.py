@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sysid_evo.artefacts import CheckpointFile
-from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
 from sysid_evo.evolution import (
-    Champion,
     ControllerEvolution,
     Generation,
     MuPlusLambda,
-    Objective,
     Schedule,
     Stage,
     evolve,
@@ -27,7 +22,6 @@ from sysid_evo.evolution import (
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
-from sysid_evo.types import Array
 from tests.sysid_evo.test_checkpoints import Stop, StopAfter, assert_same
 
 SETTINGS = ControllerEvolution(
@@ -43,25 +37,25 @@ SETTINGS = ControllerEvolution(
 
 
 @pytest.fixture(scope="module")
-def runners(recording: Dataset) -> dict[str, DynamicsRunner]:
+def runners(recording):
     names = ("linear", "nearest_neighbour")
     return {name: DynamicsRunner(make_model(name).fit(recording, rng=0)) for name in names}
 
 
-def scored(*fitness: float) -> Generation:
+def scored(*fitness):
     return Generation(0, np.zeros((len(fitness), 1)), np.array(fitness))
 
 
-def hill(width: float) -> Objective:
+def hill(width):
     """Return a hill around 3 in every parameter: outside its width it is flat."""
 
-    def fitness(population: Array, _: int) -> Array:
+    def fitness(population, _):
         return np.maximum(0.0, 1.0 - np.abs(population - 3.0).max(axis=1) / width)
 
     return fitness
 
 
-def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some_generations() -> None:
+def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some_generations():
     schedule = Schedule([(Stage(until=2.0, over=3), hill(9.0))], hill(1.0))
     lucky, below, there = scored(9.0, 1.0, 1.0, 0.0, 0.0, 0.0), scored(1.9, 1.9, 0.0, 0.0), scored(2.1, 2.0, 0.0, -9.0)
     for generation in (there, lucky, below, there, lucky):
@@ -71,13 +65,13 @@ def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some
     assert not schedule.tell(there)  # there is no further one
 
 
-def test_a_stage_ends_after_its_most_generations() -> None:
+def test_a_stage_ends_after_its_most_generations():
     schedule = Schedule([(Stage(until=2.0, at_most=3), hill(9.0)), (Stage(at_most=1), hill(3.0))], hill(1.0))
     assert [schedule.tell(scored(0.0)) for _ in range(6)] == [False, False, True, True, False, False]
 
 
-def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones() -> None:
-    def best(objective: Objective) -> float:
+def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones():
+    def best(objective):
         strategy = MuPlusLambda(n_parameters=4, seed=1, parents=10, children=10)
         for generation in evolve(strategy, objective, 200):
             if isinstance(objective, Schedule) and objective.tell(generation):
@@ -89,7 +83,7 @@ def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones() ->
     assert best(Schedule(stages, hill(0.6))) > 0.3
 
 
-def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easier_stage() -> None:
+def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easier_stage():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=5, children=5, reevaluate=False)
     schedule = Schedule([(Stage(at_most=3), lambda population, _: population[:, 0] + 1000.0)], hill(2.0))
     for generation in evolve(strategy, schedule, 10):
@@ -100,20 +94,18 @@ def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easie
     assert (np.asarray(strategy.state["parents_fitness"]) < 1.1).all()
 
 
-def test_the_stages_of_a_controller_meet_their_own_task_and_models(
-    runners: dict[str, DynamicsRunner], recording: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_stages_of_a_controller_meet_their_own_task_and_models(runners, recording, monkeypatch):
     met: list[tuple[str, int, float]] = []
     run = DynamicsRunner.run
 
-    def noted(self: DynamicsRunner, *given: Callable[..., object], record: bool = False) -> object:
+    def noted(self, *given, record=False):
         met.append((type(self.dynamics).__name__, given[2].horizon, given[2].waypoint_radius))
         return run(self, *given, record=record)
 
     monkeypatch.setattr(DynamicsRunner, "run", noted)
     notes: list[str] = []
 
-    def progress(done: int, total: int, note: str = "") -> None:
+    def progress(done, total, note=""):
         notes.append(note)
 
     evolve_controller("c", runners, recording.system, SETTINGS, seed=3, progress=progress)
@@ -127,13 +119,11 @@ def test_the_stages_of_a_controller_meet_their_own_task_and_models(
     assert ["linear" in note for note in notes] == [False] * 2 + [True] * 4
 
 
-def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(
-    runners: dict[str, DynamicsRunner], recording: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, recording, monkeypatch):
     asked: list[int] = []
     run = DynamicsRunner.run
 
-    def noted(self: DynamicsRunner, *given: Array, record: bool = False) -> object:
+    def noted(self, *given, record=False):
         asked.append(len(given[1]))
         return run(self, *given, record=record)
 
@@ -145,10 +135,8 @@ def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(
 
 
 @pytest.mark.parametrize("after", range(1, 7))
-def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(
-    after: int, runners: dict[str, DynamicsRunner], recording: Dataset, tmp_path: Path
-) -> None:
-    def evolved(progress: StopAfter | None, checkpoint: CheckpointFile | None) -> Champion:
+def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, runners, recording, tmp_path):
+    def evolved(progress, checkpoint):
         return evolve_controller(
             "c", runners, recording.system, SETTINGS, seed=3, progress=progress, checkpoint=checkpoint
         )
@@ -158,13 +146,13 @@ def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(
     assert_same(evolved(None, CheckpointFile(tmp_path / "c")), evolved(None, None))
 
 
-def test_a_stage_that_never_ends_is_said(runners: dict[str, DynamicsRunner], recording: Dataset) -> None:
+def test_a_stage_that_never_ends_is_said(runners, recording):
     unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
     with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the task itself was never evolved"):
         evolve_controller("c", runners, recording.system, unreachable, seed=3)
 
 
-def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name() -> None:
+def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
     first, second = SETTINGS.schedule
     assert first == Stage(task="point_to_point(horizon=20, waypoint_radius=0.8)", models=("linear",), at_most=2)
     assert second.task == Spec("point_to_point", {"horizon": 30, "waypoint_radius": 0.5})
@@ -183,12 +171,12 @@ def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name() -> No
         ("stage(task=point_to_point(radius=1), until=3)", "has no parameter 'radius'"),
     ],
 )
-def test_a_schedule_that_makes_no_sense_is_refused(text: str, said: str) -> None:
+def test_a_schedule_that_makes_no_sense_is_refused(text, said):
     with pytest.raises(InvalidArgument, match=said):
         ControllerEvolution(schedule=text)
 
 
-def test_stages_must_fit_what_is_asked_for(recording: Dataset) -> None:
+def test_stages_must_fit_what_is_asked_for(recording):
     with pytest.raises(UnknownName, match="no task is called 'race'"):
         Stage(task="race", until=3.0)
     wrong = replace(SETTINGS, schedule=(Stage(models=("lineer",), until=3.0),))
@@ -196,7 +184,7 @@ def test_stages_must_fit_what_is_asked_for(recording: Dataset) -> None:
         wrong.stages(wrong.make_task(recording.system), ("linear",))
 
 
-def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations() -> None:
+def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations():
     schedule = Schedule([], hill(1.0), most=2.0)
     full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
     for generation in (*[full] * 19, not_quite, *[full] * 19):
@@ -206,7 +194,7 @@ def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_
     assert schedule.exhausted
 
 
-def test_an_easier_stage_does_not_end_a_search() -> None:
+def test_an_easier_stage_does_not_end_a_search():
     schedule = Schedule([(Stage(at_most=30), hill(9.0))], hill(1.0), most=1.0)
     for _ in range(30):
         schedule.tell(scored(1.0, 1.0))
@@ -214,13 +202,11 @@ def test_an_easier_stage_does_not_end_a_search() -> None:
     assert not schedule.exhausted
 
 
-def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(
-    runners: dict[str, DynamicsRunner], recording: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, recording, tmp_path, monkeypatch):
     monkeypatch.setattr(PointToPoint, "most", 0.0)  # whatever anybody does is all there is
     settings = replace(SETTINGS, generations=40, runs=2, schedule=())
 
-    def evolved(progress: StopAfter | None, checkpoint: CheckpointFile | None) -> Champion:
+    def evolved(progress, checkpoint):
         return evolve_controller(
             "c", runners, recording.system, settings, seed=3, progress=progress, checkpoint=checkpoint
         )

@@ -1,7 +1,5 @@
 """Channels and systems: switches, scales, limits, JSON."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -20,11 +18,11 @@ LOW, HIGH = -1.0, 1.0
 STATE = (Channel("x"),)
 
 
-def system_of(*controls: Channel) -> System:
+def system_of(*controls):
     return System(STATE, controls, dt=0.05)
 
 
-def test_three_levels_switch_at_minus_and_plus_three_tenths(car: System) -> None:
+def test_three_levels_switch_at_minus_and_plus_three_tenths(car):
     below, above = np.nextafter(-0.3, -1.0), np.nextafter(0.3, 1.0)
     raw = np.array([-1.0, below, -0.3, -0.1, 0.0, 0.3, above, 1.0])
     drive = car.actuate(np.stack([raw, raw], axis=1))
@@ -32,12 +30,12 @@ def test_three_levels_switch_at_minus_and_plus_three_tenths(car: System) -> None
     np.testing.assert_array_equal(drive[:, 0], drive[:, 1])
 
 
-def test_two_levels_switch_at_zero() -> None:
+def test_two_levels_switch_at_zero():
     system = system_of(Channel("gate", levels=(2.0, 5.0), neutral=2.0))
     np.testing.assert_array_equal(system.actuate(np.array([[-0.01], [0.01]])), [[2.0], [5.0]])
 
 
-def test_five_levels_switch_at_equal_parts_drawn_together() -> None:
+def test_five_levels_switch_at_equal_parts_drawn_together():
     system = system_of(Channel("gear", levels=(-2.0, -1.0, 0.0, 1.0, 2.0)))
     raw = np.array([-0.55, -0.53, -0.19, -0.17, 0.17, 0.19, 0.53, 0.55])[:, None]
     np.testing.assert_array_equal(system.actuate(raw)[:, 0], [-2, -1, -1, 0, 0, 1, 1, 2])
@@ -45,37 +43,37 @@ def test_five_levels_switch_at_equal_parts_drawn_together() -> None:
 
 @given(raw=st.floats(-2.0, 2.0), levels=st.integers(1, 4).map(lambda half: 2 * half + 1))
 @settings(derandomize=True, deadline=None, database=None)
-def test_an_odd_switch_treats_both_signs_alike(raw: float, levels: int) -> None:
+def test_an_odd_switch_treats_both_signs_alike(raw, levels):
     half = levels // 2
     system = system_of(Channel("gear", levels=tuple(np.arange(-half, half + 1.0))))
     assert system.actuate(np.array([-raw])) == -system.actuate(np.array([raw]))
 
 
-def test_a_continuous_control_scales_to_its_limits_and_saturates() -> None:
+def test_a_continuous_control_scales_to_its_limits_and_saturates():
     system = system_of(Channel("throttle", low=0.0, high=0.8), Channel("steer", low=-0.4, high=0.4))
     raw = np.array([[-1.0, -1.0], [0.0, 0.0], [0.5, 0.5], [1.0, 1.0], [7.0, -7.0]])
     expected = [[0.0, -0.4], [0.4, 0.0], [0.6, 0.2], [0.8, 0.4], [0.8, -0.4]]
     np.testing.assert_allclose(system.actuate(raw), expected, rtol=0, atol=1e-15)
 
 
-def test_actuate_keeps_leading_axes_and_its_argument(car: System) -> None:
+def test_actuate_keeps_leading_axes_and_its_argument(car):
     raw = np.linspace(-1, 1, 24).reshape(3, 4, 2)
     kept = raw.copy()
     assert car.actuate(raw).shape == (3, 4, 2)
     np.testing.assert_array_equal(raw, kept)
 
 
-def test_a_control_without_limits_cannot_be_actuated() -> None:
+def test_a_control_without_limits_cannot_be_actuated():
     with pytest.raises(InvalidSystem, match=r"'force' has no finite limits.*give low and high, or levels"):
         system_of(Channel("force", "N")).actuate(np.zeros((1, 1)))
 
 
-def test_actuate_says_how_many_outputs_it_expects(car: System) -> None:
+def test_actuate_says_how_many_outputs_it_expects(car):
     with pytest.raises(ShapeError, match=r"raw: expected 2 values on the last axis, got shape \(4, 3\)"):
         car.actuate(np.zeros((4, 3)))
 
 
-def test_a_system_survives_json_with_absent_limits(car: System) -> None:
+def test_a_system_survives_json_with_absent_limits(car):
     mixed = System(
         states=(Channel("a", "m", low=-np.inf, high=3.0), Channel("b", low=0.0, neutral=1.0), Channel("c")),
         controls=(Channel("d", levels=(-1, 0, 1)), Channel("e", "N", -2.0, 2.0, neutral=0.5)),
@@ -91,27 +89,27 @@ def test_a_system_survives_json_with_absent_limits(car: System) -> None:
         assert back.to_dict() == system.to_dict()
 
 
-def test_levels_are_the_limits_of_a_discrete_channel() -> None:
+def test_levels_are_the_limits_of_a_discrete_channel():
     channel = Channel("gear", levels=(-2, 0, 3))
     assert (channel.low, channel.high, channel.bounded) == (-2.0, 3.0, True)
     assert not Channel("x", low=0.0).bounded
 
 
-def test_neutral_values_stand_in_the_order_of_the_channels() -> None:
+def test_neutral_values_stand_in_the_order_of_the_channels():
     system = System((Channel("a", neutral=1.0), Channel("b", neutral=-2.0)), (Channel("c", neutral=0.5),), dt=0.1)
     np.testing.assert_array_equal(system.neutral_state, [1.0, -2.0])
     np.testing.assert_array_equal(system.neutral_control, [0.5])
     assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
 
 
-def test_the_neutral_value_is_0_or_the_limit_nearest_to_it() -> None:
+def test_the_neutral_value_is_0_or_the_limit_nearest_to_it():
     neutral = [Channel("x", low=low, high=high).neutral for low, high in ((-1, 1), (6, 8.4), (-5, -2), (-np.inf, 3))]
     assert neutral == [0.0, 6.0, -2.0, 0.0]
     assert Channel("gear", levels=(2.0, 5.0)).neutral == 2.0
     assert Channel("x", low=6.0, high=8.0, neutral=7.0).neutral == 7.0
 
 
-def test_names_stand_for_channels_without_unit_and_limits() -> None:
+def test_names_stand_for_channels_without_unit_and_limits():
     named = System(states=["theta", "theta_dot"], controls="torque", dt=0.02)
     assert named == System((Channel("theta"), Channel("theta_dot")), (Channel("torque"),), 0.02)
     with pytest.raises(InvalidSystem, match=r"expected Channel\(...\) or names as controls, got float"):
@@ -120,7 +118,7 @@ def test_names_stand_for_channels_without_unit_and_limits() -> None:
         System(states=("x",), controls=(), dt="0.1")  # type: ignore[arg-type]  # as from a file
 
 
-def test_another_dt_changes_nothing_else(car: System) -> None:
+def test_another_dt_changes_nothing_else(car):
     finer = car.with_dt(0.005)
     assert finer.dt == 0.005
     assert finer.with_dt(car.dt) == car
@@ -141,7 +139,7 @@ def test_another_dt_changes_nothing_else(car: System) -> None:
         ({"name": "a", "neutral": np.inf}, "'a': expected a neutral value within .*, got inf"),
     ],
 )
-def test_a_channel_that_contradicts_itself_is_refused(arguments: dict, message: str) -> None:
+def test_a_channel_that_contradicts_itself_is_refused(arguments, message):
     with pytest.raises(InvalidSystem, match=message):
         Channel(**arguments)
 
@@ -160,17 +158,17 @@ def test_a_channel_that_contradicts_itself_is_refused(arguments: dict, message: 
         ),
     ],
 )
-def test_a_system_that_contradicts_itself_is_refused(arguments: dict, message: str) -> None:
+def test_a_system_that_contradicts_itself_is_refused(arguments, message):
     with pytest.raises(InvalidSystem, match=message):
         System(**{"states": STATE, "controls": (Channel("u"),), "dt": 0.05, **arguments})
 
 
-def test_an_unknown_motion_is_refused(car: System) -> None:
+def test_an_unknown_motion_is_refused(car):
     with pytest.raises(InvalidSystem, match="expected one of planar_body, got 'balloon'"):
         System.from_dict({**car.to_dict(), "motion": {"kind": "balloon"}})
 
 
-def test_systems_differ_in_words_where_it_matters_to_a_controller(car: System) -> None:
+def test_systems_differ_in_words_where_it_matters_to_a_controller(car):
     assert car.differences(car.with_dt(car.dt)) == ()
     assert car.differences(replace(car, name="another name")) == ()
     assert car.differences(car.with_dt(0.1)) == ("20 Hz against 10 Hz",)
@@ -192,7 +190,7 @@ def test_systems_differ_in_words_where_it_matters_to_a_controller(car: System) -
     )
 
 
-def test_a_description_is_for_readers_alone() -> None:
+def test_a_description_is_for_readers_alone():
     """It is stored, and changes neither what a channel is nor the fingerprint of data."""
     plain, described = (Channel("angle", "rad", description=text) for text in ("", "0 hanging"))
     assert plain == described

@@ -1,7 +1,5 @@
 """Forecasts: from cells of models alone, in the units of the task, with an interval that holds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +14,7 @@ ERRORS = {"good": 0.1, "fair": 0.2, "poor": 1.0}
 CLAIMS = {"poor": {"good": 6.0, "fair": 7.0, "poor": 20.0}, "good": {"good": 9.0, "fair": 8.0, "poor": 4.0}}
 
 
-def test_what_the_models_say_that_predict_is_what_is_forecast() -> None:
+def test_what_the_models_say_that_predict_is_what_is_forecast():
     found = forecasts(matrix(CLAIMS), ERRORS)
     assert found["poor"].value == pytest.approx(6.0, abs=0.3)
     assert found["poor"].low < found["poor"].value < found["poor"].high < 8.0
@@ -24,7 +22,7 @@ def test_what_the_models_say_that_predict_is_what_is_forecast() -> None:
     assert sum(found["poor"].weights.values()) == pytest.approx(1.0)
 
 
-def test_nothing_that_was_measured_on_a_robot_enters() -> None:
+def test_nothing_that_was_measured_on_a_robot_enters():
     rows = {
         name: {**columns, "car": fitness} for (name, columns), fitness in zip(CLAIMS.items(), (1.0, 30.0), strict=True)
     }
@@ -33,17 +31,17 @@ def test_nothing_that_was_measured_on_a_robot_enters() -> None:
     assert forecasts(other, ERRORS) == forecasts(matrix(CLAIMS), ERRORS)
 
 
-def test_what_was_evolved_on_the_robot_itself_has_no_forecast() -> None:
+def test_what_was_evolved_on_the_robot_itself_has_no_forecast():
     rows = {"good": {"good": 9.0, "fair": 8.0, "car": 5.0}, "car": {"good": 5.0, "fair": 5.0, "car": 12.0}}
     assert set(forecasts(matrix(rows, robot="car"), ERRORS)) == {"good"}
 
 
-def test_one_model_alone_is_too_few() -> None:
+def test_one_model_alone_is_too_few():
     assert forecasts(matrix({"good": {"good": 9.0}}), ERRORS) == {}
     assert forecasts(matrix({"good": {"good": 9.0, "fair": float("nan")}}), ERRORS) == {}
 
 
-def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero() -> None:
+def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero():
     rng = np.random.default_rng(0)
     trials = [rng.normal(mean, 1.0, size=50) for mean in (10.0, 9.0, 12.0)]
     plain = np.array(forecast_of(trials, [0.1, 0.2, 0.3], [False, True, False]))
@@ -51,8 +49,8 @@ def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero() -> Non
     np.testing.assert_allclose(scaled, 5.0 * plain - 300.0)
 
 
-def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree() -> None:
-    def width(*means: float) -> float:
+def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree():
+    def width(*means):
         trials = [mean + np.tile([-1.0, 1.0], 10) for mean in means]
         _, low, high = forecast_of(trials, [0.1] * len(means), [False] * len(means))
         return high - low
@@ -61,16 +59,16 @@ def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree
     assert width(10.0, 10.0, 10.0, 10.0) == pytest.approx(width(10.0, 10.0))  # all meet the same trials
 
 
-def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their_number() -> None:
-    def width(*means: float) -> float:
+def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their_number():
+    def width(*means):
         _, low, high = forecast_of([np.full(3, mean) for mean in means], [0.1] * len(means), [False] * len(means))
         return high - low
 
     assert width(9.0, 9.0, 11.0, 11.0) == pytest.approx(width(9.0, 11.0) / 2.0**0.25)
 
 
-def test_the_interval_falls_with_the_root_of_the_number_of_trials() -> None:
-    def width(each: int) -> float:
+def test_the_interval_falls_with_the_root_of_the_number_of_trials():
+    def width(each):
         _, low, high = forecast_of([np.array([9.0, 11.0] * each)] * 2, [0.1] * 2, [False] * 2)
         return high - low
 
@@ -78,7 +76,7 @@ def test_the_interval_falls_with_the_root_of_the_number_of_trials() -> None:
     assert width(4) == pytest.approx(width(1) / 2.0)
 
 
-def test_a_forecast_by_another_rule_believes_models_by_that_rule() -> None:
+def test_a_forecast_by_another_rule_believes_models_by_that_rule():
     trials = [np.full(2, mean) for mean in (8.0, 10.0, 12.0)]
     low, high = (
         forecast_of(trials, [0.1, 0.2, 0.3], [False, False, True], rule=Rule(power=power))[0] for power in (9.0, 0.0)
@@ -86,7 +84,7 @@ def test_a_forecast_by_another_rule_believes_models_by_that_rule() -> None:
     assert low < 8.2 < 9.0 < high
 
 
-def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration() -> None:
+def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration():
     rng, missed = np.random.default_rng(1), []
     for _ in range(2000):
         truth = rng.normal(10.0, 3.0)
@@ -105,7 +103,7 @@ def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration() 
     assert 0.88 < held / 2000 < 0.92
 
 
-def test_what_is_achieved_is_held_against_the_interval_and_its_own_error() -> None:
+def test_what_is_achieved_is_held_against_the_interval_and_its_own_error():
     found = forecasts(matrix(CLAIMS), ERRORS)["good"]
     outside = found.low - 0.3 * (found.value - found.low)
     assert found.holds(Estimate(found.value, 0.0))
@@ -114,7 +112,7 @@ def test_what_is_achieved_is_held_against_the_interval_and_its_own_error() -> No
     assert not found.holds(Estimate(outside, float("nan")))
 
 
-def test_the_trials_of_a_controller_become_one_by_the_rule_of_its_evolution() -> None:
+def test_the_trials_of_a_controller_become_one_by_the_rule_of_its_evolution():
     cells = [Cell("c", column, np.array([1.0, 2.0, 30.0]), unit="m") for column in ("a", "b")]
     champion = replace(evolved("c", ("a",)), aggregate="cvar(share=0.3)")
     made = TransferMatrix.of([champion], ("a", "b"), cells)
@@ -125,7 +123,7 @@ def test_the_trials_of_a_controller_become_one_by_the_rule_of_its_evolution() ->
     )
 
 
-def test_a_model_is_forecast_by_the_controllers_that_were_evolved_in_it_alone() -> None:
+def test_a_model_is_forecast_by_the_controllers_that_were_evolved_in_it_alone():
     rows = {"poor": CLAIMS["poor"], "both": {"good": 9.0, "fair": 9.0, "poor": 9.0}}
     made = matrix(rows, against={"both": ("good", "fair")})
     found = forecasts(made, ERRORS)
@@ -136,19 +134,19 @@ def test_a_model_is_forecast_by_the_controllers_that_were_evolved_in_it_alone() 
     assert only.kept[0] == pytest.approx(found["poor"].value / 20.0)
 
 
-def test_where_nothing_is_claimed_no_share_of_it_is_kept() -> None:
+def test_where_nothing_is_claimed_no_share_of_it_is_kept():
     made = matrix({"good": {"good": -3.0, "fair": -4.0}})
     assert model_forecasts(made, forecasts(made, ERRORS))["good"].kept is None
 
 
-def test_finalists_are_ranked_by_the_same_number() -> None:
+def test_finalists_are_ranked_by_the_same_number():
     worth = worth_by(ERRORS, {name: name for name in ERRORS})
     by_model = np.array([[6.0, 9.0], [7.0, 8.0], [20.0, 4.0]])
     ranked = worth(evolved("poor", ("poor",)), ("good", "fair", "poor"), by_model)
     assert ranked[0] == pytest.approx(forecasts(matrix(CLAIMS), ERRORS)["poor"].value)
 
 
-def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast() -> None:
+def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
     rows = {"good": CLAIMS["good"], "hand": {"good": 30.0, "fair": 30.0, "poor": 30.0}}
     made = matrix(rows, against={"hand": ()})
     found = forecasts(made, ERRORS)

@@ -1,7 +1,5 @@
 """A study that is killed, interrupted, or computed on a cluster: the same as one that is left alone."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
@@ -9,8 +7,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -48,7 +44,7 @@ main()
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(tmp_path_factory):
     """The folder of the study that nothing disturbs."""
     folder = placed(tmp_path_factory.mktemp("whole"))
     done = run_here(*COMMAND, cwd=folder)
@@ -56,38 +52,38 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results_of(folder)
 
 
-def placed(folder: Path) -> Path:
+def placed(folder):
     (folder / "small.toml").write_text(STUDY)
     return folder
 
 
-def results_of(folder: Path) -> Path:
+def results_of(folder):
     """Return where the command, called in ``folder``, puts the study."""
     return folder / "runs" / "small"
 
 
-def finished(study: Path) -> Counter[str]:
+def finished(study):
     """Return how often each cell was computed to its end."""
     log = study / "log.jsonl"
     lines = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
     return Counter(line["digest"] for line in lines if line["status"] == "done")
 
 
-def timeless(value: Any) -> Any:
+def timeless(value):
     """Return a part of a document without what is measured by a clock."""
     if isinstance(value, dict):
         return {key: timeless(one) for key, one in value.items() if key not in ("timings", "seconds")}
     return [timeless(one) for one in value] if isinstance(value, list) else value
 
 
-def found_in(study: Path) -> dict[str, Any]:
+def found_in(study):
     """Return all that the study says, but for what is measured by a clock."""
     tables = ("points", "models", "controllers", "cells")
     rows = {name: timeless(pq.read_table(study / f"{name}.parquet").to_pylist()) for name in tables}
     return {**rows, "study.json": timeless(json.loads((study / "study.json").read_text()))}
 
 
-def stopped_after(cells: int, folder: Path, number: signal.Signals) -> subprocess.CompletedProcess[str]:
+def stopped_after(cells, folder, number):
     """Start the command in a process of its own and send it the signal as soon as so many cells are done."""
     command = [sys.executable, "-c", PRESSABLE, *COMMAND]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
@@ -100,9 +96,7 @@ def stopped_after(cells: int, folder: Path, number: signal.Signals) -> subproces
     return subprocess.CompletedProcess(command, process.returncode, "", said)
 
 
-def test_a_study_that_is_killed_goes_on_to_the_same_tables_and_computes_nothing_twice(
-    tmp_path: Path, whole: Path
-) -> None:
+def test_a_study_that_is_killed_goes_on_to_the_same_tables_and_computes_nothing_twice(tmp_path, whole):
     cells, study = len(finished(whole)), results_of(placed(tmp_path))
     for share in (0.25, 0.6):
         assert stopped_after(round(share * cells), tmp_path, signal.SIGKILL).returncode == -signal.SIGKILL
@@ -115,7 +109,7 @@ def test_a_study_that_is_killed_goes_on_to_the_same_tables_and_computes_nothing_
     assert found_in(study) == found_in(whole)
 
 
-def test_ctrl_c_ends_a_study_with_how_to_go_on(tmp_path: Path, whole: Path) -> None:
+def test_ctrl_c_ends_a_study_with_how_to_go_on(tmp_path, whole):
     cells, study = len(finished(whole)), results_of(placed(tmp_path))
     stopped = stopped_after(cells // 2, tmp_path, signal.SIGINT)
     assert stopped.returncode == 130
@@ -129,7 +123,7 @@ def test_ctrl_c_ends_a_study_with_how_to_go_on(tmp_path: Path, whole: Path) -> N
     assert found_in(study) == found_in(whole)
 
 
-def test_a_study_on_a_cluster_has_the_tables_of_one_process(tmp_path: Path, whole: Path) -> None:
+def test_a_study_on_a_cluster_has_the_tables_of_one_process(tmp_path, whole):
     (tmp_path / "dask").mkdir()
     cluster = Processes(tmp_path / "dask")
     try:

@@ -1,13 +1,10 @@
 """The figures of a study, on results whose truth is known."""
 
-from __future__ import annotations
-
 import pytest
 
 from evaluation.study import (
     CHOSEN,
     HINDSIGHT,
-    StudyResults,
     controller_figures,
     exploit_figures,
     forecast_figures,
@@ -20,11 +17,11 @@ SHARES = [value / best for best in (10.0, 11.0, 12.0) for value in (best - 1.0,)
 
 
 @pytest.fixture(scope="module")
-def results() -> StudyResults:
+def results():
     return made_up()
 
 
-def test_a_share_is_of_the_best_on_the_same_robot(results: StudyResults) -> None:
+def test_a_share_is_of_the_best_on_the_same_robot(results):
     figures = {one.controller: one for one in controller_figures(results)}
     best, both = figures["best"].share, figures["both"].share
     assert best is not None
@@ -34,13 +31,13 @@ def test_a_share_is_of_the_best_on_the_same_robot(results: StudyResults) -> None
     assert both.lowest == pytest.approx(0.9)
 
 
-def test_what_the_program_picks_and_what_was_best_are_rows_of_their_own(results: StudyResults) -> None:
+def test_what_the_program_picks_and_what_was_best_are_rows_of_their_own(results):
     figures = {one.controller: one for one in controller_figures(results)}
     assert figures[CHOSEN].share == figures["both"].share
     assert figures[HINDSIGHT].share == figures["best"].share
 
 
-def test_others_are_compared_with_the_recommended_controller_or_the_named_one(results: StudyResults) -> None:
+def test_others_are_compared_with_the_recommended_controller_or_the_named_one(results):
     figures = {one.controller: one for one in controller_figures(results)}
     assert figures["both"].is_reference
     assert figures["best"].difference is not None
@@ -52,19 +49,19 @@ def test_others_are_compared_with_the_recommended_controller_or_the_named_one(re
     assert not other["both"].is_reference
 
 
-def test_a_claim_that_is_too_high_is_seen_as_that(results: StudyResults) -> None:
+def test_a_claim_that_is_too_high_is_seen_as_that(results):
     gaps = {one.controller: one.gap.mean for one in controller_figures(results) if one.gap is not None}
     assert gaps["worse"] == pytest.approx(4.0)
     assert gaps["best"] == 0.0
 
 
-def test_an_axis_that_is_no_repetition_makes_groups_of_rows() -> None:
+def test_an_axis_that_is_no_repetition_makes_groups_of_rows():
     figures = controller_figures(made_up(recipe=["recommended", "plain"]))
     assert {one.group for one in figures} == {("recommended",), ("plain",)}
     assert len({(one.group, one.controller) for one in figures}) == len(figures)
 
 
-def test_forecasts_claims_and_errors_are_judged_within_a_point(results: StudyResults) -> None:
+def test_forecasts_claims_and_errors_are_judged_within_a_point(results):
     figures = {one.figure: one for one in forecast_figures(results)}
     forecast, claim, error = figures["forecast"], figures["claim"], figures["prediction error"]
     assert forecast.correlation is not None
@@ -81,7 +78,7 @@ def test_forecasts_claims_and_errors_are_judged_within_a_point(results: StudyRes
     assert forecast.rmse == pytest.approx((1.5**2 / 3) ** 0.5)
 
 
-def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results: StudyResults) -> None:
+def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results):
     partial = made_up(missing=results.points[0].name)
     assert forecast_figures(partial)[0].controllers == forecast_figures(results)[0].controllers - 3
     chosen = next(one for one in controller_figures(partial) if one.controller == CHOSEN)
@@ -89,7 +86,7 @@ def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results: St
     assert chosen.share.points == len(results.points) - 1
 
 
-def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them() -> None:
+def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them():
     figures = prediction_figures(made_up(recipe=["recommended", "plain"]))
     assert [(one.model, one.group) for one in figures] == [("best", ()), ("worse", ())]
     assert figures[0].n[20] is not None
@@ -97,7 +94,7 @@ def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them() -> N
     assert figures[0].fits == 9
 
 
-def test_how_often_a_model_is_exploited_is_counted_over_points(results: StudyResults) -> None:
+def test_how_often_a_model_is_exploited_is_counted_over_points(results):
     assert [(one.model, one.exploited, one.judged) for one in exploit_figures(results)] == [
         ("best", 0, 9),
         ("worse", 9, 9),

@@ -1,10 +1,6 @@
 """Which rows of a study are judged together, which are left out, and what each is measured by."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +8,8 @@ import pytest
 from evaluation.study import (
     CHOSEN,
     HINDSIGHT,
-    ControllerFigures,
     ControllerRow,
     ModelRow,
-    PointRow,
-    StudyResults,
     controller_figures,
     exploit_figures,
     forecast_figures,
@@ -27,21 +20,21 @@ from evaluation.study.results import Error, with_yardsticks
 from tests.fixtures.studies import made_up
 
 
-def row(point: PointRow, controller: str, achieved: float | None, **fields: Any) -> ControllerRow:
+def row(point, controller, achieved, **fields):
     """Return the row of a controller that was evolved in one model and claims what it achieves."""
     given = {"kind": "single", "members": (controller,), "claimed": achieved, "forecast": achieved, **fields}
     return ControllerRow(point.name, controller, achieved=achieved, **given)
 
 
-def of(results: StudyResults, rows: Sequence[ControllerRow]) -> StudyResults:
+def of(results, rows):
     return replace(results, controllers=with_yardsticks(list(results.points), list(rows)))
 
 
-def figures_of(results: StudyResults) -> dict[str, ControllerFigures]:
+def figures_of(results):
     return {one.controller: one for one in controller_figures(results) if one.group == ()}
 
 
-def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choice() -> None:
+def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choice():
     empty, rows = made_up(cars=2, seeds=1), list[ControllerRow]()
     for point in empty.points:
         rows += [row(point, "model", 10.0, chosen=True), row(point, point.where, 20.0, kind="robot", claimed=25.0)]
@@ -55,7 +48,7 @@ def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choi
     assert [one.controllers for one in forecast_figures(results)] == [2, 2, 2]
 
 
-def test_controllers_that_failed_are_counted_and_stand_last_where_all_of_them_did() -> None:
+def test_controllers_that_failed_are_counted_and_stand_last_where_all_of_them_did():
     first, second = (empty := made_up(cars=1, seeds=2)).points
     rows = [row(first, "half", 1.0), row(second, "half", None, reason="it broke")]
     rows += [row(point, "none", None, reason="it broke") for point in (first, second)]
@@ -70,7 +63,7 @@ def test_controllers_that_failed_are_counted_and_stand_last_where_all_of_them_di
     assert figures["none"].share is None
 
 
-def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen() -> None:
+def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen():
     (point,) = (empty := made_up(cars=1, seeds=1)).points
     figures = figures_of(of(empty, [row(point, "best", 10.0), row(point, "worse", 5.0, chosen=True)]))
     assert [name for name, one in figures.items() if one.is_reference] == [CHOSEN]
@@ -78,14 +71,14 @@ def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen() 
     assert figures["best"].difference.mean == -0.5
 
 
-def test_the_reference_is_in_the_group_that_the_study_names() -> None:
+def test_the_reference_is_in_the_group_that_the_study_names():
     results = made_up(cars=1, seeds=1, recipe=["recommended", "plain"])
     results = replace(results, study=replace(results.study, reference={"recipe": "plain"}))
     found = [(one.group, one.controller) for one in controller_figures(results) if one.is_reference]
     assert found == [(("plain",), "both")]
 
 
-def test_what_was_best_is_known_of_finished_points_alone() -> None:
+def test_what_was_best_is_known_of_finished_points_alone():
     name = made_up().points[0].name
     hindsight = figures_of(made_up(missing=name))[HINDSIGHT].share
     assert hindsight is not None
@@ -93,7 +86,7 @@ def test_what_was_best_is_known_of_finished_points_alone() -> None:
     assert figures_of(made_up())[HINDSIGHT].planned == 9
 
 
-def test_a_controller_without_a_forecast_is_not_judged_and_an_error_misses_no_fitness() -> None:
+def test_a_controller_without_a_forecast_is_not_judged_and_an_error_misses_no_fitness():
     (point,) = (empty := made_up(cars=1, seeds=1)).points
     rows = [row(point, "one", 10.0, error=0.1), row(point, "two", 8.0, error=0.2), row(point, "x", 99.0, forecast=None)]
     figures = {one.figure: one for one in forecast_figures(of(empty, rows))}
@@ -104,7 +97,7 @@ def test_a_controller_without_a_forecast_is_not_judged_and_an_error_misses_no_fi
     assert figures["prediction error"].loss.mean == 0.0
 
 
-def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing() -> None:
+def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing():
     points = list(made_up(cars=3, seeds=1).points)
     rows = [row(points[0], "a", -4.0, floor=-10.0), row(points[0], "b", -8.0, floor=-10.0)]
     rows += [row(points[1], "a", 3.0, floor=3.0), row(points[2], "a", np.inf), row(points[2], "b", 2.0)]
@@ -114,19 +107,19 @@ def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing() -> No
     assert found[4].share == 1.0
 
 
-def test_tasks_on_one_robot_have_a_yardstick_each() -> None:
+def test_tasks_on_one_robot_have_a_yardstick_each():
     one, other = made_up(cars=1, seeds=2).points
     points = [replace(one, task="near"), replace(other, task="far")]
     found = with_yardsticks(points, [row(points[0], "a", 2.0), row(points[1], "a", 8.0)])
     assert [row.share for row in found] == [1.0, 1.0]
 
 
-def model(point: PointRow, name: str, *errors: float, **fields: Any) -> ModelRow:
+def model(point, name, *errors, **fields):
     found = tuple(Error(h, n, n, n) for h, n in zip((10, 20, 60), errors, strict=False))
     return ModelRow(point.name, name, name, found, **fields)
 
 
-def test_models_stand_by_their_error_after_a_second_those_that_failed_last() -> None:
+def test_models_stand_by_their_error_after_a_second_those_that_failed_last():
     (point,) = (empty := made_up(cars=1, seeds=1)).points
     rows = (
         model(point, "broken", reason="no fit"),
@@ -142,10 +135,10 @@ def test_models_stand_by_their_error_after_a_second_those_that_failed_last() -> 
     assert judged.kept.mean == 0.5
 
 
-def test_an_axis_tells_errors_apart_if_it_changes_those_of_any_model_on_the_same_robot_and_seed() -> None:
+def test_an_axis_tells_errors_apart_if_it_changes_those_of_any_model_on_the_same_robot_and_seed():
     empty = made_up(cars=2, seeds=2, recipe=["recommended", "plain"])
 
-    def errors(point: PointRow, changed: bool) -> float:
+    def errors(point, changed):
         return 1.0 + len(point.where) + 0.1 * float(point.seed) + (0.01 if changed else 0.0)
 
     same = [model(point, "a", errors(point, False)) for point in empty.points]

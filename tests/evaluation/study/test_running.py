@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import pandas as pd
 import pytest
 
 from evaluation.running import run_study, write_study
-from evaluation.study import PlannedStudy, Study, StudyResults, controller_figures, gather, plan_study
+from evaluation.study import Study, StudyResults, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Again, Cell, Observer, Store, execute
+from sysid_evo.plan import Again, Observer, Store, execute
 
 TINY: dict[str, Any] = {
     "title": "Tiny",
@@ -37,15 +36,15 @@ TINY: dict[str, Any] = {
 class Computed(Observer):
     """Remembers which cells were computed."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.titles: list[str] = []
 
-    def start(self, cell: Cell) -> None:
+    def start(self, cell):
         self.titles.append(cell.title)
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """The folder of a finished study."""
     path = tmp_path_factory.mktemp("study") / "tiny"
     run_study(TINY, out=path, jobs=1)
@@ -53,11 +52,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def planned() -> PlannedStudy:
+def planned():
     return plan_study(Study.of(TINY))
 
 
-def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder: Path, planned: PlannedStudy) -> None:
+def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder, planned):
     results = gather(planned, folder)
     assert len(results.finished) == 4
     for point in results.points:
@@ -69,7 +68,7 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder
         assert best.chosen
 
 
-def test_errors_of_models_are_those_that_were_measured(folder: Path, planned: PlannedStudy) -> None:
+def test_errors_of_models_are_those_that_were_measured(folder, planned):
     results, store, (point, comparison) = gather(planned, folder), Store(folder), planned.points[1]
     rows = {row.model: row for row in results.models if row.point == point.name}
     for name in rows:
@@ -85,7 +84,7 @@ def test_errors_of_models_are_those_that_were_measured(folder: Path, planned: Pl
     assert {own[name].aggregate for name in both} == {"min"}
 
 
-def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(folder: Path, planned: PlannedStudy) -> None:
+def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(folder, planned):
     results = gather(planned, folder)
     for where in {point.where for point in results.points}:
         names = {point.name for point in results.points if point.where == where}
@@ -93,14 +92,14 @@ def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(folder: Path, 
         assert {row.yardstick for row in own} == {max(row.achieved or 0.0 for row in own)}
 
 
-def test_a_finished_study_computes_nothing_again(folder: Path) -> None:
+def test_a_finished_study_computes_nothing_again(folder):
     seen = Computed()
     results = run_study(TINY, out=folder, observer=seen)
     assert seen.titles == []
     assert not results.failures
 
 
-def test_a_point_that_is_added_computes_only_what_is_new(folder: Path, tmp_path: Path) -> None:
+def test_a_point_that_is_added_computes_only_what_is_new(folder, tmp_path):
     import shutil
 
     more = {**TINY, "grid": {**TINY["grid"], "aggregate": ["min", "mean"], "robot": ["emulated_car"], "seed": "0..0"}}
@@ -112,7 +111,7 @@ def test_a_point_that_is_added_computes_only_what_is_new(folder: Path, tmp_path:
     assert not any(title.startswith(("record", "fit", "predict")) for title in seen.titles)
 
 
-def test_a_study_without_results_says_what_is_missing(planned: PlannedStudy, tmp_path: Path) -> None:
+def test_a_study_without_results_says_what_is_missing(planned, tmp_path):
     results = write_study(planned, tmp_path)
     assert not results.finished
     assert sum(point.missing for point in results.points) == len(planned.plan)
@@ -120,7 +119,7 @@ def test_a_study_without_results_says_what_is_missing(planned: PlannedStudy, tmp
     assert "4 of 4 points are not finished" in (tmp_path / "study.md").read_text()
 
 
-def test_a_study_that_is_half_done_shows_what_is_there(folder: Path, planned: PlannedStudy, tmp_path: Path) -> None:
+def test_a_study_that_is_half_done_shows_what_is_there(folder, planned, tmp_path):
     import shutil
 
     shutil.copytree(folder, tmp_path / "half")
@@ -133,7 +132,7 @@ def test_a_study_that_is_half_done_shows_what_is_there(folder: Path, planned: Pl
     assert not any(row.chosen for row in results.controllers if row.point == results.points[-1].name)
 
 
-def test_the_same_plan_is_made_again_from_its_settings(planned: PlannedStudy, tmp_path: Path) -> None:
+def test_the_same_plan_is_made_again_from_its_settings(planned, tmp_path):
     again = planned.plan.again
     assert again is not None
     told = json.loads(json.dumps(again.settings))
@@ -142,14 +141,14 @@ def test_the_same_plan_is_made_again_from_its_settings(planned: PlannedStudy, tm
     assert again.after == ()  # what emulated robots record is computed side by side, too
 
 
-def test_a_cell_is_named_by_what_the_points_that_need_it_share() -> None:
+def test_a_cell_is_named_by_what_the_points_that_need_it_share():
     both = plan_study(Study.of({**TINY, "grid": {"seed": [0, 1], "aggregate": ["min", "mean"]}}))
     titles = {f"{both.where(cell)}{cell.title}" for cell in both.plan}
     assert "seed 1: fit linear" in titles
     assert "seed 0, aggregate mean: polish the best" in titles
 
 
-def test_failing_cells_are_rows_with_reasons(tmp_path: Path) -> None:
+def test_failing_cells_are_rows_with_reasons(tmp_path):
     settings = {"models": ["linear", "bad=nearest_neighbour(state_lags=2000)"], "minutes": 0.5, "only": "prediction"}
     results = run_study({"experiment": settings, "grid": {"seed": [0, 1]}}, out=tmp_path / "failing", jobs=1)
     failed = [row for row in results.models if row.reason]
@@ -163,7 +162,7 @@ def test_failing_cells_are_rows_with_reasons(tmp_path: Path) -> None:
     assert "Failures" in (tmp_path / "failing" / "study.html").read_text()
 
 
-def test_parquet_holds_every_row_with_the_meaning_of_its_columns(folder: Path, planned: PlannedStudy) -> None:
+def test_parquet_holds_every_row_with_the_meaning_of_its_columns(folder, planned):
     import pyarrow.parquet as pq
 
     results: StudyResults = gather(planned, folder)
@@ -183,7 +182,7 @@ def test_parquet_holds_every_row_with_the_meaning_of_its_columns(folder: Path, p
     assert {"n_20", "n_20_low", "n_20_high"} <= set(pd.read_parquet(folder / "models.parquet"))
 
 
-def test_the_document_is_strict_json_and_markdown_has_all_tables(folder: Path) -> None:
+def test_the_document_is_strict_json_and_markdown_has_all_tables(folder):
     document = json.loads((folder / "study.json").read_text())
     assert document["schema"] == "sysid-evo/study/1"
     assert len(document["points"]) == 4
@@ -193,6 +192,6 @@ def test_the_document_is_strict_json_and_markdown_has_all_tables(folder: Path) -
     assert "too few for an interval" in text
 
 
-def test_a_physical_robot_is_no_point_of_a_study() -> None:
+def test_a_physical_robot_is_no_point_of_a_study():
     with pytest.raises(InvalidArgument, match="a physical robot, which a study does not drive"):
         plan_study(Study.of({"grid": {"robot": ["serial(port=nowhere)"], "seed": [0]}}))

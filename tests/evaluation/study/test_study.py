@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ from sysid_evo.errors import InvalidArgument
 GRID: dict[str, Any] = {"robot": ["emulated_car"], "seed": [0, 1]}
 
 
-def test_every_combination_of_values_is_a_point_named_by_its_labels() -> None:
+def test_every_combination_of_values_is_a_point_named_by_its_labels():
     study = Study.of({"experiment": {"minutes": 1.0}, "grid": {**GRID, "recipe": ["recommended", "plain"]}})
     assert [point.name for point in study.points] == [
         "emulated_car, seed 0, recipe recommended",
@@ -26,7 +25,7 @@ def test_every_combination_of_values_is_a_point_named_by_its_labels() -> None:
     assert study.points[3].group == ("plain",)
 
 
-def test_ranges_stand_for_all_their_numbers() -> None:
+def test_ranges_stand_for_all_their_numbers():
     study = Study.of({"grid": {"robot": ["emulated_car", "emulated_car(seed=1..2)"], "seed": "3..4"}})
     robots = dict.fromkeys(point.labels["robot"] for point in study.points)
     assert list(robots) == ["emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)"]
@@ -38,13 +37,13 @@ def test_ranges_stand_for_all_their_numbers() -> None:
     )
 
 
-def test_values_may_have_names_of_their_own() -> None:
+def test_values_may_have_names_of_their_own():
     study = Study.of({"grid": {**GRID, "models": {"few": ["linear"], "two": ["linear", "nearest_neighbour"]}}})
     assert study.points[1].labels["models"] == "two"
     assert study.points[1].experiment.models == ("linear", "nearest_neighbour")
 
 
-def test_several_grids_are_united_and_what_both_hold_is_one_point() -> None:
+def test_several_grids_are_united_and_what_both_hold_is_one_point():
     first = {"seed": [0, 1], "recipe": ["plain"]}
     study = Study.of({"grid": [first, {"seed": [1, 2], "recipe": ["plain"]}, {"seed": [0]}]})
     assert [point.name for point in study.points] == [
@@ -87,13 +86,13 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point() -> None:
         ({"grid": {**GRID, "recipe": ["plain"]}, "reference": {"recipe": "best"}}, "expected one of plain, got 'best'"),
     ],
 )
-def test_a_study_that_cannot_be_made_is_refused_with_a_sentence(settings: dict[str, Any], said: str) -> None:
+def test_a_study_that_cannot_be_made_is_refused_with_a_sentence(settings, said):
     with pytest.raises(InvalidArgument) as refused:
         Study.of(settings)
     assert said in str(refused.value)
 
 
-def test_a_file_is_named_in_what_is_wrong_with_it(tmp_path: Path) -> None:
+def test_a_file_is_named_in_what_is_wrong_with_it(tmp_path):
     file = tmp_path / "mine.toml"
     for text, said in (("[grid", "expected a study in TOML"), ("[grid]\nseed = []", "at least one value")):
         file.write_text(text)
@@ -103,19 +102,19 @@ def test_a_file_is_named_in_what_is_wrong_with_it(tmp_path: Path) -> None:
         Study.read(tmp_path / "yours.toml")
 
 
-def test_a_study_without_a_title_has_the_name_of_its_file(tmp_path: Path) -> None:
+def test_a_study_without_a_title_has_the_name_of_its_file(tmp_path):
     (tmp_path / "mine.toml").write_text("[grid]\nseed = [0]")
     assert Study.read(tmp_path / "mine.toml").title == "mine"
 
 
-def test_a_place_is_the_robot_or_the_recordings_of_a_point() -> None:
+def test_a_place_is_the_robot_or_the_recordings_of_a_point():
     study = Study.of({"grid": {"seed": [0], "data": {"dry": ["dry.csv"], "wet": ["wet.csv"]}}})
     assert [point.where for point in study.points] == ["dry", "wet"]
     assert [point.name for point in study.points] == ["dry, seed 0", "wet, seed 0"]
     assert Study.of({"grid": {"seed": [0]}}).points[0].where == "emulated_car"
 
 
-def test_a_study_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
+def test_a_study_that_is_written_is_read_as_it_was(tmp_path):
     study = Study.of(
         {"title": "T", "grid": {"seed": "0..2", "models": {"a": ("linear",)}}, "reference": {"models": "a"}}
     )

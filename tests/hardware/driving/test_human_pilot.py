@@ -1,14 +1,12 @@
 """A trial driven by hand, in simulated time, behind the real loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from hardware.control_loop import ControlLoop
 from hardware.driving.hand_driving import LEAD, HumanPilot, Phase, WhileDriving
 from hardware.driving.page_messages import FORWARD, LEFT
-from hardware.emulation.tracked_robots import EmulatedRobot, ModelledRobot
+from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.estimator import StateEstimate
 from hardware.run_report import Reason
 from sysid_evo.tasks import PointToPoint
@@ -18,7 +16,7 @@ BEGIN = 1.5  # s at which the first key goes down
 SEED = 7
 
 
-def drive(robot, hands: Hands, task: PointToPoint, *others, samples: int | None = None):
+def drive(robot, hands, task, *others, samples=None):
     pilot = HumanPilot(hands.keyboard, task.bind(robot.system), seed=SEED)
     with robot.connect(seed=1) as connection:
         listeners = (hands, *(make(pilot) for make in others))
@@ -26,11 +24,11 @@ def drive(robot, hands: Hands, task: PointToPoint, *others, samples: int | None 
     return pilot, report
 
 
-def forward(time: float) -> int:
+def forward(time):
     return FORWARD if time >= BEGIN else 0
 
 
-def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated: EmulatedRobot) -> None:
+def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated):
     hands = Hands(forward)
     pilot, report = drive(emulated, hands, PointToPoint(horizon=40))
     driven = [command for command in hands.commands if command.control.any()]
@@ -42,7 +40,7 @@ def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated
     assert pilot.progress.steps == 40
 
 
-def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated: EmulatedRobot) -> None:
+def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated):
     task = PointToPoint(horizon=200, waypoint_radius=0.5, arena_radius=0.8)
     pilot, _ = drive(emulated, Hands(lambda time: FORWARD | LEFT if time >= BEGIN else 0), task)
     trajectory = pilot.trajectory("trial")
@@ -56,7 +54,7 @@ def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated: Emu
     np.testing.assert_allclose(trajectory.pose[0], 0.0, atol=1e-12)
 
 
-def test_a_silent_page_means_neutral_within_150_ms(emulated: EmulatedRobot) -> None:
+def test_a_silent_page_means_neutral_within_150_ms(emulated):
     for silent in BEGIN + 1.0 + 0.01 * np.arange(5):
         hands = Hands(lambda time, end=silent: None if time > end else forward(time))
         drive(emulated, hands, PointToPoint(horizon=60))
@@ -66,7 +64,7 @@ def test_a_silent_page_means_neutral_within_150_ms(emulated: EmulatedRobot) -> N
         assert neutral <= silent + 0.15 + 1e-9
 
 
-def test_a_released_key_means_neutral_in_the_next_sample(emulated: EmulatedRobot) -> None:
+def test_a_released_key_means_neutral_in_the_next_sample(emulated):
     hands = Hands(lambda time: forward(time) if time < BEGIN + 0.52 else 0)
     drive(emulated, hands, PointToPoint(horizon=30))
     last_driven = max(command.time for command in hands.commands if command.control.any())
@@ -74,17 +72,17 @@ def test_a_released_key_means_neutral_in_the_next_sample(emulated: EmulatedRobot
 
 
 @pytest.mark.parametrize("overdue", [0.0, 1.0])
-def test_a_key_that_is_down_from_the_start_drives_nothing(emulated: EmulatedRobot, overdue: float) -> None:
+def test_a_key_that_is_down_from_the_start_drives_nothing(emulated, overdue):
     hands = Hands(lambda time: None if 2.0 < time < 2.0 + overdue else FORWARD)
     pilot, _ = drive(emulated, hands, PointToPoint(horizon=30), samples=100)
     assert not any(command.control.any() for command in hands.commands)
     assert pilot.progress.phase is Phase.SETTLING
 
 
-def test_a_new_trial_ends_this_one_in_neutral_without_a_score(emulated: EmulatedRobot) -> None:
+def test_a_new_trial_ends_this_one_in_neutral_without_a_score(emulated):
     hands = Hands(forward)
 
-    def keys(time: float) -> int:
+    def keys(time):
         if time > BEGIN + 1.0:
             hands.keyboard.ask_for_new_trial()
         return forward(time)
@@ -98,7 +96,7 @@ def test_a_new_trial_ends_this_one_in_neutral_without_a_score(emulated: Emulated
     assert hands.keyboard.take_new_trial()
 
 
-def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated: EmulatedRobot) -> None:
+def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated):
     hands = Hands(lambda _: 0)
     pilot = HumanPilot(hands.keyboard, PointToPoint(horizon=5).bind(emulated.system), seed=SEED)
     stood = np.array([2.0, 1.0, np.pi / 2])
@@ -110,7 +108,7 @@ def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated: Emulated
     np.testing.assert_allclose(pilot.in_arena(np.array([2.0, 3.0, np.pi])), [2.0, 0.0, np.pi / 2], atol=1e-12)
 
 
-def test_what_is_recorded_begins_a_second_before_the_first_key(emulated: EmulatedRobot) -> None:
+def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
     begin, recorded = 5.0, Hands(lambda _: None)
     hands = Hands(lambda time: FORWARD if time >= begin else 0)
     drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: WhileDriving(pilot, lambda: recorded))
@@ -119,8 +117,8 @@ def test_what_is_recorded_begins_a_second_before_the_first_key(emulated: Emulate
     assert [c.time for c in recorded.commands] == [c.time for c in hands.commands[-len(recorded.commands) :]]
 
 
-def test_without_a_key_nothing_is_recorded(emulated: EmulatedRobot) -> None:
-    def refuse() -> Hands:
+def test_without_a_key_nothing_is_recorded(emulated):
+    def refuse():
         raise AssertionError("nothing was driven")
 
     task = PointToPoint(horizon=20)
@@ -128,7 +126,7 @@ def test_without_a_key_nothing_is_recorded(emulated: EmulatedRobot) -> None:
     assert pilot.progress.phase is Phase.READY
 
 
-def test_a_model_is_driven_like_the_robot_that_it_models(emulated: EmulatedRobot) -> None:
+def test_a_model_is_driven_like_the_robot_that_it_models(emulated):
     task = PointToPoint(horizon=30)
     model = ModelledRobot("car without noise", emulated.dynamics)
     ends = [drive(robot, Hands(forward), task)[0].trajectory("trial").pose[-1] for robot in (emulated, model)]

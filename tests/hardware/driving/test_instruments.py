@@ -1,7 +1,5 @@
 """What the page is told."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -10,12 +8,11 @@ import pytest
 from hardware.control_loop import ControlLoop
 from hardware.driving.hand_driving import HumanPilot, Instruments
 from hardware.driving.page_messages import FORWARD
-from hardware.emulation.tracked_robots import EmulatedRobot
 from sysid_evo.tasks import PointToPoint
 from tests.hardware.driving.conftest import Hands
 
 
-def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated: EmulatedRobot) -> None:
+def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated):
     hands = Hands(lambda time: FORWARD if time > 1.5 else 0)
     task = PointToPoint(horizon=100).bind(emulated.system)
     instruments = Instruments(emulated, task, hands.keyboard, clock=lambda: hands.time)

@@ -8,13 +8,12 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from urllib.parse import urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from hardware.connection import Command, Listener
 from hardware.driving import server
@@ -35,7 +34,7 @@ EVERY = 0.025  # s
 class Desk:
     """A robot, the page to drive it, and what a session needs."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.robot: Robot = in_real_time(make_robot("emulated_car"))
         self.task = PointToPoint(horizon=200).bind(self.robot.system)
         self.keyboard = Keyboard(life=key_life(self.robot.system))
@@ -45,14 +44,14 @@ class Desk:
 
 
 @pytest.fixture(scope="module")
-def desk() -> Iterator[Desk]:
+def desk():
     desk = Desk()
     with desk.page:
         yield desk
     assert not desk.deaths
 
 
-def status_of(url: str, **headers: str) -> int:
+def status_of(url, **headers):
     try:
         with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10.0) as answer:
             return answer.status
@@ -61,30 +60,30 @@ def status_of(url: str, **headers: str) -> int:
             return error.code
 
 
-def talk(desk: Desk, *, origin: str | None = "ours", **headers: str) -> ClientConnection:
+def talk(desk, *, origin="ours", **headers):
     base = urlsplit(desk.page.url)
     origin = f"http://{base.netloc}" if origin == "ours" else origin
     address = f"ws://{base.netloc}{base.path}socket"
     return connect(address, origin=origin, additional_headers=headers, compression=None, max_queue=None)
 
 
-def say(line: ClientConnection, keys: int, **more: bool) -> None:
+def say(line, keys, **more):
     line.send(json.dumps({"keys": keys, "clock": time.monotonic(), **more}))
 
 
-def drain(line: ClientConnection) -> None:
+def drain(line):
     while True:
         line.recv(timeout=5.0)
 
 
-def wait_for(condition, timeout: float = 10.0) -> None:
+def wait_for(condition, timeout=10.0):
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.002)
 
 
-def test_the_page_and_its_files_are_there_for_who_knows_the_address(desk: Desk) -> None:
+def test_the_page_and_its_files_are_there_for_who_knows_the_address(desk):
     for name, kind in (("", "html"), ("drive.js", "javascript"), ("view.js", "javascript"), ("drive.css", "css")):
         with urllib.request.urlopen(desk.page.url + name, timeout=10.0) as answer:
             assert kind in answer.headers["Content-Type"]
@@ -94,7 +93,7 @@ def test_the_page_and_its_files_are_there_for_who_knows_the_address(desk: Desk) 
         assert "https://" not in text
 
 
-def test_without_the_token_nothing_is_there(desk: Desk) -> None:
+def test_without_the_token_nothing_is_there(desk):
     base = urlsplit(desk.page.url)
     token = base.path.strip("/")
     assert len(token) >= 20
@@ -113,11 +112,11 @@ def test_without_the_token_nothing_is_there(desk: Desk) -> None:
     [("evil.example", 403), ("evil.example:80", 403), ("127.0.0.1.evil.example", 403), ("[", 403),
      ("localhost:1", 200), ("127.0.0.1", 200), ("[::1]:80", 200)],
 )  # fmt: skip
-def test_a_name_that_was_pointed_at_this_machine_is_refused(desk: Desk, host: str, status: int) -> None:
+def test_a_name_that_was_pointed_at_this_machine_is_refused(desk, host, status):
     assert status_of(desk.page.url, Host=host) == status
 
 
-def test_another_page_may_not_open_the_socket(desk: Desk) -> None:
+def test_another_page_may_not_open_the_socket(desk):
     for origin in ("http://evil.example", "null", None):
         with pytest.raises(InvalidStatus), talk(desk, origin=origin):
             pass
@@ -126,7 +125,7 @@ def test_another_page_may_not_open_the_socket(desk: Desk) -> None:
         assert json.loads(line.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
 
 
-def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypatch):
     monkeypatch.setattr(server, "SILENCE", 0.5)
     monkeypatch.setattr(server, "MOST_SILENT", 50)
     desk = Desk()
@@ -160,7 +159,7 @@ def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypat
         wait_for(lambda: status_of(desk.page.url) == 200)
 
 
-def gone(line: socket.socket) -> bool:
+def gone(line):
     """Whether the other side has closed this connection."""
     line.settimeout(0.001)
     try:
@@ -171,7 +170,7 @@ def gone(line: socket.socket) -> bool:
         return True
 
 
-def test_nonsense_ends_the_conversation(desk: Desk) -> None:
+def test_nonsense_ends_the_conversation(desk):
     for nonsense in ("{", "[]", '{"keys": 1}', "x" * 1000, b"\x00"):
         with talk(desk) as line:
             line.send(nonsense)
@@ -180,8 +179,8 @@ def test_nonsense_ends_the_conversation(desk: Desk) -> None:
     assert status_of(desk.page.url) == 200
 
 
-def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk: Desk) -> None:
-    def drives(line: ClientConnection) -> bool:
+def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk):
+    def drives(line):
         return json.loads(line.recv(timeout=5.0)).get("drives", False)
 
     with talk(desk) as watcher_to_be:
@@ -193,13 +192,13 @@ def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk: Desk) -> Non
             wait_for(lambda: drives(other))
 
 
-def test_a_port_that_is_taken_is_told_in_a_sentence(desk: Desk) -> None:
+def test_a_port_that_is_taken_is_told_in_a_sentence(desk):
     port = urlsplit(desk.page.url).port
     with pytest.raises(InvalidArgument, match=f"port {port}"):
         PageServer(desk.instruments, desk.keyboard, host="127.0.0.1", port=port or 0, died=desk.deaths.append)
 
 
-def test_losing_the_server_releases_the_keys_and_is_reported() -> None:
+def test_losing_the_server_releases_the_keys_and_is_reported():
     desk = Desk()
     desk.keyboard.press(FORWARD)
     desk.page._server.should_exit = True
@@ -210,21 +209,21 @@ def test_losing_the_server_releases_the_keys_and_is_reported() -> None:
 
 
 class Commands(Listener):
-    def __init__(self) -> None:
+    def __init__(self):
         self.sent: list[Command] = []
 
-    def commanded(self, command: Command) -> None:
+    def commanded(self, command):
         self.sent.append(command)
 
 
 class Typist:
     """A page that drives forward, run by the session's own calls, until it is lost in some way."""
 
-    def __init__(self, desk: Desk, stops: Stops, lose) -> None:
+    def __init__(self, desk, stops, lose):
         self.desk, self.stops, self.lose = desk, stops, lose
         self.lost = 0.0
 
-    def type(self) -> None:
+    def type(self):
         with talk(self.desk) as line:
             drives_since = None
             while not self.lost:
@@ -246,7 +245,7 @@ class Typist:
     [lambda line: line.socket.close(), lambda line: line.close(), lambda line: None, lambda line: say(line, 0)],
     ids=["the connection breaks", "the page is closed", "the page is silent", "the key is released"],
 )
-def test_losing_the_page_means_neutral_within_150_ms(desk: Desk, lose) -> None:
+def test_losing_the_page_means_neutral_within_150_ms(desk, lose):
     stops, commands = Stops(), Commands()
     typist = Typist(desk, stops, lose)
     thread = threading.Thread(target=typist.type)

@@ -1,7 +1,5 @@
 """The awkward car: it starts late, has no reverse, and some of its recordings show nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,12 +7,11 @@ from hardware.emulation.car_physics import CarParameters
 from hardware.emulation.cars import AWKWARD, AwkwardCar, ToyCarDynamics
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.registry import make_robot
-from sysid_evo.types import Array
 
 SECOND = 200  # fine steps
 
 
-def speeds(drive: Array, parameters: CarParameters = AWKWARD) -> Array:
+def speeds(drive, parameters=AWKWARD):
     """Return the forward speed after each fine step from rest under ``drive`` (T,)."""
     car = ToyCarDynamics(parameters)
     carry = car.start(np.zeros((1, 11, 3)), np.zeros((1, 10, 2)))

@@ -1,7 +1,5 @@
 """The fine physics of the emulated car, against what mechanics says."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,26 +8,21 @@ import pytest
 from hardware.emulation.car_physics import BODY, FINE_DT, LATENCY, CarParameters
 from hardware.emulation.cars import ToyCarDynamics
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.types import Array
 
 MOTOR, SAG, BATTERY, SLACK, STEERING, FORCE_NOISE = range(BODY, BODY + 6)
 
 
 @pytest.fixture(scope="module")
-def car() -> ToyCarDynamics:
+def car():
     return ToyCarDynamics()
 
 
-def started(
-    car: ToyCarDynamics, state: tuple[float, float, float] = (0.0, 0.0, 0.0), past: tuple[float, float] = (0, 0)
-):
+def started(car, state=(0.0, 0.0, 0.0), past=(0, 0)):
     states = np.tile(np.array(state), (1, LATENCY + 1, 1))
     return car.start(states, np.tile(np.array(past, dtype=float), (1, LATENCY, 1)))
 
 
-def held(
-    car: ToyCarDynamics, carry: Array, drive: float, steer: float, seconds: float, noise: Array | None = None
-) -> Array:
+def held(car, carry, drive, steer, seconds, noise=None):
     """Return the carries (T + 1, n_carry) of the first row under one command."""
     control = np.tile([drive, steer], (len(carry), 1))
     rows = [carry[0]]
@@ -153,7 +146,7 @@ def test_motor_steering_and_sag_settle_with_their_lags(car):
 
 
 def test_thrust_after_a_reversal_waits_for_the_slack_to_close(car):
-    def launch(slack: float) -> int:
+    def launch(slack):
         carry = started(car)
         carry[0, SLACK] = slack
         return int(np.argmax(held(car, carry, 1.0, 0.0, 1.0)[:, 0] > 0.0))
@@ -258,5 +251,5 @@ def test_impossible_parameters_are_refused_by_name(change, message):
         CarParameters(**change)
 
 
-def _spread(name: str) -> float:
+def _spread(name):
     return next(item.metadata["spread"] for item in fields(CarParameters) if item.name == name)

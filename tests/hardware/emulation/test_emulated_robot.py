@@ -1,7 +1,5 @@
 """The emulated car behind the connection of a robot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,13 +14,12 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.types import Array
 
 FORWARD = np.array([1.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def robot() -> EmulatedRobot:
+def robot():
     return make_robot("emulated_car")
 
 
@@ -121,7 +118,7 @@ def test_illegal_commands_are_refused_and_not_sent(robot):
 
 
 def test_same_seed_gives_the_same_session_and_another_seed_another(robot):
-    def drive(seed: int | None) -> Array:
+    def drive(seed):
         with robot.connect(seed=seed) as link:
             link.measure(1.0)
             link.send(np.array([1.0, -1.0]), valid_for=9.0)
@@ -148,10 +145,10 @@ def test_only_a_planar_body_can_be_tracked():
         system = System((Channel("level", "m"),), (Channel("valve", low=0.0, high=1.0),), dt=0.01)
         n_carry = 1
 
-        def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+        def start(self, states, controls, draws=None):
             return states[:, -1]
 
-        def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        def step(self, carry, control, noise=None):
             return carry + control
 
     with pytest.raises(IncompatibleSystem, match="planar body"):

@@ -1,7 +1,5 @@
 """Equations of a user's own as a robot: integrated as theory says, recorded row by row, refused in sentences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,7 +10,6 @@ from sysid_evo.angles import TURN
 from sysid_evo.errors import InvalidArgument, InvalidSystem, ShapeError
 from sysid_evo.registry import make_robot, robots
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 
 class Decay(Equations):
@@ -21,7 +18,7 @@ class Decay(Equations):
     system = System(states=("x",), controls=(Channel("u", low=-1.0, high=1.0),), dt=0.2)
     substeps = 1
 
-    def rates_of_change(self, states: Array, controls: Array) -> Array:
+    def rates_of_change(self, states, controls):
         return controls - states
 
 
@@ -35,7 +32,7 @@ class Wheel(Equations):
         name="wheel",
     )
 
-    def rates_of_change(self, states: Array, controls: Array) -> dict[str, Array]:
+    def rates_of_change(self, states, controls):
         spin = states[:, 1]
         return {"spin": controls[:, 0] - (0.5 + controls[:, 1]) * spin, "angle": spin}
 
@@ -48,14 +45,14 @@ class Vessel(Decay):
     )
 
 
-def after(physics: Equations, state: list[float], control: list[float], seconds: float) -> Array:
+def after(physics, state, control, seconds):
     carry = physics.start(np.array([[state]]), np.empty((1, 0, len(control))))
     for _ in range(round(seconds / physics.system.dt)):
         carry = physics.step(carry, np.array([control]))
     return carry[0]
 
 
-def test_the_error_of_a_step_falls_with_the_fourth_power_of_its_length() -> None:
+def test_the_error_of_a_step_falls_with_the_fourth_power_of_its_length():
     class Finer(Decay):
         substeps = 2
 
@@ -65,7 +62,7 @@ def test_the_error_of_a_step_falls_with_the_fourth_power_of_its_length() -> None
     assert coarse / fine == pytest.approx(16.0, rel=0.2)
 
 
-def test_rates_may_be_given_by_the_names_of_the_states_in_any_order() -> None:
+def test_rates_may_be_given_by_the_names_of_the_states_in_any_order():
     turned = after(Wheel(), [0.0, 0.0], [2.0, 0.5], 60.0)
     assert turned[1] == pytest.approx(2.0, rel=1e-9)
     assert turned[0] == pytest.approx(2.0 * 60.0 - 2.0, rel=1e-6)
@@ -74,7 +71,7 @@ def test_rates_may_be_given_by_the_names_of_the_states_in_any_order() -> None:
 @pytest.mark.parametrize(
     "physics", [Decay(), Wheel(), Vessel()], ids=["no limits", "an angle, levels and two controls", "limits"]
 )
-def test_it_is_recorded_row_by_row_and_what_is_recorded_is_what_it_does(physics: Equations) -> None:
+def test_it_is_recorded_row_by_row_and_what_is_recorded_is_what_it_does(physics):
     robot = SensedRobot("mine", physics)
     recorded = robot.record(seed=2, duration=300.0 * physics.system.dt)
     assert recorded.dataset.system == physics.system
@@ -86,7 +83,7 @@ def test_it_is_recorded_row_by_row_and_what_is_recorded_is_what_it_does(physics:
         np.testing.assert_allclose(physics.system.difference(episode.states[1:], follows), 0.0, atol=1e-9)
 
 
-def test_states_with_limits_stay_within_them_in_a_session() -> None:
+def test_states_with_limits_stay_within_them_in_a_session():
     with SensedRobot("vessel", Vessel()).connect(seed=0) as connection:
         connection.measure(1.0)
         connection.send(np.array([1.0]), valid_for=100.0)
@@ -95,7 +92,7 @@ def test_states_with_limits_stay_within_them_in_a_session() -> None:
         assert connection.state[0] == 0.5
 
 
-def test_a_sensor_that_is_named_has_its_noise_and_resolution_and_the_others_are_exact() -> None:
+def test_a_sensor_that_is_named_has_its_noise_and_resolution_and_the_others_are_exact():
     class Noisy(Wheel):
         sensors = {"angle": Sensor(noise=0.02, resolution=0.01)}  # noqa: RUF012  # as a user writes it
 
@@ -107,19 +104,19 @@ def test_a_sensor_that_is_named_has_its_noise_and_resolution_and_the_others_are_
     assert not spins.any()
 
 
-def test_what_is_missing_or_wrong_is_said_by_name() -> None:
+def test_what_is_missing_or_wrong_is_said_by_name():
     with pytest.raises(InvalidSystem, match="Nothing: expected a class attribute system = System"):
 
         class Nothing(Equations):
-            def rates_of_change(self, states: Array, controls: Array) -> Array:
+            def rates_of_change(self, states, controls):
                 return states
 
     class Misnamed(Wheel):
-        def rates_of_change(self, states: Array, controls: Array) -> dict[str, Array]:
+        def rates_of_change(self, states, controls):
             return {"angel": states[:, 1], "spin": states[:, 1]}
 
     class Misshapen(Wheel):
-        def rates_of_change(self, states: Array, controls: Array) -> Array:
+        def rates_of_change(self, states, controls):
             return states[:, :1]
 
     with pytest.raises(InvalidSystem, match=r"Misnamed.rates_of_change: .* of angle, spin, got angel, spin"):
@@ -128,7 +125,7 @@ def test_what_is_missing_or_wrong_is_said_by_name() -> None:
         after(Misshapen(), [0.0, 0.0], [0.0, 0.0], 0.05)
 
 
-def test_dynamics_that_are_registered_instead_of_a_robot_are_refused_with_what_to_write(register) -> None:
+def test_dynamics_that_are_registered_instead_of_a_robot_are_refused_with_what_to_write(register):
     register(robots, "wheel_of_mine", Wheel)
     with pytest.raises(InvalidArgument, match=r"'wheel_of_mine': expected a robot, got the dynamics Wheel. .* Sensed"):
         make_robot("wheel_of_mine")

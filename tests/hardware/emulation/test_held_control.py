@@ -1,7 +1,5 @@
 """A fine dynamics at a coarser rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A model behind a robot's connection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from sysid_evo.system import System
 class Pushed(Dynamics):
     """Accelerates by the drive, turns by the steering; ``drift`` moves it even in neutral."""
 
-    def __init__(self, system: System, drift: float = 0.0, end: float = np.inf) -> None:
+    def __init__(self, system, drift=0.0, end=np.inf):
         self.system, self.n_carry, self.drift, self.end = system, 3, drift, end
 
     def start(self, states, controls, draws=None):
@@ -32,7 +30,7 @@ def frames(connection, count):
     return [connection.measure(1.0) for _ in range(count)]
 
 
-def test_poses_at_the_ends_of_samples_are_those_of_the_model(car: System) -> None:
+def test_poses_at_the_ends_of_samples_are_those_of_the_model(car):
     model = Pushed(car)
     state, pose, wanted = np.zeros(3), np.zeros(3), []
     for control in CONTROLS:
@@ -52,14 +50,14 @@ def test_poses_at_the_ends_of_samples_are_those_of_the_model(car: System) -> Non
     assert [frame.source_time for frame in ends] == pytest.approx(0.01 + car.dt * np.arange(1, 6))
 
 
-def test_poses_between_samples_are_a_smooth_path(car: System) -> None:
+def test_poses_between_samples_are_a_smooth_path(car):
     with ModelledRobot("pushed", Pushed(car)).connect() as connection:
         connection.send(np.array([1.0, 1.0]), valid_for=9.0)
         path = np.array([frame.pose for frame in frames(connection, 20 * FRAMES)])
     assert np.abs(np.diff(path[:, 0], n=2)).max() < 2.0 * (car.dt / FRAMES) ** 2
 
 
-def test_a_command_that_is_a_little_late_counts_for_its_own_sample(car: System) -> None:
+def test_a_command_that_is_a_little_late_counts_for_its_own_sample(car):
     ends = []
     for late in (0, LEAD - 1):
         with ModelledRobot("pushed", Pushed(car)).connect() as connection:
@@ -70,7 +68,7 @@ def test_a_command_that_is_a_little_late_counts_for_its_own_sample(car: System) 
     np.testing.assert_array_equal(*ends)
 
 
-def test_the_model_rests_until_the_first_command_that_is_not_neutral(car: System) -> None:
+def test_the_model_rests_until_the_first_command_that_is_not_neutral(car):
     with ModelledRobot("drifting", Pushed(car, drift=0.1)).connect() as connection:
         connection.send(np.zeros(2), valid_for=0.15)
         assert not np.any([frame.pose for frame in frames(connection, 50)])
@@ -78,7 +76,7 @@ def test_the_model_rests_until_the_first_command_that_is_not_neutral(car: System
         assert np.any(frames(connection, FRAMES)[-1].pose)
 
 
-def test_a_command_that_has_expired_is_neutral_from_the_next_sample_on(car: System) -> None:
+def test_a_command_that_has_expired_is_neutral_from_the_next_sample_on(car):
     with ModelledRobot("pushed", Pushed(car)).connect() as connection:
         frames(connection, 1)
         connection.send(np.array([1.0, 0.0]), valid_for=0.15)
@@ -87,7 +85,7 @@ def test_a_command_that_has_expired_is_neutral_from_the_next_sample_on(car: Syst
     assert speed == pytest.approx([0.025, 0.075, 0.125, 0.15, 0.15, 0.15], abs=1e-3)
 
 
-def test_a_model_that_diverges_is_lost_from_sight(car: System) -> None:
+def test_a_model_that_diverges_is_lost_from_sight(car):
     with ModelledRobot("diverging", Pushed(car, end=0.04)).connect() as connection:
         connection.send(np.array([1.0, 0.0]), valid_for=9.0)
         seen = [frame.valid for frame in frames(connection, 5 * FRAMES)]
@@ -95,7 +93,7 @@ def test_a_model_that_diverges_is_lost_from_sight(car: System) -> None:
     assert not seen[-1]
 
 
-def test_commands_are_checked_and_a_closed_session_says_so(car: System) -> None:
+def test_commands_are_checked_and_a_closed_session_says_so(car):
     connection = ModelledRobot("pushed", Pushed(car)).connect()
     with pytest.raises(InvalidArgument, match="drive"):
         connection.send(np.array([0.5, 0.0]), valid_for=0.15)
@@ -104,6 +102,6 @@ def test_commands_are_checked_and_a_closed_session_says_so(car: System) -> None:
         connection.measure(1.0)
 
 
-def test_a_model_without_a_motion_has_no_pose_to_drive(car: System) -> None:
+def test_a_model_without_a_motion_has_no_pose_to_drive(car):
     with pytest.raises(IncompatibleSystem, match="motion"):
         ModelledRobot("still", Pushed(System(car.states, car.controls, car.dt)))

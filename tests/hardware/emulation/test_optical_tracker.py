@@ -1,7 +1,5 @@
 """The errors of the emulated tracker."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

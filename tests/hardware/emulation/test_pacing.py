@@ -1,7 +1,5 @@
 """Simulated sessions on the host's clock."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -15,7 +13,7 @@ from sysid_evo.registry import make_robot
 PERIOD = 0.005
 
 
-def test_frames_come_when_they_are_due_and_keep_their_times() -> None:
+def test_frames_come_when_they_are_due_and_keep_their_times():
     with in_real_time(make_robot("emulated_car")).connect(seed=1) as connection:
         for _ in range(40):
             frame = connection.measure(1.0)
@@ -25,7 +23,7 @@ def test_frames_come_when_they_are_due_and_keep_their_times() -> None:
         assert connection.time - began >= 39 * PERIOD + TRACKER_DELAY
 
 
-def test_whoever_calls_late_finds_every_frame_of_the_time_in_between() -> None:
+def test_whoever_calls_late_finds_every_frame_of_the_time_in_between():
     with in_real_time(make_robot("emulated_car")).connect(seed=1) as connection:
         time.sleep(0.2)
         deadline = connection.time
@@ -36,7 +34,7 @@ def test_whoever_calls_late_finds_every_frame_of_the_time_in_between() -> None:
         assert len(numbers) >= 0.19 / PERIOD
 
 
-def test_a_command_is_in_force_no_longer_than_it_is_valid_however_late_the_next_call() -> None:
+def test_a_command_is_in_force_no_longer_than_it_is_valid_however_late_the_next_call():
     paced, simulated = (
         robot.connect(seed=3) for robot in (PacedRobot(make_robot("emulated_car")), make_robot("emulated_car"))
     )
@@ -61,7 +59,7 @@ def test_a_command_is_in_force_no_longer_than_it_is_valid_however_late_the_next_
         assert not paced.simulated.control.any()
 
 
-def test_nothing_within_the_timeout_is_none_and_a_closed_session_is_lost() -> None:
+def test_nothing_within_the_timeout_is_none_and_a_closed_session_is_lost():
     connection = in_real_time(make_robot("emulated_car")).connect(seed=1)
     time.sleep(0.02)
     while connection.measure(0.0) is not None:
@@ -72,7 +70,7 @@ def test_nothing_within_the_timeout_is_none_and_a_closed_session_is_lost() -> No
         connection.measure(0.0)
 
 
-def test_a_robot_on_the_hosts_clock_stays_as_it_is() -> None:
+def test_a_robot_on_the_hosts_clock_stays_as_it_is():
     paced = in_real_time(make_robot("emulated_car"))
     assert in_real_time(paced) is paced
     assert (paced.name, paced.system.dt) == ("emulated_car", 0.05)

@@ -1,7 +1,5 @@
 """Emulated robots without a pose: their physics against theory, what their sensors say, how they are recorded."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 
@@ -10,17 +8,16 @@ import pytest
 
 from hardware.emulation.cart_pole import GRAVITY, CartPoleParameters, CartPolePhysics
 from hardware.emulation.pendulum import TORQUE, PendulumParameters, PendulumPhysics
-from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, rate
+from hardware.emulation.sensed_robot import SensedRobot, rate
 from hardware.emulation.thermal import FINE_DT, LATENCY, ROOM, ThermalParameters, ThermalPhysics
 from hardware.robot import find_robot
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.types import Array
 
 ALMOST_NONE = 1e-9
 NAMES = ("pendulum", "cart_pole", "thermal")
 
 
-def run(physics: SensedPhysics, state: list[float], control: float, steps: int) -> Array:
+def run(physics, state, control, steps):
     """Return the carries (steps + 1, n_carry) from ``state`` on, under one control and without noise."""
     system = physics.system
     history = np.tile(state, (1, physics.n_lags + 1, 1))
@@ -31,7 +28,7 @@ def run(physics: SensedPhysics, state: list[float], control: float, steps: int) 
     return np.array(carries)[:, 0]
 
 
-def test_a_pendulum_without_friction_swings_as_theory_says_and_keeps_its_energy() -> None:
+def test_a_pendulum_without_friction_swings_as_theory_says_and_keeps_its_energy():
     p = PendulumParameters(viscous=ALMOST_NONE, dry=ALMOST_NONE)
     path = run(PendulumPhysics(p), [0.1, 0.0], 0.0, 1000)
     crossings = np.flatnonzero((path[:-1, 0] > 0.0) & (path[1:, 0] <= 0.0)) * 0.005
@@ -41,13 +38,13 @@ def test_a_pendulum_without_friction_swings_as_theory_says_and_keeps_its_energy(
     assert np.ptp(energy) < 0.03 * p.weight
 
 
-def test_the_pendulum_s_motor_cannot_lift_it() -> None:
+def test_the_pendulum_s_motor_cannot_lift_it():
     path = run(PendulumPhysics(), [0.0, 0.0], TORQUE, 2000)
     assert np.abs(path[:, 0]).max() < 1.0
     assert path[-1, 0] == pytest.approx(math.asin(TORQUE / PendulumParameters().weight), abs=0.02)
 
 
-def test_a_cart_pole_without_friction_keeps_its_energy() -> None:
+def test_a_cart_pole_without_friction_keeps_its_energy():
     p = CartPoleParameters(rail_friction=ALMOST_NONE, hinge_friction=ALMOST_NONE)
     x, v, a, w, _ = run(CartPolePhysics(p), [0.2, 0.0, 2.0, 0.0], 0.0, 600).T
     across, up = v + p.length * w * np.cos(a), p.length * w * np.sin(a)
@@ -57,7 +54,7 @@ def test_a_cart_pole_without_friction_keeps_its_energy() -> None:
     assert np.ptp(energy) < 0.04
 
 
-def test_the_block_warms_late_and_ends_where_power_and_loss_balance() -> None:
+def test_the_block_warms_late_and_ends_where_power_and_loss_balance():
     p = ThermalParameters()
     path = run(ThermalPhysics(p), [ROOM], 1.0, round(120.0 / FINE_DT))
     assert np.all(path[: LATENCY + 1, 2] == 0.0)
@@ -66,7 +63,7 @@ def test_the_block_warms_late_and_ends_where_power_and_loss_balance() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_seed_makes_another_of_its_kind_and_the_same_one_again(name: str) -> None:
+def test_a_seed_makes_another_of_its_kind_and_the_same_one_again(name):
     nominal, other, same = (find_robot(spec) for spec in (name, f"{name}:1", f"{name}:1"))
     states = np.tile(nominal.system.neutral_state + 0.5, (1, 4, 1))
     after = []
@@ -81,14 +78,14 @@ def test_a_seed_makes_another_of_its_kind_and_the_same_one_again(name: str) -> N
         find_robot(f"{name}(seed=-1)")
 
 
-def test_every_quantity_must_be_positive() -> None:
+def test_every_quantity_must_be_positive():
     for kind in (PendulumParameters, CartPoleParameters, ThermalParameters):
         for item in fields(kind):
             with pytest.raises(InvalidArgument, match=item.name):
                 kind(**{item.name: 0.0})
 
 
-def test_only_the_angle_is_measured_in_whole_steps_and_the_speed_estimated_from_it() -> None:
+def test_only_the_angle_is_measured_in_whole_steps_and_the_speed_estimated_from_it():
     robot = find_robot("pendulum")
     recorded = robot.record(seed=1, duration=20.0)
     log = recorded.logs[0]
@@ -101,7 +98,7 @@ def test_only_the_angle_is_measured_in_whole_steps_and_the_speed_estimated_from_
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_recording_begins_where_it_is_let_go_repeats_and_ends_when_it_is_stopped(name: str) -> None:
+def test_a_recording_begins_where_it_is_let_go_repeats_and_ends_when_it_is_stopped(name):
     robot = find_robot(name)
     assert isinstance(robot, SensedRobot)
     first, again, other = (robot.record(seed=seed, duration=20.0).dataset for seed in (3, 3, 4))
@@ -110,7 +107,7 @@ def test_a_recording_begins_where_it_is_let_go_repeats_and_ends_when_it_is_stopp
     assert len({round(float(episode.states[0, -1]), 2) for episode in first}) > 3
 
 
-def test_a_rate_is_exact_for_a_cubic_and_repeats_at_the_ends() -> None:
+def test_a_rate_is_exact_for_a_cubic_and_repeats_at_the_ends():
     time = 0.1 * np.arange(9)
     found = rate(time**3, 0.1)
     np.testing.assert_allclose(found[2:-2], 3.0 * time[2:-2] ** 2, atol=1e-12)

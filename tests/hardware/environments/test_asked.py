@@ -27,17 +27,17 @@ class Slider(gymnasium.Env[Any, Any]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 10}
 
-    def __init__(self, forgetful: bool = False) -> None:
+    def __init__(self, forgetful=False):
         self.observation_space = spaces.Box(-np.inf, np.inf, (2,))
         self.action_space = spaces.Discrete(2)
         self.forgetful, self.steps = forgetful, 0
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.state = self.np_random.uniform(-0.5, 0.5, 2)
         return self.state.astype(np.float32), {}
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action):
         position, speed = self.state
         self.steps += 1
         self.state = np.array([position + 0.1 * speed, 0.9 * speed + (0.3 if action else -0.3)])
@@ -46,14 +46,14 @@ class Slider(gymnasium.Env[Any, Any]):
 
 
 @pytest.fixture(autouse=True, scope="module")
-def registered() -> None:
+def registered():
     if NAME not in gymnasium.registry:
         gymnasium.register(NAME, entry_point=Slider, max_episode_steps=40)
         gymnasium.register("Forgetful-v0", entry_point=Slider, max_episode_steps=40, kwargs={"forgetful": True})
     small.register()
 
 
-def test_rewards_starts_and_ends_are_those_of_the_environment() -> None:
+def test_rewards_starts_and_ends_are_those_of_the_environment():
     robot = GymnasiumRobot(id=NAME)
     task = EnvironmentTask(id=NAME)
     controller = RecurrentNetwork(hidden=3).bind_to(task.bind(robot.system))
@@ -71,11 +71,11 @@ def test_rewards_starts_and_ends_are_those_of_the_environment() -> None:
     assert max(lengths) <= 40
 
 
-def test_the_task_keeps_the_contract_on_the_robot_s_system() -> None:
+def test_the_task_keeps_the_contract_on_the_robot_s_system():
     check_task("environment", GymnasiumRobot(id=NAME).system, id=NAME, horizon=12)
 
 
-def test_what_is_below_the_least_counts_as_the_least() -> None:
+def test_what_is_below_the_least_counts_as_the_least():
     robot = GymnasiumRobot(id=NAME)
     task = EnvironmentTask(id=NAME, least=-2.0, horizon=5).bind(robot.system)
     before, control = np.array([[50.0, 0.0], [0.0, 0.0]]), np.zeros((2, 1))
@@ -85,7 +85,7 @@ def test_what_is_below_the_least_counts_as_the_least() -> None:
     assert task.worst == -10.0
 
 
-def test_what_cannot_be_asked_is_refused_with_what_to_do() -> None:
+def test_what_cannot_be_asked_is_refused_with_what_to_do():
     with pytest.raises(IncompatibleTask, match=r"has no attribute state.*register_reward"):
         EnvironmentTask(id=small.NAME)
     with pytest.raises(IncompatibleTask, match=r"went on in two ways.*register_reward"):

@@ -13,9 +13,9 @@ from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.system import Channel, System
+from sysid_evo.system import Channel
 from sysid_evo.tasks import Task, TaskState
-from sysid_evo.types import Array, Seeds
+from sysid_evo.types import Array
 from tests.fixtures.environments import BREAKS, NAME, register
 
 register()
@@ -32,37 +32,35 @@ class Counting(Task):
 
     worst = -1e6
 
-    def __init__(self, horizon: int = 30, end: float = np.inf, start: float = 0.0) -> None:
+    def __init__(self, horizon=30, end=np.inf, start=0.0):
         self.horizon, self.end, self.start = horizon, end, start
 
-    def check_system(self, system: System) -> None:
+    def check_system(self, system):
         self.observations = tuple(Channel(name) for name in (*system.regressor_names, "bias"))
 
-    def begin(self, seeds: Seeds) -> Counted:
+    def begin(self, seeds):
         state = np.tile(self.system.neutral_state, (len(seeds), 1))
         state[:, 0] += self.start + 1e-3 * np.arange(len(seeds))
         return Counted(state, np.zeros((len(seeds), 0)), np.ones(len(seeds), dtype=bool), np.zeros(len(seeds)))
 
-    def observe(self, task_state: TaskState, state: Array) -> Array:
+    def observe(self, task_state, state):
         return np.column_stack([self.system.regressors(state), np.ones(len(state))])
 
-    def advance(
-        self, task_state: Any, before: Array, after: Array, *, control: Array, pose: Array | None = None
-    ) -> tuple[TaskState, Array]:
+    def advance(self, task_state, before, after, *, control, pose=None):
         count = task_state.count + control[:, 0]
         return replace(task_state, count=count, alive=after[:, 0] <= self.end), after
 
-    def fitness(self, task_state: Any) -> Array:
+    def fitness(self, task_state):
         return task_state.count.copy()
 
 
-def network(task: Task, system: System, candidates: int = 2) -> tuple[RecurrentNetwork, Array]:
+def network(task, system, candidates=2):
     controller = RecurrentNetwork(hidden=3)
     size = controller.bind(len(task.bind(system).observations), system.nu).n_parameters
     return controller, np.random.default_rng(0).standard_normal((candidates, size))
 
 
-def by_hand(robot: GymnasiumRobot, task: Task, parameters: Array, seed: Any, at: Array | None) -> tuple[float, Array]:
+def by_hand(robot, task, parameters, seed, at):
     """Return fitness and states of one trial, with the environment as its maker gave it."""
     env = gymnasium.make(robot.name)
     observation, _ = env.reset(seed=int(seed) % 2**31)
@@ -90,7 +88,7 @@ def by_hand(robot: GymnasiumRobot, task: Task, parameters: Array, seed: Any, at:
 
 
 @pytest.mark.parametrize("name", ["Pendulum-v1", "CartPole-v1", "MountainCar-v0", NAME])
-def test_every_trial_is_what_a_loop_written_by_hand_gives(name: str) -> None:
+def test_every_trial_is_what_a_loop_written_by_hand_gives(name):
     robot, task = GymnasiumRobot(id=name), Counting(start=0.05)
     controller, parameters = network(task, robot.system)
     found = robot.runner().run(controller, parameters, task, SEEDS, record=True)
@@ -105,7 +103,7 @@ def test_every_trial_is_what_a_loop_written_by_hand_gives(name: str) -> None:
             np.testing.assert_allclose(next(trajectories).states, states, atol=1e-5)
 
 
-def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_beside() -> None:
+def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_beside():
     robot, task = GymnasiumRobot(id="CartPole-v1"), Counting()
     controller, parameters = network(task, robot.system, candidates=70)
     all_of_them = robot.runner().run(controller, parameters, task, SEEDS)
@@ -115,7 +113,7 @@ def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_besid
     assert all_of_them.fitness.shape == (70, 4)
 
 
-def test_a_trial_is_over_when_the_environment_ends_it() -> None:
+def test_a_trial_is_over_when_the_environment_ends_it():
     robot, task = GymnasiumRobot(id=NAME), Counting(horizon=100)
     controller, _ = network(task, robot.system)
     full = np.zeros((1, 3 * (4 + 3 + 1)))
@@ -125,14 +123,14 @@ def test_a_trial_is_over_when_the_environment_ends_it() -> None:
     assert all(abs(t.states[-1, 0]) > BREAKS >= abs(t.states[-2, 0]) - 1e-5 for t in found.trajectories)
 
 
-def test_a_trial_is_over_when_the_task_ends_it() -> None:
+def test_a_trial_is_over_when_the_task_ends_it():
     robot, task = GymnasiumRobot(id=NAME), Counting(horizon=100, end=0.55)
     full = np.zeros((1, 24))
     full[0, 9:12], full[0, 21:24] = 5.0, 5.0
     assert (robot.runner().run(RecurrentNetwork(hidden=3), full, task, SEEDS).survived == 6).all()
 
 
-def test_an_environment_that_returns_no_number_is_a_trial_that_diverged() -> None:
+def test_an_environment_that_returns_no_number_is_a_trial_that_diverged():
     robot, task = GymnasiumRobot(id=NAME, settings={"bad": True}), Counting(horizon=40)
     full = np.zeros((1, 24))
     full[0, 9:12], full[0, 21:24] = 5.0, 5.0
@@ -141,7 +139,7 @@ def test_an_environment_that_returns_no_number_is_a_trial_that_diverged() -> Non
     np.testing.assert_allclose(found.fitness, task.worst - 1.0 + 5 / 40)
 
 
-def test_a_run_without_a_trial_is_refused() -> None:
+def test_a_run_without_a_trial_is_refused():
     robot, task = GymnasiumRobot(id=NAME), Counting()
     controller, parameters = network(task, robot.system)
     with pytest.raises(InvalidArgument, match="at least one candidate and one seed"):

@@ -21,12 +21,12 @@ NAMES = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_task_keeps_the_contract_compiled_and_not(name: str) -> None:
+def test_the_task_keeps_the_contract_compiled_and_not(name):
     check_task("environment", GymnasiumRobot(id=name).system, id=name, horizon=30)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_reward_and_end_of_every_step_are_those_of_the_environment(name: str) -> None:
+def test_reward_and_end_of_every_step_are_those_of_the_environment(name):
     robot = GymnasiumRobot(id=name)
     task = EnvironmentTask(id=name).bind(robot.system)
     rng = np.random.default_rng(0)
@@ -46,7 +46,7 @@ def test_reward_and_end_of_every_step_are_those_of_the_environment(name: str) ->
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_long(name: str) -> None:
+def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_long(name):
     robot = GymnasiumRobot(id=name)
     task = EnvironmentTask(id=name).bind(robot.system)
     seeds = trial_seeds(4, 3)
@@ -56,7 +56,7 @@ def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_lo
         assert session._env.spec.max_episode_steps == task.horizon
 
 
-def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot() -> None:
+def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot():
     robot = GymnasiumRobot(id="Pendulum-v1")
     task = EnvironmentTask(id="Pendulum-v1")
     parameters = np.random.default_rng(1).standard_normal((2, 3 * (4 + 3 + 1)))
@@ -69,7 +69,7 @@ def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot() -> None:
             assert fitness == pytest.approx(total, abs=1e-2)
 
 
-def test_a_good_model_gives_the_fitness_of_the_environment() -> None:
+def test_a_good_model_gives_the_fitness_of_the_environment():
     robot, task = GymnasiumRobot(id="CartPole-v1"), EnvironmentTask(id="CartPole-v1", horizon=60)
     model = make_model("linear").fit(robot.record(seed=0, duration=60.0).dataset)
     parameters = np.random.default_rng(1).standard_normal((8, 3 * (5 + 3 + 1)))
@@ -79,13 +79,13 @@ def test_a_good_model_gives_the_fitness_of_the_environment() -> None:
     np.testing.assert_allclose(own.fitness.mean(axis=1), on_robot.fitness.mean(axis=1), atol=1.5)
 
 
-def test_what_does_not_fit_is_refused_with_what_would() -> None:
+def test_what_does_not_fit_is_refused_with_what_would():
     with pytest.raises(InvalidArgument, match="a horizon of at least one step, got 0"):
         EnvironmentTask(horizon=0)
     with pytest.raises(IncompatibleTask, match="needs the states position, speed, angle, angular_speed"):
         EnvironmentTask(id="CartPole-v1").bind(pendulum())
 
 
-def test_no_reward_is_below_the_worst() -> None:
+def test_no_reward_is_below_the_worst():
     assert EnvironmentTask(id="Pendulum-v1", horizon=10).worst == pytest.approx(-162.7, abs=0.1)
     assert all(rules.least <= 0.0 for rules in RULES.values())

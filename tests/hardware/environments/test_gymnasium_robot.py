@@ -18,12 +18,12 @@ register()
 CLASSIC = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
 
 
-def rotor(**parameters: Any) -> GymnasiumRobot:
+def rotor(**parameters):
     return GymnasiumRobot(id=NAME, **parameters)
 
 
 @pytest.mark.parametrize("name", CLASSIC)
-def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name: str) -> None:
+def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name):
     robot = GymnasiumRobot(id=name)
     with robot.simulator.open() as session:
         inner: Any = session._env.unwrapped
@@ -34,7 +34,7 @@ def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name: 
 
 
 @pytest.mark.parametrize("name", CLASSIC)
-def test_a_classic_environment_can_begin_in_any_state(name: str) -> None:
+def test_a_classic_environment_can_begin_in_any_state(name):
     environment = GymnasiumRobot(id=name).simulator
     start = np.array([0.1, 0.02, -0.05, 0.03][: environment.system.nx])
     control = environment.system.actuate(np.array([0.5]))
@@ -46,13 +46,13 @@ def test_a_classic_environment_can_begin_in_any_state(name: str) -> None:
         np.testing.assert_array_equal(session.step(control)[0], once)
 
 
-def test_the_robot_keeps_the_contract_of_robots_and_is_not_a_physical_one() -> None:
+def test_the_robot_keeps_the_contract_of_robots_and_is_not_a_physical_one():
     check_robot("gymnasium", id="CartPole-v1")
     assert not find_robot('gymnasium(id="CartPole-v1")').physical
     assert find_robot("serial").physical
 
 
-def test_channels_and_controls_get_other_names_and_keep_all_else() -> None:
+def test_channels_and_controls_get_other_names_and_keep_all_else():
     plain = GymnasiumRobot(id="Pendulum-v1").system
     named = GymnasiumRobot(id="Pendulum-v1", channels="tilt [rad], rate", controls="motor [mN m]").system
     assert (named.state_names, named.controls[0].name, named.controls[0].unit) == (("tilt", "rate"), "motor", "mN m")
@@ -66,7 +66,7 @@ def test_channels_and_controls_get_other_names_and_keep_all_else() -> None:
         GymnasiumRobot(id="CartPole-v1", controls="left, right")
 
 
-def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_first() -> None:
+def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_first():
     system = rotor(angle="1,2").system
     assert system.state_names == ("observation_0", "angle_1")
     assert system.periods == {1: TURN}
@@ -75,7 +75,7 @@ def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_fir
     np.testing.assert_allclose(environment.observations.state([0.5, np.cos(2.5), np.sin(2.5)]), [0.5, 2.5])
 
 
-def test_channels_are_named_with_their_units_and_keep_limits_and_period() -> None:
+def test_channels_are_named_with_their_units_and_keep_limits_and_period():
     system = rotor(angle="1,2", channels="speed [rad/s], angle").system
     assert [(c.name, c.unit) for c in system.states] == [("speed", "rad/s"), ("angle", "rad")]
     assert system.periods == {1: TURN}
@@ -83,7 +83,7 @@ def test_channels_are_named_with_their_units_and_keep_limits_and_period() -> Non
     assert rotor().system.states[0].high == np.inf
 
 
-def test_the_time_of_a_step_is_what_the_environment_says_unless_it_is_given() -> None:
+def test_the_time_of_a_step_is_what_the_environment_says_unless_it_is_given():
     assert rotor().system.dt == 0.1
     assert rotor(dt=0.02).system.dt == 0.02
     assert GymnasiumRobot(id="CartPole-v1").system.dt == 0.02
@@ -99,9 +99,7 @@ def test_the_time_of_a_step_is_what_the_environment_says_unless_it_is_given() ->
         ("box", [None], [0.25], [0.25]),
     ],
 )
-def test_actions_become_controls_and_controls_actions(
-    actions: str, levels: list[Any], control: list[float], action: Any
-) -> None:
+def test_actions_become_controls_and_controls_actions(actions, levels, control, action):
     robot = rotor(settings={"actions": actions})
     assert [channel.levels for channel in robot.system.controls] == levels
     with robot.simulator.open() as session:
@@ -111,7 +109,7 @@ def test_actions_become_controls_and_controls_actions(
         np.testing.assert_array_equal(inner.given, action)
 
 
-def test_the_force_of_the_cart_has_the_sign_of_its_push() -> None:
+def test_the_force_of_the_cart_has_the_sign_of_its_push():
     environment = GymnasiumRobot(id="CartPole-v1").simulator
     with environment.open() as session:
         session.reset(0, np.zeros(4))
@@ -133,18 +131,16 @@ def test_the_force_of_the_cart_has_the_sign_of_its_push() -> None:
         ({"id": "FrozenLake-v1"}, IncompatibleSystem, "expected a Box of at most 64 observations in a row"),
     ],
 )
-def test_what_cannot_be_a_robot_is_refused_in_a_sentence(
-    parameters: dict[str, Any], error: type[Exception], words: str
-) -> None:
+def test_what_cannot_be_a_robot_is_refused_in_a_sentence(parameters, error, words):
     with pytest.raises(error, match=words):
         GymnasiumRobot(**parameters)
 
 
-def test_the_control_loop_is_not_for_environments() -> None:
+def test_the_control_loop_is_not_for_environments():
     with pytest.raises(IncompatibleSystem, match="it has no clock and no tracker"):
         rotor().connect()
 
 
-def test_angles_are_read_from_their_text() -> None:
+def test_angles_are_read_from_their_text():
     assert parse_angles("x", "0,1; 4", 5) == ((0, 1), (4,))
     assert parse_angles("x", "", 5) == ()

@@ -1,7 +1,5 @@
 """The yardstick of the benchmark has the equations of the environments."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from tests.benchmarks.environments import EQUATIONS, Equations
 
 
 @pytest.mark.parametrize("name", EQUATIONS)
-def test_one_step_of_the_equations_is_one_of_the_environment(name: str) -> None:
+def test_one_step_of_the_equations_is_one_of_the_environment(name):
     robot = GymnasiumRobot(id=name)
     own, rng = Equations(name, robot.system), np.random.default_rng(0)
     low = np.array([max(c.low, -3.0) for c in robot.system.states])

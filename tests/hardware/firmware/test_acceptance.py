@@ -32,7 +32,7 @@ BUTTONS = [Buttons(value) for value in range(16) if not any(value & pair == pair
 class Robot:
     """The core, its answers, and a host clock that is 500 ms behind its own; ``began`` is where its clock starts."""
 
-    def __init__(self, began: int = 1000) -> None:
+    def __init__(self, began=1000):
         self.core = FirmwareCore()
         self.now = began
         self.session = 0
@@ -40,11 +40,11 @@ class Robot:
         self.last: Message | None = None
         self._decoder = FrameDecoder()
 
-    def say(self, message: Message) -> list[Message]:
+    def say(self, message):
         self.core.receive(encode(message.pack()), self.now % 2**32)
         return self.hear()
 
-    def hear(self) -> list[Message]:
+    def hear(self):
         heard = [unpack(body) for body in self._decoder.feed(self.core.transmit())]
         for message in heard:
             self.last = message
@@ -55,12 +55,10 @@ class Robot:
         assert self._decoder.crc_errors == self._decoder.length_errors == 0
         return heard
 
-    def hello(self, nonce: int = 1) -> None:
+    def hello(self, nonce=1):
         self.say(Hello(1, 0, nonce))
 
-    def command(
-        self, sequence: int, buttons: Buttons = GO, *, delay: int = 0, life: int = 15, session: int = 0
-    ) -> bool:
+    def command(self, sequence, buttons=GO, *, delay=0, life=15, session=0):
         """Say a CMD that left the host ``delay`` ms ago; return whether it counts."""
         host_ms = (self.now - 500 - delay) % 65536
         before = self.core.accepted
@@ -69,19 +67,19 @@ class Robot:
         assert not counts or isinstance(heard[-1], StatusMessage)
         return counts
 
-    def tick(self, duration: int) -> None:
+    def tick(self, duration):
         self.now += duration
         self.core.tick(self.now % 2**32)
         self.hear()
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     return Robot()
 
 
 @pytest.fixture
-def driven(robot) -> Robot:
+def driven(robot):
     """A robot that has taken a neutral command and one to go, with sequence 2."""
     robot.hello()
     assert robot.command(1, Buttons.NONE)
@@ -271,21 +269,21 @@ class Agreement(RuleBasedStateMachine):
     """Random conversations: the core and the rules in Python must never differ."""
 
     @initialize(began=st.sampled_from([0, 1000, 65_000, 2**32 - 300]))
-    def begin(self, began: int) -> None:
+    def begin(self, began):
         self.robot = Robot(began)
         self.rules = Acceptance()
         self.sequence = 0
 
-    def _pass(self) -> None:
+    def _pass(self):
         self.rules.pass_time(self.robot.now)
 
     @rule(duration=st.one_of(st.integers(0, 60), st.integers(0, 400)))
-    def wait(self, duration: int) -> None:
+    def wait(self, duration):
         self.robot.tick(duration)
         self._pass()
 
     @rule(major=st.sampled_from([1, 1, 1, 2]), nonce=st.integers(0, 3))
-    def hello(self, major: int, nonce: int) -> None:
+    def hello(self, major, nonce):
         self._pass()
         message = Hello(major, 0, nonce)
         answer = self.robot.say(message)[-1]
@@ -301,7 +299,7 @@ class Agreement(RuleBasedStateMachine):
         life=st.integers(1, 15),
         other=st.sampled_from([0, 0, 0, 0, 1]),
     )
-    def command(self, ahead: int, delay: int, buttons: Buttons, life: int, other: int) -> None:
+    def command(self, ahead, delay, buttons, life, other):
         sequence = (self.rules.sequence + ahead) % 65536
         host_ms = (self.robot.now - 500 - delay) % 65536
         message = CommandMessage(self.rules.session ^ other, sequence, host_ms, buttons, life)
@@ -312,13 +310,13 @@ class Agreement(RuleBasedStateMachine):
         assert self.robot.core.accepted - before == counts
 
     @rule(session=st.integers(0, 65535))
-    def stop(self, session: int) -> None:
+    def stop(self, session):
         self._pass()
         self.robot.say(Stop(session, 0))
         self.rules.stop()
 
     @invariant()
-    def sides_agree(self) -> None:
+    def sides_agree(self):
         assert self.robot.core.buttons == self.rules.buttons
         heard, self.robot.last = self.robot.last, None
         if isinstance(heard, StatusMessage):
@@ -327,7 +325,7 @@ class Agreement(RuleBasedStateMachine):
             assert heard.last_sequence == rules.sequence
             assert heard.counters == {"crc": 0, "length": 0, **rules.counters}
 
-    def teardown(self) -> None:
+    def teardown(self):
         self.wait(400)
         assert isinstance(self.robot.last, StatusMessage)
         self.sides_agree()

@@ -1,13 +1,9 @@
 """The compiled core: the bytes of the Python side, any bytes at all, and how it is built."""
 
-from __future__ import annotations
-
 import ctypes
 import struct
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -19,7 +15,6 @@ from hardware.link.messages import (
     CommandMessage,
     Hello,
     HelloAcknowledgement,
-    Message,
     StatusMessage,
     Stop,
     unpack,
@@ -82,7 +77,7 @@ def test_error_of_the_compiler_is_shown(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def replayer() -> Iterator[subprocess.Popen[bytes]]:
+def replayer():
     """A process that feeds streams to the core under address and undefined-behaviour sanitizers."""
     program = build_c("replay", (Path(__file__).with_name("replay.c"),), SANITIZE)
     with subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
@@ -109,7 +104,7 @@ _BYTES = st.one_of(_FRAMES, _FRAMES, st.binary(max_size=80), _LONG)
 _CHUNKS = st.lists(st.tuples(st.integers(0, 255), _BYTES), max_size=12)
 
 
-def _survives(process: subprocess.Popen[bytes], chunks: list[tuple[int, bytes]]) -> tuple[Message | None, ...]:
+def _survives(process, chunks):
     """Feed ``chunks`` to a fresh core; compare its counts with the Python decoder's and return what it said."""
     reading, writing = process.stdout, process.stdin
     assert reading is not None
@@ -130,14 +125,14 @@ def _survives(process: subprocess.Popen[bytes], chunks: list[tuple[int, bytes]])
     return said
 
 
-def _is_for_robots(body: bytes) -> bool:
+def _is_for_robots(body):
     message = unpack(body)
     return isinstance(message, Hello | Stop) or (
         isinstance(message, CommandMessage) and 1 <= message.time_to_live <= 15
     )
 
 
-def _exactly(stream: IO[bytes], size: int) -> bytes:
+def _exactly(stream, size):
     data = stream.read(size)
     assert len(data) == size, "the core stopped: see the sanitizer's report on stderr"
     return data

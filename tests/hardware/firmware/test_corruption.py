@@ -1,7 +1,5 @@
 """No wrong command comes out of a wire that damages bytes."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.benchmarks.link.__main__ import RATES, damage

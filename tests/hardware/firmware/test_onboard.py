@@ -15,8 +15,7 @@ from hardware.link.messages import Buttons
 from hardware.link.serial_robot import buttons_of
 from hardware.link.session import HostSession
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.export import Real, c_text, law_of
-from sysid_evo.types import Array
+from sysid_evo.export import c_text, law_of
 from tests.fixtures.exports import champion_of, decided, wandering
 from tests.system.rig.build import FOLDER, SOURCES, WARNINGS, compiler
 
@@ -28,7 +27,7 @@ SPECS = ("recurrent", "pid(loops={steer: [waypoint_angle, yaw_rate], drive: wayp
 class Board:
     """The firmware with a controller, compiled for this machine, and the host's session, on one clock in ms."""
 
-    def __init__(self, spec: str, real: Real, folder: Path) -> None:
+    def __init__(self, spec, real, folder):
         law = law_of(champion_of(spec, name="controller"))
         (folder / "controller.c").write_text(c_text(law, real))
         library = folder / "board.so"
@@ -47,27 +46,27 @@ class Board:
         self.session = HostSession(nonce=5)
         self.hear(self.session.hello())
 
-    def hear(self, frames: bytes) -> None:
+    def hear(self, frames):
         for byte in frames:
             self._library.rcb_receive(self._core, byte, self.now)
         out = ctypes.create_string_buffer(256)
         taken = self._library.rcb_transmit(self._core, out, 256)
         self.session.receive(out.raw[:taken], self.now / 1000.0)
 
-    def command(self, life: float = 0.15) -> None:
+    def command(self, life=0.15):
         """Say that the controller may drive; the command itself is neutral."""
         self.hear(self.session.command(Buttons.NONE, life, self.now / 1000.0))
 
-    def show(self, observation: Array) -> None:
+    def show(self, observation):
         self._library.show((self._number * len(observation))(*observation), ctypes.c_size_t(len(observation)))
 
     @property
-    def buttons(self) -> Buttons:
+    def buttons(self):
         self._library.rcb_tick(self._core, self.now)
         return Buttons(self._library.onboard_buttons(self._core, self.now))
 
 
-def _compiler() -> str:
+def _compiler():
     try:
         return compiler()
     except InvalidArgument as error:
@@ -75,7 +74,7 @@ def _compiler() -> str:
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_the_buttons_are_the_product_s_commands_over_ten_thousand_steps(spec: str, tmp_path: Path) -> None:
+def test_the_buttons_are_the_product_s_commands_over_ten_thousand_steps(spec, tmp_path):
     board, seen = Board(spec, "double", tmp_path), wandering(10_000)
     expected = [buttons_of(control) for control in decided(champion_of(spec), seen)]
     pressed = []
@@ -88,7 +87,7 @@ def test_the_buttons_are_the_product_s_commands_over_ten_thousand_steps(spec: st
     assert pressed == expected
 
 
-def test_in_single_precision_the_buttons_are_the_same_but_beside_a_boundary(tmp_path: Path) -> None:
+def test_in_single_precision_the_buttons_are_the_same_but_beside_a_boundary(tmp_path):
     board, seen = Board("recurrent", "float", tmp_path), wandering(2000)
     expected = [buttons_of(control) for control in decided(champion_of("recurrent"), seen)]
     pressed = []
@@ -100,7 +99,7 @@ def test_in_single_precision_the_buttons_are_the_same_but_beside_a_boundary(tmp_
     assert np.mean([a != b for a, b in zip(pressed, expected, strict=True)]) < 0.002
 
 
-def test_it_decides_once_a_sample_however_often_it_is_asked(tmp_path: Path) -> None:
+def test_it_decides_once_a_sample_however_often_it_is_asked(tmp_path):
     board, seen = Board("recurrent", "double", tmp_path), wandering(200)
     expected = [buttons_of(control) for control in decided(champion_of("recurrent"), seen)]
     pressed = []
@@ -116,7 +115,7 @@ def test_it_decides_once_a_sample_however_often_it_is_asked(tmp_path: Path) -> N
     assert pressed == expected
 
 
-def driven(board: Board, seen: Array) -> list[Buttons]:
+def driven(board, seen):
     pressed = []
     for row in seen:
         board.command()
@@ -126,7 +125,7 @@ def driven(board: Board, seen: Array) -> list[Buttons]:
     return pressed
 
 
-def test_without_the_host_all_buttons_open_and_the_next_run_begins_anew(tmp_path: Path) -> None:
+def test_without_the_host_all_buttons_open_and_the_next_run_begins_anew(tmp_path):
     board, seen = Board("recurrent", "double", tmp_path), wandering(60)
     assert board.buttons is Buttons.NONE
     first = driven(board, seen)
@@ -140,7 +139,7 @@ def test_without_the_host_all_buttons_open_and_the_next_run_begins_anew(tmp_path
     assert driven(board, seen) == first
 
 
-def test_a_robot_that_is_not_seen_lets_go(tmp_path: Path) -> None:
+def test_a_robot_that_is_not_seen_lets_go(tmp_path):
     board, seen = Board("recurrent", "double", tmp_path), wandering(60)
     (last,) = {len(row) for row in seen}
     assert any(driven(board, seen)[-10:])
@@ -150,7 +149,7 @@ def test_a_robot_that_is_not_seen_lets_go(tmp_path: Path) -> None:
     assert last == 5
 
 
-def test_the_board_s_own_program_is_built_with_the_controller(tmp_path: Path) -> None:
+def test_the_board_s_own_program_is_built_with_the_controller(tmp_path):
     for tool in ("avr-gcc", "make"):
         if shutil.which(tool) is None:
             pytest.skip(f"the board's program needs {tool}, which is not installed")

@@ -1,11 +1,8 @@
 """The remote's own program on a simulated ATmega328P, driven by the host's session."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,13 +19,13 @@ STEP = 0.005  # s
 class Board:
     """The simulated chip and the host on one clock; ``port`` and ``directions`` are its registers for D0 to D7."""
 
-    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+    def __init__(self, process):
         self.session = HostSession(nonce=11)
         self.now = 0.0
         self.port = self.directions = self.watchdog = 0
         self._process = process
 
-    def run(self, duration: float, frames: bytes = b"") -> None:
+    def run(self, duration, frames=b""):
         reading, writing = self._process.stdout, self._process.stdin
         assert reading is not None
         assert writing is not None
@@ -39,15 +36,15 @@ class Board:
         self.session.receive(reading.read(size), self.now)
 
     @property
-    def pressed(self) -> Buttons:
+    def pressed(self):
         return Buttons(self.port >> 4)
 
-    def command(self, buttons: Buttons) -> None:
+    def command(self, buttons):
         self.run(STEP, self.session.command(buttons, 0.15, self.now))
 
 
 @pytest.fixture(scope="module")
-def programs(tmp_path_factory) -> tuple[Path, Path]:
+def programs(tmp_path_factory):
     """The simulator and the program it runs."""
     for tool in ("avr-gcc", "make"):
         if shutil.which(tool) is None:
@@ -62,7 +59,7 @@ def programs(tmp_path_factory) -> tuple[Path, Path]:
 
 
 @pytest.fixture
-def board(programs) -> Iterator[Board]:
+def board(programs):
     command, pipe = list(map(str, programs)), subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
         yield Board(process)
@@ -71,7 +68,7 @@ def board(programs) -> Iterator[Board]:
 
 
 @pytest.fixture
-def connected(board) -> Board:
+def connected(board):
     board.run(0.05)
     board.run(STEP, board.session.hello())
     assert board.session.is_open

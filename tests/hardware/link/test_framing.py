@@ -1,7 +1,5 @@
 """Frames: checksum, stuffing, and a decoder that takes any bytes."""
 
-from __future__ import annotations
-
 import pytest
 from cobs import cobs
 from hypothesis import HealthCheck, given, settings
@@ -41,7 +39,7 @@ def test_no_damage_within_sixteen_bits_in_a_row_passes(body, damage, data):
     assert decoder.crc_errors == 1
 
 
-def _takes(stream: bytes, cut: int) -> None:
+def _takes(stream, cut):
     decoder = FrameDecoder()
     for start in range(0, len(stream), cut):
         decoder.feed(stream[start : start + cut])

@@ -1,7 +1,5 @@
 """Messages and buttons: bytes, meaning, and what is refused."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

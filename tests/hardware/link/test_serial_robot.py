@@ -8,14 +8,12 @@ import threading
 import time
 import tty
 from collections import deque
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.link import serial_robot
 from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, Message, State, unpack
 from hardware.link.port import SerialPort
@@ -34,7 +32,7 @@ LIFE = 0.15
 class Remote:
     """A remote control on a pseudo-terminal: the core, its clock and its wire, in a thread."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.core = FirmwareCore()
         self.said: list[Message] = []
         self._decoder = FrameDecoder()
@@ -47,7 +45,7 @@ class Remote:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def _run(self) -> None:
+    def _run(self):
         while not self._done.is_set():
             readable, _, _ = select.select([self._master], [], [], 0.002)
             if self.deaf.is_set():
@@ -62,7 +60,7 @@ class Remote:
                 spoken = b"".join(_of_version_3(body) for body in FrameDecoder().feed(spoken))
             os.write(self._master, spoken)
 
-    def unplug(self) -> None:
+    def unplug(self):
         """Let both ends of the wire go; the port hangs up."""
         self._done.set()
         self._thread.join()
@@ -72,7 +70,7 @@ class Remote:
             self._master = -1
 
 
-def _of_version_3(body: bytes) -> bytes:
+def _of_version_3(body):
     message = unpack(body)
     if not isinstance(message, HelloAcknowledgement):
         return b""
@@ -80,13 +78,13 @@ def _of_version_3(body: bytes) -> bytes:
 
 
 @pytest.fixture
-def remote() -> Iterator[Remote]:
+def remote():
     made = Remote()
     yield made
     made.unplug()
 
 
-def until(condition: Callable[[], bool], act: Callable[[], object]) -> None:
+def until(condition, act):
     """Repeat ``act`` until ``condition`` holds, for 2 s at most."""
     end = time.monotonic() + 2.0
     while not condition():
@@ -94,12 +92,12 @@ def until(condition: Callable[[], bool], act: Callable[[], object]) -> None:
         act()
 
 
-def drive(connection: serial_robot.SerialConnection) -> None:
+def drive(connection):
     connection.send(FORWARD, valid_for=LIFE)
     connection.measure(0.02)
 
 
-def assert_stopped(remote: Remote) -> None:
+def assert_stopped(remote):
     """Wait until the buttons open, and see that a STOP did it and not the deadman."""
     until(lambda: remote.said[-1].state == State.WAITING, lambda: time.sleep(0.002))
     assert remote.core.buttons == 0
@@ -109,22 +107,22 @@ def assert_stopped(remote: Remote) -> None:
 class Queue(TrackerStream):
     """Frames from a list, readable while there are some."""
 
-    def __init__(self, frames: list[Measurement]) -> None:
+    def __init__(self, frames):
         self._frames = deque(frames)
         self._read, self._write = os.pipe()
         os.write(self._write, b"." * len(frames))
         self.closed = False
 
-    def read(self, timeout: float) -> Measurement | None:
+    def read(self, timeout):
         if not self._frames:
             return None
         os.read(self._read, 1)
         return self._frames.popleft()
 
-    def fileno(self) -> int:
+    def fileno(self):
         return self._read
 
-    def close(self) -> None:
+    def close(self):
         if not self.closed:
             os.close(self._read)
             os.close(self._write)
@@ -134,12 +132,12 @@ class Queue(TrackerStream):
 class Listed(Tracker):
     """A tracker that has seen ``count`` frames of the body."""
 
-    def __init__(self, *, count: int = 3) -> None:
+    def __init__(self, *, count=3):
         self.name, self.body = "listed", "car"
         self.frames = [Measurement(float(k), float(k), k, self.body, True, np.zeros(3)) for k in range(count)]
         self.stream: Queue | None = None
 
-    def open(self) -> Queue:
+    def open(self):
         self.stream = Queue(self.frames)
         return self.stream
 
@@ -183,7 +181,7 @@ def test_command_closes_buttons_and_the_end_of_the_session_opens_them(remote):
 
 
 def test_exception_in_the_session_opens_the_buttons(remote):
-    def fail() -> None:
+    def fail():
         with SerialRobot(port=remote.port).connect() as connection:
             until(lambda: remote.core.buttons == 1, lambda: drive(connection))
             raise ZeroDivisionError

@@ -1,7 +1,5 @@
 """The host's session against the compiled firmware, in made-up time."""
 
-from __future__ import annotations
-
 import pytest
 
 from hardware.link.framing import FrameDecoder, encode
@@ -17,42 +15,42 @@ LIFE = 0.15
 class Wire:
     """A session and a robot whose clock is 10 s behind, joined without delay; ``cut`` swallows what the robot says."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.robot = FirmwareCore()
         self.session = HostSession(nonce=7)
         self.now = 100.0
         self.cut = False
         self.say(self.session.hello())
 
-    def say(self, frames: bytes) -> None:
+    def say(self, frames):
         self.robot.receive(frames, self._robot_ms)
         self.hear()
 
-    def hear(self) -> None:
+    def hear(self):
         spoken = self.robot.transmit()
         if not self.cut:
             self.session.receive(spoken, self.now)
 
-    def command(self, buttons: Buttons = GO) -> None:
+    def command(self, buttons=GO):
         self.say(self.session.command(buttons, LIFE, self.now))
 
-    def wait(self, duration: float) -> None:
+    def wait(self, duration):
         for _ in range(round(duration * 1000)):
             self.now += 0.001
             self.robot.tick(self._robot_ms)
             self.hear()
 
     @property
-    def _robot_ms(self) -> int:
+    def _robot_ms(self):
         return round((self.now - 90.0) * 1000)
 
 
 @pytest.fixture
-def wire() -> Wire:
+def wire():
     return Wire()
 
 
-def commands_in(frames: bytes) -> list[CommandMessage]:
+def commands_in(frames):
     messages = [unpack(body) for body in FrameDecoder().feed(frames)]
     assert all(isinstance(message, CommandMessage) for message in messages)
     return messages

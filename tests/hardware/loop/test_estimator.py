@@ -1,16 +1,13 @@
 """The causal estimator against motions whose velocities are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.estimator import LAG, WINDOW, PoseEstimator, StateEstimate, estimator_delays, known_drive, measure_delays
+from hardware.estimator import LAG, WINDOW, PoseEstimator, estimator_delays, known_drive, measure_delays
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 CAR = System(
     (Channel("forward_speed", "m/s"), Channel("lateral_speed", "m/s"), Channel("yaw_rate", "rad/s")),
@@ -21,7 +18,7 @@ CAR = System(
 SHUFFLED = System((Channel("r", "rad/s"), Channel("u", "m/s")), CAR.controls, 0.05, PlanarBody("u", None, "r"))
 
 
-def seen(times: Array, poses: Array, system: System = CAR) -> PoseEstimator:
+def seen(times, poses, system=CAR):
     """Return an estimator that was given all poses (T, 3)."""
     estimator = PoseEstimator(system)
     for frame, (time, pose) in enumerate(zip(times, poses, strict=True)):
@@ -29,20 +26,20 @@ def seen(times: Array, poses: Array, system: System = CAR) -> PoseEstimator:
     return estimator
 
 
-def estimated(times: Array, poses: Array, system: System = CAR) -> StateEstimate:
+def estimated(times, poses, system=CAR):
     found = seen(times, poses, system).estimate(times[-1])
     assert found is not None
     return found
 
 
-def circle(times: Array, speed: float = 1.2, rate: float = 2.0, start: float = 3.0) -> Array:
+def circle(times, speed=1.2, rate=2.0, start=3.0):
     """Return the poses of a body that drives a circle, heading along it, wrapped to [-pi, pi)."""
     heading = start + rate * times
     x, y = speed / rate * np.sin(heading), -speed / rate * np.cos(heading)
     return np.stack([x, y, np.remainder(heading + np.pi, 2 * np.pi) - np.pi], axis=1)
 
 
-def test_constant_acceleration_is_followed_without_error_at_the_lag() -> None:
+def test_constant_acceleration_is_followed_without_error_at_the_lag():
     t = 0.005 * np.arange(40)
     heading = 0.4
     along = 0.5 * t + 0.5 * 2.0 * t**2
@@ -51,32 +48,32 @@ def test_constant_acceleration_is_followed_without_error_at_the_lag() -> None:
     np.testing.assert_allclose(state, [0.5 + 2.0 * (t[-1] - LAG), 0.0, 0.0], atol=1e-9)
 
 
-def test_circle_has_its_speeds_in_the_body_frame_across_the_wrap_of_the_heading() -> None:
+def test_circle_has_its_speeds_in_the_body_frame_across_the_wrap_of_the_heading():
     times = 0.005 * np.arange(60)
     for end in range(25, 60):
         state = estimated(times[:end], circle(times[:end])).state
         np.testing.assert_allclose(state, [1.2, 0.0, 2.0], atol=0.01)
 
 
-def test_sideways_motion_is_lateral_speed_to_the_left() -> None:
+def test_sideways_motion_is_lateral_speed_to_the_left():
     times = 0.005 * np.arange(30)
     poses = np.stack([-0.3 * times, np.zeros(30), np.full(30, np.pi / 2)], axis=1)
     np.testing.assert_allclose(estimated(times, poses).state, [0.0, 0.3, 0.0], atol=1e-9)
 
 
-def test_channels_stand_where_the_motion_names_them() -> None:
+def test_channels_stand_where_the_motion_names_them():
     times = 0.005 * np.arange(40)
     np.testing.assert_allclose(estimated(times, circle(times), SHUFFLED).state, [2.0, 1.2], atol=0.01)
 
 
-def test_uneven_frames_and_a_slow_tracker_do_not_bias_the_estimate(rng: np.random.Generator) -> None:
+def test_uneven_frames_and_a_slow_tracker_do_not_bias_the_estimate(rng):
     times = np.cumsum(rng.uniform(0.002, 0.012, 60))
     np.testing.assert_allclose(estimated(times, circle(times)).state, [1.2, 0.0, 2.0], atol=0.02)
     times = np.arange(12) / 50.0
     np.testing.assert_allclose(estimated(times, circle(times)).state, [1.2, 0.0, 2.0], atol=0.02)
 
 
-def test_noise_is_damped_to_what_the_window_allows(rng: np.random.Generator) -> None:
+def test_noise_is_damped_to_what_the_window_allows(rng):
     """The variance of the slope of a parabola at -lag, by its normal equations, times that of the poses."""
     times, sigma = 0.005 * np.arange(40), np.array([0.001, 0.001, 0.005])
     found = np.array([estimated(times, rng.normal(0.0, sigma, (40, 3))).state for _ in range(400)])
@@ -87,7 +84,7 @@ def test_noise_is_damped_to_what_the_window_allows(rng: np.random.Generator) -> 
     np.testing.assert_allclose(found.std(axis=0), factor * sigma, rtol=0.15)
 
 
-def test_estimate_tells_the_newest_pose_and_its_age() -> None:
+def test_estimate_tells_the_newest_pose_and_its_age():
     times = 0.005 * np.arange(40)
     poses = circle(times)
     found = seen(times, poses).estimate(times[-1] + 0.03)
@@ -97,7 +94,7 @@ def test_estimate_tells_the_newest_pose_and_its_age() -> None:
     assert found.age == pytest.approx(0.03)
 
 
-def test_nothing_is_known_before_the_window_is_covered_and_after_a_restart() -> None:
+def test_nothing_is_known_before_the_window_is_covered_and_after_a_restart():
     times = 0.005 * np.arange(40)
     assert seen(times[:12], circle(times[:12])).estimate(times[11]) is None
     estimator = seen(times, circle(times))
@@ -106,7 +103,7 @@ def test_nothing_is_known_before_the_window_is_covered_and_after_a_restart() -> 
     assert estimator.estimate(times[-1]) is None
 
 
-def test_restart_keeps_a_jump_out_of_the_speeds() -> None:
+def test_restart_keeps_a_jump_out_of_the_speeds():
     times = 0.005 * np.arange(80)
     poses = circle(times)
     poses[40:, 0] += 5.0
@@ -120,7 +117,7 @@ def test_restart_keeps_a_jump_out_of_the_speeds() -> None:
     assert found is not None
 
 
-def test_pose_that_is_not_newer_is_left_out() -> None:
+def test_pose_that_is_not_newer_is_left_out():
     times = 0.005 * np.arange(40)
     estimator = seen(times, circle(times))
     estimator.add(Measurement(times[-2], times[-1], 99, "car", True, np.full(3, 50.0)))
@@ -129,7 +126,7 @@ def test_pose_that_is_not_newer_is_left_out() -> None:
     np.testing.assert_allclose(found.state, [1.2, 0.0, 2.0], atol=0.01)
 
 
-def test_dropout_of_90_ms_leaves_an_estimate_at_every_frame_after_it() -> None:
+def test_dropout_of_90_ms_leaves_an_estimate_at_every_frame_after_it():
     times = 0.005 * np.arange(100)
     times = times[(times <= 0.2) | (times > 0.29)]
     for end in range(45, len(times)):
@@ -137,13 +134,13 @@ def test_dropout_of_90_ms_leaves_an_estimate_at_every_frame_after_it() -> None:
 
 
 @pytest.mark.parametrize("frame_interval", [0.005, 0.01])
-def test_measured_delay_is_the_lag(frame_interval: float) -> None:
+def test_measured_delay_is_the_lag(frame_interval):
     for delay in estimator_delays(CAR, frame_interval=frame_interval):
         assert delay.seconds == pytest.approx(LAG, abs=0.001)
         assert delay.error < 0.1 * delay.error_now
 
 
-def test_delay_of_a_shifted_truth_is_the_shift() -> None:
+def test_delay_of_a_shifted_truth_is_the_shift():
     times = 0.005 * np.arange(4000)
     states, poses = known_drive(CAR, times)
     assert np.abs(poses).max() > 0.3
@@ -155,7 +152,7 @@ def test_delay_of_a_shifted_truth_is_the_shift() -> None:
     np.testing.assert_allclose([d.seconds for d in found], shifts, atol=2e-4)
 
 
-def test_systems_that_poses_do_not_tell_are_refused() -> None:
+def test_systems_that_poses_do_not_tell_are_refused():
     with pytest.raises(IncompatibleSystem, match="no motion"):
         PoseEstimator(System((Channel("x"),), (Channel("u"),), 0.05))
     with pytest.raises(IncompatibleSystem, match="battery"):

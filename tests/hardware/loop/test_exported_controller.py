@@ -1,24 +1,19 @@
 """A controller exported to C drives in the 20 Hz loop as the product itself does."""
 
-from __future__ import annotations
-
 import ctypes
 import subprocess
-from pathlib import Path
-from typing import Any, Self
 
 import numpy as np
 import pytest
 
 from hardware.driving.trials import RobotRunner
-from sysid_evo.controllers import Controller, View
+from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.export import Law, c_text, law_of
+from sysid_evo.export import c_text, law_of
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
-from sysid_evo.types import Array
 from tests.fixtures.exports import champion_of
 from tests.system.rig.build import WARNINGS, compiler
 
@@ -30,14 +25,14 @@ class Compiled(Controller):
 
     n_parameters = 1
 
-    def __init__(self, law: Law, step: Any) -> None:
+    def __init__(self, law, step):
         self.law, self.step = law, step
         self.n_memory = sum(value.size for value in law.program.remembered.values())
 
-    def bind(self, n_observations: int, n_outputs: int) -> Self:
+    def bind(self, n_observations, n_outputs):
         return self
 
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+    def act(self, parameters, memory, view):
         after, controls = memory.copy(), np.zeros((*view.observation.shape[:2], self.law.system.nu))
         for place in np.ndindex(*controls.shape[:2]):
             rows = (np.ascontiguousarray(array[place]) for array in (after, view.observation, controls))
@@ -47,7 +42,7 @@ class Compiled(Controller):
         return self.law.system.raw_of(controls), after
 
 
-def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_path: Path) -> None:
+def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_path):
     robot = make_robot("emulated_car")
     champion = champion_of("recurrent", robot.system)
     law = law_of(champion)

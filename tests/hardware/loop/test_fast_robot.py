@@ -1,9 +1,6 @@
 """A robot that is faster than the gate believes: lost with the reason and the key, found once its file says so."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 
@@ -12,11 +9,10 @@ from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal import read_journal
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import record
-from hardware.run_report import LoopReport, Reason
+from hardware.run_report import Reason
 from sysid_evo.models import Dynamics
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 
 class Sled(Dynamics):
@@ -30,20 +26,20 @@ class Sled(Dynamics):
     )
     n_carry = 2
 
-    def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
+    def start(self, states, controls, draws=None):
         return states[:, -1].copy()
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         speed = carry[:, 0] + (12.0 * control[:, 0] - carry[:, 0]) * self.system.dt / 0.3
         return np.stack([speed, carry[:, 1]], axis=1)
 
 
-def driven(folder: Path, gate: GateLimits | None) -> LoopReport:
+def driven(folder, gate):
     robot = EmulatedRobot("sled", Sled(), repeats=10, gate=gate)
     return record(robot, [Manoeuvre("away", np.ones((40, 1)))], folder, seed=1)
 
 
-def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_and_the_key(tmp_path: Path) -> None:
+def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_and_the_key(tmp_path):
     report = driven(tmp_path, None)
     assert report.reason is Reason.TRACKER_LOST
     assert "the newest pose is 0.5" in report.detail
@@ -54,9 +50,7 @@ def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_
     assert 7.0 < float(seen[1]) < 12.0
 
 
-def test_the_same_robot_is_seen_once_its_limits_say_how_fast_it_is_and_the_journal_remembers_them(
-    tmp_path: Path,
-) -> None:
+def test_the_same_robot_is_seen_once_its_limits_say_how_fast_it_is_and_the_journal_remembers_them(tmp_path):
     report = driven(tmp_path, GateLimits(speed=15.0))
     assert (report.reason, report.rejected) == (Reason.PILOT, {})
     assert read_journal(tmp_path / "away.rcj").limits.speed == 15.0

@@ -1,25 +1,22 @@
 """Looking at a robot without moving it."""
 
-from __future__ import annotations
-
 import pytest
 
-from hardware.robot import Robot
 from hardware.self_test import self_test
 from sysid_evo.registry import make_robot
 from tests.hardware.loop.through import FaultyRobot
 
 
 @pytest.fixture
-def robot() -> Robot:
+def robot():
     return make_robot("emulated_car")
 
 
-def what_is_wrong(robot: Robot, **faults: object) -> set[str]:
+def what_is_wrong(robot, **faults):
     return {finding.what for finding in self_test(FaultyRobot(robot, **faults), seconds=1.0, seed=1) if not finding.ok}
 
 
-def test_sound_robot_has_nothing_wrong_and_is_closed(robot: Robot) -> None:
+def test_sound_robot_has_nothing_wrong_and_is_closed(robot):
     sound = FaultyRobot(robot)
     findings = self_test(sound, seconds=1.0, seed=1)
     assert all(finding.ok for finding in findings)
@@ -39,5 +36,5 @@ def test_sound_robot_has_nothing_wrong_and_is_closed(robot: Robot) -> None:
         ({"slow": {0.5: 30}}, {"loop"}),
     ],
 )
-def test_each_fault_is_found_where_it_is(robot: Robot, faults: dict[str, object], wrong: set[str]) -> None:
+def test_each_fault_is_found_where_it_is(robot, faults, wrong):
     assert what_is_wrong(robot, **faults) == wrong

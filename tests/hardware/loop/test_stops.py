@@ -8,20 +8,17 @@ import re
 import signal
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hardware.connection import Connection
 from hardware.control_loop import ControlLoop, before_others
 from hardware.run_report import ROBOT, SIGNALS, LoopReport, Reason, Stops
 from sysid_evo.cli import console
 from sysid_evo.errors import LinkLost
 from sysid_evo.registry import make_robot
-from sysid_evo.types import Array
 from tests.hardware.loop.paced import Paced
 from tests.hardware.loop.through import Script
 
@@ -29,12 +26,12 @@ FORWARD = np.array([1.0, 0.0])
 PROMPT = 0.05  # s
 
 
-def run_until(stops: Stops, act: Callable[[], None], control: Callable[[int], Array]) -> tuple[LoopReport, float]:
+def run_until(stops, act, control):
     """Drive in real time, call ``act`` on another thread after 0.4 s; return the report and how long the stop took."""
     robot = make_robot("emulated_car")
     acted: list[float] = []
 
-    def later() -> None:
+    def later():
         time.sleep(0.4)
         acted.append(time.monotonic())
         act()
@@ -49,7 +46,7 @@ def run_until(stops: Stops, act: Callable[[], None], control: Callable[[int], Ar
 
 
 @pytest.mark.parametrize("number", list(SIGNALS))
-def test_signal_closes_the_connection_within_50_ms_and_is_the_reason(number: signal.Signals) -> None:
+def test_signal_closes_the_connection_within_50_ms_and_is_the_reason(number):
     before = signal.getsignal(number)
     with Stops() as stops:
         report, took = run_until(stops, lambda: os.kill(os.getpid(), number), lambda tick: FORWARD)
@@ -60,14 +57,14 @@ def test_signal_closes_the_connection_within_50_ms_and_is_the_reason(number: sig
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_dying_thread_closes_the_connection_and_is_named() -> None:
+def test_dying_thread_closes_the_connection_and_is_named():
     told: list[str] = []
     hook = threading.excepthook
     threading.excepthook = lambda arguments: told.append(arguments.exc_type.__name__)
     try:
         with Stops() as stops:
 
-            def die() -> None:
+            def die():
                 raise ZeroDivisionError("no more")
 
             report, took = run_until(stops, die, lambda tick: FORWARD)
@@ -79,10 +76,10 @@ def test_dying_thread_closes_the_connection_and_is_named() -> None:
         threading.excepthook = hook
 
 
-def test_request_of_another_thread_ends_the_run_and_the_first_one_counts() -> None:
+def test_request_of_another_thread_ends_the_run_and_the_first_one_counts():
     stops = Stops()
 
-    def ask() -> None:
+    def ask():
         stops.request(Reason.LINK_LOST, "unplugged")
         stops.request(Reason.SIGTERM)
 
@@ -91,7 +88,7 @@ def test_request_of_another_thread_ends_the_run_and_the_first_one_counts() -> No
     assert took < PROMPT
 
 
-def test_second_signal_interrupts_whatever_runs() -> None:
+def test_second_signal_interrupts_whatever_runs():
     with Stops() as stops:
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
@@ -99,7 +96,7 @@ def test_second_signal_interrupts_whatever_runs() -> None:
         assert stops.reason is Reason.SIGTERM
 
 
-def test_stop_that_came_before_the_run_lets_nothing_drive() -> None:
+def test_stop_that_came_before_the_run_lets_nothing_drive():
     robot = make_robot("emulated_car")
     stops = Stops()
     stops.request(Reason.SIGINT)
@@ -109,7 +106,7 @@ def test_stop_that_came_before_the_run_lets_nothing_drive() -> None:
     assert script.ticks == []
 
 
-def test_loop_keeps_time_in_real_time() -> None:
+def test_loop_keeps_time_in_real_time():
     """A busy machine may be late, but the schedule stays: a second of ticks takes a second."""
     robot = make_robot("emulated_car")
     with Paced(robot.connect(seed=1)) as link:
@@ -123,11 +120,11 @@ def test_loop_keeps_time_in_real_time() -> None:
     assert report.gaps.sum() == pytest.approx(driven[-1] - driven[0], abs=0.05)
 
 
-def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in_simulated_time_as_usual() -> None:
-    def place() -> tuple[int, int]:
+def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in_simulated_time_as_usual():
+    def place():
         return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.getpriority(os.PRIO_PROCESS, 0)
 
-    def driven(link: Connection) -> set[tuple[int, int]]:
+    def driven(link):
         seen: list[tuple[int, int]] = []
         ControlLoop(link, robot.system).run(Script(lambda tick: seen.append(place()) or FORWARD), samples=3)
         return set(seen)
@@ -144,14 +141,14 @@ def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in
         assert best[0] == os.SCHED_RR
 
 
-def test_drift_is_how_much_later_the_last_ticks_are_than_the_first() -> None:
+def test_drift_is_how_much_later_the_last_ticks_are_than_the_first():
     lateness = np.concatenate([np.full(150, 0.001), np.full(150, 0.004)])
     report = LoopReport(Reason.SAMPLES, "", lateness, np.full(299, 0.05))
     assert report.drift == pytest.approx(0.003)
     assert LoopReport(Reason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
 
 
-def test_the_page_on_hardware_lists_the_exit_code_of_every_reason() -> None:
+def test_the_page_on_hardware_lists_the_exit_code_of_every_reason():
     page = (Path(__file__).parents[3] / "docs" / "hardware.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| (.+) \|$", page[page.index("| code | why |") :], re.MULTILINE)
     listed = {reason: [int(code) for code, why in rows if reason.sentence in why] for reason in Reason}
@@ -163,10 +160,10 @@ def test_the_page_on_hardware_lists_the_exit_code_of_every_reason() -> None:
 
 
 @pytest.mark.parametrize("catches", [0, 1])
-def test_a_call_that_does_not_come_back_ends_after_its_patience(catches: int) -> None:
+def test_a_call_that_does_not_come_back_ends_after_its_patience(catches):
     with Stops(patience=0.2) as stops:
 
-        def call() -> None:
+        def call():
             for _ in range(catches):  # a robot's own loop may catch it, and go on
                 with suppress(LinkLost):
                     time.sleep(30.0)
@@ -183,7 +180,7 @@ def test_a_call_that_does_not_come_back_ends_after_its_patience(catches: int) ->
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-def test_a_signal_ends_a_call_that_may_wait_for_ever() -> None:
+def test_a_signal_ends_a_call_that_may_wait_for_ever():
     with Stops() as stops:
         threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGTERM)).start()
         with pytest.raises(LinkLost, match="no answer within 1 s of the signal"), stops.answer("the arm", math.inf):

@@ -1,7 +1,5 @@
 """The scripted manoeuvres."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,15 +1,11 @@
 """The journal: comes back as it was written, up to a crash, and takes nothing hostile."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
 import struct
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,19 +13,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hardware.connection import Command, GateLimits, Measurement, RobotStatus
-from hardware.recording.journal import LONGEST, MAGIC, SCHEMA, Journal, Recorder, read_journal
+from hardware.recording.journal import LONGEST, MAGIC, SCHEMA, Recorder, read_journal
 from hardware.recording.journal_reader import raw_log
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, InvalidData
 from tests.benchmarks.recorder import kill_once
 
 
-def measurement(number: int, body: str = "car") -> Measurement:
+def measurement(number, body="car"):
     time = 5.0 + 0.005 * number
     return Measurement(time, time + 0.004, number, body, True, np.array([0.005 * number, -2.0, 0.5]))
 
 
-def session(path: Path, frames: int = 40) -> Recorder:
+def session(path, frames=40):
     """Return a recorder that was told of ``frames`` frames, a command every ten, a status after each."""
     recorder = Recorder(path, CAR, robot="toy", body="car")
     for number in range(frames):
@@ -44,13 +40,13 @@ def session(path: Path, frames: int = 40) -> Recorder:
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path):
     return tmp_path / "run.rcj"
 
 
 @pytest.fixture
-def rewritten(path: Path) -> Callable[[bytes], Journal]:
-    def rewrite(data: bytes) -> Journal:
+def rewritten(path):
+    def rewrite(data):
         path.write_bytes(data)
         return read_journal(path)
 
@@ -119,12 +115,12 @@ def test_damage_in_the_middle_is_refused(path, rewritten):
         rewritten(bytes(data))
 
 
-def record(kind: int, payload: bytes, length: int | None = None) -> bytes:
+def record(kind, payload, length=None):
     front = struct.pack("<IB", len(payload) if length is None else length, kind) + payload
     return front + struct.pack("<I", zlib.crc32(front))
 
 
-def header(**fields: object) -> bytes:
+def header(**fields):
     return json.dumps({"schema": SCHEMA, "system": CAR.to_dict(), **fields}).encode()
 
 

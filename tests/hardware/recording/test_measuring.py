@@ -1,7 +1,5 @@
 """Manoeuvres that measure, and what they say of the emulated car."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +9,20 @@ from hardware.emulation.car_physics import CarParameters
 from hardware.recording.manoeuvres import KINDS, measuring
 from hardware.robot import find_robot
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import Measured, measured
+from sysid_evo.data.response import measured
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.system import Channel, System
 
 
 @pytest.fixture(scope="module")
-def said() -> dict[str, Measured]:
+def said():
     robot, episodes = find_robot("emulated_car"), []
     for kind in KINDS:
         episodes += robot.record_manoeuvres(measuring(robot.system, kind), seed=0).dataset.episodes
     return {one.name: one for one in measured(Dataset(robot.system, tuple(episodes)))}
 
 
-def test_top_speeds_and_turning_radii_of_the_emulated_car_are_measured(said: dict[str, Measured]) -> None:
+def test_top_speeds_and_turning_radii_of_the_emulated_car_are_measured(said):
     """It does 1.8 to 2.0 m/s forward and 1.3 to 1.45 backward, as the battery is; its circles are known to 5 %."""
     assert said["top speed forward"].value == pytest.approx(1.9, rel=0.08)
     assert said["top speed backward"].value == pytest.approx(1.38, rel=0.08)
@@ -33,7 +31,7 @@ def test_top_speeds_and_turning_radii_of_the_emulated_car_are_measured(said: dic
     assert radii == {f"turning radius {name}": pytest.approx(value, rel=0.05) for name, value in expected.items()}
 
 
-def test_the_losses_of_coasting_add_up_to_those_of_the_car(said: dict[str, Measured]) -> None:
+def test_the_losses_of_coasting_add_up_to_those_of_the_car(said):
     """Resistance and drag trade against each other in one run; at 1 m/s they add up to 1.25 m/s^2."""
     car = CarParameters()
     expected = car.rolling_resistance + car.coasting_drag + car.rolling_drag
@@ -42,7 +40,7 @@ def test_the_losses_of_coasting_add_up_to_those_of_the_car(said: dict[str, Measu
     assert said["drag forward"].unit == "1/s"
 
 
-def test_a_first_order_system_shows_its_time_constant_and_its_steady_value() -> None:
+def test_a_first_order_system_shows_its_time_constant_and_its_steady_value():
     system = System((Channel("heat", "K"),), (Channel("power", "W", 0.0, 2.0),), dt=0.1)
     (step,) = measuring(system, "step")
     assert step.name == "step-power-2"
@@ -56,7 +54,7 @@ def test_a_first_order_system_shows_its_time_constant_and_its_steady_value() -> 
     assert str(found[0]).startswith("steady heat: 6 +- ")
 
 
-def test_a_continuous_drive_goes_round_at_two_speeds_and_back_to_rest(car: System) -> None:
+def test_a_continuous_drive_goes_round_at_two_speeds_and_back_to_rest(car):
     drive = Channel("drive", low=-1.0, high=1.0)
     system = replace(car, controls=(drive, car.controls[1]))
     manoeuvres = measuring(system, "circle")
@@ -67,7 +65,7 @@ def test_a_continuous_drive_goes_round_at_two_speeds_and_back_to_rest(car: Syste
     assert len(measuring(car, "circle")) == 4
 
 
-def test_what_cannot_be_driven_is_refused_in_a_sentence(car: System) -> None:
+def test_what_cannot_be_driven_is_refused_in_a_sentence(car):
     with pytest.raises(InvalidArgument, match="expected one of step, coast_down, circle, got 'loop'"):
         measuring(car, "loop")
     heater = System(("heat",), (Channel("power", "W", 0.0, 2.0),), dt=0.1)
@@ -75,7 +73,7 @@ def test_what_cannot_be_driven_is_refused_in_a_sentence(car: System) -> None:
         measuring(heater, "circle")
 
 
-def test_an_environment_is_not_driven_through_manoeuvres() -> None:
+def test_an_environment_is_not_driven_through_manoeuvres():
     robot = find_robot("gymnasium")
     with pytest.raises(IncompatibleSystem, match="recorded without manoeuvres"):
         robot.record_manoeuvres(measuring(robot.system, "step"), seed=0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.connection import Connection, Measurement
+from hardware.connection import Connection
 from hardware.emulation.car_physics import CarParameters
 from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.tracked_robots import EmulatedRobot
@@ -28,45 +28,45 @@ from sysid_evo.types import Array
 class Watched(Connection):
     """A connection that notes the true states and loses sight of the body in some frames."""
 
-    def __init__(self, link, hidden: range, last_frame: float) -> None:
+    def __init__(self, link, hidden, last_frame):
         self.link, self.hidden, self.last_frame = link, hidden, last_frame
         self.states: list[Array] = []
 
     @property
-    def time(self) -> float:
+    def time(self):
         return self.link.time
 
-    def send(self, control: Array, *, valid_for: float) -> None:
+    def send(self, control, *, valid_for):
         self.link.send(control, valid_for=valid_for)
 
-    def measure(self, timeout: float) -> Measurement | None:
+    def measure(self, timeout):
         frame = self.link.measure(timeout)
         if frame is None or frame.frame > self.last_frame:
             return None
         self.states.append(self.link.state)
         return replace(frame, valid=frame.frame not in self.hidden)
 
-    def close(self) -> None:
+    def close(self):
         self.link.close()
 
 
 class WatchedRobot(Robot):
-    def __init__(self, robot: Robot, hidden: range = range(0), last_frame: float = np.inf) -> None:
+    def __init__(self, robot, hidden=range(0), last_frame=np.inf):
         self.robot, self.hidden, self.last_frame = robot, hidden, last_frame
         self.name, self.system, self.dynamics = robot.name, robot.system, robot.dynamics
         self.sessions: list[Watched] = []
 
-    def connect(self, *, seed: int | None = None) -> Connection:
+    def connect(self, *, seed=None):
         self.sessions.append(Watched(self.robot.connect(seed=seed), self.hidden, self.last_frame))
         return self.sessions[-1]
 
 
 @pytest.fixture
-def robot() -> WatchedRobot:
+def robot():
     return WatchedRobot(make_robot("emulated_car"))
 
 
-def short(rng: np.random.Generator, steps: int = 40) -> Manoeuvre:
+def short(rng, steps=40):
     return Manoeuvre("short", np.repeat(rng.integers(-1, 2, (steps // 4, 2)).astype(float), 4, axis=0))
 
 
@@ -75,7 +75,7 @@ def recorded(tmp_path):
     """Record manoeuvres on a robot; give the logs, and leave the report of the last run in ``report``."""
     count = iter(range(99))
 
-    def run(robot, manoeuvres, **options) -> list:
+    def run(robot, manoeuvres, **options):
         folder = tmp_path / str(next(count))
         run.report = record(robot, manoeuvres, folder, **{"seed": 1, **options})
         return logs_of(folder, [one.name for one in manoeuvres])
@@ -152,7 +152,7 @@ def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_t
 def test_interrupted_recording_keeps_what_there_is(robot, rng, recorded):
     stops = Stops()
 
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(done, total):
         if done == 30:
             stops.request(Reason.SIGINT)
 
@@ -176,7 +176,7 @@ class Jumping(Watched):
 
     gap = 0
 
-    def measure(self, timeout: float) -> Measurement | None:
+    def measure(self, timeout):
         frame = super().measure(timeout)
         if frame is None or frame.frame < 400:
             return frame
@@ -186,7 +186,7 @@ class Jumping(Watched):
 class JumpingRobot(WatchedRobot):
     gap = 0
 
-    def connect(self, *, seed: int | None = None) -> Connection:
+    def connect(self, *, seed=None):
         session = Jumping(self.robot.connect(seed=seed), range(0), np.inf)
         session.gap = self.gap
         self.sessions.append(session)

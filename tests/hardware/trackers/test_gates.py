@@ -1,7 +1,5 @@
 """The gate: what a tracker's faults do to a track, and what they must not."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -17,11 +15,11 @@ from sysid_evo.errors import InvalidArgument
 RATE = 200.0  # Hz
 
 
-def frame(time: float, pose, body: str = "car", valid: bool = True) -> Measurement:
+def frame(time, pose, body="car", valid=True):
     return Measurement(time, time + 0.004, 0, body, valid, np.asarray(pose, dtype=float))
 
 
-def drive(count: int, start: int = 0, rng: np.random.Generator | None = None) -> list[Measurement]:
+def drive(count, start=0, rng=None):
     """Return frames of a car that circles at 1 m/s with the errors of marker tracking."""
     rng = np.random.default_rng(start) if rng is None else rng
     times = (start + np.arange(count)) / RATE
@@ -31,16 +29,16 @@ def drive(count: int, start: int = 0, rng: np.random.Generator | None = None) ->
     return [frame(time, pose) for time, pose in zip(times, poses, strict=True)]
 
 
-def moved(frames: list[Measurement], by) -> list[Measurement]:
+def moved(frames, by):
     return [frame(one.source_time, one.pose + by) for one in frames]
 
 
-def verdicts(gate: PoseGate, frames: list[Measurement], *, driving: bool = True):
+def verdicts(gate, frames, *, driving=True):
     return [gate.accept(one, driving=driving) for one in frames]
 
 
 @pytest.fixture
-def gate() -> PoseGate:
+def gate():
     return PoseGate("car")
 
 
@@ -115,7 +113,7 @@ def test_frozen_pose_is_seen_while_driving_only_and_ends_the_track(gate):
     assert all(one.accepted for one in verdicts(unlimited, frames[:50] + frozen))
 
 
-def straight(count: int, speed: float = 0.0, yaw_rate: float = 0.0, *, rate: float, start: int = 0):
+def straight(count, speed=0.0, yaw_rate=0.0, *, rate, start=0):
     """Return frames of a body that goes and turns at constant speeds."""
     times = (start + np.arange(count)) / rate
     return [frame(t, [speed * t, 0.0, math.remainder(yaw_rate * t, 2 * math.pi)]) for t in times]

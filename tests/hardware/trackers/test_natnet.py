@@ -22,7 +22,7 @@ PERIOD = 0.005  # s
 BODIES = {"truck": 7, "car": 12}
 
 
-def about(axis: int, angle: float) -> tuple[float, ...]:
+def about(axis, angle):
     """Return the quaternion (x, y, z, w) of a turn about one axis."""
     vector = [0.0, 0.0, 0.0]
     vector[axis] = math.sin(angle / 2)
@@ -32,7 +32,7 @@ def about(axis: int, angle: float) -> tuple[float, ...]:
 class MotiveServer:
     """Answers on a UDP port as Motive does in unicast: server info, list of rigid bodies, frames at 200 Hz."""
 
-    def __init__(self, version: tuple[int, int]) -> None:
+    def __init__(self, version):
         self.version = version
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
@@ -46,12 +46,12 @@ class MotiveServer:
         self.thread = threading.Thread(target=self.serve)
         self.thread.start()
 
-    def close(self) -> None:
+    def close(self):
         self.stop.set()
         self.thread.join()
         self.socket.close()
 
-    def serve(self) -> None:
+    def serve(self):
         described = False
         due = time.monotonic()
         while not self.stop.is_set():
@@ -74,16 +74,16 @@ class MotiveServer:
                 self.socket.sendto(self.packet(7, self.frame()), self.client)
 
     @staticmethod
-    def packet(kind: int, payload: bytes) -> bytes:
+    def packet(kind, payload):
         return struct.pack("<HH", kind, len(payload)) + payload
 
-    def sized(self, payload: bytes) -> bytes:
+    def sized(self, payload):
         return (struct.pack("<I", len(payload)) if self.version >= (4, 1) else b"") + payload
 
-    def info(self) -> bytes:
+    def info(self):
         return b"Motive".ljust(256, b"\0") + bytes([3, 1, 0, 0]) + bytes([*self.version, 0, 0])
 
-    def description(self) -> bytes:
+    def description(self):
         out = struct.pack("<I", len(BODIES))
         for name, number in BODIES.items():
             body = name.encode() + b"\0" + struct.pack("<II3f", number, 0, 0.0, 0.0, 0.0)
@@ -91,7 +91,7 @@ class MotiveServer:
             out += struct.pack("<I", 1) + self.sized(body + struct.pack("<I", 0))
         return out
 
-    def frame(self, place: float = 0.5, time: float = 0.0) -> bytes:
+    def frame(self, place=0.5, time=0.0):
         nothing = struct.pack("<I", 0) + self.sized(b"")
         angle = 0.01 * self.number
         poses = {7: ((9.0, 9.0, 9.0), about(1, 0.0)), 12: ((place, 0.1, -0.001 * self.number), about(1, angle))}

@@ -1,7 +1,5 @@
 """Trackers in a process of their own: what comes through, and how either side learns of the other's end."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal
@@ -22,14 +20,14 @@ from tests.fixtures.trackers import MissingTracker, MockTracker, PolledMockTrack
 SOURCE = "from tests.fixtures.trackers import ScriptedTracker"
 
 
-def alive(pid: int) -> bool:
+def alive(pid):
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:
         return False
 
 
-def ends(pid: int, within: float = 2.0) -> bool:
+def ends(pid, within=2.0):
     deadline = time.monotonic() + within
     while alive(pid) and time.monotonic() < deadline:
         time.sleep(0.005)

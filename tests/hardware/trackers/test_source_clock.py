@@ -1,14 +1,12 @@
 """From a tracker's clock to the host's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from hardware.trackers.tracker import LEAK, SourceClock
 
 
-def mapped(clock: SourceClock, source, arrival):
+def mapped(clock, source, arrival):
     return np.array([clock.map(s, a) for s, a in zip(source, arrival, strict=True)])
 
 

@@ -1,7 +1,5 @@
 """The UDP/JSON stream: good datagrams become frames, all others are counted."""
 
-from __future__ import annotations
-
 import json
 import math
 import select
@@ -13,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.trackers.udp import FrameMessage, UdpStream, UdpTracker, parse_message
+from hardware.trackers.udp import FrameMessage, UdpTracker, parse_message
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import trackers
 from tests.system.rig.pose_stream import format_message
@@ -30,14 +28,14 @@ frames = st.builds(
 
 
 class Sender:
-    def __init__(self, stream: UdpStream) -> None:
+    def __init__(self, stream):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.address = stream.address
 
-    def send(self, data: bytes) -> None:
+    def send(self, data):
         self.socket.sendto(data, self.address)
 
-    def frame(self, time: float, frame: int, body: str = "car", valid: bool = True) -> None:
+    def frame(self, time, frame, body="car", valid=True):
         self.send(format_message(FrameMessage(time, frame, body, valid, np.array([1.0, 2.0, 0.5]))))
 
 

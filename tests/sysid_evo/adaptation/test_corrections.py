@@ -1,7 +1,5 @@
 """A correction does what its coefficients say, is learned by free runs, and stays within what was recorded."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,14 +9,12 @@ from sysid_evo.models.adaptation import Terms
 from sysid_evo.models.adaptation.correction import Pieces, corrections, free_runs, pushed, sensitivities
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels.correction import correction_kernel
-from sysid_evo.system import System
 from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
-from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import error_of
 from tests.fixtures.systems import FloorCar, drive
 
 
-def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_frame() -> None:
+def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_frame():
     data = drive(FloorCar(), seconds=5.0, seed=0)
     terms = Terms.of(data)
     coefficients = np.zeros(terms.shape)
@@ -30,7 +26,7 @@ def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_fr
     np.testing.assert_allclose(acceleration, [coefficients[0] * terms.unit])
 
 
-def test_free_runs_find_the_correction_that_was_left_out() -> None:
+def test_free_runs_find_the_correction_that_was_left_out():
     """Thrust 2 instead of 3 m/s2 is linear in the drive."""
     data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
     model, terms = FloorCar(), Terms.of(data)
@@ -41,7 +37,7 @@ def test_free_runs_find_the_correction_that_was_left_out() -> None:
     np.testing.assert_allclose(found, expected, atol=0.01)
 
 
-def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_linear_correction_leaves() -> None:
+def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_linear_correction_leaves():
     model = FloorCar()
     data = drive(Weaker(), seconds=15.0, seed=1, noise=0.0)
     pieces = Pieces.of(model, data)
@@ -56,13 +52,13 @@ def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_line
 class Weaker(FloorCar):
     """Three quarters of the acceleration of the car."""
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         acceleration = pushed(self.system, carry, super().step(carry, control))
         return self.system.integrate(carry, 0.75 * acceleration)
 
 
 @pytest.mark.parametrize("lags", [0, 2])
-def test_derivatives_along_a_run_are_those_of_differences(lags: int) -> None:
+def test_derivatives_along_a_run_are_those_of_differences(lags):
     data = drive(FloorCar(), seconds=6.0, seed=1)
     model = make_model("narx", degree=2, terms=8, state_lags=lags, control_lags=1).fit(data, rng=0)
     terms, pieces = Terms.of(data, products=True, model=model), Pieces.of(model, data)
@@ -79,14 +75,14 @@ def test_derivatives_along_a_run_are_those_of_differences(lags: int) -> None:
         assert np.mean(wrong > 1e-3 * (np.abs(expected).max() + 1e-6)) < 0.02, "but where a bound is met"
 
 
-def test_a_stronger_ridge_leaves_less_of_a_correction() -> None:
+def test_a_stronger_ridge_leaves_less_of_a_correction():
     data = drive(FloorCar(thrust=2.0), seconds=5.0, seed=1)
     model, terms = FloorCar(), Terms.of(data, products=True)
     strong, weak = corrections(model, terms, Pieces.of(model, data), [100.0, 0.1], 5.0)
     assert 0.0 < np.abs(strong).sum() < 0.5 * np.abs(weak).sum()
 
 
-def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge() -> None:
+def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge():
     terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=0), products=True)
     far, control = np.array([[50.0, -50.0, 80.0]]), np.array([[9.0, -9.0]])
     edge = np.array([[terms.high[0], terms.low[1], terms.high[2]]]), np.array([[terms.high[3], terms.low[4]]])
@@ -95,7 +91,7 @@ def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge() -> None:
     assert (np.abs(at_edge[0, 1 + terms.n_inputs :]) <= np.maximum(np.abs(terms.least), np.abs(terms.most))).all()
 
 
-def test_a_body_that_the_model_leaves_at_rest_stays_there() -> None:
+def test_a_body_that_the_model_leaves_at_rest_stays_there():
     data = example_dataset()
     model = make_model("linear", rest_hold=True).fit(data, rng=0)
     terms = Terms.of(data)
@@ -106,7 +102,7 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there() -> None:
 
 
 @pytest.mark.parametrize("system", example_systems(), ids=lambda system: system.name)
-def test_the_compiled_form_corrects_as_the_terms_do(system: System, rng: np.random.Generator) -> None:
+def test_the_compiled_form_corrects_as_the_terms_do(system, rng):
     model = ExampleDynamics(system)
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
     terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
@@ -119,7 +115,7 @@ def test_the_compiled_form_corrects_as_the_terms_do(system: System, rng: np.rand
     assert not np.allclose(compiled, after)
 
 
-def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other() -> None:
+def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other():
     data = drive(FloorCar(), seconds=4.0, seed=0)
     model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
     terms, some = Terms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))

@@ -1,30 +1,26 @@
 """A model that knows how far off it was on what it did not learn from is adapted only where it is farther off."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from sysid_evo.errors import PluginError
-from sysid_evo.models import DynamicsModel
 from sysid_evo.models.adaptation import NONE, adaptation, held_out_error
 from sysid_evo.models.adaptation.selection import AS_AT_HOME, MOST_PIECES, times_home
 from sysid_evo.models.base import make_model
-from sysid_evo.types import Array
 from tests.fixtures.systems import FloorCar, drive
 
 
-def fitted() -> DynamicsModel:
+def fitted():
     return make_model("linear").fit(drive(FloorCar(), seconds=30.0, seed=0), rng=0)
 
 
-def errors_by_hand(model: DynamicsModel, seed: int) -> Array:
+def errors_by_hand(model, seed):
     """Return the errors (N, 20, nx) of free runs of one second that begin at every third sample."""
     windows = drive(FloorCar(), seconds=20.0, seed=seed).windows(20, stride=3, moving=True)
     return model.simulate(windows.past_states, windows.past_controls, windows.controls) - windows.states
 
 
-def test_errors_of_all_that_was_held_out_are_pooled_in_the_units_of_the_states() -> None:
+def test_errors_of_all_that_was_held_out_are_pooled_in_the_units_of_the_states():
     model = fitted()
     cases = [(model, drive(FloorCar(), seconds=20.0, seed=seed)) for seed in (1, 2)]
     squares = [(errors_by_hand(model, seed) ** 2).reshape(-1, 3) for seed in (1, 2)]
@@ -34,11 +30,11 @@ def test_errors_of_all_that_was_held_out_are_pooled_in_the_units_of_the_states()
     assert found[0] != pytest.approx(found[2], rel=0.2)
 
 
-def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end() -> None:
+def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end():
     class Counting(FloorCar):
         most = 0
 
-        def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+        def step(self, carry, control, noise=None):
             self.most = max(self.most, len(carry))
             return super().step(carry, control, noise)
 
@@ -49,21 +45,21 @@ def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end
     assert car.most == MOST_PIECES
 
 
-def test_what_is_too_short_for_a_run_says_nothing() -> None:
+def test_what_is_too_short_for_a_run_says_nothing():
     model = fitted()
     assert held_out_error([(model, drive(FloorCar(), seconds=20.0, seed=1))]) is not None
     both = [(model, drive(FloorCar(), seconds=seconds, seed=1)) for seconds in (20.0, 0.5)]
     assert held_out_error(both) is None
 
 
-def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit() -> None:
+def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit():
     """Errors of 2 and 4 scales of 10 and 0.1 are 20 and 0.4; at home they were 10 and 0.1."""
     errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
     assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
     assert times_home(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
 
 
-def test_a_family_that_says_it_otherwise_is_told_what_is_expected() -> None:
+def test_a_family_that_says_it_otherwise_is_told_what_is_expected():
     model = fitted()
     model.held_out_error_ = np.ones(2)
     with pytest.raises(PluginError, match=r"a number for each of 3 states, got the shape \(2,\)"):
@@ -71,7 +67,7 @@ def test_a_family_that_says_it_otherwise_is_told_what_is_expected() -> None:
 
 
 @pytest.mark.parametrize(("share", "tried"), [(0.96, False), (1.04, True)])
-def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(share: float, tried: bool) -> None:
+def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(share, tried):
     """Pieces that reach over the edges of blocks are left out there, so that the two differ by a few percent."""
     model, new = fitted(), drive(FloorCar(thrust=1.5), seconds=20.0, seed=3)
     at_home = held_out_error([(model, new)])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -17,9 +16,9 @@ from gymnasium.utils.env_checker import check_env
 
 from sysid_evo.controllers import RecurrentNetwork, View
 from sysid_evo.engine import rollout
-from sysid_evo.environments import ENVIRONMENTS, ModelEnvironment, make_env, make_vector_env, members_of
+from sysid_evo.environments import ENVIRONMENTS, make_env, make_vector_env, members_of
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.models import Dynamics, DynamicsModel, save_model
+from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
@@ -29,15 +28,15 @@ from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
 TASK = "point_to_point(horizon=40, arena_radius=0.4)"
 
 
-def linear() -> DynamicsModel:
+def linear():
     return make_model("linear").fit(example_dataset())
 
 
-def ensemble() -> dict[str, Dynamics]:
+def ensemble():
     return {"linear": linear(), "neighbours": make_model("k_neighbours").fit(example_dataset(seed=4))}
 
 
-def checked(env: Any) -> None:
+def checked(env):
     """Raise what Gymnasium's checker finds, but for its remark that observations have no limits."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -47,18 +46,18 @@ def checked(env: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
-def test_every_registered_environment_passes_the_checker_of_gymnasium(name: str) -> None:
+def test_every_registered_environment_passes_the_checker_of_gymnasium(name):
     checked(gymnasium.make(name).unwrapped)
 
 
 @pytest.mark.parametrize("actions", ["auto", "continuous"])
-def test_a_model_and_an_ensemble_pass_the_checker_of_gymnasium(actions: Any) -> None:
+def test_a_model_and_an_ensemble_pass_the_checker_of_gymnasium(actions):
     checked(make_env(linear(), TASK, actions=actions, seed=1))
     checked(make_env(ensemble(), TASK, actions=actions, seed=1))
 
 
 @pytest.mark.parametrize("action", [9, -1, 0.5, [0, 1]])
-def test_an_action_that_is_none_of_its_space_is_refused_with_the_space(action: Any) -> None:
+def test_an_action_that_is_none_of_its_space_is_refused_with_the_space(action):
     env = make_env("pendulum", "swing_up(horizon=20)", actions="continuous")
     with pytest.raises(ResetNeeded, match="call reset"):
         env.step(env.action_space.sample())
@@ -73,13 +72,13 @@ def test_an_action_that_is_none_of_its_space_is_refused_with_the_space(action: A
         several.step([[action, 0]] * 2 if np.isscalar(action) else action)
 
 
-def test_a_folder_of_recordings_is_no_ensemble(tmp_path: Path) -> None:
+def test_a_folder_of_recordings_is_no_ensemble(tmp_path):
     example_dataset().save(tmp_path / "car")
     with pytest.raises(InvalidArgument, match="no model is stored in"):
         make_env(tmp_path / "car", TASK)
 
 
-def driven(env: ModelEnvironment, parameters: Any) -> float:
+def driven(env, parameters):
     """Return the rewards of one episode in which a network drives, with what it is shown in full precision."""
     task = env.trials.task
     controller = RecurrentNetwork(hidden=4).bind(len(task.observations), env.trials.system.nu)
@@ -93,7 +92,7 @@ def driven(env: ModelEnvironment, parameters: Any) -> float:
 
 
 @pytest.mark.parametrize("source", ["emulated_car", "ensemble"])
-def test_the_rewards_of_an_episode_are_the_fitness_of_a_rollout_with_its_seed(source: str) -> None:
+def test_the_rewards_of_an_episode_are_the_fitness_of_a_rollout_with_its_seed(source):
     members = ensemble() if source == "ensemble" else {source: make_robot(source).dynamics}
     env = make_env(members, TASK, actions="continuous", seed=2)
     parameters = np.random.default_rng(3).standard_normal((6, 4 * (5 + 4 + 2)))
@@ -106,7 +105,7 @@ def test_the_rewards_of_an_episode_are_the_fitness_of_a_rollout_with_its_seed(so
         assert env.trials.survived[0] == found.survived[0, 0]
 
 
-def test_number_i_of_a_vector_environment_does_what_a_single_one_does() -> None:
+def test_number_i_of_a_vector_environment_does_what_a_single_one_does():
     vector = make_vector_env(ensemble(), "point_to_point(horizon=9)", num_envs=3, actions="continuous")
     singles = [make_env(ensemble(), "point_to_point(horizon=9)", actions="continuous") for _ in range(3)]
     shown, _ = vector.reset(seed=7)
@@ -129,7 +128,7 @@ def test_number_i_of_a_vector_environment_does_what_a_single_one_does() -> None:
     assert met == {0, 1}
 
 
-def test_an_episode_of_an_ensemble_is_on_a_member_drawn_from_the_seed() -> None:
+def test_an_episode_of_an_ensemble_is_on_a_member_drawn_from_the_seed():
     env = make_env(ensemble(), TASK)
     members = [env.reset(seed=seed)[1]["member"] for seed in range(12)]
     assert set(members) == {"linear", "neighbours"}
@@ -139,7 +138,7 @@ def test_an_episode_of_an_ensemble_is_on_a_member_drawn_from_the_seed() -> None:
         env.reset(options={"member": "x"})
 
 
-def test_the_seed_of_the_environment_is_that_of_its_first_episode_only() -> None:
+def test_the_seed_of_the_environment_is_that_of_its_first_episode_only():
     first, second = make_env(linear(), TASK, seed=5), make_env(linear(), TASK)
     np.testing.assert_array_equal(first.reset()[0], second.reset(seed=5)[0])
     before = first.trials.seeds.copy()
@@ -147,7 +146,7 @@ def test_the_seed_of_the_environment_is_that_of_its_first_episode_only() -> None
     assert first.trials.seeds != before
 
 
-def test_discrete_actions_are_the_numbers_of_levels_and_continuous_ones_a_controllers_outputs() -> None:
+def test_discrete_actions_are_the_numbers_of_levels_and_continuous_ones_a_controllers_outputs():
     env = make_env(ExampleDynamics(switched_car()), TASK)
     assert env.action_space == spaces.MultiDiscrete([3, 3])
     env.reset(seed=0)
@@ -161,11 +160,11 @@ def test_discrete_actions_are_the_numbers_of_levels_and_continuous_ones_a_contro
 
 
 class Exploding(ExampleDynamics):
-    def step(self, carry: Any, control: Any, noise: Any = None) -> Any:
+    def step(self, carry, control, noise=None):
         return np.where(np.abs(carry) > 0.1, np.nan, super().step(carry, control, noise))
 
 
-def test_a_trial_that_diverges_is_terminated_and_worth_less_than_any_other() -> None:
+def test_a_trial_that_diverges_is_terminated_and_worth_less_than_any_other():
     env = make_env(Exploding(switched_car()), TASK, actions="continuous")
     env.reset(seed=0)
     total, steps, over = 0.0, 0, False
@@ -178,21 +177,21 @@ def test_a_trial_that_diverges_is_terminated_and_worth_less_than_any_other() -> 
     assert total == pytest.approx(info["fitness"])
 
 
-def test_an_environment_is_truncated_at_the_horizon_of_its_task() -> None:
+def test_an_environment_is_truncated_at_the_horizon_of_its_task():
     env = make_env(linear(), "point_to_point(horizon=7)", actions="continuous")
     env.reset(seed=0)
     ends = [env.step(np.zeros(2))[2:4] for _ in range(7)]
     assert ends == [(False, False)] * 6 + [(False, True)]
 
 
-def test_units_and_names_stand_in_the_metadata() -> None:
+def test_units_and_names_stand_in_the_metadata():
     metadata = make_env("emulated_car").metadata
     assert metadata["observations"]["waypoint_distance"] == "m"
     assert metadata["reward"] == "waypoints"
     assert (metadata["dt"], metadata["render_fps"]) == (0.05, 20)
 
 
-def test_models_are_found_by_path_by_folder_and_as_several(tmp_path: Path) -> None:
+def test_models_are_found_by_path_by_folder_and_as_several(tmp_path):
     for name, model in ensemble().items():
         save_model(model, tmp_path / name)
     assert set(members_of(tmp_path)) == {"linear", "neighbours"}
@@ -204,23 +203,23 @@ def test_models_are_found_by_path_by_folder_and_as_several(tmp_path: Path) -> No
         members_of("serial")
 
 
-def test_models_of_different_systems_are_no_ensemble() -> None:
+def test_models_of_different_systems_are_no_ensemble():
     with pytest.raises(IncompatibleSystem, match="car and swing differ"):
         make_env({"car": ExampleDynamics(switched_car()), "swing": ExampleDynamics(pendulum())}, TASK)
 
 
-def test_a_render_mode_is_refused_with_another_way_to_look() -> None:
+def test_a_render_mode_is_refused_with_another_way_to_look():
     for make in (gymnasium.make, gymnasium.make_vec):
         with pytest.raises(InvalidArgument, match=r"expected no render_mode.*got 'rgb_array'.*--watch"):
             make("sysid_evo/SwingUp-v0", render_mode="rgb_array")
 
 
-def test_nothing_else_imports_gymnasium() -> None:
+def test_nothing_else_imports_gymnasium():
     program = "import sys, sysid_evo.cli.app, evaluation, sysid_evo.engine; sys.exit('gymnasium' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
-def test_without_gymnasium_it_is_said_what_is_missing() -> None:
+def test_without_gymnasium_it_is_said_what_is_missing():
     program = "import sys; sys.modules['gymnasium'] = None; import sysid_evo; sysid_evo.make_env"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert "MissingExtra: an environment needs the package 'gymnasium', which is not installed." in ended.stderr

@@ -23,13 +23,13 @@ from sysid_evo.testing.examples import continuous_car
 TASK = "point_to_point(horizon=20, arena_radius=0.4)"
 
 
-def learned(algorithm: Any, **settings: Any) -> tuple[Any, Any]:
+def learned(algorithm, **settings):
     env = make_env({"made_up": ExampleDynamics(continuous_car())}, TASK, actions="continuous", seed=1)
     return algorithm("MlpPolicy", env, seed=0, device="cpu", **settings), env
 
 
 @pytest.mark.parametrize("algorithm", [PPO, SAC])
-def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm: Any) -> None:
+def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm):
     model, env = learned(algorithm)
     champion = champion_of(model, env.trials, name="peer", task=TASK)
     controller = make_controller(champion.controller).bind(5, 2)
@@ -39,7 +39,7 @@ def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm: Any) -> N
     np.testing.assert_allclose(raw[0], model.predict(observation[0], deterministic=True)[0], atol=1e-5)
 
 
-def test_a_policy_stands_in_the_transfer_matrix_and_is_stored_without_pickle(tmp_path: Any) -> None:
+def test_a_policy_stands_in_the_transfer_matrix_and_is_stored_without_pickle(tmp_path):
     model, env = learned(PPO, n_steps=32, batch_size=32)
     model.learn(32)
     champion = champion_of(model, env.trials, name="ppo", task=TASK)
@@ -52,7 +52,7 @@ def test_a_policy_stands_in_the_transfer_matrix_and_is_stored_without_pickle(tmp
     np.testing.assert_array_equal(again.parameters, champion.parameters)
 
 
-def test_what_is_no_plain_policy_with_continuous_actions_is_refused() -> None:
+def test_what_is_no_plain_policy_with_continuous_actions_is_refused():
     env = make_env("emulated_car", TASK)
     with pytest.raises(InvalidArgument, match="make the environment with actions='continuous'"):
         champion_of(PPO("MlpPolicy", env, device="cpu"), env.trials, name="x", task=TASK)
@@ -61,7 +61,7 @@ def test_what_is_no_plain_policy_with_continuous_actions_is_refused() -> None:
         champion_of(type("Odd", (), {"policy": DQN})(), cart.trials, name="x", task=TASK)
 
 
-def test_a_vector_environment_is_to_stable_baselines_what_single_ones_are() -> None:
+def test_a_vector_environment_is_to_stable_baselines_what_single_ones_are():
     source: Any = {"made_up": ExampleDynamics(continuous_car()), "again": ExampleDynamics(continuous_car())}
     task = "point_to_point(horizon=9)"
     vector = StableBaselinesEnv(make_vector_env(source, task, num_envs=3, actions="continuous"))
@@ -79,7 +79,7 @@ def test_a_vector_environment_is_to_stable_baselines_what_single_ones_are() -> N
             np.testing.assert_array_equal(mine.get("terminal_observation", 0), its.get("terminal_observation", 0))
 
 
-def test_an_algorithm_learns_in_a_vector_environment() -> None:
+def test_an_algorithm_learns_in_a_vector_environment():
     source: Any = {"made_up": ExampleDynamics(continuous_car())}
     many = StableBaselinesEnv(make_vector_env(source, TASK, num_envs=4, actions="continuous"))
     learner = PPO("MlpPolicy", many, n_steps=32, batch_size=32, seed=0, device="cpu").learn(128)

@@ -12,9 +12,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import dask
@@ -23,7 +21,7 @@ import pytest
 from distributed import Client
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
-from sysid_evo.plan import Cell, Plan, Scheduler, Store, execute
+from sysid_evo.plan import Plan, Store, execute
 from tests.fixtures.cells import AtHome, Number, Watching
 from tests.fixtures.dask_cluster import LIMIT, ROOT, Processes
 from tests.fixtures.deeds import planned
@@ -36,13 +34,13 @@ LADDER = [("base", "", []), *ROW, ("top", "", [label for label, _, _ in ROW])]
 
 
 @pytest.fixture(autouse=True)
-def _soon(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _soon(monkeypatch):
     with dask.config.set({"distributed.comm.timeouts.connect": "3s"}):
         yield
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+def cluster(tmp_path_factory):
     made = Processes(tmp_path_factory.mktemp("dask"))
     made.start(2)
     yield made
@@ -50,7 +48,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Iterator[Processes]:
+def own(tmp_path):
     """A cluster of this test alone, that is not started yet."""
     (tmp_path / "dask").mkdir()
     made = Processes(tmp_path / "dask")
@@ -58,43 +56,43 @@ def own(tmp_path: Path) -> Iterator[Processes]:
     made.stop()
 
 
-def run(folder: Path, plan: Plan, scheduler: Scheduler | None) -> tuple[Watching, Store]:
+def run(folder, plan, scheduler):
     folder.mkdir(exist_ok=True)
     watching, store = Watching(), Store(folder)
     execute(plan, store, observer=watching, scheduler=scheduler)
     return watching, Store(folder)
 
 
-def lines(folder: Path) -> list[tuple[int, str]]:
+def lines(folder):
     """Return which process computed which cell, in this order."""
     file = folder / "diary"
     pairs = [line.split(" ", 1) for line in file.read_text().splitlines()] if file.exists() else []
     return [(int(process), label) for process, label in pairs]
 
 
-def diary(folder: Path) -> Counter[str]:
+def diary(folder):
     return Counter(label for _, label in lines(folder))
 
 
-def finished(folder: Path) -> Counter[str]:
+def finished(folder):
     """Return how often each cell was done, as the log of the run tells."""
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     return Counter(line["title"] for line in log if line["status"] == "done")
 
 
-def worker_of(folder: Path, label: str) -> psutil.Process:
+def worker_of(folder, label):
     """Return the worker whose process computes the cell called ``label``, as soon as one does."""
     assert eventually(lambda: label in diary(folder))
     return psutil.Process(dict(reversed(pair) for pair in lines(folder))[label]).parent()
 
 
-def meanwhile(deed: Callable[[], object]) -> threading.Thread:
+def meanwhile(deed):
     thread = threading.Thread(target=deed)
     thread.start()
     return thread
 
 
-def test_the_results_are_those_of_one_process_and_nothing_is_computed_twice(tmp_path: Path, cluster: Processes) -> None:
+def test_the_results_are_those_of_one_process_and_nothing_is_computed_twice(tmp_path, cluster):
     found = []
     for name, scheduler in (("here", None), ("there", cluster.file)):
         folder = tmp_path / name
@@ -112,8 +110,8 @@ def test_the_results_are_those_of_one_process_and_nothing_is_computed_twice(tmp_
 
 
 def test_what_the_plan_is_made_of_is_computed_here_and_so_is_what_others_do_not_know_or_must_not_have(
-    tmp_path: Path, cluster: Processes
-) -> None:
+    tmp_path, cluster
+):
     plan = planned(tmp_path / "diary", *LADDER, after=("base",))
     unknown = Number(50, (plan.cells[-1],), "unknown", tmp_path / "diary")
     home = AtHome(60, (), "home", tmp_path / "diary")
@@ -128,9 +126,7 @@ def test_what_the_plan_is_made_of_is_computed_here_and_so_is_what_others_do_not_
     assert "cannot plan 1 of 9 cells (a plugin there may be another one)" in remark
 
 
-def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(
-    tmp_path: Path, cluster: Processes
-) -> None:
+def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path, cluster):
     plan = planned(tmp_path / "diary", ("bad", "kill 1", []), ("worse", "exit", []), ("base", "", ["bad"]))
     watching, store = run(tmp_path, plan, cluster.address)
     assert sorted(watching.remarks) == [
@@ -142,14 +138,14 @@ def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_s
     assert store.load(plan.cells[-1]) == 1 + 3
 
 
-def test_warnings_progress_and_starts_reach_the_caller(tmp_path: Path, cluster: Processes) -> None:
+def test_warnings_progress_and_starts_reach_the_caller(tmp_path, cluster):
     said: list[Any] = []
 
     class Told(Watching):
-        def start(self, cell: Any) -> None:
+        def start(self, cell):
             said.append(cell.name)
 
-        def progress(self, cell: Any, done: int, total: int, note: str = "") -> None:
+        def progress(self, cell, done, total, note=""):
             said.append((cell.name, done, total, note))
 
     plan = planned(tmp_path / "diary", ("odd", "warn", []), ("long", "wait 0.5", ["odd"]))
@@ -160,7 +156,7 @@ def test_warnings_progress_and_starts_reach_the_caller(tmp_path: Path, cluster: 
     assert ("long", 0, 1, "") in said
 
 
-def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path: Path, own: Processes) -> None:
+def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path, own):
     own.start(2)
     cells = [("base", "", []), ("one", "wait 2", ["base"]), ("two", "wait 2", ["base"]), ("top", "", ["one", "two"])]
     plan = planned(tmp_path / "diary", *cells)
@@ -175,10 +171,10 @@ def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path: Path, own: Processes
 
 
 @pytest.mark.nightly
-def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path: Path, own: Processes) -> None:
+def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path, own):
     own.start(1)
 
-    def replace() -> None:
+    def replace():
         worker_of(tmp_path, "top").kill()
         time.sleep(0.5)
         own.hire()
@@ -193,7 +189,7 @@ def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path:
 
 
 @pytest.mark.nightly
-def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path: Path, own: Processes) -> None:
+def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path, own):
     own.environment["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
     own.start(2)
     plan = planned(tmp_path / "diary", ("bad", "wait 60", []), ("after", "", ["bad"]), ("tolerant", "", ["bad"]))
@@ -207,14 +203,12 @@ def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path:
     assert store.done(plan.cells[-1])
 
 
-def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it(
-    tmp_path: Path, own: Processes
-) -> None:
+def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it(tmp_path, own):
     own.start(1)
     address = own.address
     plan = planned(tmp_path / "diary", ("base", "", []), ("long", "wait 60", ["base"]), ("last", "", ["base"]))
 
-    def kill() -> None:
+    def kill():
         worker_of(tmp_path, "long")
         assert own.scheduler is not None
         own.scheduler.kill()
@@ -234,12 +228,12 @@ def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it
 
 
 @pytest.mark.nightly
-def test_work_goes_on_by_itself_when_the_scheduler_comes_back_at_once(tmp_path: Path, own: Processes) -> None:
+def test_work_goes_on_by_itself_when_the_scheduler_comes_back_at_once(tmp_path, own):
     own.start(1)
     address = own.address
     plan = planned(tmp_path / "diary", ("base", "", []), ("top", "wait 1", ["base"]))
 
-    def restart() -> None:
+    def restart():
         worker_of(tmp_path, "top")
         own.stop()
         own.start(1, port=int(address.rpartition(":")[2]))
@@ -253,9 +247,7 @@ def test_work_goes_on_by_itself_when_the_scheduler_comes_back_at_once(tmp_path: 
     assert finished(tmp_path) == {cell.title: 1 for cell in plan}
 
 
-def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_cannot(
-    tmp_path: Path, own: Processes
-) -> None:
+def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_cannot(tmp_path, own):
     metadata = tmp_path / "older" / "sysid_evo-0.0.1.dist-info" / "METADATA"
     metadata.parent.mkdir(parents=True)
     metadata.write_text("Metadata-Version: 2.1\nName: sysid-evo\nVersion: 0.0.1\n")
@@ -278,7 +270,7 @@ def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_canno
     assert store.load(plan.cells[-1]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
 
 
-def test_a_client_that_is_there_already_is_used_and_left_open(tmp_path: Path, cluster: Processes) -> None:
+def test_a_client_that_is_there_already_is_used_and_left_open(tmp_path, cluster):
     with Client(cluster.address, set_as_default=False) as client:
         _, store = run(tmp_path, planned(tmp_path / "diary", *LADDER), client)
         assert os.getpid() not in dict(lines(tmp_path))
@@ -286,19 +278,19 @@ def test_a_client_that_is_there_already_is_used_and_left_open(tmp_path: Path, cl
         assert client.status == "running"
 
 
-def without_parcels(dask_scheduler: Any) -> None:
+def without_parcels(dask_scheduler):
     """Let the scheduler forget what was sent to the workers, without a word to those who sent it."""
     for client, known in list(dask_scheduler.clients.items()):
         keys = [task.key for task in known.wants_what if "parcel" in str(task.key)]
         dask_scheduler.client_releases_keys(keys, client)
 
 
-def test_what_the_cluster_does_not_have_although_it_was_sent_is_sent_again(tmp_path: Path, cluster: Processes) -> None:
+def test_what_the_cluster_does_not_have_although_it_was_sent_is_sent_again(tmp_path, cluster):
     plan = planned(tmp_path / "diary", ("base", "", []), ("one", "", ["base"]), ("two", "", ["base", "one"]))
     store = Store(tmp_path)
 
     class Forgetting(Watching):
-        def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
+        def finish(self, cell, *, cached, reason):
             super().finish(cell, cached=cached, reason=reason)
             if cell.name == "one":
                 with Client(cluster.address) as client:
@@ -310,7 +302,7 @@ def test_what_the_cluster_does_not_have_although_it_was_sent_is_sent_again(tmp_p
     assert set(diary(tmp_path).values()) == {1}
 
 
-def test_nothing_is_asked_of_a_scheduler_when_all_is_done(tmp_path: Path) -> None:
+def test_nothing_is_asked_of_a_scheduler_when_all_is_done(tmp_path):
     plan = planned(tmp_path / "diary", *LADDER)
     run(tmp_path, plan, None)
     watching, _ = run(tmp_path, plan, "tcp://127.0.0.1:9")
@@ -327,16 +319,14 @@ def test_nothing_is_asked_of_a_scheduler_when_all_is_done(tmp_path: Path) -> Non
         ("odd://127.0.0.1:9", InvalidArgument, "expected tcp://HOST:PORT"),
     ],
 )
-def test_a_scheduler_that_is_none_is_refused_before_any_work(
-    tmp_path: Path, scheduler: str, error: type[Exception], says: str
-) -> None:
+def test_a_scheduler_that_is_none_is_refused_before_any_work(tmp_path, scheduler, error, says):
     with dask.config.set({"distributed.comm.timeouts.connect": "0.5s"}), pytest.raises(error) as raised:
         run(tmp_path, planned(tmp_path / "diary", *LADDER), scheduler)
     assert says in str(raised.value)
     assert lines(tmp_path) == []
 
 
-def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path: Path) -> None:
+def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path):
     with pytest.raises(InvalidArgument, match="2 jobs in processes here and a scheduler: expected one of both"):
         execute(planned(tmp_path / "diary", *LADDER), Store(tmp_path), jobs=2, scheduler="tcp://127.0.0.1:9")
 
@@ -357,7 +347,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path: Path, own: Processes) -> None:
+def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path, own):
     own.start(1)
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(tmp_path), own.address], cwd=ROOT, stderr=subprocess.PIPE, text=True
@@ -375,9 +365,7 @@ def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl here")
-def test_a_scheduler_with_tls_is_reached_with_the_certificates_and_settings_of_the_page_alone(
-    tmp_path: Path, own: Processes
-) -> None:
+def test_a_scheduler_with_tls_is_reached_with_the_certificates_and_settings_of_the_page_alone(tmp_path, own):
     text = (ROOT / "docs" / "cluster.md").read_text()
     make, export = (m[1] for m in re.finditer(r"^```\n((?:openssl|export) .*?)^```$", text, re.DOTALL | re.MULTILINE))
     subprocess.run(["bash", "-ec", make], cwd=own.folder, check=True, capture_output=True)

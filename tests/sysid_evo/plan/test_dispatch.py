@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,7 +24,7 @@ class Broken(Exception):
 class MadeUpClient:
     """Remembers what it is asked; everything fails while ``breaks``."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.status, self.breaks = "running", False
         self.scheduler = SimpleNamespace(address="tcp://made.up:1")
         self.threads: dict[str, int] = {}
@@ -36,48 +34,48 @@ class MadeUpClient:
         self.topics: list[str] = []
         self.came: dict[str, Any] = {}
 
-    def subscribe_topic(self, topic: str, handler: object) -> None:
+    def subscribe_topic(self, topic, handler):
         self._ask()
         self.topics.append(topic)
 
-    def unsubscribe_topic(self, topic: str) -> None:
+    def unsubscribe_topic(self, topic):
         self.topics.remove(topic)
 
-    def scheduler_info(self) -> dict[str, Any]:
+    def scheduler_info(self):
         self._ask()
         return {"workers": {name: {"nthreads": n} for name, n in self.threads.items()}}
 
-    def submit(self, function: object, *arguments: Any, **options: Any) -> SimpleNamespace:
+    def submit(self, function, *arguments, **options):
         self._ask()
         future = SimpleNamespace(status="pending", function=function, arguments=arguments, options=options)
         self.submitted.append(future)
         return future
 
-    def scatter(self, parcels: Mapping[str, Any], timeout: float) -> dict[str, SimpleNamespace]:
+    def scatter(self, parcels, timeout):
         self._ask()
         self.scattered.append(dict(parcels))
         return {key: SimpleNamespace(status="finished", key=key) for key in parcels}
 
-    def gather(self, futures: Mapping[str, Any], errors: str) -> dict[str, Any]:
+    def gather(self, futures, errors):
         self._ask()
         assert errors == "skip"
         return {name: self.came[name] for name in futures if name in self.came}
 
-    def cancel(self, futures: Iterable[Any]) -> None:
+    def cancel(self, futures):
         self.cancelled += futures
 
-    def _ask(self) -> None:
+    def _ask(self):
         if self.breaks:
             raise Broken
 
 
 @pytest.fixture
-def client() -> MadeUpClient:
+def client():
     return MadeUpClient()
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path):
     """A store with two results, and files that the plan is made of."""
     store = Store(tmp_path / "run")
     execute(Plan.of([ONE, OTHER]), store)
@@ -87,22 +85,22 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def of(client: MadeUpClient, store: Store, **settings: Any) -> Dispatch:
+def of(client, store, **settings):
     again = Again("module:function", {"n": 1}, **settings)
     return Dispatch(client, store, again, lambda _: None)  # type: ignore[arg-type]  # a made-up client
 
 
-def ask(dispatch: Dispatch, *needs: str, **options: Any) -> Any:
+def ask(dispatch, *needs, **options):
     given = {"failed": (), "only": None, "priority": 1.0, **options}
     return dispatch.submit("d" * 64, needs, **given)
 
 
-def sent(client: MadeUpClient) -> list[int]:
+def sent(client):
     """Return how many parcels went at a time."""
     return [len(parcels) for parcels in client.scattered]
 
 
-def test_a_parcel_is_sent_once_as_long_as_a_cell_needs_it(client: MadeUpClient, store: Store) -> None:
+def test_a_parcel_is_sent_once_as_long_as_a_cell_needs_it(client, store):
     dispatch = of(client, store)
     for needs in ((ONE.digest,), (ONE.digest, OTHER.digest), (ONE.digest, OTHER.digest)):
         ask(dispatch, *needs)
@@ -117,7 +115,7 @@ def test_a_parcel_is_sent_once_as_long_as_a_cell_needs_it(client: MadeUpClient, 
     assert client.scattered[-1][needed.key] == store.parcel(ONE.digest)
 
 
-def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client: MadeUpClient, store: Store) -> None:
+def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client, store):
     dispatch = of(client, store)
     ask(dispatch, ONE.digest)
     client.submitted[0].arguments[3][0].status = "lost"
@@ -125,7 +123,7 @@ def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client: MadeUpClient, 
     assert sent(client) == [1, 1]
 
 
-def test_what_the_plan_is_made_of_goes_along_and_stays(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
+def test_what_the_plan_is_made_of_goes_along_and_stays(client, store, tmp_path):
     (tmp_path / "own.py").write_text("x = 1")
     own = str(tmp_path / "own.py")
     broken = Number(3, label="broken")
@@ -151,7 +149,7 @@ def test_what_the_plan_is_made_of_goes_along_and_stays(client: MadeUpClient, sto
     assert set(dispatch._made_of) == {ONE.digest, BEFORE, FILES}
 
 
-def test_files_of_one_name_stand_apart(client: MadeUpClient, store: Store, tmp_path: Path) -> None:
+def test_files_of_one_name_stand_apart(client, store, tmp_path):
     named = [tmp_path / folder / "own.py" for folder in "ab"]
     for file in named:
         file.parent.mkdir()
@@ -165,7 +163,7 @@ def test_files_of_one_name_stand_apart(client: MadeUpClient, store: Store, tmp_p
     assert parcel == (("0/own.py", 0, b"a"), ("1/own.py", 0, b"b"))
 
 
-def test_an_order_names_the_cell_what_failed_and_who_may_compute_it(client: MadeUpClient, store: Store) -> None:
+def test_an_order_names_the_cell_what_failed_and_who_may_compute_it(client, store):
     dispatch = of(client, store)
     ask(dispatch, failed={"b", "a"}, only=frozenset({"two", "one"}), priority=7.5)
     ask(dispatch)
@@ -181,7 +179,7 @@ def test_an_order_names_the_cell_what_failed_and_who_may_compute_it(client: Made
     assert first.options["key"] != second.options["key"]
 
 
-def test_runs_of_other_settings_or_other_data_share_no_process(client: MadeUpClient, store: Store) -> None:
+def test_runs_of_other_settings_or_other_data_share_no_process(client, store):
     dispatches = [of(client, store), of(client, store), of(client, store, after=(ONE.digest,))]
     for dispatch in dispatches:
         ask(dispatch)
@@ -190,7 +188,7 @@ def test_runs_of_other_settings_or_other_data_share_no_process(client: MadeUpCli
     assert len(set(client.topics)) == 3
 
 
-def test_where_there_is_no_worker_one_is_asked_for_once(client: MadeUpClient, store: Store) -> None:
+def test_where_there_is_no_worker_one_is_asked_for_once(client, store):
     dispatch = of(client, store)
     assert dispatch.workers() == dispatch.workers() == {}
     assert len(client.submitted) == 1
@@ -202,9 +200,7 @@ def test_where_there_is_no_worker_one_is_asked_for_once(client: MadeUpClient, st
     assert len(client.submitted) == 2
 
 
-def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_error(
-    client: MadeUpClient, store: Store
-) -> None:
+def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_error(client, store):
     dispatch = of(client, store)
     client.status, client.breaks = "connecting", True
     assert dispatch.workers() == {}
@@ -218,7 +214,7 @@ def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_err
         dispatch.workers()
 
 
-def test_what_breaks_while_the_connection_stands_is_an_error(client: MadeUpClient, store: Store) -> None:
+def test_what_breaks_while_the_connection_stands_is_an_error(client, store):
     dispatch = of(client, store)
     client.breaks = True
     for deed in (dispatch.workers, dispatch.listen, lambda: ask(dispatch), lambda: dispatch.results({})):
@@ -226,14 +222,14 @@ def test_what_breaks_while_the_connection_stands_is_an_error(client: MadeUpClien
             deed()
 
 
-def test_results_that_were_lost_on_the_way_are_left_out(client: MadeUpClient, store: Store) -> None:
+def test_results_that_were_lost_on_the_way_are_left_out(client, store):
     parcel = store.parcel(ONE.digest)
     client.came = {"a": (json.dumps({"status": "done"}), parcel)}
     found = of(client, store).results({"a": None, "b": None})  # type: ignore[dict-item]  # made-up futures
     assert found == {"a": ({"status": "done"}, parcel)}
 
 
-def test_in_the_end_all_is_taken_back_unless_the_connection_is_gone(client: MadeUpClient, store: Store) -> None:
+def test_in_the_end_all_is_taken_back_unless_the_connection_is_gone(client, store):
     dispatch = of(client, store)
     ask(dispatch, ONE.digest)
     dispatch.take_back(["a", "b"])  # type: ignore[list-item]  # made-up futures

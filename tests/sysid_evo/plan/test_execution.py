@@ -5,26 +5,24 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo.errors import ArtefactError, InvalidData
-from sysid_evo.plan import Cell, Plan, Store, Work, execute
+from sysid_evo.plan import Plan, Store, execute
 from tests.fixtures.cells import Named, Number, Tolerant, Watching
 
 
-def run(folder: Path, *wanted: Cell, only: tuple[Cell, ...] | None = None) -> tuple[Watching, Store]:
+def run(folder, *wanted, only=None):
     """Execute the plan of ``wanted`` in a new store in ``folder``."""
     watching, store = Watching(), Store(folder)
     execute(Plan.of(wanted), store, observer=watching, only=only)
     return watching, store
 
 
-def fails(error: BaseException) -> Any:
-    def then() -> None:
+def fails(error):
+    def then():
         raise error
 
     return then
@@ -34,7 +32,7 @@ def fails(error: BaseException) -> Any:
 class Keeping(Number):
     """Finds what it kept the last time, and keeps one more; the first time it is interrupted, the second it fails."""
 
-    def compute(self, work: Work) -> int:
+    def compute(self, work):
         work.checkpoint.parent.mkdir(exist_ok=True)
         kept = int(work.checkpoint.read_text()) if work.checkpoint.exists() else 0
         work.checkpoint.write_text(str(kept + 1))
@@ -43,7 +41,7 @@ class Keeping(Number):
         return kept
 
 
-def record_of(folder: Path, cell: Cell) -> Path:
+def record_of(folder, cell):
     return folder / "cells" / f"{cell.digest}.json"
 
 
@@ -52,7 +50,7 @@ LEFT, RIGHT = Number(2, (BASE,), "left"), Number(3, (BASE,), "right")
 TOP = Number(4, (LEFT, RIGHT), "top")
 
 
-def test_results_are_handed_on_and_survive_the_process(tmp_path: Path) -> None:
+def test_results_are_handed_on_and_survive_the_process(tmp_path):
     watching, _ = run(tmp_path, TOP)
     assert watching.computed == ["base", "left", "right", "top"]
     again, store = run(tmp_path, TOP)
@@ -62,7 +60,7 @@ def test_results_are_handed_on_and_survive_the_process(tmp_path: Path) -> None:
     assert [record.title for record in store.records()] == ["count base", "count left", "count right", "count top"]
 
 
-def test_a_result_is_found_under_another_label_and_carries_it(tmp_path: Path) -> None:
+def test_a_result_is_found_under_another_label_and_carries_it(tmp_path):
     store = Store(tmp_path)
     execute(Plan.of([Named(5, label="old")]), store)
     for some in (store, Store(tmp_path)):
@@ -72,9 +70,9 @@ def test_a_result_is_found_under_another_label_and_carries_it(tmp_path: Path) ->
     assert store.where(Named(5, label="new")).with_suffix(".txt").is_file()
 
 
-def test_a_cell_that_needs_a_renamed_one_is_handed_its_present_label(tmp_path: Path) -> None:
+def test_a_cell_that_needs_a_renamed_one_is_handed_its_present_label(tmp_path):
     class Asking(Number):
-        def compute(self, work: Any) -> Any:
+        def compute(self, work):
             return work.result(self.required[0])
 
     run(tmp_path, Named(5, label="old"))
@@ -84,9 +82,7 @@ def test_a_cell_that_needs_a_renamed_one_is_handed_its_present_label(tmp_path: P
 
 
 @pytest.mark.parametrize("error", [InvalidData("too little"), ValueError("too little"), MemoryError("too little")])
-def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs_it(
-    tmp_path: Path, error: Exception
-) -> None:
+def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs_it(tmp_path, error):
     broken = Number(2, (BASE,), "broken", then=fails(error))
     after = Number(3, (broken,), "after")
     later = Number(4, (after,), "later")
@@ -114,16 +110,16 @@ def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs
     assert all("in then" in line["traceback"] for line in log if line["status"] == "failed")
 
 
-def test_a_failed_cell_is_tried_again_the_next_time(tmp_path: Path) -> None:
+def test_a_failed_cell_is_tried_again_the_next_time(tmp_path):
     run(tmp_path, Number(2, label="broken", then=fails(ValueError("for a while"))))
     watching, store = run(tmp_path, Number(2, label="mended"))
     assert watching.computed == ["mended"]
     assert store.load(Number(2)) == 2
 
 
-def test_a_result_that_cannot_be_written_as_it_is_is_a_failure_of_its_cell_alone(tmp_path: Path) -> None:
+def test_a_result_that_cannot_be_written_as_it_is_is_a_failure_of_its_cell_alone(tmp_path):
     class Odd(Number):
-        def compute(self, work: Any) -> Any:
+        def compute(self, work):
             return np.zeros(2)
 
     odd, plain = Odd(7, label="odd"), Number(8, label="plain")
@@ -132,15 +128,15 @@ def test_a_result_that_cannot_be_written_as_it_is_is_a_failure_of_its_cell_alone
     assert store.load(plain) == 8
 
 
-def test_a_tolerant_cell_is_computed_although_something_it_needs_failed(tmp_path: Path) -> None:
+def test_a_tolerant_cell_is_computed_although_something_it_needs_failed(tmp_path):
     broken = Number(2, label="broken", then=fails(ValueError("no")))
     tolerant = Tolerant(1, (BASE, broken), "tolerant")
     _, store = run(tmp_path, tolerant)
     assert store.load(tolerant) == 1 + 1 + 1000
 
 
-def test_a_tolerant_cell_is_computed_again_when_what_had_failed_is_there(tmp_path: Path) -> None:
-    def tolerant(then: Any) -> Tolerant:
+def test_a_tolerant_cell_is_computed_again_when_what_had_failed_is_there(tmp_path):
+    def tolerant(then):
         return Tolerant(1, (BASE, Number(2, label="shaky", then=then)), "tolerant")
 
     run(tmp_path, tolerant(fails(ValueError("for a while"))))
@@ -153,7 +149,7 @@ def test_a_tolerant_cell_is_computed_again_when_what_had_failed_is_there(tmp_pat
     assert not after.computed
 
 
-def test_only_the_asked_cells_are_computed_and_the_others_are_what_is_known(tmp_path: Path) -> None:
+def test_only_the_asked_cells_are_computed_and_the_others_are_what_is_known(tmp_path):
     broken = Number(2, label="broken", then=fails(ValueError("no")))
     run(tmp_path, broken, BASE)
     tolerant = Tolerant(1, (BASE, Number(2, label="broken"), Number(9, label="never")), "tolerant")
@@ -176,7 +172,7 @@ def test_only_the_asked_cells_are_computed_and_the_others_are_what_is_known(tmp_
     ],
     ids=["missing", "empty", "truncated", "a list", "another status", "no text", "an unknown key", "huge"],
 )
-def test_a_damaged_or_missing_record_is_computed_again_with_a_remark(tmp_path: Path, damage: Any) -> None:
+def test_a_damaged_or_missing_record_is_computed_again_with_a_remark(tmp_path, damage):
     run(tmp_path, TOP)
     file = record_of(tmp_path, LEFT)
     damage(file)
@@ -192,7 +188,7 @@ def test_a_damaged_or_missing_record_is_computed_again_with_a_remark(tmp_path: P
     [lambda file: file.unlink(), lambda file: file.write_text(""), lambda file: file.write_text("4")],
     ids=["missing", "truncated", "foreign"],
 )
-def test_a_damaged_or_missing_result_is_computed_again_with_a_remark(tmp_path: Path, damage: Any) -> None:
+def test_a_damaged_or_missing_result_is_computed_again_with_a_remark(tmp_path, damage):
     run(tmp_path, TOP)
     (file,) = (tmp_path / "results").glob("left-*.txt")
     damage(file)
@@ -202,9 +198,9 @@ def test_a_damaged_or_missing_result_is_computed_again_with_a_remark(tmp_path: P
     assert store.load(LEFT) == 3
 
 
-def test_a_result_whole_on_disk_that_cannot_be_read_any_more_is_computed_again(tmp_path: Path) -> None:
+def test_a_result_whole_on_disk_that_cannot_be_read_any_more_is_computed_again(tmp_path):
     class Unreadable(Number):
-        def load(self, path: Path) -> int:
+        def load(self, path):
             if readable:
                 return super().load(path)
             raise ArtefactError("of an older version")
@@ -220,7 +216,7 @@ def test_a_result_whole_on_disk_that_cannot_be_read_any_more_is_computed_again(t
     assert store.load(Number(2, (base,))) == 3
 
 
-def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path: Path) -> None:
+def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path):
     run(tmp_path, LEFT, RIGHT)
     record_of(tmp_path, LEFT).write_bytes(record_of(tmp_path, RIGHT).read_bytes())
     watching, store = run(tmp_path, LEFT)
@@ -231,7 +227,7 @@ def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["../outside.txt", "/etc/hostname", "results/../../outside.txt"])
 @pytest.mark.parametrize("key", ["artefact", "files"])
-def test_a_record_that_leads_out_of_the_folder_is_damaged(tmp_path: Path, name: str, key: str) -> None:
+def test_a_record_that_leads_out_of_the_folder_is_damaged(tmp_path, name, key):
     folder = tmp_path / "run"
     (tmp_path / "outside.txt").write_text("77")
     run(folder, BASE)
@@ -246,7 +242,7 @@ def test_a_record_that_leads_out_of_the_folder_is_damaged(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("title", ["a/b", "../../etc", "..", "", "é mit ß", "a" * 300, "x@y (1, 2)", ".hidden", "a\nb"])
-def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path: Path, title: str) -> None:
+def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path, title):
     folder = tmp_path / "run"
     cell = Number(1, label=title)
     _, store = run(folder, cell)
@@ -260,16 +256,16 @@ def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path: Pat
     assert store.load(cell) == 1
 
 
-def test_two_cells_of_one_name_do_not_share_files(tmp_path: Path) -> None:
+def test_two_cells_of_one_name_do_not_share_files(tmp_path):
     one, two = Number(1, label="same"), Number(2, label="same")
     _, store = run(tmp_path, one, two)
     assert store.place(one) != store.place(two)
     assert (Store(tmp_path).load(one), Store(tmp_path).load(two)) == (1, 2)
 
 
-def test_a_full_disk_stops_the_run_and_what_was_finished_goes_on_from_there(tmp_path: Path) -> None:
+def test_a_full_disk_stops_the_run_and_what_was_finished_goes_on_from_there(tmp_path):
     class Full(Number):
-        def save(self, value: int, path: Path) -> list[Path]:
+        def save(self, value, path):
             raise OSError(28, "No space left on device", str(path))
 
     full = Full(2, (BASE,), "right in the middle")
@@ -282,7 +278,7 @@ def test_a_full_disk_stops_the_run_and_what_was_finished_goes_on_from_there(tmp_
     assert store.load(Number(2, (BASE,))) == 3
 
 
-def test_an_interruption_stops_the_run_and_leaves_no_record_of_the_cell(tmp_path: Path) -> None:
+def test_an_interruption_stops_the_run_and_leaves_no_record_of_the_cell(tmp_path):
     stopped = Number(2, (BASE,), "stopped", then=fails(KeyboardInterrupt()))
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path, stopped)
@@ -291,20 +287,20 @@ def test_an_interruption_stops_the_run_and_leaves_no_record_of_the_cell(tmp_path
         assert ours
 
 
-def test_a_cell_may_ask_only_for_what_it_needs(tmp_path: Path) -> None:
+def test_a_cell_may_ask_only_for_what_it_needs(tmp_path):
     class Curious(Number):
-        def compute(self, work: Any) -> int:
+        def compute(self, work):
             return int(work.result(Number(99, label="ninety-nine")))
 
     watching, _ = run(tmp_path, Curious(1, label="curious"))
     assert "count ninety-nine is not among the needs" in watching.failed["curious"]
 
 
-def test_the_observer_is_told_how_much_is_left(tmp_path: Path) -> None:
+def test_the_observer_is_told_how_much_is_left(tmp_path):
     told: list[tuple[int, int, float]] = []
 
     class Counting(Watching):
-        def plan(self, cells: int, kept: int, seconds: float) -> None:
+        def plan(self, cells, kept, seconds):
             told.append((cells, kept, seconds))
 
     run(tmp_path, LEFT)
@@ -312,7 +308,7 @@ def test_the_observer_is_told_how_much_is_left(tmp_path: Path) -> None:
     assert told == [(4, 2, 2.0)]
 
 
-def test_a_store_that_nothing_was_put_into_writes_nothing(tmp_path: Path) -> None:
+def test_a_store_that_nothing_was_put_into_writes_nothing(tmp_path):
     store = Store(tmp_path / "none")
     assert not store.done(BASE)
     assert store.outcome(BASE).reason == "not computed yet"
@@ -322,7 +318,7 @@ def test_a_store_that_nothing_was_put_into_writes_nothing(tmp_path: Path) -> Non
         store.load(BASE)
 
 
-def test_what_a_cell_keeps_meanwhile_stays_until_it_is_done(tmp_path: Path) -> None:
+def test_what_a_cell_keeps_meanwhile_stays_until_it_is_done(tmp_path):
     store, plan = Store(tmp_path), Plan.of([Keeping()])
     with pytest.raises(KeyboardInterrupt):
         execute(plan, store)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
 
 import pytest
 
@@ -16,13 +15,13 @@ ONE, OTHER = Number(1, label="one"), Number(2, label="other")
 
 
 @pytest.fixture
-def done(tmp_path: Path) -> Store:
+def done(tmp_path):
     store = Store(tmp_path / "done")
     execute(Plan.of([ONE, OTHER]), store)
     return store
 
 
-def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path: Path) -> None:
+def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path):
     for name in ("b", "a/c"):
         (tmp_path / "from" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "from" / name).write_bytes(name.encode())
@@ -33,7 +32,7 @@ def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path: Path
     assert len({digest_of(parcel), digest_of(parcel[:1]), digest_of(parcel[::-1])}) == 3
 
 
-def test_parcels_that_differ_in_anything_have_digests_of_their_own() -> None:
+def test_parcels_that_differ_in_anything_have_digests_of_their_own():
     """Also those of which name, time and content are the same characters when they are joined."""
     parcels: tuple[Parcel, ...] = (
         (("a", 1, b"2x"),),
@@ -48,13 +47,13 @@ def test_parcels_that_differ_in_anything_have_digests_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../out"])
-def test_a_file_that_would_stand_outside_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_file_that_would_stand_outside_is_refused(tmp_path, name):
     with pytest.raises(ArtefactError, match="lies outside the folder that it is sent to"):
         unpack(((name, 0, b"x"),), tmp_path / "in")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_file_is_written_through_a_link(tmp_path: Path) -> None:
+def test_no_file_is_written_through_a_link(tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "out").mkdir()
     (tmp_path / "in" / "a").symlink_to(tmp_path / "out")
@@ -67,7 +66,7 @@ def test_no_file_is_written_through_a_link(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json"])
-def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path: Path, done: Store, name: str) -> None:
+def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     (record_name, _, text), *files = done.parcel(ONE.digest)
     record = Record.model_validate_json(text)
     further = record.model_copy(update={"files": {**record.files, name: hashlib.sha256(b"x").hexdigest()}})
@@ -81,7 +80,7 @@ def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path: Path, done: Sto
     assert not store.path.exists()
 
 
-def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path: Path, done: Store) -> None:
+def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path, done):
     store = Store(tmp_path / "other")
     store.take(ONE, done.parcel(ONE.digest))
     assert store.load(ONE) == 1
@@ -89,14 +88,12 @@ def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(t
     assert (store.path / "log.jsonl").read_text().count(ONE.digest) == 1
 
 
-def changed(parcel: Parcel, place: int, content: bytes) -> Parcel:
+def changed(parcel, place, content):
     return tuple((name, time, content if i == place else old) for i, (name, time, old) in enumerate(parcel))
 
 
 @pytest.mark.parametrize("damage", ["nothing", "no record", "record", "file", "missing file", "further file", "other"])
-def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(
-    tmp_path: Path, done: Store, damage: str
-) -> None:
+def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(tmp_path, done, damage):
     parcel = done.parcel(ONE.digest)
     damaged: dict[str, Parcel] = {
         "nothing": (),
@@ -113,19 +110,19 @@ def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(
     assert not store.path.exists()
 
 
-def test_what_is_not_done_has_no_parcel(done: Store) -> None:
+def test_what_is_not_done_has_no_parcel(done):
     with pytest.raises(ArtefactError, match="not computed yet"):
         done.parcel(Number(3).digest)
 
 
-def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_settings() -> None:
+def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_settings():
     again = Again("m:f", {"plugins": ["/a/p.py", "q"], "deep": {"robot": "/a/p.py"}, "n": 1}, files={"/a/p.py": ("x",)})
     moved = again.with_files_at({"/a/p.py": "/b/0/p.py"})
     assert moved.settings == {"plugins": ["/b/0/p.py", "q"], "deep": {"robot": "/b/0/p.py"}, "n": 1}
     assert again.settings["plugins"] == ["/a/p.py", "q"]
 
 
-def test_the_values_used_last_are_kept_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_values_used_last_are_kept_in_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("sysid_evo.plan.store.IN_MEMORY", 2)
     store = Store(tmp_path)
     cells = [Number(i, label=str(i)) for i in range(3)]

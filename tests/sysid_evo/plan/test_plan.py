@@ -13,7 +13,7 @@ from sysid_evo.plan import cell as module
 from tests.fixtures.cells import Number, Tolerant
 
 
-def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_not() -> None:
+def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_not():
     need = Number(3)
     one = Number(1, (need,))
     assert one.digest == Number(1, (Number(3, label="three"),), label="other").digest
@@ -21,9 +21,9 @@ def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_n
     assert len({one.digest, *(other.digest for other in others)}) == 6
 
 
-def test_years_of_work_are_refused_with_how_many_they_are() -> None:
+def test_years_of_work_are_refused_with_how_many_they_are():
     class Endless(Number):
-        def seconds(self) -> float:
+        def seconds(self):
             return 1e20
 
     assert len(Plan.of([Number(1)])) == 1
@@ -31,29 +31,29 @@ def test_years_of_work_are_refused_with_how_many_they_are() -> None:
         Plan.of([Number(1), Endless(2)])
 
 
-def test_the_order_of_needs_decides_the_digest() -> None:
+def test_the_order_of_needs_decides_the_digest():
     one, two = Number(1), Number(2)
     assert Number(0, (one, two)).digest != Number(0, (two, one)).digest
 
 
-def test_another_contract_is_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_contract_is_another_digest(monkeypatch):
     before = Number(1).digest
     monkeypatch.setattr(module, "CONTRACT", module.CONTRACT + 1)
     assert Number(1).digest != before
 
 
-def test_cells_are_equal_when_their_digests_are() -> None:
+def test_cells_are_equal_when_their_digests_are():
     assert Number(1, label="a") == Number(1, label="b")
     assert len({Number(1, label="a"), Number(1, label="b"), Number(2)}) == 2
     assert Number(1) != "one"
 
 
-def test_an_input_that_is_no_json_number_is_refused() -> None:
+def test_an_input_that_is_no_json_number_is_refused():
     with pytest.raises(ValueError, match="not JSON compliant"):
         _ = Number(float("nan")).digest  # type: ignore[arg-type]  # that is what is tested
 
 
-def test_each_cell_comes_once_and_after_what_it_needs() -> None:
+def test_each_cell_comes_once_and_after_what_it_needs():
     base = Number(1, label="base")
     left, right = Number(2, (base,), "left"), Number(3, (Number(1, label="the same base"),), "right")
     top = Number(4, (right, left), "top")
@@ -66,14 +66,14 @@ def test_each_cell_comes_once_and_after_what_it_needs() -> None:
     assert plan.of_kind("other") == ()
 
 
-def test_the_order_does_not_hang_on_the_order_of_what_is_wanted() -> None:
+def test_the_order_does_not_hang_on_the_order_of_what_is_wanted():
     chain: list[Cell] = [Number(0)]
     for i in range(1, 6):
         chain.append(Number(i, (chain[-1],), str(i)))
     assert Plan.of(reversed(chain)).cells == tuple(chain)
 
 
-def test_a_wide_plan_is_made_in_no_time() -> None:
+def test_a_wide_plan_is_made_in_no_time():
     layer: tuple[Cell, ...] = (Number(0),)
     for depth in range(40):  # every path counted alone, there would be 3**40
         layer = tuple(Number(10 * depth + i, layer) for i in range(3))
@@ -87,11 +87,11 @@ class Circular(Number):
     later: list[Cell] = field(default_factory=list)
 
     @property
-    def needs(self) -> tuple[Cell, ...]:
+    def needs(self):
         return tuple(self.later)
 
 
-def test_a_circle_is_refused_in_a_sentence() -> None:
+def test_a_circle_is_refused_in_a_sentence():
     first = Circular(label="first")
     second = Circular(label="second", later=[first])
     first.later.append(second)
@@ -103,7 +103,7 @@ def test_a_circle_is_refused_in_a_sentence() -> None:
         Plan.of([Number(1), alone])
 
 
-def test_the_seed_of_a_cell_depends_on_the_seed_and_the_work_alone() -> None:
+def test_the_seed_of_a_cell_depends_on_the_seed_and_the_work_alone():
     found: list[Any] = [cell_seed(seed, work) for seed in (0, 1) for work in ("fit a", "fit b")]
     assert len(set(found)) == 4
     assert found[0] == cell_seed(0, "fit a")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from queue import SimpleQueue
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +10,6 @@ import pytest
 
 from sysid_evo.plan import Plan, Store, dask_worker, execute
 from sysid_evo.plan.dask_worker import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
-from sysid_evo.plan.store import Parcel
 from tests.fixtures.cells import Number
 
 ASKED: dict[str, Any] = {"run": "r", "function": "tests:none", "settings": {}, "files": {"own.py": "0/own.py"}}
@@ -22,49 +19,49 @@ ONE = Number(1, label="one")
 class MadeUpWorker:
     """A process that is none: it hears what it is told, and says what it is given."""
 
-    def __init__(self, inbox: Any) -> None:
+    def __init__(self, inbox):
         self.inbox, self.told, self.dismissed = inbox, list[dict[str, Any]](), False
 
-    def say(self, **message: Any) -> None:
+    def say(self, **message):
         self.told.append(message)
 
-    def wait(self) -> int:
+    def wait(self):
         return -9
 
-    def dismiss(self) -> None:
+    def dismiss(self):
         self.dismissed = True
 
-    def says(self, *messages: dict[str, Any] | None) -> None:
+    def says(self, *messages):
         for message in messages:
             self.inbox.put((0, message))
 
 
 @pytest.fixture(autouse=True)
-def _made_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def _made_up(monkeypatch):
     monkeypatch.setattr(dask_worker, "Worker", MadeUpWorker)
     monkeypatch.setattr(dask_worker, "WATCH", 0.01)
 
 
-def child_in(folder: Path, before: tuple[Parcel, ...] = (), files: Parcel = ()) -> tuple[Child, Any]:
+def child_in(folder, before=(), files=()):
     child = Child(folder, ASKED, before, files)
     assert isinstance(child.inbox, SimpleQueue)
     return child, child.worker
 
 
-def parcels_of(folder: Path, count: int) -> list[Parcel]:
+def parcels_of(folder, count):
     cells = [Number(i, label=str(i)) for i in range(count)]
     store = Store(folder)
     execute(Plan.of(cells), store)
     return [store.parcel(cell.digest) for cell in cells]
 
 
-def computed(child: Child, digest: str = "d", needed: tuple[Parcel, ...] = (), wanted: bool = True) -> Any:
+def computed(child, digest="d", needed=(), wanted=True):
     asked = {**ASKED, "digest": digest, "failed": []}
     said = list[dict[str, Any]]()
     return *child.compute(asked, needed, lambda: wanted, said.append), said
 
 
-def test_what_the_plan_is_made_of_is_put_down_before_the_process_begins(tmp_path: Path) -> None:
+def test_what_the_plan_is_made_of_is_put_down_before_the_process_begins(tmp_path):
     (before,) = parcels_of(tmp_path / "there", 1)
     child, worker = child_in(tmp_path, (before,), (("0/own.py", 0, b"x"),))
     assert (child.folder / "files/0/own.py").read_bytes() == b"x"
@@ -75,14 +72,12 @@ def test_what_the_plan_is_made_of_is_put_down_before_the_process_begins(tmp_path
     assert not child.folder.exists()
 
 
-def test_of_many_results_those_not_used_for_longest_go_first_but_not_what_the_plan_is_made_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_results_those_not_used_for_longest_go_first_but_not_what_the_plan_is_made_of(tmp_path, monkeypatch):
     monkeypatch.setattr(dask_worker, "KEPT", 2)
     before, *others = parcels_of(tmp_path / "there", 4)
     child, _ = child_in(tmp_path, (before,))
 
-    def there() -> list[bool]:
+    def there():
         return [all((child.store.path / name).is_file() for name, _, _ in parcel) for parcel in (before, *others)]
 
     for parcel in (others[0], others[1], others[0], before, ()):
@@ -94,7 +89,7 @@ def test_of_many_results_those_not_used_for_longest_go_first_but_not_what_the_pl
     assert there() == [True, False, True, True]
 
 
-def test_a_record_is_put_down_after_the_files_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_is_put_down_after_the_files_that_it_names(tmp_path, monkeypatch):
     (parcel,) = parcels_of(tmp_path / "there", 1)
     child, _ = child_in(tmp_path)
     put = list[str]()
@@ -104,7 +99,7 @@ def test_a_record_is_put_down_after_the_files_that_it_names(tmp_path: Path, monk
     assert put[-1].startswith("cells/")
 
 
-def test_a_cell_that_is_done_goes_back_with_what_was_said_meanwhile(tmp_path: Path) -> None:
+def test_a_cell_that_is_done_goes_back_with_what_was_said_meanwhile(tmp_path):
     (parcel,) = parcels_of(tmp_path / "there", 1)
     child, worker = child_in(tmp_path)
     execute(Plan.of([ONE]), child.store)
@@ -119,7 +114,7 @@ def test_a_cell_that_is_done_goes_back_with_what_was_said_meanwhile(tmp_path: Pa
     assert computed(child, ONE.digest)[0]["status"] == DONE  # it is asked once what it knows
 
 
-def test_how_else_a_cell_may_end(tmp_path: Path) -> None:
+def test_how_else_a_cell_may_end(tmp_path):
     child, worker = child_in(tmp_path)
     worker.says({"knows": [ONE.digest], "cannot": "too old"})
     answer, found, _ = computed(child, "another")
@@ -141,7 +136,7 @@ def test_how_else_a_cell_may_end(tmp_path: Path) -> None:
     assert answer["reason"] == "SIGKILL"
 
 
-def test_a_result_that_nobody_waits_for_any_more_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_result_that_nobody_waits_for_any_more_is_not_waited_for(tmp_path):
     child, _ = child_in(tmp_path)
     with pytest.raises(Unwanted):
         computed(child, wanted=False)
@@ -152,25 +147,25 @@ class MadeUpTimer:
 
     made: list[MadeUpTimer]
 
-    def __init__(self, seconds: float, deed: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, seconds, deed, arguments):
         self.seconds, self.daemon, self.started, self.cancelled = seconds, False, False, False
         self._deed, self._arguments = deed, arguments
         type(self).made.append(self)
 
-    def start(self) -> None:
+    def start(self):
         self.started = True
 
-    def cancel(self) -> None:
+    def cancel(self):
         self.cancelled = True
 
-    def goes_off(self) -> None:
+    def goes_off(self):
         self._deed(*self._arguments)
 
 
-def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch):
     ended = list[str]()
 
-    def made(name: str) -> Any:
+    def made(name):
         return SimpleNamespace(dismiss=lambda: ended.append(name))
 
     children, used, forgotten = Children(), made("used"), made("forgotten")

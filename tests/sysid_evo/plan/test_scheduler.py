@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import dask
 import distributed
@@ -20,24 +17,24 @@ class MadeUpClient(distributed.Client):
 
     made: list[MadeUpClient]
 
-    def __init__(self, address: str = "", **options: Any) -> None:
+    def __init__(self, address="", **options):
         self.address, self.options, self.closed = address, options, False
         self.level = logging.getLogger("distributed.client").level
         type(self).made.append(self)
 
-    def __del__(self) -> None:
+    def __del__(self):
         pass
 
     @property
-    def asynchronous(self) -> bool:
+    def asynchronous(self):
         return bool(self.options.get("asynchronous"))
 
-    def close(self, *_: Any, **__: Any) -> None:
+    def close(self, *_, **__):
         self.closed = True
 
 
 @pytest.fixture(autouse=True)
-def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[MadeUpClient]]:
+def made(monkeypatch):
     """The clients that were made."""
     MadeUpClient.made = []
     monkeypatch.setattr(distributed, "Client", MadeUpClient)
@@ -45,9 +42,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[MadeUpClient]]:
     MadeUpClient.made = []
 
 
-def test_a_client_is_made_of_an_address_without_becoming_that_of_others_and_closed_in_the_end(
-    made: list[MadeUpClient],
-) -> None:
+def test_a_client_is_made_of_an_address_without_becoming_that_of_others_and_closed_in_the_end(made):
     log = logging.getLogger("distributed.client")
     before = log.level
     with connected("tcp://127.0.0.1:9") as client:
@@ -60,7 +55,7 @@ def test_a_client_is_made_of_an_address_without_becoming_that_of_others_and_clos
     assert log.level == before
 
 
-def test_a_client_that_was_given_stays_open_and_must_be_one_that_waits() -> None:
+def test_a_client_that_was_given_stays_open_and_must_be_one_that_waits():
     given = MadeUpClient()
     with connected(given) as client:
         assert client is given
@@ -72,8 +67,8 @@ def test_a_client_that_was_given_stays_open_and_must_be_one_that_waits() -> None
         pass
 
 
-def test_where_nobody_answers_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: Any, **__: Any) -> None:
+def test_where_nobody_answers_the_error_says_what_to_do(monkeypatch):
+    def refuse(*_, **__):
         raise OSError("timed out\nafter 1 s")
 
     monkeypatch.setattr(MadeUpClient, "__init__", refuse)
@@ -84,7 +79,7 @@ def test_where_nobody_answers_the_error_says_what_to_do(monkeypatch: pytest.Monk
     assert logging.getLogger("distributed.client").level != logging.CRITICAL
 
 
-def test_certificates_are_asked_for_where_the_address_needs_some(made: list[MadeUpClient]) -> None:
+def test_certificates_are_asked_for_where_the_address_needs_some(made):
     with (
         dask.config.set({"distributed.comm.tls.client.cert": None}),
         pytest.raises(InvalidArgument, match=r"scheduler tls://127\.0\.0\.1:9: expected certificates"),
@@ -94,14 +89,14 @@ def test_certificates_are_asked_for_where_the_address_needs_some(made: list[Made
     assert made == []
 
 
-def test_an_address_stands_in_the_file_of_a_scheduler(tmp_path: Path) -> None:
+def test_an_address_stands_in_the_file_of_a_scheduler(tmp_path):
     (tmp_path / "there.json").write_text('{"address": "tcp://127.0.0.1:9", "id": "x"}')
     assert address_of(str(tmp_path / "there.json")) == "tcp://127.0.0.1:9"
     assert address_of("tls://there:1") == "tls://there:1"
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{}", "3"])
-def test_a_file_that_is_not_a_schedulers_is_named(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_a_schedulers_is_named(tmp_path, text):
     (tmp_path / "odd.json").write_text(text)
     with pytest.raises(InvalidArgument, match=r"expected the file of a scheduler, .*odd\.json is none"):
         address_of(str(tmp_path / "odd.json"))

@@ -1,7 +1,5 @@
 """Cells side by side, in real processes: the same results for any number of jobs, whatever becomes of a process."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -9,7 +7,6 @@ import sys
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,26 +24,26 @@ LADDER = [("base", "", []), *ROW, ("top", "", [label for label, _, _ in ROW])]
 
 
 @pytest.fixture(autouse=True)
-def _others_find_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+def _others_find_the_tests(monkeypatch):
     monkeypatch.syspath_prepend(ROOT)
 
 
-def run(folder: Path, plan: Plan, count: int = 2) -> tuple[Watching, Store]:
+def run(folder, plan, count=2):
     folder.mkdir(exist_ok=True)
     watching, store = Watching(), Store(folder)
     execute(plan, store, observer=watching, jobs=count)
     return watching, Store(folder)
 
 
-def diary(folder: Path) -> Counter[str]:
+def diary(folder):
     return Counter(line.split(" ", 1)[1] for line in (folder / "diary").read_text().splitlines())
 
 
-def processes(folder: Path) -> set[int]:
+def processes(folder):
     return {int(line.split(" ", 1)[0]) for line in (folder / "diary").read_text().splitlines()}
 
 
-def gone(process: int) -> bool:
+def gone(process):
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -54,7 +51,7 @@ def gone(process: int) -> bool:
     return False
 
 
-def eventually(true: Any, seconds: float = 30.0) -> bool:
+def eventually(true, seconds=30.0):
     deadline = time.monotonic() + seconds
     while not true():
         if time.monotonic() > deadline:
@@ -63,7 +60,7 @@ def eventually(true: Any, seconds: float = 30.0) -> bool:
     return True
 
 
-def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path: Path) -> None:
+def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path):
     found = []
     for count in (1, 2, 3):
         folder = tmp_path / str(count)
@@ -81,7 +78,7 @@ def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed
     assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path / "3") - {os.getpid()})
 
 
-def test_what_the_plan_is_made_of_is_computed_first_and_here(tmp_path: Path) -> None:
+def test_what_the_plan_is_made_of_is_computed_first_and_here(tmp_path):
     plan = planned(tmp_path / "diary", *LADDER, after=("base",))
     watching, store = run(tmp_path, plan)
     (first, *_) = (tmp_path / "diary").read_text().splitlines()
@@ -91,7 +88,7 @@ def test_what_the_plan_is_made_of_is_computed_first_and_here(tmp_path: Path) -> 
     assert store.load(plan.cells[-1]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
 
 
-def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path: Path) -> None:
+def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path):
     plan = planned(tmp_path / "diary", ("base", "fail", []), ("top", "", ["base"]), ("aside", "", []), after=("base",))
     watching, _ = run(tmp_path, plan)
     assert watching.failed == {"base": "there is too little of it", "top": "needs count base, which failed"}
@@ -100,9 +97,7 @@ def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("deed", ["kill 1", "kill 2", "exit"])
-def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(
-    tmp_path: Path, deed: str
-) -> None:
+def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path, deed):
     plan = planned(tmp_path / "diary", ("bad", deed, []), ("worse", "", ["bad"]), *LADDER)
     watching, store = run(tmp_path, plan)
     why = "exit code 5" if deed == "exit" else "SIGKILL"
@@ -121,7 +116,7 @@ def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_s
         assert (record.status, record.reason) == ("failed", reason)
 
 
-def test_a_full_disk_stops_all_processes(tmp_path: Path) -> None:
+def test_a_full_disk_stops_all_processes(tmp_path):
     plan = planned(tmp_path / "diary", ("full", "full", []), ("long", "wait 60", []))
     with pytest.raises(OSError, match="No space left") as raised:
         run(tmp_path, plan)
@@ -132,7 +127,7 @@ def test_a_full_disk_stops_all_processes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("function", ["tests.fixtures.deeds:nothing", "no.such.module:made"])
-def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path: Path, function: str) -> None:
+def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path, function):
     plan = planned(tmp_path / "diary", *LADDER)
     assert plan.again is not None
     watching, store = run(tmp_path, Plan(plan.cells, again=Again(function, plan.again.settings)))
@@ -142,7 +137,7 @@ def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path:
     assert len(store.records()) == len(plan)
 
 
-def test_a_cell_that_others_do_not_know_is_computed_here(tmp_path: Path) -> None:
+def test_a_cell_that_others_do_not_know_is_computed_here(tmp_path):
     plan = planned(tmp_path / "diary", *LADDER)
     top = plan.cells[-1]
     own = Number(50, (top,), "own", tmp_path / "diary")
@@ -153,14 +148,14 @@ def test_a_cell_that_others_do_not_know_is_computed_here(tmp_path: Path) -> None
     assert store.load(last) == 60 + 50 + store.load(top)
 
 
-def test_warnings_reach_the_caller_and_what_libraries_print_disturbs_nobody(tmp_path: Path) -> None:
+def test_warnings_reach_the_caller_and_what_libraries_print_disturbs_nobody(tmp_path):
     plan = planned(tmp_path / "diary", ("odd", "warn", []), ("loud", "print", []))
     with pytest.warns(UserWarning, match="this looks odd"):
         watching, _ = run(tmp_path, plan)
     assert watching.failed == {}
 
 
-def test_processors_are_shared_by_those_that_work(tmp_path: Path) -> None:
+def test_processors_are_shared_by_those_that_work(tmp_path):
     count = usable_processors()
     two = planned(tmp_path / "two", ("one", "meet a b", []), ("other", "meet b a", []))
     _, store = run(tmp_path, two)
@@ -188,7 +183,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL])
-def test_nothing_is_left_behind_by_ctrl_c_nor_when_the_first_process_is_killed(tmp_path: Path, by: int) -> None:
+def test_nothing_is_left_behind_by_ctrl_c_nor_when_the_first_process_is_killed(tmp_path, by):
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(tmp_path)], cwd=ROOT, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
@@ -207,7 +202,7 @@ def test_nothing_is_left_behind_by_ctrl_c_nor_when_the_first_process_is_killed(t
     assert not [file for file in tmp_path.rglob("*") if file.suffix == ".tmp"]
 
 
-def test_the_longest_way_comes_first() -> None:
+def test_the_longest_way_comes_first():
     short, start = Number(1, label="short"), Number(2, label="start")
     middle = Number(3, (start,), "middle")
     plan = Plan.of([short, Number(4, (middle,), "end"), middle])
@@ -215,7 +210,7 @@ def test_the_longest_way_comes_first() -> None:
     assert [ahead[cell.digest] for cell in (short, start, middle)] == [1.0, 3.0, 2.0]
 
 
-def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monkeypatch):
     monkeypatch.delenv("SYSID_EVO_JOBS")
     monkeypatch.setattr(executors, "usable_processors", lambda: 8)
     monkeypatch.setattr(executors, "available_memory", lambda: 100 * 2**30)
@@ -238,7 +233,7 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
 
 
 @pytest.mark.parametrize("wrong", ["0", "many", "-1"])
-def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatch, wrong: str) -> None:
+def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch, wrong):
     monkeypatch.setenv("SYSID_EVO_JOBS", wrong)
     with pytest.raises(InvalidArgument, match="SYSID_EVO_JOBS: expected a number of jobs"):
         number_of_jobs(None, [])
@@ -246,7 +241,7 @@ def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch: pytest.MonkeyPatc
         number_of_jobs(0, [])
 
 
-def test_free_memory_is_what_the_container_leaves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_memory_is_what_the_container_leaves(tmp_path, monkeypatch):
     limit, used = tmp_path / "memory.max", tmp_path / "memory.current"
     monkeypatch.setattr(executors, "LIMITS", (limit, used))
     all_of_it = executors.available_memory()

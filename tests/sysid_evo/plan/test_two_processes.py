@@ -1,7 +1,5 @@
 """Processes that share one folder: each cell is computed once, none is lost, a dead process claims nothing."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -29,7 +27,7 @@ assert not any(outcome.failed for outcome in outcomes.values()), outcomes
 """
 
 
-def cells(folder: Path) -> list[Number]:
+def cells(folder):
     """Return slow cells: one base, a row that needs it, one on top of all."""
     diary = folder / "diary"
     base = Number(1, label="base", diary=diary, seconds_long=0.2)
@@ -37,7 +35,7 @@ def cells(folder: Path) -> list[Number]:
     return [Number(100, row, "top", diary, 0.1), base, *row]
 
 
-def started(folder: Path) -> subprocess.Popen[str]:
+def started(folder):
     """Start a process that waits for a line before it executes the plan in ``folder``."""
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(folder)],
@@ -52,13 +50,13 @@ def started(folder: Path) -> subprocess.Popen[str]:
     return process
 
 
-def go(process: subprocess.Popen[str]) -> None:
+def go(process):
     assert process.stdin is not None
     process.stdin.write("\n")
     process.stdin.flush()
 
 
-def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_path: Path) -> None:
+def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_path):
     both = [started(tmp_path) for _ in range(2)]
     for process in both:
         go(process)
@@ -76,7 +74,7 @@ def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_
     assert len(log) == WIDTH + 2
 
 
-def test_the_claim_of_a_killed_process_is_free_again_and_its_work_is_kept(tmp_path: Path) -> None:
+def test_the_claim_of_a_killed_process_is_free_again_and_its_work_is_kept(tmp_path):
     process = started(tmp_path)
     go(process)
     deadline = time.monotonic() + 60.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -25,32 +24,32 @@ TOP = Number(2, (ONE,), label="top")
 class MadeUpPost:
     """Remembers what is sent, and to whom."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.sent, self.mistrusted, self.listened = list[dict[str, Any]](), list[set[str]](), 0
         self.there, self.nobody = dict[str, int](), False
         self.needed = set[str]()
 
-    def submit(self, digest: str, needs: Any, failed: Any, only: Any, priority: float) -> Any:
+    def submit(self, digest, needs, failed, only, priority):
         self.sent.append({"digest": digest, "needs": needs, "failed": failed, "only": only, "priority": priority})
         return None if self.nobody else SimpleNamespace(add_done_callback=lambda _: None, cancel=lambda: None)
 
-    def mistrust(self, needed: set[str]) -> None:
+    def mistrust(self, needed):
         self.mistrusted.append(needed)
 
-    def listen(self) -> None:
+    def listen(self):
         self.listened += 1
 
-    def workers(self) -> dict[str, int]:
+    def workers(self):
         return self.there
 
-    def forget(self, needed: set[str]) -> None:
+    def forget(self, needed):
         self.needed = needed
 
 
 class Here:
     """A cluster of nobody, and what the observer of its run is told."""
 
-    def __init__(self, folder: Path, *cells: Any) -> None:
+    def __init__(self, folder, *cells):
         self.watching, self.store, self.plan = Watching(), Store(folder), Plan.of(cells)
         ledger = Ledger(self.plan, self.store, self.watching)
         ledger.open()
@@ -59,17 +58,17 @@ class Here:
         self.cluster.post = self.post  # type: ignore[assignment]  # made up
         self.cluster.looked = float("inf")
 
-    def away(self, cell: Any, status: str = "lost", error: Exception | None = None) -> Away:
+    def away(self, cell, status="lost", error=None):
         future: Any = SimpleNamespace(status=status, exception=lambda: error)
         return Away(cell, future, None, ExitStack())
 
-    def ended(self, cell: Any) -> str | None:
+    def ended(self, cell):
         found = self.cluster.ledger.ended.get(cell.digest)
         return None if found is None else found.reason
 
 
 @pytest.fixture
-def here(tmp_path: Path) -> Here:
+def here(tmp_path):
     return Here(tmp_path, ONE, TOP)
 
 
@@ -77,7 +76,7 @@ def here(tmp_path: Path) -> Here:
     ("allowed", "said"),
     [(0, "1 worker died while it was there"), (3, "4 workers, one after the other, died while it was there")],
 )
-def test_a_cell_at_which_workers_die_fails(here: Here, allowed: int, said: str) -> None:
+def test_a_cell_at_which_workers_die_fails(here, allowed, said):
     last: Any = SimpleNamespace(address="a")
     error = KilledWorker("key", last, allowed)
     here.cluster._undone(here.away(ONE, "error", error))
@@ -85,7 +84,7 @@ def test_a_cell_at_which_workers_die_fails(here: Here, allowed: int, said: str) 
     assert here.store.find(ONE.digest) is not None
 
 
-def test_what_workers_cannot_run_is_computed_here(here: Here) -> None:
+def test_what_workers_cannot_run_is_computed_here(here):
     here.cluster.workers = {"a": 1}
     assert not here.cluster._only_here(ONE)
     here.cluster._undone(here.away(ONE, "error", ImportError("no such module")))
@@ -94,7 +93,7 @@ def test_what_workers_cannot_run_is_computed_here(here: Here) -> None:
     assert here.watching.remarks == ["workers cannot compute this, so it is computed here: ImportError: no such module"]
 
 
-def test_what_is_lost_on_the_way_is_sent_again_but_not_for_ever(here: Here) -> None:
+def test_what_is_lost_on_the_way_is_sent_again_but_not_for_ever(here):
     for _ in range(LOST):
         here.cluster._undone(here.away(TOP))
     assert here.ended(TOP) is None
@@ -105,7 +104,7 @@ def test_what_is_lost_on_the_way_is_sent_again_but_not_for_ever(here: Here) -> N
     assert here.ended(TOP) == f"it, or what it needs, was lost in the cluster {LOST} times"
 
 
-def test_a_process_that_ends_twice_in_a_cell_fails_it(here: Here) -> None:
+def test_a_process_that_ends_twice_in_a_cell_fails_it(here):
     for times in (1, 2):
         here.cluster._answered(here.away(ONE), {"status": ENDED, "reason": "SIGKILL"}, ())
         assert (here.ended(ONE) is None) == (times == 1)
@@ -113,13 +112,13 @@ def test_a_process_that_ends_twice_in_a_cell_fails_it(here: Here) -> None:
     assert here.ended(ONE) == "its process ended 2 times (SIGKILL)"
 
 
-def test_a_result_that_is_not_whole_counts_as_none(here: Here) -> None:
+def test_a_result_that_is_not_whole_counts_as_none(here):
     here.cluster._answered(here.away(ONE), {"status": "done"}, ())
     assert here.ended(ONE) is None
     assert "count one ended (count one: what came has no readable record" in here.watching.remarks[0]
 
 
-def test_a_failure_elsewhere_is_kept_with_its_time_and_what_is_blocked_is_not_kept(here: Here) -> None:
+def test_a_failure_elsewhere_is_kept_with_its_time_and_what_is_blocked_is_not_kept(here):
     answer = {"status": FAILED, "reason": "it broke", "traceback": "there", "seconds": 2.5, "remarks": ["so"]}
     with pytest.warns(UserWarning, match="odd"):
         here.cluster._answered(here.away(ONE), {**answer, "warnings": ["odd"]}, ())
@@ -132,7 +131,7 @@ def test_a_failure_elsewhere_is_kept_with_its_time_and_what_is_blocked_is_not_ke
     assert here.store.find(TOP.digest) is None
 
 
-def test_a_worker_that_plans_otherwise_is_not_asked_for_that_again(here: Here) -> None:
+def test_a_worker_that_plans_otherwise_is_not_asked_for_that_again(here):
     here.cluster.workers = {"old": 1, "new": 1}
     ours = versions()
     name = next(iter(ours))
@@ -150,7 +149,7 @@ def test_a_worker_that_plans_otherwise_is_not_asked_for_that_again(here: Here) -
     assert not here.cluster._only_here(TOP)
 
 
-def test_an_order_says_what_failed_and_comes_the_earlier_the_more_waits_for_it(here: Here) -> None:
+def test_an_order_says_what_failed_and_comes_the_earlier_the_more_waits_for_it(here):
     here.cluster.workers = {"a": 1}
     here.cluster.ledger.fail(ONE, "it broke", "", 1.0)
     for cell in (ONE, TOP):
@@ -162,7 +161,7 @@ def test_an_order_says_what_failed_and_comes_the_earlier_the_more_waits_for_it(h
     assert set(here.cluster.away) == {ONE.digest, TOP.digest}
 
 
-def test_where_nobody_takes_it_a_cell_is_free_for_others(here: Here) -> None:
+def test_where_nobody_takes_it_a_cell_is_free_for_others(here):
     here.post.nobody = True
     here.cluster._hand(ONE)
     assert here.cluster.away == {}
@@ -171,7 +170,7 @@ def test_where_nobody_takes_it_a_cell_is_free_for_others(here: Here) -> None:
     assert here.cluster.elsewhere[ONE.digest] > 0.0
 
 
-def test_no_more_is_handed_out_than_a_cluster_has_room_for(tmp_path: Path) -> None:
+def test_no_more_is_handed_out_than_a_cluster_has_room_for(tmp_path):
     cells = [Number(i, label=str(i)) for i in range(FIRST + 3 * AHEAD + 5)]
     here = Here(tmp_path, *cells)
     here.cluster._hand_out(cells)
@@ -181,7 +180,7 @@ def test_no_more_is_handed_out_than_a_cluster_has_room_for(tmp_path: Path) -> No
     assert len(here.post.sent) == FIRST + 3 * AHEAD
 
 
-def test_what_needs_a_cell_that_stays_here_stays_here_too() -> None:
+def test_what_needs_a_cell_that_stays_here_stays_here_too():
     home = AtHome(1, label="home")
     after = Number(2, (home,), label="after")
     plan = Plan.of([home, after, Number(3, (after,), label="last"), Number(4, label="free")])

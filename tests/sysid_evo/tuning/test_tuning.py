@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -19,7 +17,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tuning import Tuning, search_space, tune
 
 
-def decaying(truth: float = 2.0) -> Dataset:
+def decaying(truth=2.0):
     """Return three runs of one state that decays by ``truth`` a second."""
     system = System((Channel("level"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
     rng = np.random.default_rng(0)
@@ -35,7 +33,7 @@ def decaying(truth: float = 2.0) -> Dataset:
 
 
 @pytest.fixture
-def guess(register: Callable[..., type]) -> type:
+def guess(register):
     """A family outside the zoo that learns nothing: the decay is a parameter, and one of its kinds always fails."""
 
     class Guess(DynamicsModel):
@@ -52,18 +50,18 @@ def guess(register: Callable[..., type]) -> type:
         shift: float = 0.0
         rest_hold: bool = False
 
-        def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Any:
+        def fit(self, dataset, *, rng, progress=None):
             if self.kind == "broken":
                 raise ValueError("this kind cannot learn")
             return self
 
-        def acceleration(self, carry: Any, control: Any) -> Any:
+        def acceleration(self, carry, control):
             return control - self.decay * carry + self.shift
 
     return register(models, "made_up_guess", Guess)
 
 
-def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and_defaults(guess: type) -> None:
+def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and_defaults(guess):
     space = search_space("made_up_guess")
     assert space == {
         "decay": Within(0.0, 4.0),
@@ -77,7 +75,7 @@ def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and
 
 
 @pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "neural_ode_history", "hybrid_ode"])
-def test_input_noise_is_searched_in_every_family_of_networks_that_has_it(family: str) -> None:
+def test_input_noise_is_searched_in_every_family_of_networks_that_has_it(family):
     assert search_space(family)["input_noise"] == Within(0.02, 4.0, log=True)
 
 
@@ -86,7 +84,7 @@ NOTHING_TO_SEARCH = {"adapted", "average"}
 
 
 @pytest.mark.parametrize("family", sorted({*models.names()} - NOTHING_TO_SEARCH))
-def test_what_is_searched_in_a_family_of_the_zoo_can_be_set(family: str) -> None:
+def test_what_is_searched_in_a_family_of_the_zoo_can_be_set(family):
     for key, where in search_space(family).items():
         values = where.values if isinstance(where, OneOf) else [where.low, where.high]
         for value in values:
@@ -95,7 +93,7 @@ def test_what_is_searched_in_a_family_of_the_zoo_can_be_set(family: str) -> None
             make_model(family, **{key: round(value) if whole or lags else value})
 
 
-def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess: type) -> None:
+def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess):
     found = tune("made_up_guess(kind=plain, shift=0.0)", decaying(), trials=40, seed=1)
     assert found.best.spec.parameters["kind"] == "plain"
     assert abs(found.best.spec.parameters["decay"] - 2.0) < 0.2
@@ -106,7 +104,7 @@ def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess: typ
     assert make_model(found.best.spec.text).get_params()["decay"] == found.best.spec.parameters["decay"]
 
 
-def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess: type) -> None:
+def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess):
     found = tune("made_up_guess(shift=0.0)", decaying(), trials=12, seed=0)
     failed = [one for one in found.tried if one.reason.startswith("ValueError")]
     assert failed
@@ -115,7 +113,7 @@ def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess: 
     assert set(found.importance) <= {"decay", "kind"}
 
 
-def test_a_search_goes_on_in_its_file_and_the_same_seed_gives_the_same_trials(guess: type, tmp_path: Path) -> None:
+def test_a_search_goes_on_in_its_file_and_the_same_seed_gives_the_same_trials(guess, tmp_path):
     settings: dict[str, Any] = {"only": ["decay"], "seed": 3}
     first = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "a", **settings)
     again = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "b", **settings)
@@ -128,10 +126,10 @@ def test_a_search_goes_on_in_its_file_and_the_same_seed_gives_the_same_trials(gu
     assert not other_data.tried
 
 
-def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess: type, tmp_path: Path) -> None:
+def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess, tmp_path):
     search = Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a")
 
-    def stopping(done: int, total: int, note: str = "") -> None:
+    def stopping(done, total, note=""):
         if note.startswith("4 trials"):
             raise KeyboardInterrupt
 
@@ -140,6 +138,6 @@ def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess: type, tmp_pa
     assert len(Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a").tried) == 4
 
 
-def test_a_horizon_that_does_not_fit_is_refused(guess: type) -> None:
+def test_a_horizon_that_does_not_fit_is_refused(guess):
     with pytest.raises(InvalidArgument, match="at most 50, got 50, 300"):
         Tuning("made_up_guess", decaying(), horizons=[50, 300])

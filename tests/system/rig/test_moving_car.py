@@ -1,7 +1,5 @@
 """The emulated car on the host's clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from tests.system.rig.moving_car import MOST_BEHIND, MovingCar
 FORWARD = np.array([1.0, 0.0])
 
 
-def test_in_real_time_it_is_the_car_of_simulated_time() -> None:
+def test_in_real_time_it_is_the_car_of_simulated_time():
     moving, simulated = MovingCar(emulated_car(), seed=3, start=50.0), emulated_car().connect(seed=3)
     simulated.send(FORWARD, valid_for=100.0)
     for now in 50.0 + 0.005 * np.arange(200):
@@ -24,14 +22,14 @@ def test_in_real_time_it_is_the_car_of_simulated_time() -> None:
     assert moving.frames == 200
 
 
-def test_missed_steps_are_caught_up() -> None:
+def test_missed_steps_are_caught_up():
     moving = MovingCar(emulated_car(), seed=3, start=50.0)
     assert len(list(moving.move(50.5001, FORWARD))) == 101
     assert moving.lateness == pytest.approx(0.5001)
     assert moving.due == pytest.approx(50.505)
 
 
-def test_a_process_that_slept_goes_on_from_now() -> None:
+def test_a_process_that_slept_goes_on_from_now():
     moving = MovingCar(emulated_car(), seed=3, start=50.0)
     list(moving.move(50.0, FORWARD))
     frames = list(moving.move(50.0 + 100.0 * MOST_BEHIND, FORWARD))

@@ -1,7 +1,5 @@
 """The emulated tracker's datagrams, with and without faults."""
 
-from __future__ import annotations
-
 import math
 import socket
 
@@ -9,14 +7,14 @@ import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.trackers.udp import FrameMessage, parse_message
+from hardware.trackers.udp import parse_message
 from tests.system.rig.faults import Fault, FaultSchedule
 from tests.system.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 
 POSES = np.array([[0.01 * k, 0.02 * k, 0.1 * k] for k in range(5)])
 
 
-def sent(*faults: Fault) -> list[FrameMessage]:
+def sent(*faults):
     """Stream five frames 5 ms apart, the first at 10 s, where the schedule starts."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
@@ -35,7 +33,7 @@ def sent(*faults: Fault) -> list[FrameMessage]:
                 return messages
 
 
-def test_frames_arrive_as_they_were_taken() -> None:
+def test_frames_arrive_as_they_were_taken():
     messages = sent()
     assert [message.frame for message in messages] == [0, 1, 2, 3, 4]
     assert [message.time for message in messages] == pytest.approx([10.0, 10.005, 10.01, 10.015, 10.02])
@@ -43,7 +41,7 @@ def test_frames_arrive_as_they_were_taken() -> None:
     np.testing.assert_array_equal([message.pose for message in messages], POSES)
 
 
-def test_a_frame_is_sent_when_it_is_due() -> None:
+def test_a_frame_is_sent_when_it_is_due():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
         receiver.setblocking(False)
@@ -59,28 +57,28 @@ def test_a_frame_is_sent_when_it_is_due() -> None:
         stream.close()
 
 
-def test_a_dropout_says_that_the_body_is_lost() -> None:
+def test_a_dropout_says_that_the_body_is_lost():
     assert [m.valid for m in sent(Fault(kind="dropout", at=0.004, duration=0.01))] == [True, False, False, True, True]
 
 
-def test_silence_sends_nothing() -> None:
+def test_silence_sends_nothing():
     assert [m.frame for m in sent(Fault(kind="silence", at=0.004, duration=0.01))] == [0, 3, 4]
 
 
-def test_a_frozen_pose_keeps_coming_with_new_times() -> None:
+def test_a_frozen_pose_keeps_coming_with_new_times():
     messages = sent(Fault(kind="frozen", at=0.004, duration=0.01))
     np.testing.assert_array_equal([m.pose for m in messages], POSES[[0, 0, 0, 3, 4]])
     assert [m.frame for m in messages] == [0, 1, 2, 3, 4]
 
 
-def test_swapped_bodies_bear_each_other_s_names() -> None:
+def test_swapped_bodies_bear_each_other_s_names():
     messages = sent(Fault(kind="identity_swap", at=0.018, duration=1.0))
     assert [(m.frame, m.body) for m in messages[3:]] == [(3, "car"), (4, OTHER_BODY), (4, "car")]
     np.testing.assert_array_equal(messages[4].pose, POSES[4])
     np.testing.assert_array_equal(messages[5].pose, OTHER_POSE)
 
 
-def test_a_flip_of_yaw_turns_the_heading_by_half_a_turn() -> None:
+def test_a_flip_of_yaw_turns_the_heading_by_half_a_turn():
     messages = sent(Fault(kind="yaw_flip"))
     turned = [math.remainder(m.pose[2] - pose[2], 2.0 * math.pi) for m, pose in zip(messages, POSES, strict=True)]
     np.testing.assert_allclose(np.abs(turned), math.pi)

@@ -1,11 +1,8 @@
 """The pseudo-terminal as a serial port: raw bytes both ways, and a plug that can be pulled."""
 
-from __future__ import annotations
-
 import os
 import select
 import tty
-from pathlib import Path
 
 import pytest
 
@@ -14,14 +11,14 @@ from tests.system.rig.pseudo_port import PseudoPort
 EVERY_BYTE = bytes(range(256))
 
 
-def host(port: PseudoPort) -> int:
+def host(port):
     """Open the port as a host does."""
     end = os.open(port.link, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(end)
     return end
 
 
-def test_every_byte_passes_unchanged_both_ways(tmp_path: Path) -> None:
+def test_every_byte_passes_unchanged_both_ways(tmp_path):
     port = PseudoPort(tmp_path / "port")
     port.plug()
     end = host(port)
@@ -35,7 +32,7 @@ def test_every_byte_passes_unchanged_both_ways(tmp_path: Path) -> None:
     port.unplug()
 
 
-def test_hosts_come_and_go(tmp_path: Path) -> None:
+def test_hosts_come_and_go(tmp_path):
     port = PseudoPort(tmp_path / "port")
     port.plug()
     for _ in range(3):
@@ -44,7 +41,7 @@ def test_hosts_come_and_go(tmp_path: Path) -> None:
     port.unplug()
 
 
-def test_a_pulled_plug_ends_the_host_s_session_and_comes_back_under_the_same_name(tmp_path: Path) -> None:
+def test_a_pulled_plug_ends_the_host_s_session_and_comes_back_under_the_same_name(tmp_path):
     port = PseudoPort(tmp_path / "port")
     port.plug()
     end = host(port)
@@ -64,7 +61,7 @@ def test_a_pulled_plug_ends_the_host_s_session_and_comes_back_under_the_same_nam
     port.unplug()
 
 
-def test_what_the_host_does_not_read_is_lost_and_nobody_waits(tmp_path: Path) -> None:
+def test_what_the_host_does_not_read_is_lost_and_nobody_waits(tmp_path):
     port = PseudoPort(tmp_path / "port")
     port.plug()
     for _ in range(100):

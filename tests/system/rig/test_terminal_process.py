@@ -1,14 +1,11 @@
 """The emulated car's process: it answers, drives, sees, breaks as told, and ends with its host."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,14 +23,14 @@ MARGIN = 0.1  # s for a loaded machine, on top of what the firmware guarantees
 TRACKER = UdpTracker("car", 0, clock="host")
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
+def wait_until(condition):
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.01)
 
 
-def is_running(pid: int) -> bool:
+def is_running(pid):
     """Whether the process exists and is no zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
@@ -41,7 +38,7 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_commands_move_the_car_and_silence_stops_it(tmp_path: Path) -> None:
+def test_commands_move_the_car_and_silence_stops_it(tmp_path):
     journal = tmp_path / "journal"
     with TRACKER.open() as stream, TerminalProcess(tracker=stream.address, seed=1, journal=journal) as process:
         with BareHost(process.port) as host:
@@ -64,7 +61,7 @@ def test_commands_move_the_car_and_silence_stops_it(tmp_path: Path) -> None:
     assert all(frame.valid for frame in frames)
 
 
-def test_frames_carry_consecutive_numbers_and_times_on_the_host_s_clock() -> None:
+def test_frames_carry_consecutive_numbers_and_times_on_the_host_s_clock():
     with TRACKER.open() as stream, TerminalProcess(tracker=stream.address, seed=1):
         before = time.monotonic()
         frames = [stream.read(PATIENCE) for _ in range(100)]
@@ -74,8 +71,8 @@ def test_frames_carry_consecutive_numbers_and_times_on_the_host_s_clock() -> Non
     assert before - PATIENCE < seen[0].source_time < seen[-1].source_time < time.monotonic()
 
 
-def test_the_same_seed_sees_the_same_noise() -> None:
-    def first_poses(seed: int) -> list[list[float]]:
+def test_the_same_seed_sees_the_same_noise():
+    def first_poses(seed):
         with TRACKER.open() as stream, TerminalProcess(tracker=stream.address, seed=seed):
             frames = [stream.read(PATIENCE) for _ in range(5)]
         return [frame.pose.tolist() for frame in frames if frame is not None]
@@ -83,7 +80,7 @@ def test_the_same_seed_sees_the_same_noise() -> None:
     assert first_poses(3) == first_poses(3)
 
 
-def test_a_stop_opens_the_buttons_at_once() -> None:
+def test_a_stop_opens_the_buttons_at_once():
     with TerminalProcess(seed=1) as process, BareHost(process.port) as host:
         host.hello()
         host.drive(Buttons.FORWARD | Buttons.LEFT)
@@ -92,7 +89,7 @@ def test_a_stop_opens_the_buttons_at_once() -> None:
         assert all(message.trips == 0 for message in host.heard if hasattr(message, "trips"))
 
 
-def test_a_reset_makes_a_new_boot_and_the_old_session_is_worth_nothing() -> None:
+def test_a_reset_makes_a_new_boot_and_the_old_session_is_worth_nothing():
     with TerminalProcess(seed=1) as process, BareHost(process.port) as host:
         first = host.hello()
         host.drive(Buttons.FORWARD)
@@ -106,7 +103,7 @@ def test_a_reset_makes_a_new_boot_and_the_old_session_is_worth_nothing() -> None
         assert again.reset_cause != first.reset_cause
 
 
-def test_a_pulled_plug_opens_the_buttons_and_comes_back_under_the_same_name(tmp_path: Path) -> None:
+def test_a_pulled_plug_opens_the_buttons_and_comes_back_under_the_same_name(tmp_path):
     journal = tmp_path / "journal"
     with TerminalProcess(seed=1, journal=journal) as process:
         with BareHost(process.port) as host:
@@ -126,7 +123,7 @@ def test_a_pulled_plug_opens_the_buttons_and_comes_back_under_the_same_name(tmp_
     assert opened - pulled < 0.15 + MARGIN
 
 
-def test_damaged_commands_close_nothing() -> None:
+def test_damaged_commands_close_nothing():
     with TerminalProcess(seed=1) as process, BareHost(process.port) as host:
         host.hello()
         host.drive(Buttons.LEFT)
@@ -138,12 +135,12 @@ def test_damaged_commands_close_nothing() -> None:
         assert status.last_sequence == 2
 
 
-def test_firmware_of_another_major_version_says_so() -> None:
+def test_firmware_of_another_major_version_says_so():
     with TerminalProcess(seed=1, faults=[Fault(kind="version")]) as process, BareHost(process.port) as host:
         assert host.hello().major == 2
 
 
-def test_it_ends_when_its_host_closes_it_and_leaves_nothing_behind() -> None:
+def test_it_ends_when_its_host_closes_it_and_leaves_nothing_behind():
     process = TerminalProcess(seed=1)
     folder = Path(process.port).parent
     process.close()
@@ -155,14 +152,14 @@ def test_it_ends_when_its_host_closes_it_and_leaves_nothing_behind() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_it_cleans_up_when_it_is_told_to_go(number: signal.Signals) -> None:
+def test_it_cleans_up_when_it_is_told_to_go(number):
     with TerminalProcess(seed=1) as process:
         os.kill(process.pid, number)
         wait_until(lambda: not is_running(process.pid))
         assert not Path(process.port).parent.exists()
 
 
-def test_it_ends_when_its_host_is_killed() -> None:
+def test_it_ends_when_its_host_is_killed():
     program = (
         "from tests.system.rig.terminal_process import TerminalProcess\n"
         "import json, time\n"
@@ -179,7 +176,7 @@ def test_it_ends_when_its_host_is_killed() -> None:
         assert not Path(port).parent.exists()
 
 
-def test_a_process_that_cannot_start_is_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_process_that_cannot_start_is_an_error(capfd):
     with pytest.raises(LinkLost, match="ended before it was ready"):
         TerminalProcess(tracker=("127.0.0.1", -1), seed=-1)
     assert "seed" in capfd.readouterr().err
