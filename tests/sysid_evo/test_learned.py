@@ -19,7 +19,7 @@ from sysid_evo.models.learned import Declared, Numbers, check_learned
 from sysid_evo.registry import models
 from sysid_evo.testing import run_checks
 from sysid_evo.types import Array
-from tests.broken import broken
+from tests.fixtures.kits import broken
 from tests.sysid_evo.test_artefacts import CHAMPION
 
 

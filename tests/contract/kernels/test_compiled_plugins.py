@@ -1,0 +1,36 @@
+"""The compiled form of a plugin: one that differs is caught, one that agrees or that is missing is not."""
+
+import re
+
+import pytest
+
+from tests.fixtures import broken_controllers, broken_models, broken_robots, broken_tasks
+from tests.fixtures.kits import KITS, broken, sentence
+
+CASES = {
+    "model": broken_models,
+    "task": broken_tasks,
+    "controller": broken_controllers,
+    "robot": broken_robots,
+}
+BROKEN = [(kind, one) for kind, cases in CASES.items() for one in cases.BROKEN_FORMS]
+
+
+@pytest.mark.parametrize(("kind", "one"), BROKEN, ids=CASES)
+def test_a_compiled_form_that_differs_is_caught(kind, one, register):
+    register(KITS[kind].registry, "broken", one.plugin)
+    ((said, reason),) = broken(KITS[kind].run_checks("broken")).items()
+    assert said == sentence(one.check)
+    assert re.search(one.reason, reason)
+
+
+def test_a_compiled_form_that_agrees_is_not(register):
+    register(KITS["model"].registry, "sound", broken_models.Compiled)
+    assert not any(result.failure or "compiled" in result.idle for result in KITS["model"].run_checks("sound"))
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_where_there_is_no_compiled_form_the_kit_says_so(kind, register):
+    register(KITS[kind].registry, "sound", CASES[kind].SOUND[0])
+    idle = {result.sentence: result.idle for result in KITS[kind].run_checks("sound")}
+    assert idle[sentence(CASES[kind].BROKEN_FORMS[0].check)].startswith("it has none, so that Python computes every")

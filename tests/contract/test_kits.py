@@ -1,0 +1,187 @@
+"""Four questions to the kit of every kind of plugin, and what is special about one kind."""
+
+import re
+from typing import ClassVar
+
+import pytest
+
+from hardware.testing import check_robot
+from sysid_evo.data import Dataset
+from sysid_evo.errors import ContractViolation, IncompatibleSystem, IncompatibleTask, InvalidArgument, RegistrationError
+from sysid_evo.models import DynamicsModel, require_planar
+from sysid_evo.registry import make_robot, models, tasks
+from sysid_evo.tasks import SetPoint
+from sysid_evo.testing import check_controller, check_model, check_reader, check_strategy, check_task, run_checks
+from sysid_evo.testing import models as model_kit
+from sysid_evo.testing.contract import MADE
+from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
+from sysid_evo.testing.template import PLUGINS
+from tests.fixtures import broken_controllers as of_controllers
+from tests.fixtures import broken_models as of_models
+from tests.fixtures import broken_readers as of_readers
+from tests.fixtures import broken_robots as of_robots
+from tests.fixtures import broken_strategies as of_strategies
+from tests.fixtures import broken_tasks as of_tasks
+from tests.fixtures.kits import KITS, broken, failing, sentence
+
+CASES = {
+    "model": (check_model, of_models),
+    "task": (check_task, of_tasks),
+    "controller": (check_controller, of_controllers),
+    "strategy": (check_strategy, of_strategies),
+    "robot": (check_robot, of_robots),
+    "reader": (check_reader, of_readers),
+}
+OPTIONS = {
+    "lqr": {"model": ExampleDynamics(continuous_car()), "at": SetPoint(horizon=60).bind(continuous_car())},
+    "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24},
+}
+"""What a controller cannot do without."""
+REGISTERED = [(kind, name) for kind, kit in KITS.items() if kind != "model" for name in kit.registry.names()]
+SOUND = [(kind, one) for kind, (_, cases) in CASES.items() for one in cases.SOUND]
+BROKEN = [
+    pytest.param(kind, one, id=f"{kind}-{one.check.__name__}-{number}")
+    for kind, (_, cases) in CASES.items()
+    for number, one in enumerate(cases.BROKEN)
+]
+
+
+@pytest.fixture
+def given(tmp_path):
+    """What the kit of a kind is given beside the name."""
+    return lambda kind: (of_readers.write_lines(tmp_path),) if kind == "reader" else ()
+
+
+def test_every_kind_with_a_template_has_a_kit_and_its_cases():
+    assert set(KITS) == set(CASES) == set(PLUGINS)
+    assert all(kit.registry.kind == kind for kind, kit in KITS.items())
+
+
+@pytest.mark.parametrize(("kind", "name"), REGISTERED)
+def test_every_registered_plugin_keeps_its_contract(kind, name, tmp_path, monkeypatch):
+    """Of the model families `test_families` says it; a physical robot is not connected."""
+    if kind == "robot" and make_robot(name).dynamics is None:
+        monkeypatch.setattr(KITS[kind].registry.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
+    file = (of_readers.FILES[name](tmp_path),) if kind == "reader" else ()
+    assert broken(KITS[kind].run_checks(name, *file, **OPTIONS.get(name, {}))) == {}
+
+
+@pytest.mark.parametrize(("kind", "plugin"), SOUND)
+def test_a_sound_plugin_keeps_every_sentence(kind, plugin, register, given):
+    kit = KITS[kind]
+    register(kit.registry, "sound", plugin)
+    results = {result.sentence: result for result in kit.run_checks("sound", *given(kind))}
+    assert broken(results.values()) == {}
+    silent = {one.__doc__ for one in kit.checks} - results.keys()
+    expected = {
+        "task": {sentence(of_tasks.kit.a_tracked_pose_is_believed)},
+        "controller": {sentence(of_controllers.kit.the_form_for_other_languages_acts_as_act_does)},
+    }
+    assert silent == expected.get(kind, set()), "these do not apply, and nothing is said of them"
+    assert results.keys() <= {MADE, *(sentence(one) for one in kit.checks)}
+
+
+@pytest.mark.parametrize(("kind", "one"), BROKEN)
+def test_a_broken_plugin_is_caught_with_the_sentence_it_breaks(kind, one, register, given):
+    register(KITS[kind].registry, "broken", one.plugin)
+    found = broken(KITS[kind].run_checks("broken", *given(kind)))
+    assert re.search(one.reason, found[sentence(one.check)])
+    assert not one.alone or len(found) == 1
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_every_check_has_a_plugin_that_breaks_it(kind):
+    cases = CASES[kind][1]
+    assert {one.check for one in (*cases.BROKEN, *cases.BROKEN_FORMS)} == set(KITS[kind].checks)
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_the_check_of_a_kind_raises_with_every_broken_sentence_and_nothing_for_a_sound_plugin(kind, register, given):
+    check, cases = CASES[kind]
+    register(KITS[kind].registry, "sound", cases.SOUND[0])
+    check("sound", *given(kind))
+    register(KITS[kind].registry, "broken", cases.Failing)
+    found = broken(KITS[kind].run_checks("broken", *given(kind)))
+    with pytest.raises(ContractViolation) as raised:
+        check("broken", *given(kind))
+    head, *lines = str(raised.value).splitlines()
+    assert head == f"{kind} 'broken' breaks {len(found)} of the contract's sentences:"
+    assert lines == [f"- {said}: {reason}" for said, reason in found.items()]
+
+
+@pytest.mark.parametrize("kind", [kind for kind in CASES if kind != "model"])
+def test_a_plugin_that_cannot_be_made_is_reported_and_a_wrong_parameter_is_the_callers(kind, register, given):
+    sound = CASES[kind][1].SOUND[0]
+    register(KITS[kind].registry, "broken", type("Unmakable", (sound,), {"__init__": failing}))
+    reported = list(KITS[kind].run_checks("broken", *given(kind)))
+    assert [one.sentence for one in reported] == [MADE]
+    assert str(reported[0].failure).startswith("ZeroDivisionError: a mistake in the plugin (kits.py, line")
+    register(KITS[kind].registry, "sound", sound)
+    with pytest.raises(InvalidArgument, match=f"{kind} 'sound' has no parameter 'wheels'"):
+        list(KITS[kind].run_checks("sound", *given(kind), wheels=4))
+
+
+@pytest.mark.parametrize("system", example_systems()[:2], ids=["switches", "continuous"])
+def test_a_task_is_checked_on_the_system_that_is_given(system):
+    results = list(KITS["task"].run_checks("point_to_point", system, waypoint_radius=0.5, horizon=40))
+    assert broken(results) == {}
+    assert len(results) == 1 + len(KITS["task"].checks)
+
+
+def test_a_task_that_no_system_fits_says_why(register):
+    class Impossible(of_tasks.Upright):
+        def check_system(self, system):
+            raise IncompatibleTask(f"impossible needs wings, {system.name} has none")
+
+    register(tasks, "broken", Impossible)
+    (reason,) = broken(KITS["task"].run_checks("broken")).values()
+    assert "made-up pendulum: impossible needs wings, made-up pendulum has none" in reason
+
+
+def test_a_reader_is_not_checked_without_a_file(tmp_path):
+    with pytest.raises(InvalidArgument, match="reader 'csv': expected a file of its kind to read, found none at"):
+        check_reader("csv", tmp_path / "nothing.csv")
+
+
+def test_after_a_failed_fit_nothing_else_is_checked(register):
+    register(models, "broken", of_models.Failing)
+    assert [one.sentence for one in run_checks("broken")][-1] == sentence(model_kit.fit_returns_the_model_itself)
+
+
+def test_a_system_that_the_family_refuses_is_no_broken_sentence(register, rng):
+    class Planar(of_models.Fading):
+        def check_system(self, system):
+            require_planar(self, system)
+
+    register(models, "planar", Planar)
+    dataset = Dataset.from_arrays(bare_system(), [rng.standard_normal((30, 1))], [rng.uniform(0, 1, (29, 1))])
+    with pytest.raises(IncompatibleSystem, match="Planar describes a planar body"):
+        list(run_checks("planar", dataset))
+
+
+def test_the_quick_preset_gives_way_to_what_is_asked_for(register):
+    seen = set()
+
+    class Preset(of_models.Fading):
+        presets: ClassVar = {"quick": {"share": 0.5}}
+
+        def fit(self, dataset, *, rng, progress=None):
+            seen.add(self.share)
+            return super().fit(dataset, rng=rng)
+
+    register(models, "preset", Preset)
+    for given, expected in (({}, {0.5}), ({"share": 0.25}, {0.25})):
+        seen.clear()
+        list(run_checks("preset", **given))
+        assert seen == expected
+
+
+def test_a_class_without_what_every_model_has_is_refused_where_it_is_registered():
+    with pytest.raises(RegistrationError, match=r"model 'unfinished': .*Unfinished does not define fit, which every"):
+
+        @models.register("unfinished")
+        class Unfinished(DynamicsModel):
+            def next_state(self, carry, control):
+                return carry
+
+    assert "unfinished" not in models.names()
