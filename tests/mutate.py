@@ -143,15 +143,13 @@ class Places:
 def _unseen(node: ast.AST) -> bool:
     """Whether a part holds no behaviour: messages, types, lists of names. Positions in f-strings are wrong in 3.11."""
     match node:
-        case ast.JoinedStr() | ast.Raise() | ast.Assert() | ast.Subscript(value=ast.Name(id="Literal")):
+        case ast.JoinedStr() | ast.Raise() | ast.Assert():
             return True
-        case ast.If(test=ast.Name(id="TYPE_CHECKING") | ast.Compare(left=ast.Name(id="__name__"))):
+        case ast.If(test=ast.Name("TYPE_CHECKING") | ast.Compare(left=ast.Name("__name__"))):
             return True
-        case (
-            ast.Assign(targets=[ast.Name(id="__all__" | "__slots__")]) | ast.AnnAssign(annotation=ast.Name("TypeAlias"))
-        ):
+        case ast.Assign([ast.Name("__all__")]) | ast.AnnAssign(annotation=ast.Name("TypeAlias")):
             return True
-        case ast.keyword(arg="strict" | "repr" | "compare" | "stacklevel" | "maxsize"):
+        case ast.keyword("strict" | "repr" | "compare" | "maxsize") | ast.Subscript(ast.Name("Literal")):
             return True
     return False
 
@@ -159,21 +157,18 @@ def _unseen(node: ast.AST) -> bool:
 def _whole(node: ast.expr) -> bool:
     """Whether a side of a comparison is evidently a whole number; other numbers are equal by chance only."""
     match node:
-        case ast.Constant(value=int() | float() as value):
+        case ast.Constant(int() | float() as value):
             return value == int(value)
-        case ast.Call(func=ast.Name(id="len")) | ast.Attribute(attr="ndim" | "size"):
+        case (
+            ast.Call(ast.Name("len")) | ast.Attribute(attr="ndim" | "size") | ast.Subscript(ast.Attribute(attr="shape"))
+        ):
             return True
-    return isinstance(node, ast.Subscript) and isinstance(node.value, ast.Attribute) and node.value.attr == "shape"
+    return False
 
 
-def _text(node: ast.expr) -> bool:
-    """Whether an operand is a text or a list: exchanged operators only end in a `TypeError`."""
-    parts = ast.walk(node) if isinstance(node, ast.BinOp) else [node]
-    return any(isinstance(part, ast.JoinedStr | ast.List | ast.ListComp) or _is_string(part) for part in parts)
-
-
-def _is_string(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+def _text(node: ast.AST) -> bool:
+    """Whether an operand is a text or a list: other operators only end in a `TypeError`."""
+    return isinstance(node, ast.JoinedStr | ast.List | ast.ListComp) or isinstance(getattr(node, "value", 0), str)
 
 
 def _other(value: object) -> list[object]:
@@ -249,7 +244,7 @@ class Imports:
         """Return what a module imports, what texts in it name, and what the fixtures import that it asks for."""
         file, nodes = self.files[module], list(ast.walk(self.trees[module]))
         found = {self._origin(*pair) for pair in self.pairs[module]}
-        texts = {node.value for node in nodes if _is_string(node)}
+        texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
         firsts = {re.split(r"\W", text)[0] for text in texts}
         found |= texts | {f"{module.rpartition('.')[0]}.{first}" for first in firsts}
         if not file.name.startswith("test_"):
@@ -298,10 +293,10 @@ class Watch:
         self.session = session
 
     def pytest_collectreport(self, report: Any) -> None:
-        self.failed += [report.nodeid] if report.failed else []
+        self.failed += [report.nodeid] * report.failed
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        self.pytest_collectreport(report)
+        self.failed += [report.nodeid] * report.failed
         module = report.nodeid.partition("::")[0]
         if not self.session.shouldstop:
             self.seconds[module] += report.duration
@@ -350,9 +345,8 @@ class Tree:
 
     def _enter(self, cache: str) -> None:
         """Let this process, and those it starts, import from the copy and write beside it."""
-        said = os.open(self.folder.with_suffix(".txt"), os.O_CREAT | os.O_TRUNC | os.O_RDWR)
-        for descriptor in (1, 2):
-            os.dup2(said, descriptor)
+        os.dup2(os.open(self.folder.with_suffix(".txt"), os.O_CREAT | os.O_TRUNC | os.O_RDWR), 1)
+        os.dup2(1, 2)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         here = Path.cwd()
         os.chdir(self.folder)
@@ -374,10 +368,10 @@ class Tree:
             for start, end in RUNS:
                 if near[start:end]:
                     ran = self.run(near[start:end], "-x", limit=limit, cache=cache)
-                    if ran is None or ran[0]:
-                        return (
-                            f"crash, or {limit:.0f} s" if ran is None else (ran[1] or [f"pytest ends with {ran[0]}"])[0]
-                        )
+                    if ran is None:
+                        return f"crash, or {limit:.0f} s"
+                    if ran[0]:
+                        return ran[1][0] if ran[1] else f"pytest ends with {ran[0]}"
             return ""
         finally:  # as old as before, so that what is compiled of it holds
             path.write_bytes(source)
@@ -429,7 +423,7 @@ def try_all(root: Path, changes: Sequence[Change], jobs: int) -> list[str]:
     for package in WARM:
         with suppress(ImportError):
             import_module(package)
-    imports, say, by = Imports(root), sys.stderr.write, ["not tried"] * len(changes)
+    imports, say, by = Imports(root), sys.stderr.write, [""] * len(changes)
     with tempfile.TemporaryDirectory(prefix="sysid-evo-mutate-") as folder:
         tree = Tree(root, Path(folder, "tree"))
         tests = chosen_tests(tree, {change.file: imports.tests_of(change.file)[:MOST_TESTS] for change in changes})
@@ -446,11 +440,8 @@ def product(root: Path, named: Iterable[str]) -> list[str]:
     """Return the modules with content at these files and folders; "." stands for all."""
     packages = {file.parent.name for file in root.glob("*/__init__.py")} - {"tests"}
     files = {file.relative_to(root) for name in named for file in [root / name, *(root / name).rglob("*.py")]}
-    return sorted(
-        file.as_posix()
-        for file in files
-        if file.suffix == ".py" and file.parts[0] in packages and file.stem != "__init__"
-    )
+    files = {file for file in files if file.suffix == ".py" and file.stem != "__init__" and file.parts[0] in packages}
+    return sorted(map(str, files))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

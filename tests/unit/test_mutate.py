@@ -63,7 +63,7 @@ def test_an_operator_a_number_or_a_guard_is_changed_where_it_stands(source, expe
         "assert a is not None",
         "x = zip(a, b, strict=True)",
         "x = folder / 'file'",
-        "x = a + ('b' + c)",
+        "x = a + 'b'",
         "x = [a] * b",
     ],
 )
