@@ -1,7 +1,5 @@
 """Readers: the same numbers from every kind of file."""
 
-from __future__ import annotations
-
 import re
 import tracemalloc
 
@@ -9,7 +7,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-
 from sysid_evo.data import Dataset, Reader, Table
 from sysid_evo.data.readers import CsvReader, ParquetReader, reader_for
 from sysid_evo.data.reading import log_files
