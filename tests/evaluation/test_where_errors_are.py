@@ -8,29 +8,11 @@ import pytest
 from evaluation.prediction import Interval, PredictionProtocol, Region, assess_prediction, worst_region
 from evaluation.prediction.regions import candidate_regions
 from evaluation.prediction.scores import load_prediction, save_prediction
-from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.validation.bootstrap import BlockErrors, interval
-from tests.fixtures.known_models import Known, Sliding, Weak, fitted, recording
+from tests.fixtures.known_models import Known, LosesGrip, Sliding, Weak, fitted, noisy, recording
 
 PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
-
-
-class LosesGrip(Known):
-    """Wrong about steering, but only at a forward speed above 0.4 m/s."""
-
-    def next_state(self, carry, control):
-        after = super().next_state(carry, control)
-        after[:, 2] += np.where(carry[:, 0] > 0.4, 0.6, 0.0) * control[:, 1]
-        return after
-
-
-def noisy(seed, episodes=2, steps=300):
-    """Return the known car, measured with the same noise everywhere."""
-    data = recording(episodes, steps, seed=seed)
-    rng = np.random.default_rng(seed)
-    states = [episode.states + 0.05 * rng.standard_normal(episode.states.shape) for episode in data]
-    return Dataset.from_arrays(data.system, states, [episode.controls for episode in data])
 
 
 def assessed(model, test):

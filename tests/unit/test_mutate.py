@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from tests.mutate import Imports, drawn, places
 
 ROOT = Path(__file__).parents[2]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from sysid_evo.data import RawLog
 
 FINE = 20  # integration steps for each row

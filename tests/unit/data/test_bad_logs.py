@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+
 from sysid_evo.data import Dataset, read_recording
 from sysid_evo.errors import DataWarning, InvalidData
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+
 from sysid_evo.data import Dataset, load_columns, read_recording
 from sysid_evo.data.columns import choose_columns, shipped_columns, shipped_names
 from sysid_evo.data.preparation import Prepared, said_once

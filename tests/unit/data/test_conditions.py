@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from sysid_evo import ConditionFold, Dataset
 from sysid_evo.cli.recordings import patterns_of
 from sysid_evo.data import prepare

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.dataset import thinned
 from sysid_evo.data.trajectory import moving_rows

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidData, MissingExtra
 from sysid_evo.system import Channel, System

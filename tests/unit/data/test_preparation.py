@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy
+
 from sysid_evo.data import Dataset, RawLog, prepare, take_rows
 from sysid_evo.data.preparation import CUTOFF, REACH, at_control_rate, low_pass
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError

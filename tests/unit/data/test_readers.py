@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from sysid_evo.data import Dataset, Reader, Table
 from sysid_evo.data.readers import CsvReader, ParquetReader, reader_for
 from sysid_evo.data.reading import log_files

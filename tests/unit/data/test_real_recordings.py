@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from sysid_evo.data import Dataset, prepare, read_recording
 from sysid_evo.system import Channel, System
 from tests.benchmarks.growth.recordings import write_log

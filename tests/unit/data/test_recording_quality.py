@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy
 from rich.console import Console
+
 from sysid_evo.cli.recordings import advice_as_json, advice_tables
 from sysid_evo.data import Dataset, RawLog, advise, check_usable, find_delays
 from sysid_evo.data.advice import named, spell

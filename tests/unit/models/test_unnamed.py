@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from sysid_evo import Dataset, make_model
 from sysid_evo.data.dataset import from_samples
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError

@@ -1,26 +1,26 @@
-"""The page in a real browser: keys move the car, and losing the page stops it."""
-
-from __future__ import annotations
+"""The page of driving in a real browser: keys move the car, losing the page stops it, a controller is shown."""
 
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from playwright.sync_api import Error, Page, expect
+from playwright.sync_api import Error, expect
 
-from hardware.connection import Command, Listener
-from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments
+from hardware.connection import Listener
+from hardware.driving.controller_driving import FINISHED, ControllerPanel, moments
+from hardware.driving.hand_driving import HandDriving, Instruments
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
 from hardware.driving.server import PageServer
 from hardware.emulation.simulated_robot import in_real_time
 from hardware.run_report import Reason, Stops
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
-from tests.fixtures.browser import Visitor, seen
+from tests.fixtures.browser import seen, sideways
+from tests.fixtures.panels import SEEDS, simulated
 
 BANNER = "document.getElementById('banner').textContent"
 READY = f"{BANNER}.startsWith('Press')"
@@ -34,7 +34,7 @@ class Heard(Keyboard):
     last = 0.0
     words = 0
 
-    def press(self, keys: int) -> None:
+    def press(self, keys):
         super().press(keys)
         if keys:
             self.last = time.monotonic()
@@ -44,65 +44,66 @@ class Heard(Keyboard):
 class Session(Listener):
     """A session of driving by hand in a thread; ``sent`` are the commands of the trials."""
 
-    def __init__(self, *, horizon: int) -> None:
+    def __init__(self, horizon):
         self.robot = in_real_time(make_robot("emulated_car"))
         task = PointToPoint(horizon=horizon).bind(self.robot.system)
         self.keyboard = keyboard = Heard(life=key_life(self.robot.system))
-        self.sent: list[Command] = []
-        self.trials: list[HandTrial] = []
+        self.sent = []
+        self.trials = []
         self.stops = Stops()
         instruments = Instruments(self.robot, task, keyboard)
         self.page = PageServer(instruments, keyboard, host="127.0.0.1", port=0, died=lambda _: None)
-        self._driving = HandDriving(
-            self.robot,
-            task,
-            keyboard,
-            instruments,
-            seed_of=lambda index: index,
-            stops=self.stops,
-            recorder=lambda *_: self,
-        )
+        options = {"seed_of": lambda index: index, "stops": self.stops, "recorder": lambda *_: self}
+        self._driving = HandDriving(self.robot, task, keyboard, instruments, **options)
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
 
-    def commanded(self, command: Command) -> None:
+    def commanded(self, command):
         self.sent.append(command)
 
-    def end(self) -> None:
+    def end(self):
         self.stops.request(Reason.SIGTERM)
         self._thread.join()
         self.page.close()
 
-    def neutral_since(self) -> float:
+    def neutral_since(self):
         """Return when the first neutral command after the last other one was sent."""
         driven = max(command.time for command in self.sent if command.control.any())
         return min(command.time for command in self.sent if command.time > driven)
 
-    def slack(self) -> float:
+    def slack(self):
         """Return by how much (s) a busy machine has kept the loop waiting."""
         sent = np.array([command.time for command in self.sent])
         return max(0.0, float(np.diff(sent).max()) - self.robot.system.dt)
 
-    def _drive(self) -> None:
+    def _drive(self):
         for trial in self._driving.trials():
             self.trials.append(trial)
 
 
-@pytest.fixture
-def session() -> Iterator[Session]:
-    session = Session(horizon=400)
-    yield session
-    session.end()
+@contextmanager
+def driving(horizon):
+    session = Session(horizon)
+    try:
+        yield session
+    finally:
+        session.end()
 
 
 @pytest.fixture
-def page(session: Session, visitor: Visitor) -> Page:
+def session():
+    with driving(400) as session:
+        yield session
+
+
+@pytest.fixture
+def page(session, visitor):
     page = visitor.open(session.page.url)
     wait_until_ready(page)
     return page
 
 
-def wait_until_ready(page: Page) -> None:
+def wait_until_ready(page):
     """Wait until a key would start a trial; a machine that is busy with other tests loses the robot now and then."""
     for _ in range(10):
         wait(page, f"{READY} || {LOST}")
@@ -112,12 +113,12 @@ def wait_until_ready(page: Page) -> None:
     pytest.fail("the robot was lost ten times before a trial began")
 
 
-def wait(page: Page, condition: str) -> None:
+def wait(page, condition):
     """Wait for what is true in the page in some frame; a function needs no ``eval``, which the page does not allow."""
     page.wait_for_function(f"() => {condition}")
 
 
-def until(condition: Callable[[], bool]) -> None:
+def until(condition):
     """Wait for what is true in this process in some moment."""
     deadline = time.monotonic() + 20.0
     while not condition():
@@ -125,7 +126,7 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
-def test_an_arrow_key_down_and_up_moves_the_car_and_stops_it(session: Session, page: Page) -> None:
+def test_an_arrow_key_down_and_up_moves_the_car_and_stops_it(session, page):
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.8")
     page.keyboard.up("ArrowUp")
@@ -137,31 +138,31 @@ def test_an_arrow_key_down_and_up_moves_the_car_and_stops_it(session: Session, p
     assert driven == {(0.0, 0.0), (1.0, 0.0)}
 
 
-def lose_by_closing(page: Page) -> None:
+def lose_by_closing(page):
     page.close()
 
 
-def lose_by_freezing(page: Page) -> None:
+def lose_by_freezing(page):
     """Its scripts stand still, but nobody closes its line."""
     debugger = page.context.new_cdp_session(page)
     debugger.send("Debugger.enable")
     debugger.send("Debugger.pause")
 
 
-def lose_by_hiding(page: Page) -> None:
+def lose_by_hiding(page):
     page.evaluate("Object.defineProperty(document, 'hidden', {value: true})")
     page.evaluate("document.dispatchEvent(new Event('visibilitychange')), 0")
 
 
-def lose_the_focus(page: Page) -> None:
+def lose_the_focus(page):
     page.evaluate("window.dispatchEvent(new Event('blur')), 0")
 
 
-def press_space(page: Page) -> None:
+def press_space(page):
     page.keyboard.press("Space")
 
 
-def lose_by_crashing(page: Page) -> None:
+def lose_by_crashing(page):
     with page.expect_event("crash"), suppress(Error):
         page.goto("chrome://crash")
 
@@ -169,7 +170,7 @@ def lose_by_crashing(page: Page) -> None:
 @pytest.mark.parametrize(
     "lose", [lose_by_closing, lose_by_freezing, lose_by_hiding, lose_the_focus, press_space, lose_by_crashing]
 )
-def test_losing_the_page_stops_the_car(session: Session, page: Page, lose: Callable[[Page], None]) -> None:
+def test_losing_the_page_stops_the_car(session, page, lose):
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.5")
     heard = session.keyboard.words
@@ -183,7 +184,7 @@ def test_losing_the_page_stops_the_car(session: Session, page: Page, lose: Calla
     assert len(session.sent) > 10
 
 
-def test_r_begins_a_new_trial_and_a_held_key_does_not_start_it(session: Session, page: Page) -> None:
+def test_r_begins_a_new_trial_and_a_held_key_does_not_start_it(session, page):
     page.keyboard.down("ArrowUp")
     wait(page, f"{SPEED} > 0.5")
     number = int(page.locator("#trial").inner_text().split()[1])
@@ -201,7 +202,7 @@ def test_r_begins_a_new_trial_and_a_held_key_does_not_start_it(session: Session,
     wait(page, f"{SPEED} > 0.5")
 
 
-def test_the_buttons_on_the_page_drive_while_they_are_touched(session: Session, visitor: Visitor) -> None:
+def test_the_buttons_on_the_page_drive_while_they_are_touched(session, visitor):
     page = visitor.open(session.page.url, width=400, is_mobile=True)
     wait_until_ready(page)
     page.get_by_label("backward").hover()
@@ -213,7 +214,7 @@ def test_the_buttons_on_the_page_drive_while_they_are_touched(session: Session, 
     assert {tuple(command.control) for command in session.sent} == {(0.0, 0.0), (-1.0, 0.0)}
 
 
-def test_a_second_page_watches(session: Session, page: Page, visitor: Visitor) -> None:
+def test_a_second_page_watches(session, page, visitor):
     other = visitor.page()
     with other.expect_websocket() as opened:
         other.goto(session.page.url)
@@ -232,30 +233,63 @@ PLACES = """all => all.map(part => {
 })"""
 
 
+BLUE, ORANGE, GREY = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0x8D, 0x98, 0xA5)
+
+
+def count(pixels, colour, off):
+    return int((np.abs(pixels - np.array(colour) / 255.0).max(axis=2) < off).sum())
+
+
 @pytest.mark.parametrize("size", [(1280, 800), (400, 700), (900, 560)])
-def test_everything_fits_and_nothing_moves_while_the_figures_change(visitor: Visitor, size: tuple[int, int]) -> None:
-    session = Session(horizon=30)
-    try:
-        width, height = size
+def test_everything_fits_and_nothing_moves_while_the_figures_change(visitor, size):
+    width, height = size
+    with driving(30) as session:
         page = visitor.open(session.page.url, width=width, height=height)
         parts = page.locator("#scene, header, dl, #pad, #again")
         wait_until_ready(page)
         places = [parts.evaluate_all(PLACES)]
         page.keyboard.down("ArrowUp")
-        wait(page, f"{SPEED} > 0.5")
-        places.append(parts.evaluate_all(PLACES))
-        wait(page, f"{BANNER}.startsWith('Trial over')")
-        places.append(parts.evaluate_all(PLACES))
+        for moment in (f"{SPEED} > 0.5", f"{BANNER}.startsWith('Trial over')"):
+            wait(page, moment)
+            places.append(parts.evaluate_all(PLACES))
         pixels = seen(page)
         page.close()
-    finally:
-        session.end()
     assert places[0] == places[1] == places[2]
     for left, top, right, bottom in places[0]:
         assert 0 <= left < right <= width
         assert 0 <= top < bottom <= height
-    car, goal = (np.array(colour) / 255.0 for colour in ((0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)))
-    assert (np.abs(pixels - car).max(axis=2) < 0.03).sum() > 60
-    assert (np.abs(pixels - goal).max(axis=2) < 0.03).sum() > 100
+    assert count(pixels, BLUE, off=0.03) > 60  # the car
+    assert count(pixels, ORANGE, off=0.03) > 100  # its goal
     assert [trial.fitness for trial in session.trials[:-1]] == [None] * (len(session.trials) - 1)
     assert session.trials[-1].fitness is not None
+
+
+@pytest.mark.parametrize(
+    ("spec", "robot", "size"),
+    [
+        pytest.param("set_point(channels=temperature, horizon=30)", "thermal", (1280, 800), id="one state, desk"),
+        pytest.param("swing_up(horizon=30)", "pendulum", (375, 667), id="two states, phone"),
+    ],
+)
+def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(visitor, spec, robot, size):
+    task, rollouts = simulated(spec, robot)
+    panel = ControllerPanel(robot, task, "best")
+    shown = moments(task, SEEDS[:1], rollouts.trajectories[0], 1)
+    panel.show(shown[0])
+    with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, died=print) as server:
+        page = visitor.open(server.url, width=size[0], height=size[1])
+        expect(page.locator("#banner")).to_have_text("best drives")
+        before = seen(page)
+        for moment in shown[1:-1:4]:
+            panel.show(moment)
+            left = (30 - moment.step) * task.system.dt
+            wait(page, f"Math.abs(Number(document.getElementById('time').textContent) - {left}) < 0.06")
+        pixels = seen(page)
+        assert count(pixels, BLUE, off=0.15) > count(before, BLUE, off=0.15) + 50
+        assert count(pixels, GREY, off=0.15) > 100
+        assert sideways(page) == 0
+        expect(page.locator("#pad")).to_be_hidden()
+        expect(page.locator("#view")).to_be_hidden()
+        panel.show(replace(shown[-1], phase=FINISHED, score=12.345))
+        expect(page.locator("#banner")).to_have_text("Trial over, score 12.35.")
+        page.close()

@@ -1,11 +1,6 @@
 """What a visit notes: errors of the page, and whatever it asks of another machine."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
-from playwright.sync_api import Browser
 
 from tests.fixtures.browser import Visitor
 
@@ -19,16 +14,14 @@ WRONG = {
 }
 
 
-def written(folder: Path, script: str) -> Path:
+def written(folder, script):
     page = folder / "page.html"
     page.write_text(f"<!doctype html><title>A page</title><body><script>{script}</script>")
     return page
 
 
 @pytest.mark.parametrize("script", WRONG)
-def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(
-    browser: Browser, tmp_path: Path, script: str
-) -> None:
+def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(browser, tmp_path, script):
     visitor = Visitor(browser)
     page = visitor.open(written(tmp_path, script))
     page.evaluate("0")  # what the page did until now is reported before its answer
@@ -37,7 +30,7 @@ def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(
     assert WRONG[script] in visitor.faults[0]
 
 
-def test_a_page_that_keeps_to_itself_is_no_fault(browser: Browser, tmp_path: Path) -> None:
+def test_a_page_that_keeps_to_itself_is_no_fault(browser, tmp_path):
     visitor = Visitor(browser)
     page = visitor.open(written(tmp_path, "document.body.append('all is well'); console.log('said')"))
     assert page.locator("body").inner_text() == "all is well"

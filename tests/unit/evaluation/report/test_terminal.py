@@ -1,11 +1,9 @@
-"""What the command prints: the verdict and one short table, and nothing that does not fit the screen."""
+"""What a command and a notebook show: the verdict and one short table, and nothing that does not fit."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
-from evaluation.report import Failure, Report, brief, drive_command, tables, verdict
+from evaluation.report import Failure, brief, drive_command, tables, verdict
+from evaluation.report.report import PrintedReport
 from evaluation.report.sections.controllers import command_sheet, overview_sheet
 from evaluation.report.sections.summary import headlines
 from tests.fixtures.reports import matrix, prediction, printed, report
@@ -13,7 +11,7 @@ from tests.fixtures.reports import matrix, prediction, printed, report
 LONG = "backprop27+nearest_neighbour+parametrised"
 
 
-def compared(*, seeds: Sequence[float] = ()) -> Report:
+def compared(*, seeds=()):
     """Two models, a controller each and one of both, on a robot."""
     fitness = {
         "linear": {"linear": 12.0, "sindy": 11.0, "car": 4.0},
@@ -26,27 +24,26 @@ def compared(*, seeds: Sequence[float] = ()) -> Report:
     )
 
 
-def row(made: Report, name: str) -> tuple[str, ...]:
+def row(made, name):
     sheet = overview_sheet(made)
-    assert sheet is not None
     return next(cells for cells in sheet.rows if cells[0] == name)
 
 
-def test_each_row_says_how_a_model_predicts_and_whether_its_controller_is_exploited() -> None:
+def test_each_row_says_how_a_model_predicts_and_whether_its_controller_is_exploited():
     assert row(compared(), "persistence") == ("persistence", "0.900", "–", "–", "–")
     assert row(compared(), "linear") == ("linear", "0.300", "12.00 ±0.03", "4.00 ±0.03", "yes")
     assert row(compared(), "sindy") == ("sindy", "0.060", "10.00 ±0.03", "9.80 ±0.03", "no")
     assert row(compared(), LONG) == (LONG, "–", "9.00 ±0.03", "9.10 ±0.03", "no")
 
 
-def test_claims_stand_with_those_of_all_evolution_runs() -> None:
+def test_claims_stand_with_those_of_all_evolution_runs():
     made = compared(seeds=(10.8, 12.06, 11.0))
     assert row(made, "linear")[2] == "12.00 ±0.03\n10.80, 12.06, 11.00"
     assert "the champion of each of 3 evolution runs" in " ".join(" ".join(printed(brief(made))).split())
     assert "evolution runs" not in " ".join(printed(brief(compared())))
 
 
-def test_the_brief_is_a_screenful_and_nothing_in_its_table_wraps() -> None:
+def test_the_brief_is_a_screenful_that_begins_with_the_verdict_and_nothing_in_its_table_wraps():
     made = compared()
     lines = printed(brief(made))
     assert len(lines) < 45
@@ -54,21 +51,33 @@ def test_the_brief_is_a_screenful_and_nothing_in_its_table_wraps() -> None:
     (linear,) = [line for line in lines if line.startswith(" linear ")]
     assert linear.split() == ["linear", "0.300", "12.00", "±0.03", "4.00", "±0.03", "yes"]
     assert any(line.startswith(" N: the mean error in standard deviations") for line in lines)
-
-
-def test_the_brief_begins_with_the_verdict_and_leaves_the_long_tables_out() -> None:
-    made = compared()
-    lines = printed(brief(made), width=200)
-    for finding in verdict(made):
-        assert finding.question in lines
-        for answer in finding.answers:
-            assert f"  {answer}" in lines
     assert lines.index("In short") > lines.index("What to use?")
-    assert not any("Transfer matrix" in line for line in lines)
+    wide = printed(brief(made), width=200)
+    for finding in verdict(made):
+        assert {finding.question, *(f"  {answer}" for answer in finding.answers)} <= set(wide)
+    assert not any("Transfer matrix" in line for line in wide)
     assert any("Transfer matrix" in line for line in printed(tables(made)))
 
 
-def test_a_controller_evolved_against_another_model_has_a_row_of_its_own() -> None:
+def test_a_printed_report_reads_as_the_terminal_does():
+    made = PrintedReport(**vars(compared()))
+    lines = str(made).splitlines()
+    assert lines[0] == "Made up"
+    assert "In short" in lines
+    assert max(map(len, lines)) <= 80
+    assert len(repr(made)) < 500
+
+
+def test_a_report_shows_its_answers_as_cards_in_which_names_are_text():
+    fitness = {"linear": {"linear": 12.0, "<b>": 11.0}, "<b>": {"linear": 9.0, "<b>": 10.0}}
+    plain = report(prediction({"persistence": 0.9, "linear": 0.3, "<b>": 0.06}), matrix(fitness))
+    html = PrintedReport(**vars(plain))._repr_html_()
+    assert html.count("border-top") == 3
+    assert "&lt;b&gt;" in html
+    assert "<b>" not in html
+
+
+def test_a_controller_evolved_against_another_model_has_a_row_of_its_own():
     made = report(
         prediction({"persistence": 0.9, "linear": 0.3}),
         matrix({"linear": {"linear": 3.0, "other": 8.0}}, against={"linear": ("other",)}),
@@ -77,23 +86,21 @@ def test_a_controller_evolved_against_another_model_has_a_row_of_its_own() -> No
     assert row(made, "linear (controller)")[2] == "8.00 ±0.03"
 
 
-def test_without_controllers_the_table_holds_predictions_alone() -> None:
+def test_without_controllers_the_table_holds_predictions_alone():
     sheet = overview_sheet(report(prediction({"persistence": 0.9, "linear": 0.3}, failed=["sindy"])))
-    assert sheet is not None
     assert sheet.columns == ("model", "N, 20 steps\n(1 s)")
     assert sheet.rows == (("persistence", "0.900"), ("linear", "0.300"), ("sindy", "failed"))
     assert overview_sheet(report()) is None
 
 
-def test_without_a_robot_achieved_means_on_other_models() -> None:
+def test_without_a_robot_achieved_means_on_other_models():
     made = report(transfer=matrix({"a": {"a": 10.0, "b": 2.0}}))
     sheet = overview_sheet(made)
-    assert sheet is not None
     assert sheet.columns == ("model or\ncontroller", "claimed", "on other\nmodels", "exploited")
     assert sheet.rows == (("a", "10.00 ±0.03", "2.00 ±0.03", "yes"),)
 
 
-def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reasons() -> None:
+def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reasons():
     failures = tuple(Failure(f"fit model{i}", f"reason {i}\na traceback") for i in range(7))
     text = "\n".join(printed(brief(replace(compared(), failures=failures))))
     assert "  fit model4: reason 4\n" in text
@@ -103,7 +110,7 @@ def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reas
     assert "more, in the report" not in "\n".join(printed(brief(replace(compared(), failures=failures[:5]))))
 
 
-def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
+def test_the_chosen_controller_comes_with_the_command_that_drives_it():
     made = replace(compared(), controllers={"sindy": "controllers/my sindy.json"}, settings={"robot": "car:3"})
     assert drive_command(made, "sindy", folder="runs/x") == (
         "sysid-evo drive --controller 'runs/x/controllers/my sindy.json' --robot car:3"
@@ -111,7 +118,6 @@ def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
     assert drive_command(made, "linear") is None
     own = replace(made, settings={"robot": "tank", "plugins": ["/home/me/tank.py"]})
     assert (drive_command(own, "sindy") or "").endswith("--robot tank --plugin /home/me/tank.py")
-    assert made.transfer is not None
     assert made.transfer.pick == "linear"
     assert "sysid-evo drive" not in " ".join(printed(brief(made)))
     chosen = replace(made, controllers={"linear": "controllers/linear.json"}, settings={})
@@ -120,17 +126,15 @@ def test_the_chosen_controller_comes_with_the_command_that_drives_it() -> None:
     assert printed(brief(driven, folder="runs/a very long name"))[-1].endswith(command)
 
 
-def test_without_a_robot_the_first_command_exports_the_chosen_controller() -> None:
+def test_without_a_robot_the_first_command_exports_the_chosen_controller():
     files = {"linear": "controllers/linear.json", "sindy": "controllers/sindy.json"}
     made = replace(compared(), controllers=files, settings={"plugins": ["/home/me/tank.py"]})
     export = "sysid-evo export controllers/linear.json --to c --plugin /home/me/tank.py"
     assert printed(brief(made))[-1].endswith(export)
     assert [one.command for one in headlines(made) if one.command] == [export]
     sheet = command_sheet(made)
-    assert sheet is not None
     assert [(name, command.split()[1]) for name, command in sheet.rows] == [
         ("linear", "export"), ("sindy", "export"), ("linear", "drive"), ("sindy", "drive")
     ]  # fmt: skip
     with_robot = command_sheet(replace(made, settings={"robot": "car"}))
-    assert with_robot is not None
     assert {command.split()[1] for _, command in with_robot.rows} == {"drive"}

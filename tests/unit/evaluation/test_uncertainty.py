@@ -1,7 +1,5 @@
 """Intervals over trials: closed forms where there are some, coverage where there are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import t
@@ -11,12 +9,12 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.aggregates import make_aggregate
 
 
-def of(fitness: np.ndarray, controller: str = "c") -> PairedEstimate:
+def of(fitness, controller="c"):
     return PairedEstimate.of(controller, np.asarray(fitness, dtype=float)[None])
 
 
 @pytest.mark.parametrize("trials", [2, 5, 100])
-def test_the_interval_is_students_over_trials(rng: np.random.Generator, trials: int) -> None:
+def test_the_interval_is_students_over_trials(rng, trials):
     fitness = rng.normal(size=trials)
     found = of(fitness)
     error = fitness.std(ddof=1) / np.sqrt(trials)
@@ -27,7 +25,7 @@ def test_the_interval_is_students_over_trials(rng: np.random.Generator, trials: 
 
 
 @pytest.mark.parametrize("other", ["c", "another"])
-def test_a_difference_pairs_the_trials_of_one_controller_and_of_two(rng: np.random.Generator, other: str) -> None:
+def test_a_difference_pairs_the_trials_of_one_controller_and_of_two(rng, other):
     luck = rng.normal(size=20)
     noise = 0.01 * rng.normal(size=20)
     gap = of(luck + noise) - of(luck, other)
@@ -37,7 +35,7 @@ def test_a_difference_pairs_the_trials_of_one_controller_and_of_two(rng: np.rand
     assert gap.standard_error < 0.05 * of(luck).standard_error
 
 
-def test_trials_that_only_one_figure_has_are_not_paired(rng: np.random.Generator) -> None:
+def test_trials_that_only_one_figure_has_are_not_paired(rng):
     many, few = rng.normal(size=40), rng.normal(size=5)
     gap = of(many) - of(few)
     alike = (of(many) - of(np.zeros(5))).standard_error
@@ -49,7 +47,7 @@ def test_trials_that_only_one_figure_has_are_not_paired(rng: np.random.Generator
     assert gap.degrees == pytest.approx(sum(parts) ** 2 / (parts[0] ** 2 / 4 + parts[1] ** 2 / 34))
 
 
-def test_a_share_of_what_is_claimed_varies_as_its_parts_do(rng: np.random.Generator) -> None:
+def test_a_share_of_what_is_claimed_varies_as_its_parts_do(rng):
     claimed, achieved = 12.0 + rng.normal(size=50), 9.0 + rng.normal(size=50)
     kept = of(achieved).over(of(claimed))
     assert kept.value == pytest.approx(achieved.mean() / claimed.mean())
@@ -58,23 +56,23 @@ def test_a_share_of_what_is_claimed_varies_as_its_parts_do(rng: np.random.Genera
     assert of(claimed).over(of(claimed)).standard_error < 1e-12
 
 
-def test_the_lowest_of_two_models_varies_as_the_lower_one_does(rng: np.random.Generator) -> None:
+def test_the_lowest_of_two_models_varies_as_the_lower_one_does(rng):
     low, high = rng.normal(size=(2, 30))
     found = PairedEstimate.of("c", np.stack([low, high + 100.0]), make_aggregate("min"))
     np.testing.assert_allclose(found.interval(), of(low).interval())
 
 
-def test_a_single_trial_has_no_interval() -> None:
+def test_a_single_trial_has_no_interval():
     assert np.isnan(of(np.array([3.0])).interval()).all()
     assert of(np.full(2, 3.0)).interval() == (3.0, 3.0)
 
 
-def test_the_shape_of_the_fitness_is_checked() -> None:
+def test_the_shape_of_the_fitness_is_checked():
     with pytest.raises(InvalidArgument, match=r"expected \(models, trials\), got shape \(1, 3, 4\)"):
         PairedEstimate.of("c", np.zeros((1, 3, 4)))
 
 
-def test_ninety_percent_intervals_hold_the_truth(rng: np.random.Generator) -> None:
+def test_ninety_percent_intervals_hold_the_truth(rng):
     """Of 400 repetitions with ten trials, whose luck is shared by all systems and controllers."""
     held = dict.fromkeys(("claimed", "gap", "kept", "regret"), 0)
     for _ in range(400):

@@ -1,22 +1,19 @@
 """The replay in a real browser: it plays, pauses and scrubs, on a desk and on a phone."""
 
-from __future__ import annotations
-
 import io
 import re
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from playwright.sync_api import Page, expect
+from playwright.sync_api import expect
 
 from evaluation.plot_style import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
-from tests.fixtures.browser import DESK, PHONE, TABLET, Visitor, resize, share_of, shown, sideways
+from tests.fixtures.browser import DESK, PHONE, TABLET, resize, share_of, shown, sideways
 from tests.fixtures.known_models import SYSTEM, Known, Sliding, fitted
 from tests.fixtures.reports import make_report
 
@@ -25,17 +22,16 @@ FRAMES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(
 
 
 @pytest.fixture(scope="module")
-def car(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def car(tmp_path_factory):
     """The page of a car."""
     report = make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
     return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
 @pytest.fixture(scope="module")
-def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def states(tmp_path_factory):
     """The page of a system without a pose, whose first state had a target."""
     report = make_report({"known": fitted(Known())})
-    assert report.matrix is not None
     cells = {}
     for key, cell in report.matrix.cells.items():
         target = Target(SYSTEM.states[0], 0, np.array([0.4]), 0.1)
@@ -47,17 +43,17 @@ def states(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save_report(report, tmp_path_factory.mktemp("page"))[1]
 
 
-def seek(page: Page, seconds: float) -> None:
+def seek(page, seconds):
     page.locator(TIME).fill(str(seconds))
 
 
-def painted(page: Page) -> np.ndarray:
+def painted(page):
     """Return what the first screen shows (height, width, 3), from 0 to 1."""
     picture = page.locator(".screen canvas").first.screenshot()
     return np.asarray(imread(io.BytesIO(picture))[:, :, :3])
 
 
-def test_a_screen_for_every_system_the_robot_in_a_frame(visitor: Visitor, car: Path) -> None:
+def test_a_screen_for_every_system_the_robot_in_a_frame(visitor, car):
     page = visitor.open(car)
     expect(page.locator(ROW)).to_have_value("known_c")  # the one to take
     page.locator(ROW).select_option("ensemble_c")
@@ -71,14 +67,14 @@ def test_a_screen_for_every_system_the_robot_in_a_frame(visitor: Visitor, car: P
     assert "as on the robot for " in told[2]
 
 
-def test_another_controller_is_shown_when_it_is_chosen(visitor: Visitor, car: Path) -> None:
+def test_another_controller_is_shown_when_it_is_chosen(visitor, car):
     page = visitor.open(car)
     for row in ("sliding_c", "known_c"):
         page.locator(ROW).select_option(row)
         expect(page.locator(".screen canvas").first).to_have_attribute("aria-label", re.compile(f"^{row} on car"))
 
 
-def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor: Visitor, car: Path) -> None:
+def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor, car):
     page = visitor.open(car)
     schemes: tuple[Literal["dark", "light"], ...] = ("light", "dark")
     for scheme in schemes:
@@ -92,7 +88,7 @@ def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor: Visi
         assert coloured[0] < 1e-5 < 3e-5 < coloured[1], scheme  # a line of a few dozen pixels
 
 
-def test_it_plays_to_the_end_pauses_and_begins_anew(visitor: Visitor, car: Path) -> None:
+def test_it_plays_to_the_end_pauses_and_begins_anew(visitor, car):
     page = visitor.open(car)
     play, clock = page.locator(PLAY), page.locator(CLOCK)
     page.locator(PACE).select_option("0.25")
@@ -114,14 +110,13 @@ def test_it_plays_to_the_end_pauses_and_begins_anew(visitor: Visitor, car: Path)
     assert float(page.locator(TIME).input_value()) < 2.0
 
 
-def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor: Visitor, car: Path) -> None:
+def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor, car):
     page = visitor.open(car)
     slider, clock = page.locator(TIME), page.locator(CLOCK)
     slider.scroll_into_view_if_needed()
     now = page.locator(".screen .now").first
     drawn, told = [painted(page)], [now.text_content()]
     box = slider.bounding_box()
-    assert box is not None
     y, seconds = box["y"] + box["height"] / 2, []
     page.mouse.move(box["x"] + 0.1 * box["width"], y)
     page.mouse.down()
@@ -141,7 +136,7 @@ def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor: Visitor, car: Pat
     expect(clock).to_have_text("0.0 s")
 
 
-def test_it_goes_by_a_step_with_buttons_and_keys(visitor: Visitor, car: Path) -> None:
+def test_it_goes_by_a_step_with_buttons_and_keys(visitor, car):
     page = visitor.open(car)
     seek(page, 1.0)
     time = page.locator(TIME)
@@ -162,7 +157,7 @@ def test_it_goes_by_a_step_with_buttons_and_keys(visitor: Visitor, car: Path) ->
     expect(page.locator(PLAY)).to_have_text("Play")
 
 
-def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor: Visitor, car: Path) -> None:
+def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor, car):
     page = visitor.open(car)
     page.locator(ROW).select_option("ensemble_c")
     screens, beside = page.locator(".screen"), page.locator("#replay-beside")
@@ -179,7 +174,7 @@ def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor: Visitor, ca
         assert told[0][1] == told[1][1]
 
 
-def test_a_state_is_written_with_three_digits_of_its_range(visitor: Visitor, states: Path) -> None:
+def test_a_state_is_written_with_three_digits_of_its_range(visitor, states):
     page = visitor.open(states)
     for step in range(0, 60, 7):
         seek(page, 0.05 * step)
@@ -188,7 +183,7 @@ def test_a_state_is_written_with_three_digits_of_its_range(visitor: Visitor, sta
             assert len(number.partition(".")[2]) <= 3, text
 
 
-def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor: Visitor, car: Path) -> None:
+def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor, car):
     page = visitor.open(car)
     page.locator(PACE).select_option("0.25")
     page.locator(PLAY).click()
@@ -199,7 +194,7 @@ def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor: Visitor, car: 
     )
 
 
-def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(visitor: Visitor, car: Path) -> None:
+def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(visitor, car):
     page = visitor.open(car)
     page.locator('.watch[data-row="sliding_c"] button').first.click()
     expect(page.locator(ROW)).to_have_value("sliding_c")
@@ -210,7 +205,7 @@ def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(
     expect(there).to_contain_text(f"as on the robot for {page.locator(CLOCK).text_content()}")
 
 
-def test_states_are_drawn_over_time_with_their_value_now(visitor: Visitor, states: Path) -> None:
+def test_states_are_drawn_over_time_with_their_value_now(visitor, states):
     page = visitor.open(states)
     seek(page, 1.0)
     name, unit = SYSTEM.states[0].name, SYSTEM.states[0].unit
@@ -219,9 +214,7 @@ def test_states_are_drawn_over_time_with_their_value_now(visitor: Visitor, state
 
 
 @pytest.mark.parametrize("which", ["car", "states"])
-def test_the_replay_is_never_wider_than_the_screen(
-    which: str, visitor: Visitor, request: pytest.FixtureRequest
-) -> None:
+def test_the_replay_is_never_wider_than_the_screen(which, visitor, request):
     page = visitor.open(request.getfixturevalue(which))
     for width in (320, PHONE, TABLET, DESK):
         resize(page, width)
@@ -230,7 +223,7 @@ def test_the_replay_is_never_wider_than_the_screen(
         assert max(parts.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) <= 0, width
 
 
-def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor: Visitor, car: Path) -> None:
+def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor, car):
     page = visitor.open(car)
     controls = page.locator(".deck select, .deck input")
     assert controls.evaluate_all("all => all.map(e => e.labels.length)") == [1, 1, 1, 1]
@@ -241,7 +234,7 @@ def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor: Visitor, 
     expect(page.locator(TIME)).to_have_attribute("aria-valuetext", "1.0 s")
 
 
-def test_without_a_script_the_page_says_what_is_missing(visitor: Visitor, car: Path) -> None:
+def test_without_a_script_the_page_says_what_is_missing(visitor, car):
     page = visitor.open(car, java_script_enabled=False)
     expect(page.locator(".unplayed")).to_contain_text("needs JavaScript")
     assert shown(page, "#replay-player") == 0

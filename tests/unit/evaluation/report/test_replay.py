@@ -1,63 +1,53 @@
 """The replay: what it holds, and when a trial has left the one on the robot."""
 
-from __future__ import annotations
-
 import base64
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from evaluation.report.elements import Replay
 from evaluation.report.sections.replay import packed, parting, replay
-from evaluation.transfer import Cell, Trace, TransferMatrix, transfer
+from evaluation.transfer import Cell, Trace, transfer
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Target
 from tests.fixtures.known_models import Known, Sliding, fitted
-from tests.fixtures.reports import EVIL, champion
+from tests.fixtures.reports import EVIL, champion, on_a_plane
 
 ARM = System((Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")), (Channel("torque"),), 0.1)
 
 
-def read(shown: Replay | None) -> dict[str, Any]:
-    assert shown is not None
-    document: dict[str, Any] = json.loads(shown.document)
-    return document
-
-
-def unpacked(packed: dict[str, Any]) -> np.ndarray:
+def unpacked(packed):
     steps = np.frombuffer(base64.b64decode(packed["data"]), dtype="<u2").reshape(-1, len(packed["low"]))
     return np.where(steps == 65535, np.nan, packed["low"] + steps * np.array(packed["step"]))
 
 
-def on_a_plane(x: np.ndarray) -> Trace:
-    pose = np.stack([x, np.zeros_like(x), np.zeros_like(x)], axis=1)
-    return Trace(Trajectory(np.zeros((len(x), 2)), np.zeros((len(x) - 1, 1)), 0.1, pose), 1.0)
-
-
-def of_states(angle: np.ndarray, *, target: float | None = None) -> Trace:
+def of_states(angle, *, target=None):
     states = np.stack([angle, np.zeros_like(angle)], axis=1)
     targets = () if target is None else (Target(ARM.states[0], 0, np.array([target]), 0.1),)
     return Trace(Trajectory(states, np.zeros((len(angle) - 1, 1)), 0.1), 1.0, targets=targets)
 
 
-def matrix(names: tuple[str, ...] = ("known", "sliding"), traces: int = 3) -> TransferMatrix:
+def matrix(names=("known", "sliding"), traces=3):
     models = {names[0]: fitted(Known()), names[1]: fitted(Sliding())}
     rows = [champion(f"{name}_c", (name,), seed=2 + i) for i, name in enumerate(names)]
-    runners = {
-        **{name: DynamicsRunner(model) for name, model in models.items()},
-        "car": DynamicsRunner(fitted(Known())),
-    }
+    runners = {name: DynamicsRunner(model) for name, model in {**models, "car": fitted(Known())}.items()}
     return transfer(rows, runners, seed=4, robot="car", trials=3, traces=traces)
 
 
-def test_every_controller_is_shown_everywhere_the_robot_first_then_where_it_was_evolved() -> None:
-    found = matrix()
-    document = read(replay(found))
+def document_of(shown):
+    return json.loads(shown.document)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return matrix()
+
+
+def test_every_controller_is_shown_everywhere_the_robot_first_then_where_it_was_evolved(found):
+    document = document_of(replay(found))
     order = [(run["row"], run["column"], run["own"], run["robot"]) for run in document["runs"]]
     assert order == [
         ("known_c", "car", False, True),
@@ -76,7 +66,7 @@ def test_every_controller_is_shown_everywhere_the_robot_first_then_where_it_was_
     assert shown["dt"] == trace.trajectory.dt
 
 
-def test_numbers_are_kept_to_a_small_part_of_their_range_and_what_is_none_stays_none() -> None:
+def test_numbers_are_kept_to_a_small_part_of_their_range_and_what_is_none_stays_none():
     values = np.array([[0.0, 1e6, 3.0], [np.nan, 1.0, 3.0], [2.0, np.inf, 3.0], [1e-3, 0.0, 3.0]])
     again = unpacked(packed(values))
     known = np.isfinite(values)
@@ -86,13 +76,10 @@ def test_numbers_are_kept_to_a_small_part_of_their_range_and_what_is_none_stays_
     ).all()
 
 
-def test_a_page_that_would_be_too_large_leaves_out_trials_elsewhere(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_page_that_would_be_too_large_leaves_out_trials_elsewhere(monkeypatch, found):
     monkeypatch.setattr("evaluation.report.sections.replay.MOST_NUMBERS", 1)
-    shown = replay(matrix())
-    assert shown is not None
-    assert [(run["row"], run["column"]) for run in read(shown)["runs"]] == [
+    shown = replay(found)
+    assert [(run["row"], run["column"]) for run in document_of(shown)["runs"]] == [
         ("known_c", "car"),
         ("known_c", "known"),
         ("sliding_c", "car"),
@@ -101,79 +88,73 @@ def test_a_page_that_would_be_too_large_leaves_out_trials_elsewhere(
     assert "2 trials on other models are left out" in shown.caption
 
 
-def test_the_model_that_is_the_robot_never_leaves_it_and_another_does() -> None:
-    runs = {(run["row"], run["column"]): run for run in read(replay(matrix()))["runs"]}
+def test_the_model_that_is_the_robot_never_leaves_it_and_another_does(found):
+    runs = {(run["row"], run["column"]): run for run in document_of(replay(found))["runs"]}
     assert runs["known_c", "known"]["compared"]
     assert runs["known_c", "known"]["apart"] is None
     assert runs["known_c", "sliding"]["apart"] > 0.0
     assert not runs["known_c", "car"]["compared"]
 
 
-def test_the_controller_to_take_is_shown_first() -> None:
-    assert read(replay(matrix(), first="sliding_c"))["first"] == "sliding_c"
-    assert read(replay(matrix(), first=None))["first"] == "known_c"
+def test_the_controller_to_take_is_shown_first(found):
+    assert document_of(replay(found, first="sliding_c"))["first"] == "sliding_c"
+    assert document_of(replay(found, first=None))["first"] == "known_c"
 
 
-def test_another_trial_that_is_to_be_watched_is_a_row_of_its_own_where_it_was_kept() -> None:
-    found = matrix()
+def test_another_trial_that_is_to_be_watched_is_a_row_of_its_own_where_it_was_kept(found):
     shown = replay(found, watched={"sliding_c": 2})
-    assert shown is not None
     assert shown.rows == ("known_c", "sliding_c", "sliding_c, trial 3")
-    runs = [run for run in read(shown)["runs"] if run["row"] == "sliding_c, trial 3"]
+    runs = [run for run in document_of(shown)["runs"] if run["row"] == "sliding_c, trial 3"]
     assert [run["column"] for run in runs] == ["car", "sliding"]  # elsewhere the first trial alone is kept
     third = found.cell("sliding_c", "sliding").traces[2].trajectory.pose
     np.testing.assert_allclose(unpacked(runs[1]["pose"]), third, atol=1e-4)
 
 
-def test_without_a_kept_trial_there_is_no_replay() -> None:
+def test_without_a_kept_trial_there_is_no_replay(found):
     assert replay(matrix(traces=0)) is None
-    nothing = matrix()
-    failed = {key: Cell(*key, reason="broken") for key in nothing.cells}
-    assert replay(replace(nothing, cells=failed)) is None
+    failed = {key: Cell(*key, reason="broken") for key in found.cells}
+    assert replay(replace(found, cells=failed)) is None
 
 
-def test_a_row_without_a_kept_trial_is_left_out() -> None:
-    found = matrix()
+def test_a_row_without_a_kept_trial_is_left_out(found):
     cells = {key: cell if key[0] == "known_c" else Cell(*key, reason="broken") for key, cell in found.cells.items()}
     shown = replay(replace(found, cells=cells))
-    assert shown is not None
     assert shown.rows == ("known_c",)
 
 
-def test_no_name_ends_the_script() -> None:
+def test_no_name_ends_the_script():
     shown = replay(matrix((EVIL + "</script>", "sliding")))
-    assert shown is not None
     assert "<" not in shown.document
     assert EVIL + "</script>" in {run["column"] for run in json.loads(shown.document)["runs"]}
 
 
 @pytest.mark.parametrize(("ahead", "seconds"), [(0.09, None), (0.11, 0.5)])
-def test_bodies_part_where_they_are_a_tenth_of_the_path_apart(ahead: float, seconds: float | None) -> None:
+def test_bodies_part_where_they_are_a_tenth_of_the_path_apart(ahead, seconds):
     robot = np.linspace(0.0, 1.0, 11)
     model = robot + np.where(np.arange(11) >= 5, ahead, 0.0)
     assert parting(on_a_plane(model), on_a_plane(robot), ARM, paths=True) == seconds
 
 
-def test_a_trial_that_ends_early_is_compared_as_long_as_it_lasts() -> None:
+def test_a_trial_that_ends_early_is_compared_as_long_as_it_lasts():
     robot = np.linspace(0.0, 1.0, 11)
     assert parting(on_a_plane(robot[:4]), on_a_plane(robot), ARM, paths=True) is None
     assert parting(on_a_plane(robot), on_a_plane(np.append(robot[:4], 0.8)), ARM, paths=True) == pytest.approx(0.4)
 
 
-def test_from_a_robot_that_stands_nothing_parts() -> None:
+def test_from_a_robot_that_stands_nothing_parts():
     still, off = np.zeros(11), np.linspace(0.0, 0.3, 11)
     assert parting(on_a_plane(off), on_a_plane(still), ARM, paths=True) is None
     assert parting(of_states(off), of_states(still), ARM, paths=False) is None
 
 
-def test_a_whole_turn_apart_is_together() -> None:
+def test_a_whole_turn_apart_is_together():
     swing = np.linspace(0.0, 2.0, 11)
     assert parting(of_states(swing + 2.0 * np.pi), of_states(swing), ARM, paths=False) is None
     later = swing + np.where(np.arange(11) >= 3, 0.21, 0.0)
     assert parting(of_states(later), of_states(swing), ARM, paths=False) == pytest.approx(0.3)
 
 
-def test_a_target_far_away_widens_the_range_but_never_beyond_a_turn() -> None:
+def test_a_target_far_away_widens_the_range_but_never_beyond_a_turn():
     still, off = np.zeros(11), np.where(np.arange(11) >= 2, 0.3, 0.0)
     assert parting(of_states(off), of_states(still, target=2.0), ARM, paths=False) == pytest.approx(0.2)
     assert parting(of_states(off), of_states(still, target=3.1), ARM, paths=False) is None

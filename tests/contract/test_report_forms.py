@@ -1,0 +1,62 @@
+"""Document, page and terminal of the same run: whole when parts are missing, the same every time."""
+
+import json
+
+import pytest
+
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
+from evaluation.report import save_report, tables, to_json
+from evaluation.running import gather_results
+from sysid_evo.plan import Store, execute
+from tests.fixtures.faulty_recordings import Fault, drive
+from tests.fixtures.known_models import Broken, Exploding, Known, Weak, fitted
+from tests.fixtures.reports import make_report, printed
+
+nightly = pytest.mark.nightly
+
+
+@pytest.mark.parametrize(
+    ("models", "options"),
+    [
+        pytest.param([Known], {"robot": False}, id="one model, no robot", marks=nightly),
+        pytest.param([Known, Broken], {}, id="a broken model", marks=nightly),
+        pytest.param([Known, Weak], {"unplugged": True}, id="an unplugged robot", marks=nightly),
+        pytest.param([Broken, Exploding], {"unplugged": True}, id="a broken model, one that diverges, no answer"),
+        pytest.param([Broken], {"unplugged": True}, id="nothing works"),
+        pytest.param([Exploding], {"robot": False}, id="it diverges", marks=nightly),
+    ],
+)
+def test_a_report_is_whole_when_parts_are_missing(models, options, tmp_path):
+    report = make_report({model.__name__.lower(): fitted(model()) for model in models}, **options)
+    document, page = save_report(report, tmp_path)
+    assert json.dumps(json.loads(document.read_text()), allow_nan=False)
+    assert "Prediction" in page.read_text()
+    text = "\n".join(printed(tables(report)))
+    for failure in report.all_failures:
+        assert failure.reason.split(":")[0] in text
+
+
+def test_two_equal_runs_give_the_same_files(tmp_path):
+    for name in ("one", "two"):
+        save_report(make_report({"known": fitted(Known())}), tmp_path / name)
+    for file in ("report.json", "report.html"):
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
+
+
+def test_a_comparison_advises_on_the_model_that_predicts_best_and_documents_its_errors(tmp_path):
+    experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "only": "prediction"})
+    comparison = plan_comparison(experiment, dataset=drive(Fault(late=6)))
+    store = Store(tmp_path)
+    execute(comparison.plan, store)
+    made = gather_results(comparison, store)
+    assert made.advice.model == made.prediction.ranking(20)[0].name == "late"
+    assert made.advice.judged_on == "the test part"
+    assert made.advice.remarks[0].topic == "late controls"
+    document = to_json(made)["prediction"]["models"][1]
+    assert document["residuals"]["channels"]["speed"]["controls"]["push"]["p"] < 0.05
+    assert document["residuals"]["control_lags"] == list(range(-5, 21))
+    assert len(document["curve_interval"]) == 2
+    assert document["episodes"][0]["name"] == "day 1[600:800]"
+    assert set(document["episodes"][0]["fit_percent"]) == {"speed", "turn"}
+    assert document["regions"][0]["region"]["channel"] in document["regions"][0]["words"]

@@ -1,0 +1,280 @@
+"""The document and the page: strict, within the schema, drawn again only where needed; a reason for what is absent."""
+
+import copy
+import html
+import json
+import re
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import pytest
+
+from evaluation.prediction import assess_prediction
+from evaluation.report import (
+    DataSummary,
+    Failure,
+    Report,
+    report_schema,
+    save,
+    save_report,
+    tables,
+    to_html,
+    to_json,
+    verdict,
+)
+from evaluation.report.render.terminal import to_rich
+from evaluation.report.report import SCHEMA, sections
+from evaluation.report.sections.transfer import transfer_sheet
+from evaluation.transfer import Cell, TransferMatrix
+from sysid_evo.system import System
+from tests.fixtures import reports as chosen
+from tests.fixtures.known_models import Broken, Exploding, Known, Sliding, fitted, recording
+from tests.fixtures.reports import EVIL, champion, exploited, make_report, matrix, prediction, printed, text_page
+
+FITNESS = {"a": {"a": 10.0, "b": 9.0, "car": 4.0}, "b": {"a": 8.0, "b": 8.0, "car": 8.1}}
+ALONE = {row: {column: cells[column] for column in ("a", "b")} for row, cells in FITNESS.items()}
+
+
+def in_terminal(report):
+    return "\n".join(printed(tables(report)))
+
+
+def test_the_document_is_strict_json_and_names_every_part(report):
+    content = json.loads(json.dumps(to_json(report), allow_nan=False))
+    assert [model["name"] for model in content["prediction"]["models"]] == ["persistence", "known", "weak", "sliding"]
+    assert len(content["transfer"]["cells"]) == 4 * 4
+    assert content["timings"] == {"all": 1.5}
+    assert content["notes"] == ["recorded on a linear floor"]
+    assert content["settings"]["evolution"]["generations"] == 2
+    weak = content["prediction"]["models"][2]
+    assert weak["horizons"][2]["steps"] == 20
+    assert weak["horizons"][2]["channels"]["yaw_rate"]["unit"] == "rad/s"
+
+
+def test_timings_stand_under_one_key_alone_and_the_page_leaves_out_the_short_ones(report):
+    one, two = to_json(report), to_json(replace(report, timings={"all": 99.0}))
+    assert one.pop("timings") != two.pop("timings")
+    assert one == two
+    page = text_page(replace(report, timings={"fit linear": 0.051, "run linear on car": 0.049}))
+    assert "fit linear" in page
+    assert "run linear on car" not in page
+
+
+def test_the_page_is_self_contained_and_names_every_model_and_controller(report, report_page):
+    page = report_page.read_text()
+    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|\#)""", page)
+    assert set(re.findall(r"https?://[^\"]*", page)) == {"http://www.w3.org/2000/svg"}  # a name, never fetched
+    assert "@import" not in page
+    scripts = re.findall(r"<script([^>]*)>", page)  # data, and the script of the page: nothing that is fetched
+    data = {' type="application/json" id="replay-data"', ' type="application/json" class="chart"'}
+    assert {script for script in scripts if script} == data
+    assert scripts.count("") == 1
+    for name in (*report.prediction.names, *report.matrix.rows, *report.matrix.columns):
+        assert html.escape(name) in page
+    assert page.index("Which models predict?") < page.index("Error over the horizon")
+
+
+def test_names_are_escaped_and_never_taken_for_mathematics():
+    drawn = to_html(chosen.report(transfer=matrix({EVIL: {EVIL: 9.0, "b": 8.0}})))
+    assert any("$\\frac$" in drawing for drawing in re.findall(r"<svg.*?</svg>", drawn, re.DOTALL))
+    for page in (drawn, text_page(make_report({EVIL: fitted(Known())}, robot=False))):
+        assert "<b>" not in page
+        assert "a&lt;b&gt;&#34;&amp;$\\frac$" in page
+
+
+def test_the_tables_fit_a_terminal_of_80_columns_and_state_horizon_and_initialisation(report):
+    lines = printed(tables(report))
+    text = "\n".join(lines)
+    assert max(map(len, lines)) <= 80
+    for name in (*report.prediction.names, *report.matrix.rows):
+        assert name in text
+    assert "…" not in text
+    for words in ("as much history as a model wants", "20 steps", "(1 s)"):
+        assert words in " ".join(text.split())
+
+
+def test_wide_tables_are_split_by_columns_and_nothing_is_cut_off():
+    names = [f"family_number_{i}" for i in range(8)]
+    sheet = transfer_sheet(matrix({row: dict.fromkeys(names, 8.5) for row in names}, trials=4))
+    lines = printed(to_rich(sheet))
+    text = "\n".join(lines)
+    assert max(map(len, lines)) <= 80
+    parts = 1 + text.count("(continued)")
+    assert parts > 1
+    assert all(text.count(f" {row[0]} ") == parts for row in sheet.rows)
+    for cell in (*sheet.columns, *(cell for row in sheet.rows for cell in row)):
+        for line in cell.split("\n"):
+            assert line in text
+
+
+def test_the_verdict_names_the_best_model_and_the_controller_to_use(report):
+    answers = {finding.question: " ".join(finding.answers) for finding in verdict(report)}
+    assert "known is best" in answers["Which models predict?"]
+    assert report.transfer.pick in answers["What to use?"]
+
+
+def test_a_report_of_prediction_alone_has_no_transfer(report):
+    alone = replace(report, matrix=None, exploitability=(), failures=(Failure("fit sindy", "no such package"),))
+    page = text_page(alone)
+    assert "Transfer matrix" not in page
+    assert "no such package" in page
+    assert to_json(alone)["transfer"] is None
+    assert "no such package" in in_terminal(alone)
+
+
+def test_a_test_set_of_a_few_samples_still_gives_a_report(report):
+    short = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5))
+    brief = replace(report, prediction=short, matrix=None, exploitability=())
+    assert "no free run" in to_html(brief)
+    assert "no free run" in in_terminal(brief)
+
+
+def test_a_single_trial_on_the_robot_has_no_error_bar():
+    cells = [Cell("c", "a", np.array([3.0, 5.0])), Cell("c", "car", np.array([2.0]))]
+    transfer = TransferMatrix.of([champion("c", ("a",))], ("a", "car"), cells, robot="car")
+    report = Report("Brief", DataSummary.of(recording(), recording(1, seed=8)), matrix=transfer)
+    achieved = report.transfer.controller("c").achieved
+    assert achieved.value == 2.0
+    assert np.isnan(achieved.standard_error)
+    assert to_json(report)["controllers"]["controllers"][0]["achieved"]["standard_error"] is None
+    assert "Most on the robot: c, 2.00." in to_html(report)
+
+
+def test_nothing_but_names_and_failures_is_still_a_page(report):
+    empty = Report(report.title, report.data)
+    assert "Nothing was compared" in to_html(empty)
+    assert to_json(empty)["verdict"] == [{"question": "What was found?", "answers": ["Nothing was compared."]}]
+
+
+def test_clipping_is_shown_beside_the_score():
+    report = make_report({"exploding": fitted(Exploding())}, robot=False)
+    assert re.search("clip (9|100 %)", in_terminal(report))
+    assert np.isfinite(report.prediction.model("exploding").at[0].n)
+
+
+def test_a_page_is_drawn_again_only_where_it_may_show_something_else(tmp_path, monkeypatch):
+    shown = [chosen.report()]
+
+    def drawn(of, *, afresh=False):
+        before = page.stat().st_ino if page.exists() else None
+        save_report(shown[0], tmp_path, of=of, afresh=afresh)
+        return page.stat().st_ino != before
+
+    page = tmp_path / "report.html"
+    assert drawn("these")
+    assert not drawn("these")
+    assert drawn("others")
+    assert drawn("others", afresh=True)
+    assert drawn(None)
+    assert drawn("others")
+    shown[0] = replace(shown[0], title="another text")
+    assert drawn("others")
+    page.write_text(page.read_text()[:-200])
+    assert drawn("others")
+    monkeypatch.setattr(save, "versions", lambda: {"sysid-evo": "another"})
+    assert drawn("others")
+    monkeypatch.setattr(save, "EVALUATION", tmp_path)
+    assert drawn("others")
+    assert not drawn("others")
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return make_report({"known": fitted(Known()), "sliding": fitted(Sliding()), "broken": fitted(Broken())})
+
+
+@pytest.fixture(scope="module")
+def validator():
+    schema = report_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+def faults(validator, document):
+    return [f"{error.json_path}: {error.message}" for error in validator.iter_errors(document)]
+
+
+def undescribed(value, schema, definitions, path="$"):
+    """Yield the keys of a document that its schema does not name."""
+    if "anyOf" in schema:
+        schema = schema["anyOf"][0]
+    if "$ref" in schema:
+        schema = definitions[schema["$ref"].rpartition("/")[2]]
+    if isinstance(value, dict):
+        others = schema.get("additionalProperties")
+        for key, item in value.items():
+            if key in schema.get("properties", {}):
+                yield from undescribed(item, schema["properties"][key], definitions, f"{path}.{key}")
+            elif isinstance(others, dict):
+                yield from undescribed(item, others, definitions, f"{path}.{key}")
+            elif others is not True:
+                yield f"{path}.{key}"
+    elif isinstance(value, list) and "items" in schema:
+        for item in value:
+            yield from undescribed(item, schema["items"], definitions, f"{path}[]")
+
+
+def test_every_kind_of_report_keeps_the_schema(whole, validator):
+    found = prediction({"persistence": 0.9, "linear": 0.3}, {"linear": 0.4}, failed=["sindy"])
+    for made in (whole, chosen.report(), chosen.report(found, failures=2), chosen.report(found, matrix(ALONE))):
+        assert faults(validator, to_json(made)) == []
+
+
+def test_the_schema_names_every_key_and_has_the_number_of_the_document(whole):
+    schema = report_schema()
+    assert sorted(set(undescribed(to_json(whole), schema, schema["$defs"]))) == []
+    assert schema["properties"]["schema"]["const"] == SCHEMA
+    assert schema["$id"].endswith(SCHEMA.rpartition("/")[2])
+
+
+def test_a_document_that_lacks_a_key_or_has_another_kind_of_value_is_refused(validator):
+    document = to_json(chosen.report(failures=1))
+    for key in document:
+        less = copy.copy(document)
+        del less[key]
+        assert any(f"'{key}' is a required property" in fault for fault in faults(validator, less))
+    for change in ({"title": 3}, {"schema": "sysid-evo/report/1"}, {"failures": [{"what": "fit"}]}, {"transfer": []}):
+        assert faults(validator, {**document, **change})
+
+
+def absent(report):
+    return {section.title: " ".join(section.absent) for section in sections(report)}
+
+
+def test_a_report_with_everything_leaves_nothing_to_explain_but_what_no_model_gives():
+    whole = chosen.report(prediction({"persistence": 0.9, "a": 0.3}, {"a": 0.4}), matrix(FITNESS, robot="car"))
+    found = absent(replace(whole, exploitability=(exploited(model="a"),)))
+    assert found["Transfer"] == found["Exploitability"] == ""
+    assert found["Prediction"].startswith("No model gives a spread")
+
+
+def test_what_runs_on_a_robot_would_show_is_explained_without_them():
+    alone = chosen.report(None, matrix(ALONE))
+    found = absent(replace(alone, exploitability=(exploited(model="a", achieved=None),)))
+    assert found["Transfer"].startswith("Nothing was run on a robot")
+    assert "to the other models" in found["Exploitability"]
+    dead = {row: {**cells, "car": float("nan")} for row, cells in FITNESS.items()}
+    assert absent(chosen.report(None, matrix(dead, robot="car")))["Transfer"].startswith(
+        "No controller could be run on car"
+    )
+
+
+def test_without_controllers_the_reason_is_told_on_the_page_and_in_the_terminal():
+    alone = replace(chosen.report(prediction({"persistence": 0.9, "a": 0.3})), settings={"only": "prediction"})
+    sentence = "since only 'prediction' was asked for"
+    assert sentence in absent(alone)["Transfer"]
+    assert sentence in html.unescape(text_page(alone))
+    assert sentence in " ".join(in_terminal(alone).split())
+
+
+def test_without_a_motion_probes_of_driving_are_explained():
+    made = replace(chosen.report(None, matrix(FITNESS, robot="car")), exploitability=(exploited(model="a"),))
+    still = System(made.data.system.states, made.data.system.controls, 0.05)
+    assert "need a body on a plane" in absent(replace(made, data=replace(made.data, system=still)))["Exploitability"]
+    assert "need a body on a plane" not in absent(made)["Exploitability"]
+
+
+def test_a_test_set_that_is_too_short_is_explained():
+    assert "No horizon fits" in absent(chosen.report(prediction(free={"a": 0.4}, steps=20)))["Prediction"]
+    assert "long enough for a free run" in absent(chosen.report(prediction(steps=5)))["Prediction"]

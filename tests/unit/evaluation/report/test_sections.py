@@ -1,0 +1,384 @@
+"""Tables, cards and pictures of the sections: what is painted, framed, marked, said and left out."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluation.exploitability import ProbeResult
+from evaluation.exploitability.optimism import Optimism
+from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
+from evaluation.report import to_json
+from evaluation.report.render.svg import drawn
+from evaluation.report.render.terminal import to_rich
+from evaluation.report.report import sections
+from evaluation.report.sections import transfer as transfer_section
+from evaluation.report.sections.controllers import (
+    ONE_SEED,
+    claims_picture,
+    controller_sheet,
+    forecast_sheet,
+    model_forecast_sheet,
+    why_chosen,
+)
+from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
+from evaluation.report.sections.evolution import fitness_picture
+from evaluation.report.sections.exploitability import exploitability_cards, probe_sheet, worst_trials
+from evaluation.report.sections.prediction import SHOWN_MODELS, difference_sheet, free_run_picture, prediction_sheet
+from evaluation.report.sections.replay import traces_picture
+from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet, transfer_sheet
+from evaluation.transfer import Cell, Estimate, TransferMatrix, person, summarise
+from tests.fixtures import reports as chosen
+from tests.fixtures.known_models import Known, LosesGrip, fitted, noisy, recording
+from tests.fixtures.reports import exploited, matrix, on_a_plane, paper_matrix, prediction, printed
+
+FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
+AGAINST = {"ab": ("a", "b")}
+PAPER = Path(__file__).parents[4] / "shared" / "paper" / "tables.json"
+SMALL_ERRORS = "No single step of it is wrong: small errors add up over a trial."
+HOLDS = Estimate(0.5, 0.1)
+
+
+@pytest.mark.parametrize(
+    "model, said",
+    [
+        (exploited(), "linear: exploited: its controllers claim 10.00 waypoints and achieve 4.00 on the robot."),
+        (exploited(), "They turn on the spot in 50 % of steps (held-out driving 1.0 %, the same on the robot 0 %)."),
+        (exploited(), "10 % of what they visit lies outside the data (held-out driving 1.0 %, the same on the robot"),
+        (exploited(visited=0.0), SMALL_ERRORS),
+        (exploited(gap=HOLDS), "the claim holds: its controllers claim 10.00 waypoints and achieve 4.00"),
+        (
+            exploited(achieved=None, gap=Estimate(2.0, 0.1)),
+            "claim 10.00 waypoints and achieve 8.00 on the other models.",
+        ),
+        (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),
+        (exploited(gap=Estimate(6.0, float("nan"))), "One trial cannot show whether the claim holds."),
+        (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
+        (
+            exploited(seed_fitness=(9.0, 10.04, 8.0)),
+            "claim 10.00 waypoints (3 evolution runs: 9.00, 10.04, 8.00) and achieve 4.00",
+        ),
+    ],
+)
+def test_the_sentence_on_a_model_says_what_was_found(model, said):
+    assert said in model.sentence
+
+
+@pytest.mark.parametrize(
+    "model, unsaid",
+    [
+        (exploited(), (SMALL_ERRORS, "the claim holds", "seeds", "One trial")),
+        (exploited(visited=0.0), ("They",)),
+        (exploited(outside=None), ("outside the data",)),
+        (exploited(gap=HOLDS), ("exploited",)),
+        (exploited(gap=HOLDS, visited=0.0), (SMALL_ERRORS,)),
+    ],
+)
+def test_the_sentence_on_a_model_says_nothing_else(model, unsaid):
+    assert not [words for words in unsaid if words in model.sentence]
+
+
+def test_the_matrix_is_painted_from_nothing_to_the_best_and_framed_where_evolved():
+    heat = transfer_sheet(matrix(FITNESS, against=AGAINST, robot="car")).heat
+    assert heat.shades == ((1.0, 0.5, 0.0), (0.8, 0.8, None))
+    assert heat.framed == {(0, 0), (1, 0), (1, 1)}
+    assert heat.divided == 2
+
+
+@pytest.mark.parametrize(
+    ("fitness", "shades"),
+    [
+        pytest.param((0.0, 0.0), (None, None), id="one of zeros has no paint"),
+        pytest.param((1.0, -1.0, 0.0), (1.0, 0.0, 0.5, 0.25), id="a negative one is the bottom; other families last"),
+    ],
+)
+def test_a_matrix_without_a_robot_has_no_line(fitness, shades):
+    heat = transfer_sheet(matrix({"a": dict(zip("abc", fitness, strict=False))}, trials=1)).heat
+    assert heat.divided is None
+    assert heat.shades == (shades,)
+
+
+def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale():
+    sheet = probe_sheet((exploited(visited=1.0, outside=0.0005), exploited(visited=0.01, outside=None)))
+    assert sheet.heat.alarm
+    (none, all_of_it), (unknown, hundredth), held_out = sheet.heat.shades
+    assert (none, unknown) == (None, None)
+    assert all_of_it == 1.0
+    assert hundredth == pytest.approx(1.0 / 3.0)
+    assert held_out == pytest.approx((1.0 / 3.0, 1.0 / 3.0))
+    assert sheet.rows[-1] == ("held-out data", "1.0 %", "1.0 %")
+
+
+def test_a_probe_that_saw_next_to_nothing_anywhere_is_named_below_the_table():
+    def looked_at(**seen):
+        probes = [ProbeResult(name, "m/s", "slide", 1.0, *shares) for name, shares in seen.items()]
+        return replace(exploited(), probes=tuple(probes))
+
+    one = looked_at(sideways=(0.0, 0.001, 0.0), spinning=(0.0, 0.0, 0.02), range=(0.0, 0.0, 0.0))
+    two = looked_at(sideways=(0.001, 0.001, 0.0), spinning=(0.0, 0.0, 0.0), range=(0.5, 0.0, 0.0))
+    sheet = probe_sheet((one, two))
+    assert [column.splitlines()[0] for column in sheet.columns] == ["model", "outside", "spinning", "range"]
+    assert sheet.rows[1][2:] == ("0 %", "50 %")
+    assert "anywhere: sideways." in sheet.note
+    assert "anywhere" not in probe_sheet((exploited(visited=1.0, outside=0.1),)).note
+
+
+def with_seeds(*seeds):
+    return matrix(FITNESS, against=AGAINST, robot="car", seeds=seeds)
+
+
+def test_claims_stand_with_those_of_all_evolution_runs_or_with_a_word_that_their_spread_is_unknown():
+    people = matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")
+    one, three, human = (
+        controller_sheet(one, summarise(one)) for one in (with_seeds(9.0), with_seeds(9.0, 8.0, 9.96), people)
+    )
+    assert ONE_SEED in one.note
+    assert "evolution runs" not in one.note
+    assert ONE_SEED not in three.note
+    assert "the champion of each of 3 evolution runs" in three.note
+    assert three.rows[0][1].split("\n")[1] == "9.00, 8.00, 9.96"
+    assert ONE_SEED not in human.note
+
+
+def test_a_star_marks_the_best_model_and_those_that_do_not_differ_from_it():
+    sheet = prediction_sheet(prediction({"persistence": 0.9, "linear": 0.300, "sindy": 0.301, "narx": 0.5}))
+    starred = {row[0] for row in sheet.rows if row[1].startswith("* ")}
+    assert starred == {"linear", "sindy"}
+    assert sheet.title.startswith("Prediction error N, the mean error in standard deviations")
+
+
+def test_the_picture_of_claims_marks_the_champion_of_every_evolution_seed():
+    pictures = [claims_picture(one, summarise(one)) for one in (with_seeds(9.0), with_seeds(9.0, 8.0, 7.0))]
+    ticks = [drawn(replace(picture.panels[0], for_phone=None)).wide.count("<use") for picture in pictures]
+    assert ticks[1] - ticks[0] == 2 * 3
+    assert ["Ticks" in picture.caption for picture in pictures] == [False, True]
+
+
+def test_each_controller_is_traced_in_its_model_and_on_the_robot(report):
+    panels = traces_picture(report.matrix).panels
+    assert [panel.title for panel in panels[:2]] == ["known_c on known", "known_c on car"]
+    assert len(panels) == 2 * len(report.matrix.rows)
+    assert all(panel.note.endswith("waypoints") for panel in panels)
+
+
+def test_pictures_of_nothing_are_left_out():
+    made = matrix(FITNESS, against=AGAINST)
+    assert traces_picture(made) is None
+    without = tuple(replace(champion, history=np.empty((0, 3))) for champion in made.champions)
+    assert fitness_picture(replace(made, champions=without)) is None
+
+
+def test_the_free_run_shows_the_best_models_and_says_how_many_can_be_switched_on():
+    names = [f"model{i}" for i in range(SHOWN_MODELS + 1)]
+    picture = free_run_picture(prediction(free={name: 0.3 + 0.01 * i for i, name in enumerate(names)}))
+    pair, shown = picture.panels[0], drawn(picture.panels[0])
+    assert [key.label for key in shown.legend] == ["measured", *names]
+    assert pair.wide.off == {names[-1]}
+    assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models are switched on" in picture.caption
+    for channel in ("forward_speed (m/s)", "lateral_speed (m/s)", "yaw_rate (rad/s)", "time (s)"):
+        assert channel in shown.wide
+        assert channel in shown.narrow
+
+
+@pytest.fixture(scope="module")
+def assessed():
+    models = {"known": fitted(Known()), "grip": fitted(LosesGrip())}
+    return assess_prediction(models, recording(), noisy(2, 4), protocol=PredictionProtocol(resamples=200))
+
+
+def test_each_model_stands_beside_the_best_with_the_words_where_there_is_no_difference():
+    found = difference_sheet(prediction({PERSISTENCE: 0.9, "linear": 0.3, "level": 0.302, "sindy": 0.5}))
+    rows = {row[0]: row[1] for row in found.rows}
+    assert list(rows) == ["linear", "level", "sindy", PERSISTENCE]
+    assert rows["linear"] == "best"
+    assert rows["level"].startswith("+0.002\n-0.0")
+    assert rows["level"].endswith("no significant\ndifference")
+    assert rows["sindy"].startswith("+0.200\n+0.1")
+    assert "significant" not in rows["sindy"]
+    assert difference_sheet(prediction({"linear": 0.3})) is None
+
+
+def test_the_table_of_residuals_tells_white_from_coloured_and_names_a_control(assessed):
+    white = assessed.model("grip")
+    p = white.residuals.white_p.copy()
+    p[:] = [0.5, 0.001, np.nan]
+    cross_p = np.ones_like(white.residuals.cross_p)
+    cross_p[1, 0] = 0.001
+    cross, band = np.zeros_like(white.residuals.cross), np.ones_like(white.residuals.cross_band)
+    cross[8, 1, 0] = 0.25
+    known = replace(white.residuals, white_p=p, cross=cross, cross_band=band, cross_p=cross_p)
+    (row,) = residual_sheet(replace(assessed, models=(replace(white, residuals=known),))).rows
+    assert row[1] == "white\nsteer, 0.15 s: +0.25"
+    assert row[2].startswith("not white\n")
+    assert row[3] == "–"
+
+
+def test_the_table_of_regions_names_the_worst_or_none(assessed):
+    sheet = region_sheet(assessed)
+    rows = {row[0]: row[1:] for row in sheet.rows}
+    assert rows["known"][0] == "nowhere clearly"
+    assert rows["grip"][0].startswith("forward_speed above ")
+    assert float(rows["grip"][1].split("\n")[0]) > 1.2
+    assert rows["grip"][2] == "20 %"
+    assert "N after 5 steps (0.25 s)" in sheet.note
+
+
+def test_episodes_and_fits_have_a_row_each(assessed):
+    sheet = episode_error_sheet(assessed)
+    assert [row[0] for row in sheet.rows] == [f"episode-{i}" for i in range(4)]
+    assert sheet.columns == ("episode", *assessed.names)
+    known = next(row for row in fit_sheet(assessed).rows if row[0] == "known")
+    mean = np.mean([episode.fit[0] for episode in assessed.model("known").episodes])
+    assert known[1].startswith(f"{mean:.1f}\n")
+
+
+def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed):
+    known = assessed.model("known")
+    hit = replace(known, divergence=replace(known.divergence, free_run_times=(None, 2.0, 4.0, None)))
+    fits = fit_sheet(replace(assessed, models=(hit, *(one for one in assessed.models if one is not known))))
+    assert [row[0] for row in fits.rows if row[0].startswith("known")] == ["known\nclip 2 of 4, 3.0 s"]
+
+
+@pytest.mark.parametrize("sheet", [difference_sheet, residual_sheet, region_sheet, episode_error_sheet, fit_sheet])
+def test_every_table_of_errors_is_80_columns_wide_at_most(assessed, sheet):
+    made = sheet(assessed)
+    lines = printed(to_rich(made))
+    assert max(map(len, lines)) <= 80
+    assert made.title in lines
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """A matrix whose own cell kept three trials."""
+    made = matrix({"linear": {"linear": 10.0, "car": 4.0}}, robot="car")
+    cell = replace(made.cell("linear", "linear"), traces=(on_a_plane(np.linspace(0.0, 1.0, 5)),) * 3)
+    return replace(made, cells={**made.cells, ("linear", "linear"): cell})
+
+
+def helped(trial, value=2.0):
+    return Optimism(value, value - 1.0, value + 1.0, 0.8, trial, 6.0)
+
+
+def test_a_card_begins_with_its_verdict_and_keeps_the_other_sentences(kept):
+    models = [exploited(), exploited(gap=Estimate(0.1, 0.1)), exploited(gap=None)]
+    cards = exploitability_cards(models, kept).cards
+    assert cards[0].title == "linear"
+    assert cards[0].verdict.startswith("Exploited: its controllers claim 10.00 waypoints")
+    assert any("turn on the spot" in sentence for sentence in cards[0].sentences)
+    assert [card.tone for card in cards] == ["bad", "good", "open"]
+
+
+@pytest.mark.parametrize(
+    ("optimism", "watch", "time", "worst"),
+    [
+        pytest.param(helped(2), "linear, trial 3", 5.0, {"linear": 2}, id="that helps the task most, a second before"),
+        *(pytest.param(one, "linear", None, {}, id="the first") for one in (None, helped(5), helped(1, -2.0))),
+    ],
+)
+def test_a_card_shows_a_trial(kept, optimism, watch, time, worst):
+    model = exploited(optimism=optimism)
+    (card,) = exploitability_cards([model], kept).cards
+    assert card.watch == watch
+    assert time in (None, card.time)
+    assert worst_trials([model], kept) == worst
+
+
+def test_a_model_without_a_kept_trial_has_nothing_to_watch():
+    made = matrix({"linear": {"linear": 10.0, "car": 4.0}}, robot="car")
+    assert exploitability_cards([exploited(optimism=helped(2))], made).cards[0].watch == ""
+
+
+FORECAST = {
+    "a": {"a": 10.0, "b": 9.0, "c": 8.0, "car": 8.5},
+    "b": {"a": 3.0, "b": 12.0, "c": 5.0, "car": 8.0},
+    "c": {"a": 1.0, "b": 2.0, "c": 14.0, "car": 2.0},
+}
+
+
+def driven():
+    return chosen.report(transfer=matrix(FORECAST, robot="car"))
+
+
+def test_forecasts_stand_beside_what_was_achieved_the_highest_first():
+    sheet = forecast_sheet(driven())
+    assert [row[0] for row in sheet.rows] == ["a\n(chosen)", "b", "c"]
+    assert sheet.rows[0][2:] == ("8.8 (7.6 to 9.4)", "8.50 ±0.03", "yes")
+    assert sheet.rows[1][4] == "no"
+    assert sheet.note.endswith("2 of 3 were inside.")
+
+
+def test_without_a_robot_nothing_is_said_of_it():
+    alone = {row: {name: columns[name] for name in "abc"} for row, columns in FORECAST.items()}
+    sheet = forecast_sheet(chosen.report(transfer=matrix(alone)))
+    assert sheet.columns == ("controller", "claimed", "forecast")
+    assert "inside" not in sheet.note
+    assert "robot," not in str(why_chosen(chosen.report(transfer=matrix(alone))))
+
+
+def test_a_model_is_shown_with_the_share_of_a_claim_that_is_expected_to_be_kept():
+    sheet = model_forecast_sheet(driven())
+    assert [row[0] for row in sheet.rows] == ["a", "b", "c"]
+    assert sheet.rows[0][1:5] == ("10.0", "8.8 (7.6 to 9.4)", "88 % (76 % to 94 %)", "20 %")
+
+
+def test_a_model_that_predicts_badly_weighs_less_in_the_report():
+    errors = prediction({"persistence": 0.9, "a": 0.1, "b": 0.1, "c": 1.0})
+    weights = chosen.report(errors, matrix(FORECAST, robot="car")).forecasts["a"].weights
+    assert weights["b"] == pytest.approx(2.0 * weights["a"])
+    assert weights["b"] == pytest.approx(100.0 * weights["c"])
+
+
+def test_a_report_without_a_forecast_has_no_section_of_it():
+    assert "Forecast" in [section.title for section in sections(driven())]
+    alone = chosen.report(transfer=matrix({"a": {"a": 9.0, "car": 8.0}}, robot="car"))
+    assert "Forecast" not in [section.title for section in sections(alone)]
+    assert why_chosen(alone) is None
+
+
+def test_the_document_holds_what_was_predicted_and_what_came_of_it():
+    found = json.loads(json.dumps(to_json(driven())["forecast"], allow_nan=False))
+    first = found["controllers"][0]
+    assert (first["controller"], first["achieved"], first["held"]) == ("a", 8.5, True)
+    assert first["low"] < first["value"] < first["high"]
+    assert found["models"][0]["model"] == "a"
+    assert found["rule"]["share"] == 0.9
+
+
+def test_the_papers_own_cells_give_the_papers_table():
+    sheet = paper_sheet(paper_matrix())
+    assert sheet.columns == ("controller", "bp27", "param", "evo3", "nn", "real")
+    assert [row[0] for row in sheet.rows] == ["bp27c", "paramc", "evo3c", "nnc", "mm1c"]
+    assert sheet.rows[0][1:] == (
+        "18.6 (0.0)\npaper 18.6", "9.0 (0.0)\npaper 9", "1.3 (0.0)\npaper 1.3", "14.0 (0.0)\npaper 14",
+        "9.3 (0.0)\npaper 9.33",
+    )  # fmt: skip
+    for row in sheet.rows:
+        for cell in row[1:]:
+            here, there = cell.split("\n")
+            assert float(here.split()[0]) == pytest.approx(float(there.split()[1]), abs=0.05)
+
+
+@pytest.mark.skipif(not PAPER.is_file(), reason="the paper lies beside a checkout, not in it")
+def test_the_numbers_of_the_paper_are_those_of_its_table():
+    table = json.loads(PAPER.read_text())["table_2"]
+    assert table["columns"][:-1] == list(FAMILIES)
+    assert {name: list(row) for name, row in CONTROLLERS.values()} == {
+        name: row for name, row in table["mean"].items() if not name.startswith("hum")
+    }
+
+
+def test_who_drove_by_hand_has_a_row_and_what_is_missing_is_a_dash():
+    paper = paper_matrix()
+    cells = {**paper.cells, ("human", "real"): Cell("human", "real", np.array([6.0, 8.0]))}
+    cells |= {("human", column): Cell("human", column, reason="not run") for column in paper.models}
+    with_person = TransferMatrix.of((*paper.champions, person()), paper.columns, cells.values(), robot="real")
+    assert paper_sheet(with_person).rows[-1] == ("human", "–", "–", "–", "–", "7.0")
+
+
+def test_without_the_four_models_or_the_papers_preset_there_is_no_such_table():
+    assert paper_sheet(matrix({"parametrised": {"parametrised": 1.0, "evolved3": 2.0}})) is None
+    for preset, shown in (("quick", False), ("paper", True)):
+        made = replace(chosen.report(transfer=paper_matrix()), settings={"preset": preset})
+        assert any("Table 2" in sheet.title for sheet in transfer_section.section(made).sheets) == shown
