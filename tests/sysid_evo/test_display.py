@@ -14,12 +14,12 @@ MOST = 500
 HOSTILE = "<script>alert(1)</script>"
 
 
-def champion() -> Champion:
+def champion():
     history = np.tile([3.0, 2.0, 1.0], (300, 1))
     return Champion("mine", np.zeros(5000), ("linear", "narx"), "min", 0, history, population=np.zeros((40, 5000)))
 
 
-def test_a_million_samples_are_a_line() -> None:
+def test_a_million_samples_are_a_line():
     system = example_dataset().system
     data = Dataset.from_arrays(system, np.zeros((1_000_001, 3)), np.zeros((1_000_000, 2)))
     assert len(repr(data)) < MOST
@@ -28,7 +28,7 @@ def test_a_million_samples_are_a_line() -> None:
     assert "1000000 of 0.05 s" in repr(data.episodes[0])
 
 
-def test_many_names_are_the_first_ones_and_how_many_there_are() -> None:
+def test_many_names_are_the_first_ones_and_how_many_there_are():
     many = [f"x{i}" for i in range(60)]
     assert listed(many).endswith("x7, ... (60 in all)")
     assert listed([]) == "none"
@@ -37,7 +37,7 @@ def test_many_names_are_the_first_ones_and_how_many_there_are() -> None:
     assert "500 (episode-0, " in repr(data)
 
 
-def test_a_model_says_whether_it_is_fitted_and_what_it_learned() -> None:
+def test_a_model_says_whether_it_is_fitted_and_what_it_learned():
     model = make_model("linear", ridge=0.1)
     assert repr(model) == "Linear(ridge=0.1)"
     assert "no</td>" in model._repr_html_()
@@ -51,7 +51,7 @@ def test_a_model_says_whether_it_is_fitted_and_what_it_learned() -> None:
     assert "acceleration of forward_speed = " in sindy._repr_html_()
 
 
-def test_a_champion_is_named_with_its_task_and_what_it_reached() -> None:
+def test_a_champion_is_named_with_its_task_and_what_it_reached():
     text = repr(champion())
     assert len(text) < MOST
     for part in ("mine", "controller: recurrent", "task: point_to_point", "linear, narx (min)", "3 after 300 gen"):
@@ -59,7 +59,7 @@ def test_a_champion_is_named_with_its_task_and_what_it_reached() -> None:
 
 
 @pytest.mark.parametrize("made", ["data", "model", "champion", "system"])
-def test_names_from_elsewhere_are_text_in_a_notebook(made: str) -> None:
+def test_names_from_elsewhere_are_text_in_a_notebook(made):
     system = System([Channel(HOSTILE, unit="<b>")], ["u"], 0.1, name=HOSTILE)
     states = np.random.default_rng(0).standard_normal((50, 1))
     data = Dataset.from_arrays(system, states, states[1:], names=[HOSTILE])

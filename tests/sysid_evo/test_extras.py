@@ -25,25 +25,25 @@ from sysid_evo.extras import extra_of, missing_extra
         ("ribs.archives", "evolution"),
     ],
 )
-def test_the_extra_of_a_module_is_found_also_where_the_package_has_another_name(module: str, extra: str) -> None:
+def test_the_extra_of_a_module_is_found_also_where_the_package_has_another_name(module, extra):
     assert extra_of(module) == extra
 
 
 @pytest.mark.parametrize("module", ["numpy", "sklearn", "no_such_module", "json"])
-def test_a_module_that_is_always_there_or_never_belongs_to_no_extra(module: str) -> None:
+def test_a_module_that_is_always_there_or_never_belongs_to_no_extra(module):
     assert extra_of(module) is None
 
 
-def test_a_distribution_that_is_not_installed_has_no_extras() -> None:
+def test_a_distribution_that_is_not_installed_has_no_extras():
     assert extra_of("pysindy", "no-such-distribution") is None
 
 
-def test_a_distribution_may_be_given_as_itself() -> None:
+def test_a_distribution_may_be_given_as_itself():
     assert extra_of("serial", distribution("sysid-evo")) == "hardware"
     assert str(missing_extra("it", "serial", distribution("sysid-evo"))).endswith('pip install "sysid-evo[hardware]"')
 
 
-def test_the_error_names_the_package_and_the_command_that_installs_it() -> None:
+def test_the_error_names_the_package_and_the_command_that_installs_it():
     assert str(missing_extra("robot 'serial'", "serial")) == (
         "robot 'serial' needs the package 'pyserial', which is not installed. "
         'Install it with: pip install "sysid-evo[hardware]"'
@@ -51,7 +51,7 @@ def test_the_error_names_the_package_and_the_command_that_installs_it() -> None:
     assert str(missing_extra("it", "cv2")).endswith('pip install "opencv-python"')
 
 
-def test_a_distribution_of_a_package_that_reads_metadata_in_its_own_way_is_one_too() -> None:
+def test_a_distribution_of_a_package_that_reads_metadata_in_its_own_way_is_one_too():
     class Foreign:  # such as those of importlib_metadata, which takes the place of Python's own once it is imported
         name = "foreign"
         requires = ("pyserial; extra == 'link'",)

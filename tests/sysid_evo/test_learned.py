@@ -1,24 +1,16 @@
 """What a family declares of the arrays that it learned, and who is held to it."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any, Self
-
 import numpy as np
 import pytest
 
-from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import Champion
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels import Predictor, gaussian_predictor, network_predictor
-from sysid_evo.models.learned import Declared, Numbers, check_learned
+from sysid_evo.models.learned import Numbers, check_learned
 from sysid_evo.registry import models
 from sysid_evo.testing import run_checks
-from sysid_evo.types import Array
 from tests.fixtures.kits import broken
 from tests.sysid_evo.test_artefacts import CHAMPION
 
@@ -26,32 +18,30 @@ from tests.sysid_evo.test_artefacts import CHAMPION
 class Gains(DynamicsModel):
     """Learns one gain for each state, and declares nothing."""
 
-    def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Any = None) -> Self:
+    def fit(self, dataset, *, rng, progress=None):
         self.gains_ = np.full(dataset.system.nx, 0.9)
         self.limits_ = np.array([-np.inf, np.inf])
         return self
 
-    def next_state(self, carry: Array, control: Array) -> Array:
+    def next_state(self, carry, control):
         return carry[:, : self.system.nx] * self.gains_
 
 
 class Declaring(Gains):
     """Learns the same, and declares it."""
 
-    def learned_arrays(self) -> Mapping[str, Declared]:
+    def learned_arrays(self):
         return {"gains_": (self.system.nx,), "limits_": Numbers("limits", infinite=True, rising=True)}
 
 
 class Forgetful(Gains):
     """Declares one of two arrays."""
 
-    def learned_arrays(self) -> Mapping[str, Declared]:
+    def learned_arrays(self):
         return {"gains_": (self.system.nx,)}
 
 
-def test_a_family_that_declares_nothing_is_loaded_but_for_nan(
-    register: Callable[..., Any], recording: Dataset, tmp_path: Path
-) -> None:
+def test_a_family_that_declares_nothing_is_loaded_but_for_nan(register, recording, tmp_path):
     model = register(models, "gains", Gains)().fit(recording)
     save_model(model, tmp_path / "gains")
     assert load_model(tmp_path / "gains").limits_.tolist() == [-np.inf, np.inf]
@@ -72,18 +62,14 @@ def test_a_family_that_declares_nothing_is_loaded_but_for_nan(
         (None, [-1.0, 1.0], "gains_: expected real numbers, got nothing"),
     ],
 )
-def test_what_is_not_as_declared_is_refused_in_a_sentence(
-    gains: Any, limits: list[float], said: str, recording: Dataset
-) -> None:
+def test_what_is_not_as_declared_is_refused_in_a_sentence(gains, limits, said, recording):
     model = Declaring().fit(recording)
     model.gains_, model.limits_ = gains, np.array(limits)
     with pytest.raises(ShapeError, match=said):
         check_learned(model)
 
 
-def test_the_kit_names_an_array_that_a_family_forgot_to_declare(
-    register: Callable[..., Any], recording: Dataset
-) -> None:
+def test_the_kit_names_an_array_that_a_family_forgot_to_declare(register, recording):
     register(models, "forgetful", Forgetful)
     register(models, "declaring", Declaring)
     assert "learned_arrays says nothing of limits_" in broken(run_checks("forgetful", recording)).values()
@@ -91,14 +77,14 @@ def test_the_kit_names_an_array_that_a_family_forgot_to_declare(
 
 
 @pytest.mark.parametrize("name", ["coefficients_", "intercept_"])
-def test_a_model_set_up_in_python_with_wrong_arrays_has_no_kernel(name: str, recording: Dataset) -> None:
+def test_a_model_set_up_in_python_with_wrong_arrays_has_no_kernel(name, recording):
     model = make_model("linear").fit(recording)
     setattr(model, name, np.delete(getattr(model, name), -1, axis=-1))
     with pytest.raises(ShapeError):
         model.kernel()
 
 
-def test_a_predictor_for_another_system_is_refused_at_the_step(recording: Dataset) -> None:
+def test_a_predictor_for_another_system_is_refused_at_the_step(recording):
     """Its arrays fit each other; it would write four rows where there are three, or read one too many."""
     model = make_model("linear").fit(recording)
     for n_carry, n_out in ((3, 4), (4, 3)):
@@ -109,7 +95,7 @@ def test_a_predictor_for_another_system_is_refused_at_the_step(recording: Datase
     assert model.stepping(silent) is not None
 
 
-def test_bumps_of_other_lengths_are_refused() -> None:
+def test_bumps_of_other_lengths_are_refused():
     given = {
         "points": np.zeros((5, 3)), "lengths": np.ones((2, 3)), "weights": np.zeros((2, 5)),
         "slope": np.zeros((3, 2)), "intercept": np.zeros(2),
@@ -128,7 +114,7 @@ def test_bumps_of_other_lengths_are_refused() -> None:
         ({"population": np.zeros((2, 3))}, r"population: expected shape \(any, 4\), got \(2, 3\)"),
     ],
 )
-def test_a_controller_with_wrong_numbers_is_not_loaded(changed: dict[str, Any], said: str) -> None:
+def test_a_controller_with_wrong_numbers_is_not_loaded(changed, said):
     """Those of a changed file: nan would drive a robot as whatever its limits make of it."""
     with pytest.raises((InvalidArgument, ShapeError), match=said):
         Champion.from_dict(CHAMPION.to_dict(), {**CHAMPION.tensors, **changed})

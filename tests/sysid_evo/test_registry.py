@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -23,10 +21,10 @@ GROUP = "sysid_evo.test_things"
 class Distributions:
     """Installs made-up distributions into a folder on ``sys.path``; their modules see ``things``."""
 
-    def __init__(self, folder: Path, registry: Registry[Any]) -> None:
+    def __init__(self, folder, registry):
         self.folder, self.registry = folder, registry
 
-    def install(self, name: str, points: dict[str, str], modules: dict[str, str], requires: str = "") -> None:
+    def install(self, name, points, modules, requires=""):
         info = self.folder / f"{name}-1.0.dist-info"
         info.mkdir()
         lines = "\n".join(f"{point} = {module}" for point, module in points.items())
@@ -37,7 +35,7 @@ class Distributions:
 
 
 @pytest.fixture
-def distributions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Distributions]:
+def distributions(tmp_path, monkeypatch):
     registry: Registry[Any] = Registry("thing", GROUP)
     host = ModuleType("made_up_registry")
     host.things = registry  # type: ignore[attr-defined]
@@ -51,7 +49,7 @@ def distributions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[D
 
 
 @pytest.fixture
-def plugin_modules() -> Iterator[None]:
+def plugin_modules():
     yield
     for name in [name for name in sys.modules if name.startswith("sysid_evo_plugin_")]:
         del sys.modules[name]
@@ -60,12 +58,12 @@ def plugin_modules() -> Iterator[None]:
 GOOD = "@things.register('good')\nclass Good:\n    def __init__(self, size=1):\n        self.size = size\n"
 
 
-def test_a_decorated_class_is_found_and_made_with_its_parameters() -> None:
+def test_a_decorated_class_is_found_and_made_with_its_parameters():
     things: Registry[Any] = Registry("thing", GROUP)
 
     @things.register("box")
     class Box:
-        def __init__(self, *, size: int) -> None:
+        def __init__(self, *, size):
             self.size = size
 
     assert things.get("box") is Box
@@ -74,7 +72,7 @@ def test_a_decorated_class_is_found_and_made_with_its_parameters() -> None:
     assert dict(things.loaded) == {"box": Box}
 
 
-def test_an_entry_point_is_imported_only_when_asked_for(distributions: Distributions) -> None:
+def test_an_entry_point_is_imported_only_when_asked_for(distributions):
     distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
     registry = distributions.registry
     assert registry.names() == ("good",)
@@ -84,7 +82,7 @@ def test_an_entry_point_is_imported_only_when_asked_for(distributions: Distribut
     assert "good_module" in sys.modules
 
 
-def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(distributions: Distributions) -> None:
+def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(distributions):
     other = "@things.register('other')\ndef make():\n    return None\n"
     distributions.install(
         "made-up",
@@ -99,13 +97,13 @@ def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(distribut
             distributions.registry.get("better")
 
 
-def test_a_module_that_registers_nothing_is_an_error(distributions: Distributions) -> None:
+def test_a_module_that_registers_nothing_is_an_error(distributions):
     distributions.install("made-up", {"good": "empty_module"}, {"empty_module": ""})
     with pytest.raises(RegistrationError, match="but the module registers nothing"):
         distributions.registry.get("good")
 
 
-def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions: Distributions) -> None:
+def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions):
     distributions.install(
         "made-up",
         {"bad": "bad_module", "good": "good_module"},
@@ -123,7 +121,7 @@ def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions: Di
     assert not isinstance(raised.value, MissingExtra)
 
 
-def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions: Distributions) -> None:
+def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions):
     optional = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
     requires = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *optional))
     distributions.install(
@@ -133,21 +131,21 @@ def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions
         distributions.registry.get("deep")
 
 
-def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(distributions: Distributions) -> None:
+def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(distributions):
     distributions.install("made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package\n"})
     with pytest.raises(PluginError, match=r"'deep'.*No module named 'no_such_package'") as raised:
         distributions.registry.get("deep")
     assert not isinstance(raised.value, MissingExtra)
 
 
-def test_two_packages_that_bring_one_name_are_an_error_that_names_both(distributions: Distributions) -> None:
+def test_two_packages_that_bring_one_name_are_an_error_that_names_both(distributions):
     distributions.install("first", {"good": "good_module"}, {"good_module": GOOD})
     distributions.install("second", {"good": "other_module"}, {"other_module": GOOD})
     with pytest.raises(RegistrationError, match="'good' is registered twice: by good_module and by other_module"):
         distributions.registry.get("good")
 
 
-def test_an_unknown_name_is_answered_with_the_nearest_known_one() -> None:
+def test_an_unknown_name_is_answered_with_the_nearest_known_one():
     with pytest.raises(UnknownName) as raised:
         models.get("nearest_neighbor")
     assert str(raised.value).startswith("no model is called 'nearest_neighbor'. Did you mean 'nearest_neighbour'?")
@@ -156,7 +154,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one() -> None:
         Registry("thing", GROUP).get("x")
 
 
-def test_a_name_cannot_be_taken_twice() -> None:
+def test_a_name_cannot_be_taken_twice():
     things: Registry[Any] = Registry("thing", GROUP)
 
     @things.register("box")
@@ -179,14 +177,14 @@ PLUGIN = (
 
 
 @pytest.fixture
-def forget_robots() -> Iterator[None]:
+def forget_robots():
     before = set(robots.loaded)
     yield
     for name in set(robots.loaded) - before:
         robots.forget(name)
 
 
-def test_a_plugin_file_registers_what_it_holds_once(tmp_path: Path, plugin_modules: None, forget_robots: None) -> None:
+def test_a_plugin_file_registers_what_it_holds_once(tmp_path, plugin_modules, forget_robots):
     path = tmp_path / "my_robot.py"
     path.write_text(PLUGIN.format(name="crawler"))
     load_plugin(path)
@@ -196,9 +194,7 @@ def test_a_plugin_file_registers_what_it_holds_once(tmp_path: Path, plugin_modul
     assert make_robot("crawler") == ("crawler", 0)
 
 
-def test_a_plugin_file_that_fails_says_why_and_can_be_mended(
-    tmp_path: Path, plugin_modules: None, forget_robots: None
-) -> None:
+def test_a_plugin_file_that_fails_says_why_and_can_be_mended(tmp_path, plugin_modules, forget_robots):
     path = tmp_path / "my_robot.py"
     path.write_text("import nowhere_to_be_found\n")
     with pytest.raises(
@@ -211,16 +207,14 @@ def test_a_plugin_file_that_fails_says_why_and_can_be_mended(
 
 
 @pytest.mark.parametrize("name", ["missing.py", "folder", "notes.txt"])
-def test_a_plugin_that_is_no_python_file_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_plugin_that_is_no_python_file_is_refused(tmp_path, name):
     (tmp_path / "folder").mkdir()
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(PluginError, match="expected a Python file, found none"):
         load_plugin(tmp_path / name)
 
 
-def test_two_plugin_files_of_one_name_are_not_confused(
-    tmp_path: Path, plugin_modules: None, forget_robots: None
-) -> None:
+def test_two_plugin_files_of_one_name_are_not_confused(tmp_path, plugin_modules, forget_robots):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "my_robot.py").write_text(PLUGIN.format(name=f"robot_{folder}"))
@@ -229,7 +223,7 @@ def test_two_plugin_files_of_one_name_are_not_confused(
         load_plugin(tmp_path / "b" / "my_robot.py")
 
 
-def test_a_robot_may_be_named_with_a_seed(register: Callable[..., Any]) -> None:
+def test_a_robot_may_be_named_with_a_seed(register):
     register(robots, "made_up", lambda seed=None: ("robot", seed))
     assert make_robot("made_up") == ("robot", None)
     assert make_robot("made_up:17") == ("robot", 17)
@@ -240,7 +234,7 @@ def test_a_robot_may_be_named_with_a_seed(register: Callable[..., Any]) -> None:
         make_robot("made_down:3")
 
 
-def test_a_robot_may_be_described_by_a_file(register: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_robot_may_be_described_by_a_file(register, tmp_path):
     register(robots, "made_up", lambda *, port, tracker: ("robot", port, tracker))
     file = tmp_path / "mine.toml"
     file.write_text('driver = "made_up"\nport = "/dev/x"\n[tracker]\ndriver = "udp"\n')
@@ -256,9 +250,7 @@ def test_a_robot_may_be_described_by_a_file(register: Callable[..., Any], tmp_pa
         ('driver = "made_up"\ncolour = 1', "has no parameter 'colour'"),
     ],
 )
-def test_a_robot_file_that_cannot_be_used_says_why(
-    register: Callable[..., Any], tmp_path: Path, text: str | None, complaint: str
-) -> None:
+def test_a_robot_file_that_cannot_be_used_says_why(register, tmp_path, text, complaint):
     register(robots, "made_up", lambda *, port="": port)
     file = tmp_path / "mine.toml"
     if text is not None:
@@ -267,7 +259,7 @@ def test_a_robot_file_that_cannot_be_used_says_why(
         make_robot(str(file))
 
 
-def test_everything_this_repository_registers_can_be_loaded() -> None:
+def test_everything_this_repository_registers_can_be_loaded():
     from sysid_evo import registry
 
     with warnings.catch_warnings():
@@ -279,42 +271,42 @@ def test_everything_this_repository_registers_can_be_loaded() -> None:
 class Box:
     """A thing with parameters, of which the seed is handed over by whoever runs it."""
 
-    def __init__(self, *, size: int = 1, colour: str, seed: int) -> None:
+    def __init__(self, *, size=1, colour, seed):
         self.size, self.colour, self.seed = size, colour, seed
 
 
 @pytest.fixture
-def boxes() -> Registry[Box]:
+def boxes():
     registry: Registry[Box] = Registry("thing", GROUP, given=frozenset({"seed"}))
     registry.register("box")(Box)
     return registry
 
 
-def test_a_thing_is_made_from_the_text_of_its_spec(boxes: Registry[Box]) -> None:
+def test_a_thing_is_made_from_the_text_of_its_spec(boxes):
     box = boxes.make("mine=box(size=3, colour=red)", seed=7)
     assert (box.size, box.colour, box.seed) == (3, "red", 7)
 
 
-def test_a_wrong_parameter_names_the_right_ones(boxes: Registry[Box]) -> None:
+def test_a_wrong_parameter_names_the_right_ones(boxes):
     with pytest.raises(InvalidArgument, match=r"thing 'box' has no parameter 'sise'\. Did you mean 'size'\? It takes"):
         boxes.check("box(sise=3)")
     with pytest.raises(InvalidArgument, match=r"It takes size \(1\), colour\.$"):
         boxes.check("box(weight=3)")
 
 
-def test_a_parameter_that_is_lacking_is_named_and_one_that_is_handed_over_is_not(boxes: Registry[Box]) -> None:
+def test_a_parameter_that_is_lacking_is_named_and_one_that_is_handed_over_is_not(boxes):
     with pytest.raises(InvalidArgument, match=r"thing 'box' needs colour: box\(colour=\.\.\.\)"):
         boxes.check("box(size=3)")
     assert boxes.check("box(colour=red)").parameters == {"colour": "red"}
 
 
-def test_a_factory_that_takes_any_parameter_is_not_second_guessed() -> None:
+def test_a_factory_that_takes_any_parameter_is_not_second_guessed():
     things: Registry[Any] = Registry("thing", GROUP)
     things.register("any")(lambda **parameters: parameters)
     assert things.make("any(a=1)") == {"a": 1}
 
 
-def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(distributions: Distributions) -> None:
+def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(distributions):
     distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
     with pytest.raises(RegistrationError, match=r"'good' is registered twice: by good_module and by .*Other"):
 
@@ -325,9 +317,7 @@ def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(distributions: Dist
     assert distributions.registry.get("good").__module__ == "good_module"
 
 
-def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are_named(
-    tmp_path: Path, plugin_modules: None
-) -> None:
+def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are_named(tmp_path, plugin_modules):
     path = tmp_path / "my_linear.py"
     path.write_text("from sysid_evo.registry import models\n@models.register('linear')\nclass Mine:\n    pass\n")
     with pytest.raises(
@@ -336,7 +326,7 @@ def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are
         load_plugin(path)
 
 
-def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(distributions: Distributions) -> None:
+def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(distributions):
     requires = 'Requires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
     late = GOOD.replace("class Good:\n", "class Good:\n    requires = ('{}',)\n")
     distributions.install(
@@ -353,15 +343,15 @@ def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(distributions
     assert registry.lacking("here") is None
 
 
-def test_the_module_behind_a_name_is_known_without_importing_it(distributions: Distributions) -> None:
+def test_the_module_behind_a_name_is_known_without_importing_it(distributions):
     distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
     assert distributions.registry.module("good") == "good_module"
     assert "good_module" not in sys.modules
 
 
 def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(
-    tmp_path: Path, plugin_modules: None, forget_robots: None
-) -> None:
+    tmp_path, plugin_modules, forget_robots
+):
     digests = []
     for folder, text in (("a", PLUGIN), ("b", PLUGIN), ("c", PLUGIN + "# more\n")):
         path = tmp_path / folder / "crawler.py"
@@ -376,7 +366,7 @@ def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_
     assert source_digest(models.get("linear")) == ""
 
 
-def test_the_identity_of_a_thing_holds_every_parameter_but_those_handed_over(boxes: Registry[Box]) -> None:
+def test_the_identity_of_a_thing_holds_every_parameter_but_those_handed_over(boxes):
     plain = boxes.identity("box(colour=red)")
     assert plain["parameters"] == {"size": 1, "colour": "red"}
     assert boxes.identity("mine=box(size=1, colour=red)") == plain
@@ -384,12 +374,12 @@ def test_the_identity_of_a_thing_holds_every_parameter_but_those_handed_over(box
     assert len(plain["source"]) == 64
 
 
-def test_an_identity_is_strict_json_whatever_the_parameters_are() -> None:
+def test_an_identity_is_strict_json_whatever_the_parameters_are():
     things: Registry[Any] = Registry("thing", GROUP)
 
     @things.register("odd")
     class Odd:
-        def __init__(self, *, limit: float = float("inf"), sizes: tuple[int, ...] = (1, 2), law: Any = len) -> None:
+        def __init__(self, *, limit=float("inf"), sizes=(1, 2), law=len):
             pass
 
     found = things.identity("odd")["parameters"]
@@ -398,7 +388,7 @@ def test_an_identity_is_strict_json_whatever_the_parameters_are() -> None:
     }  # fmt: skip
 
 
-def test_every_registry_is_among_the_kinds() -> None:
+def test_every_registry_is_among_the_kinds():
     defined = {id(value) for value in vars(registry_module).values() if isinstance(value, Registry)}
     assert defined == {id(registry) for registry in KINDS.values()}
     assert {"noise", "caution"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}

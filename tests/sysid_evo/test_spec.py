@@ -1,9 +1,5 @@
 """The grammar NAME(parameter=value, ...): what it reads, what it writes, what it refuses."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,45 +13,45 @@ VALUES = st.recursive(SCALARS, lambda inner: st.lists(inner, max_size=3), max_le
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,8}", fullmatch=True).filter(lambda name: name.isidentifier())
 
 
-def names() -> st.SearchStrategy[str]:
+def names():
     import keyword
 
     return NAMES.filter(lambda name: not keyword.iskeyword(name))
 
 
 @given(names(), st.dictionaries(names(), VALUES, max_size=3), names())
-def test_what_is_written_is_read_again(name: str, parameters: dict[str, Any], label: str) -> None:
+def test_what_is_written_is_read_again(name, parameters, label):
     spec = Spec(name, parameters, label)
     read = Spec.parse(str(spec))
     assert (read.name, read.parameters, read.label) == (name, parameters, label)
 
 
-def test_values_are_what_they_look_like() -> None:
+def test_values_are_what_they_look_like():
     spec = Spec.parse("thing(a=1, b=-2.5e-3, c=true, d=None, e=word, f='two words', g=[1, x], h={port: 5005})")
     assert spec.parameters == {
         "a": 1, "b": -0.0025, "c": True, "d": None, "e": "word", "f": "two words", "g": [1, "x"], "h": {"port": 5005},
     }  # fmt: skip
 
 
-def test_a_thing_inside_a_thing_is_handed_over_as_text_in_the_same_grammar() -> None:
+def test_a_thing_inside_a_thing_is_handed_over_as_text_in_the_same_grammar():
     spec = Spec.parse("niches(strategy=mu_plus_lambda(sigma=0.2, parents=10), slots=3)")
     assert spec.parameters == {"strategy": "mu_plus_lambda(sigma=0.2, parents=10)", "slots": 3}
     assert Spec.parse(str(spec)) == spec
 
 
-def test_several_are_separated_by_commas_outside_brackets_and_quotes() -> None:
+def test_several_are_separated_by_commas_outside_brackets_and_quotes():
     specs = Spec.parse_many("linear, near2=nearest_neighbour(state_lags=2, note='a, b'), emulated_car:3")
     assert [spec.label for spec in specs] == ["linear", "near2", "emulated_car:3"]
     assert specs[1].parameters == {"state_lags": 2, "note": "a, b"}
     assert specs[2] == Spec("emulated_car", {"seed": 3}, "emulated_car:3")
 
 
-def test_the_label_is_the_name_unless_another_is_given_and_is_not_part_of_what_is_made() -> None:
+def test_the_label_is_the_name_unless_another_is_given_and_is_not_part_of_what_is_made():
     assert Spec.parse("linear(ridge=1)").label == "linear"
     assert Spec.parse("mine = linear(ridge=1)").text == "linear(ridge=1)"
 
 
-def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
+def test_parameters_that_are_there_win_over_those_that_are_added():
     assert Spec.parse("linear(ridge=1)").with_parameters(ridge=2, state_lags=1).parameters == {
         "ridge": 1,
         "state_lags": 1,
@@ -99,18 +95,18 @@ def test_parameters_that_are_there_win_over_those_that_are_added() -> None:
         ("a=linear, a=narx", "'a' is given 2 times"),
     ],
 )
-def test_what_cannot_be_read_is_refused_with_a_sentence(text: str, complaint: str) -> None:
+def test_what_cannot_be_read_is_refused_with_a_sentence(text, complaint):
     with pytest.raises(InvalidArgument, match=complaint) as raised:
         Spec.parse_many(text)
     assert len(str(raised.value)) < 500
 
 
-def test_one_spec_is_expected_where_one_stands() -> None:
+def test_one_spec_is_expected_where_one_stands():
     with pytest.raises(InvalidArgument, match="expected one NAME"):
         Spec.parse("a, b")
 
 
 @pytest.mark.parametrize("path", ["runs/first/controllers/recomended", "controller.json"])
-def test_a_path_where_nothing_is_is_called_no_file(path: str) -> None:
+def test_a_path_where_nothing_is_is_called_no_file(path):
     with pytest.raises(InvalidArgument, match=f"^no such file, and no NAME.*{path}"):
         Spec.parse(path)

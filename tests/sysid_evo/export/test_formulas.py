@@ -1,7 +1,5 @@
 """What an exported controller says of its observations is what the task shows."""
 
-from __future__ import annotations
-
 import math
 import re
 
@@ -30,7 +28,7 @@ CASES = (
 
 
 @pytest.mark.parametrize("spec, robot", CASES, ids=[spec for spec, _ in CASES])
-def test_each_formula_gives_what_the_task_shows(spec: str, robot: str) -> None:
+def test_each_formula_gives_what_the_task_shows(spec, robot):
     system = CLOCK if robot == "clock" else find_robot(robot).system
     task = make_task(spec).bind(system)
     trials = task.begin(np.arange(3, dtype=np.uint64))
@@ -52,7 +50,7 @@ def test_each_formula_gives_what_the_task_shows(spec: str, robot: str) -> None:
         assert value == pytest.approx(shown[0, place], abs=1e-8), f"{channel.name}: {formula}"
 
 
-def test_the_formulas_stand_in_the_head_of_the_file() -> None:
+def test_the_formulas_stand_in_the_head_of_the_file():
     system, task = find_robot("thermal").system, "set_point(low=30, high=60, tolerance=1)"
     n = make_controller("linear").bind_to(make_task(task).bind(system)).n_parameters
     champion = Champion(

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from sysid_evo.testing.examples import continuous_car, switched_car
 from tests.fixtures.exports import SPECS, champion_of, decided, stepped, wandering, write
 
 
-def loaded(text: str) -> Any:
+def loaded(text):
     """Return what the text of a file defines."""
     module: dict[str, Any] = {"__name__": "exported"}
     exec(compile(text, "exported.py", "exec"), module)
@@ -25,7 +24,7 @@ def loaded(text: str) -> Any:
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_the_python_file_gives_the_commands_of_the_product_over_ten_thousand_samples(spec: str) -> None:
+def test_the_python_file_gives_the_commands_of_the_product_over_ten_thousand_samples(spec):
     champion, seen = champion_of(spec), wandering(10_000)
     controller = loaded(python_text(law_of(champion)))["Controller"]()
     expected = decided(champion, seen)
@@ -34,13 +33,13 @@ def test_the_python_file_gives_the_commands_of_the_product_over_ten_thousand_sam
 
 
 @pytest.mark.parametrize("spec", SPECS)
-def test_continuous_controls_are_scaled_as_the_product_does(spec: str) -> None:
+def test_continuous_controls_are_scaled_as_the_product_does(spec):
     champion, seen = champion_of(spec, continuous_car()), wandering(200)
     controller = loaded(python_text(law_of(champion)))["Controller"]()
     np.testing.assert_allclose(stepped(controller.step, seen), decided(champion, seen), atol=1e-12)
 
 
-def test_reset_forgets_what_was_seen() -> None:
+def test_reset_forgets_what_was_seen():
     controller = loaded(python_text(law_of(champion_of("recurrent", continuous_car()))))["Controller"]()
     first = stepped(controller.step, wandering(5))
     assert not np.array_equal(stepped(controller.step, wandering(5)), first)
@@ -48,7 +47,7 @@ def test_reset_forgets_what_was_seen() -> None:
     np.testing.assert_array_equal(stepped(controller.step, wandering(5)), first)
 
 
-def test_the_file_names_what_it_takes_and_gives_with_units() -> None:
+def test_the_file_names_what_it_takes_and_gives_with_units():
     text = python_text(law_of(champion_of("recurrent")))
     module = loaded(text)
     assert module["OBSERVATIONS"] == ("bias", "forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
@@ -58,7 +57,7 @@ def test_the_file_names_what_it_takes_and_gives_with_units() -> None:
         assert line in text
 
 
-def test_the_file_checks_itself_without_this_package(tmp_path: Path) -> None:
+def test_the_file_checks_itself_without_this_package(tmp_path):
     text = python_text(law_of(champion_of("pid")))
     assert "sysid_evo" not in text
     file = write(text, tmp_path / "law.py")
@@ -68,14 +67,14 @@ def test_the_file_checks_itself_without_this_package(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-I", broken], capture_output=True, check=False).returncode == 1
 
 
-def test_a_name_that_would_end_the_remark_does_not() -> None:
+def test_a_name_that_would_end_the_remark_does_not():
     champion = champion_of("linear", name='a"""\\ */ b')
     law = law_of(champion)
     assert law.name == "a_b" or law.name.isidentifier()
     assert "Controller" in loaded(python_text(law))
 
 
-def test_units_and_names_end_no_comment_and_add_no_line_of_code() -> None:
+def test_units_and_names_end_no_comment_and_add_no_line_of_code():
     hostile = '*/ #error out */\nraise SystemExit("out")\r\x0craise SystemExit\x1b[2J"""'
     system = switched_car()
     channels = tuple(replace(channel, unit=hostile) for channel in system.controls)

@@ -1,7 +1,5 @@
 """A model in python-control does what it does here."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ control = pytest.importorskip("control")
 
 
 @pytest.mark.parametrize("lags", [{}, {"state_lags": 1, "control_lags": 2}])
-def test_its_response_is_the_free_run_of_the_model(lags: dict[str, int]) -> None:
+def test_its_response_is_the_free_run_of_the_model(lags):
     data = example_dataset()
     model = make_model("linear", **lags).fit(data, rng=np.random.default_rng(0))
     windows = data.windows(30, history=model.n_lags)[:1]
@@ -26,7 +24,7 @@ def test_its_response_is_the_free_run_of_the_model(lags: dict[str, int]) -> None
     np.testing.assert_allclose(response.outputs[:, 1:].T, free_run, atol=1e-9)
 
 
-def test_names_and_sampling_time_are_those_of_the_system() -> None:
+def test_names_and_sampling_time_are_those_of_the_system():
     data = example_dataset()
     system = to_control(make_model("linear", control_lags=1).fit(data, rng=np.random.default_rng(0)), name="car")
     assert system.name == "car"
@@ -36,7 +34,7 @@ def test_names_and_sampling_time_are_those_of_the_system() -> None:
     assert system.state_labels[3:] == ["drive[-1]", "steer[-1]"]
 
 
-def test_linearising_a_linear_model_gives_its_matrices() -> None:
+def test_linearising_a_linear_model_gives_its_matrices():
     data = example_dataset()
     model = make_model("linear").fit(data, rng=np.random.default_rng(0))
     linear = control.linearize(to_control(model), np.zeros(3), np.zeros(2))
