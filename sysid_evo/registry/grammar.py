@@ -18,7 +18,8 @@ PIECE = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w
 SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d{1,18})")
 WORDS: dict[str, Any] = {"true": True, "false": False, "none": None}
 OPEN, CLOSE, QUOTES = "([{", ")]}", "'\""
-STRUCTURE = re.compile(r"""[][(){}'",]""")
+STRUCTURE = re.compile(r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|[][(){}'",]""", re.DOTALL)
+"""A quoted text, which may hold escaped quotes; a bracket, a comma, or a quote that is not closed."""
 LONGEST = 100_000
 """Characters of a text; the longest that the program writes, a list of candidates, has some thousands."""
 DEEPEST = 12
@@ -104,18 +105,19 @@ def split(text: str) -> list[str]:
         )
     if any("\ud800" <= character <= "\udfff" for character in text):
         raise InvalidArgument(f"{_short(text)} cannot be read: it holds bytes that are no text in UTF-8")
-    cuts, depth, quote = [-1], 0, ""
+    cuts, depth = [-1], 0
     for found in STRUCTURE.finditer(text):
         character = found[0]
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in QUOTES:
-            quote = character
-        elif character != ",":
-            depth += 1 if character in OPEN else -1
-        elif depth == 0:
+        if character in OPEN:
+            depth += 1
+        elif character in CLOSE:
+            depth -= 1
+        elif character == "," and depth == 0:
             cuts.append(found.start())
-    if depth or quote:
+        elif character in QUOTES:
+            depth = 1
+            break
+    if depth:
         raise InvalidArgument(
             f"expected NAME(parameter=value, ...), got {_short(text)}: a bracket or quote is not closed"
         )
