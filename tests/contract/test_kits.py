@@ -57,6 +57,13 @@ def test_every_kind_with_a_template_has_a_kit_and_its_cases():
     assert all(kit.registry.kind == kind for kind, kit in KITS.items())
 
 
+@pytest.mark.parametrize("kind", KITS)
+def test_every_registered_name_can_be_loaded(kind):
+    """A plugin that cannot is a warning, which fails a test."""
+    registry = KITS[kind].registry
+    assert [name for name, _ in registry.load_all()] == list(registry.names())
+
+
 @pytest.mark.parametrize(("kind", "name"), REGISTERED)
 def test_every_registered_plugin_keeps_its_contract(kind, name, tmp_path, monkeypatch):
     """Of the model families `test_families` says it; a physical robot is not connected."""

@@ -1,69 +1,28 @@
-"""Motions are an open set: one from a plugin is integrated as it says itself, in every form, or not compiled."""
+"""Motions: the compiled form of the planar body, and NumPy where a plugin brings a motion without one."""
 
-from __future__ import annotations
-
-import logging
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from sysid_evo import system as systems
+from sysid_evo.angles import wrap
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.data import Dataset
 from sysid_evo.engine import rollout
-from sysid_evo.errors import IncompatibleSystem, InvalidSystem
+from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.evolution.model_evolution import ModelEvolution
+from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
 from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels import network_predictor, stepping_kernel, turning_frame
-from sysid_evo.motion import Motion, PlanarBody, motion_from_dict
-from sysid_evo.registry import motions
-from sysid_evo.system import System
+from sysid_evo.motion import PlanarBody
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
+from tests.fixtures.motions import clockwise
 
+HEAD = Layout("nx", "dt")
+MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")
 SEEDS = np.array([4, 9], dtype=np.uint64)
-
-
-@dataclass(frozen=True)
-class Clockwise(Motion):
-    """A planar body whose yaw rate counts clockwise: its frame turns the other way."""
-
-    kind = "clockwise"
-    n_pose = 3
-    pose_names = ("x", "y", "heading")
-    pose_units = ("m", "m", "rad")
-
-    forward: str = "forward_speed"
-    lateral: str = "lateral_speed"
-    yaw_rate: str = "yaw_rate"
-
-    def roles(self):
-        return {"forward": self.forward, "lateral": self.lateral, "yaw_rate": self.yaw_rate}
-
-    def _mirrored(self, state, names):
-        sign = np.where(np.array(names) == self.yaw_rate, -1.0, 1.0)
-        return state * sign
-
-    def acceleration(self, before, after, dt, names):
-        plain = PlanarBody().acceleration(self._mirrored(before, names), self._mirrored(after, names), dt, names)
-        return self._mirrored(plain, names)
-
-    def integrate(self, state, acceleration, dt, names):
-        plain = PlanarBody().integrate(self._mirrored(state, names), self._mirrored(acceleration, names), dt, names)
-        return self._mirrored(plain, names)
-
-    def turning(self, state, names):
-        return self._mirrored(PlanarBody().turning(self._mirrored(state, names), names), names)
-
-    def move(self, pose, before, after, dt, names):
-        return PlanarBody().move(pose, self._mirrored(before, names), self._mirrored(after, names), dt, names)
-
-
-def clockwise(system):
-    return System(system.states, system.controls, system.dt, Clockwise(), system.name)
 
 
 @pytest.fixture(scope="module")
@@ -107,16 +66,6 @@ def test_what_integrates_by_a_motion_has_no_kernel_without_its_compiled_form(car
     assert PointToPoint().bind(system).kernel() is None
 
 
-def test_one_remark_says_that_a_motion_has_no_compiled_form(car, caplog):
-    systems._remark_slow.cache_clear()
-    with caplog.at_level(logging.WARNING):
-        for _ in range(3):
-            assert clockwise(car).motion_kernel() is None
-    assert [record.getMessage() for record in caplog.records] == [
-        "motion clockwise has no compiled form: what needs it runs in NumPy, some ten times slower"
-    ]
-
-
 def test_a_family_that_is_evolved_compiled_is_evolved_in_numpy_without_a_compiled_motion(recording):
     class Constant(DynamicsModel):
         def fit(self, dataset, **keywords):
@@ -139,51 +88,36 @@ def test_a_motion_that_does_not_say_its_derivative_is_trained_by_differences(fam
     plain = example_dataset()
     sign = np.where(np.array(plain.system.state_names) == "yaw_rate", -1.0, 1.0)
     episodes = [replace(episode, states=episode.states * sign) for episode in plain.episodes]
-    small: dict[str, Any] = {"hidden": [6], "one_step_updates": 200, "updates": 20, "horizon": 4}
+    small = {"hidden": [6], "one_step_updates": 200, "updates": 20, "horizon": 4}
     model = make_model(family, **small, state_lags=0, control_lags=0)
     scores = [model.fit(data).score(data) for data in (plain, Dataset(clockwise(plain.system), episodes))]
     assert scores[1] == pytest.approx(scores[0], abs=0.3)
     assert scores[1] > -0.9
 
 
-def test_a_system_with_a_registered_motion_is_stored_and_read(car, register):
-    register(motions, "clockwise", Clockwise)
-    system = clockwise(car)
-    assert System.from_dict(system.to_dict()) == system
+def all_three(carry, control, noise, parameters, scratch):
+    """Integrate the second nx rows of the carry, turn the third nx rows, and move the pose after them."""
+    nx, dt, own = int(parameters[HEAD.nx]), parameters[HEAD.dt], view(parameters, HEAD.size)
+    after, rate, pose = view(carry, nx * LANES), view(carry, 2 * nx * LANES), view(carry, 3 * nx * LANES)
+    integrate(carry, after, nx, dt, own)  # bound below, as are the other two
+    turn_frame(carry, rate, own)
+    move_pose(pose, carry, after, dt, own)
 
 
-def test_an_unknown_motion_is_refused_with_the_known_ones_and_the_option_that_loads_a_plugin():
-    with pytest.raises(InvalidSystem, match=r"expected one of planar_body, got 'hovercraft'.*--plugin FILE"):
-        motion_from_dict({"kind": "hovercraft"})
-    with pytest.raises(InvalidSystem, match="motion planar_body: cannot be made from wheels"):
-        motion_from_dict({"kind": "planar_body", "wheels": 4})
-
-
-def test_no_class_inherits_the_compiled_form_of_a_planar_body():
-    with pytest.raises(TypeError, match="Skid: no class may be derived from PlanarBody; derive it from Motion"):
-
-        class Skid(PlanarBody):  # type: ignore[misc]  # that is what is refused
-            pass
-
-
-def test_the_continuous_form_is_the_limit_of_the_sampled_one(car, rng):
-    state, dt = rng.standard_normal((6, 3)), 1e-7
-    for system in (car, clockwise(car)):
-        assert system.motion is not None
-        coasting = system.motion.integrate(state, np.zeros_like(state), dt, system.state_names)
-        np.testing.assert_allclose((coasting - state) / dt, system.turning(state), atol=1e-6)
-
-
-def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car):
-    origin = np.array([1.0, 2.0, np.pi / 2])
-    np.testing.assert_allclose(car.seen_from(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12)
-    with pytest.raises(IncompatibleSystem, match="clockwise does not say how one pose is seen from another"):
-        clockwise(car).seen_from(origin, origin)
-
-
-def test_velocities_undo_the_movement_of_the_pose(car):
-    state, pose, dt = np.array([1.2, -0.3, 0.8]), np.array([0.4, 0.1, 2.0]), 1e-6
-    assert car.motion is not None
-    rate = (car.move(pose, state, state, dt) - pose) / dt
-    told = car.motion.velocities(pose, rate)
-    np.testing.assert_allclose([told[name] for name in car.state_names], state, atol=1e-5)
+@pytest.mark.parametrize("lateral", ["lateral_speed", None])
+def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(lateral, rng):
+    motion, nx, dt = PlanarBody(lateral=lateral), len(MIXED), 0.05
+    state, acceleration = rng.standard_normal((2, 12, nx))
+    pose = rng.uniform(-2.0, 2.0, (12, 3))
+    form = motion.kernel(MIXED)
+    bindings = {"integrate": form.integrate, "turn_frame": form.turn, "move_pose": form.move}
+    kernel = DynamicsKernel(KernelSource(all_three, bindings), HEAD.pack(form.parameters, nx=nx, dt=dt))
+    carry = np.concatenate([state, acceleration, acceleration, pose], axis=1)
+    found = kernel_step(kernel, carry, np.zeros((12, 1)), precision="float64")
+    after = motion.integrate(state, acceleration, dt, MIXED)
+    np.testing.assert_allclose(found[:, nx : 2 * nx], after, atol=1e-7)
+    turned = acceleration + motion.turning(state, MIXED)
+    np.testing.assert_allclose(found[:, 2 * nx : 3 * nx], turned, atol=1e-7)
+    moved = found[:, 3 * nx :] - motion.move(pose, state, after, dt, MIXED)
+    moved[:, 2] = wrap(moved[:, 2])
+    np.testing.assert_allclose(moved, 0.0, atol=1e-7)

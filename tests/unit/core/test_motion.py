@@ -1,18 +1,21 @@
 """How states move a pose, and how accelerations come out of velocities in a turning frame."""
 
+import logging
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sysid_evo.angles import rotate, wrap
-from sysid_evo.engine.compiled.open_loop import kernel_step
-from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout, view
-from sysid_evo.motion import CentralDifferences, PlanarBody
+from sysid_evo import system as systems
+from sysid_evo.angles import rotate
+from sysid_evo.errors import IncompatibleSystem, InvalidSystem
+from sysid_evo.motion import CentralDifferences, PlanarBody, motion_from_dict
+from sysid_evo.registry import motions
 from sysid_evo.system import Channel, System
+from tests.fixtures.motions import Clockwise, clockwise
 
-HEAD = Layout("nx", "dt")
 MIXED = ("temperature", "yaw_rate", "lateral_speed", "forward_speed")
 NAMES = ("forward_speed", "lateral_speed", "yaw_rate")
 MOTIONS = {"planar": PlanarBody(), "without lateral": PlanarBody(lateral=None), "none": None}
@@ -140,8 +143,6 @@ def test_roles_find_their_channels_in_any_order_and_under_any_name(rng):
     np.testing.assert_array_equal(
         to_plain(mixed.integrate(before, after)), plain.integrate(to_plain(before), to_plain(after))
     )
-    assert mixed.motion is not None
-    assert plain.motion is not None
     pose = rng.standard_normal((6, 3))
     np.testing.assert_array_equal(
         mixed.motion.move(pose, before, after, 0.05, mixed.state_names),
@@ -170,34 +171,6 @@ def test_one_body_moves_to_the_last_bit_as_it_does_among_many(lateral, rng):
         np.testing.assert_array_equal(motion.move(pose, start, end, 0.05, NAMES), expected)
 
 
-def all_three(carry, control, noise, parameters, scratch):
-    """Integrate the second nx rows of the carry, turn the third nx rows, and move the pose after them."""
-    nx, dt, own = int(parameters[HEAD.nx]), parameters[HEAD.dt], view(parameters, HEAD.size)
-    after, rate, pose = view(carry, nx * LANES), view(carry, 2 * nx * LANES), view(carry, 3 * nx * LANES)
-    integrate(carry, after, nx, dt, own)  # noqa: F821  # bound below, as are the other two
-    turn_frame(carry, rate, own)  # noqa: F821
-    move_pose(pose, carry, after, dt, own)  # noqa: F821
-
-
-@pytest.mark.parametrize("lateral", ["lateral_speed", None])
-def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(lateral, rng):
-    motion, nx, dt = PlanarBody(lateral=lateral), len(MIXED), 0.05
-    state, acceleration = rng.standard_normal((2, 12, nx))
-    pose = rng.uniform(-2.0, 2.0, (12, 3))
-    form = motion.kernel(MIXED)
-    bindings = {"integrate": form.integrate, "turn_frame": form.turn, "move_pose": form.move}
-    kernel = DynamicsKernel(KernelSource(all_three, bindings), HEAD.pack(form.parameters, nx=nx, dt=dt))
-    carry = np.concatenate([state, acceleration, acceleration, pose], axis=1)
-    found = kernel_step(kernel, carry, np.zeros((12, 1)), precision="float64")
-    after = motion.integrate(state, acceleration, dt, MIXED)
-    np.testing.assert_allclose(found[:, nx : 2 * nx], after, atol=1e-7)
-    turned = acceleration + motion.turning(state, MIXED)
-    np.testing.assert_allclose(found[:, 2 * nx : 3 * nx], turned, atol=1e-7)
-    moved = found[:, 3 * nx :] - motion.move(pose, state, after, dt, MIXED)
-    moved[:, 2] = wrap(moved[:, 2])
-    np.testing.assert_allclose(moved, 0.0, atol=1e-7)
-
-
 @pytest.mark.parametrize("lateral", ["lateral_speed", None])
 def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(lateral, rng):
     motion = PlanarBody(lateral=lateral)
@@ -211,3 +184,54 @@ def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(lateral, r
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
     turned = form.turned(state, gradient), differences.turned(state, gradient)
     np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-7)
+
+
+def test_one_remark_says_that_a_motion_has_no_compiled_form(car, caplog):
+    systems._remark_slow.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            assert clockwise(car).motion_kernel() is None
+    assert [record.getMessage() for record in caplog.records] == [
+        "motion clockwise has no compiled form: what needs it runs in NumPy, some ten times slower"
+    ]
+
+
+def test_a_system_with_a_registered_motion_is_stored_and_read(car, register):
+    register(motions, "clockwise", Clockwise)
+    system = clockwise(car)
+    assert System.from_dict(system.to_dict()) == system
+
+
+def test_an_unknown_motion_is_refused_with_the_known_ones_and_the_option_that_loads_a_plugin():
+    with pytest.raises(InvalidSystem, match=r"expected one of planar_body, got 'hovercraft'.*--plugin FILE"):
+        motion_from_dict({"kind": "hovercraft"})
+    with pytest.raises(InvalidSystem, match="motion planar_body: cannot be made from wheels"):
+        motion_from_dict({"kind": "planar_body", "wheels": 4})
+
+
+def test_no_class_inherits_the_compiled_form_of_a_planar_body():
+    with pytest.raises(TypeError, match="Skid: no class may be derived from PlanarBody; derive it from Motion"):
+
+        class Skid(PlanarBody):  # type: ignore[misc]  # that is what is refused
+            pass
+
+
+def test_the_continuous_form_is_the_limit_of_the_sampled_one(car, rng):
+    state, dt = rng.standard_normal((6, 3)), 1e-7
+    for system in (car, clockwise(car)):
+        coasting = system.motion.integrate(state, np.zeros_like(state), dt, system.state_names)
+        np.testing.assert_allclose((coasting - state) / dt, system.turning(state), atol=1e-6)
+
+
+def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car):
+    origin = np.array([1.0, 2.0, np.pi / 2])
+    np.testing.assert_allclose(car.seen_from(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12)
+    with pytest.raises(IncompatibleSystem, match="clockwise does not say how one pose is seen from another"):
+        clockwise(car).seen_from(origin, origin)
+
+
+def test_velocities_undo_the_movement_of_the_pose(car):
+    state, pose, dt = np.array([1.2, -0.3, 0.8]), np.array([0.4, 0.1, 2.0]), 1e-6
+    rate = (car.move(pose, state, state, dt) - pose) / dt
+    told = car.motion.velocities(pose, rate)
+    np.testing.assert_allclose([told[name] for name in car.state_names], state, atol=1e-5)

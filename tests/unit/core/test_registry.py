@@ -1,66 +1,90 @@
 """Names from decorators and entry points, plugin files, and what is said when one is broken."""
 
-from __future__ import annotations
-
 import json
 import sys
-import warnings
 from importlib.metadata import entry_points
 from types import ModuleType
-from typing import Any
 
 import pytest
 
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
 from sysid_evo.registry import KINDS, Registry, load_plugin, make_robot, models, robots, source_digest
 from sysid_evo.registry import registry as registry_module
+from tests.fixtures.commands import forgetting
 
 GROUP = "sysid_evo.test_things"
 
 
-class Distributions:
-    """Installs made-up distributions into a folder on ``sys.path``; their modules see ``things``."""
+GOOD = "@things.register('good')\nclass Good:\n    def __init__(self, size=1):\n        self.size = size\n"
+PLUGIN = (
+    "from sysid_evo.registry import robots\n@robots.register('{name}')\ndef make(seed=0):\n    return '{name}', seed\n"
+)
 
-    def __init__(self, folder, registry):
-        self.folder, self.registry = folder, registry
 
-    def install(self, name, points, modules, requires=""):
-        info = self.folder / f"{name}-1.0.dist-info"
+class Box:
+    """A thing with parameters, of which the seed is handed over by whoever runs it."""
+
+    def __init__(self, *, size=1, colour, seed):
+        self.size, self.colour, self.seed = size, colour, seed
+
+
+@pytest.fixture
+def things():
+    return Registry("thing", GROUP)
+
+
+@pytest.fixture
+def boxes():
+    registry = Registry("thing", GROUP, given=frozenset({"seed"}))
+    registry.register("box")(Box)
+    return registry
+
+
+@pytest.fixture
+def install(things, tmp_path, monkeypatch):
+    """Installs a made-up distribution into a folder on ``sys.path``; its modules see ``things``."""
+    host = ModuleType("made_up_registry")
+    host.things = things
+    monkeypatch.setitem(sys.modules, "made_up_registry", host)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+
+    def install(points, modules, requires="", name="made-up"):
+        info = tmp_path / f"{name}-1.0.dist-info"
         info.mkdir()
         lines = "\n".join(f"{point} = {module}" for point, module in points.items())
         (info / "entry_points.txt").write_text(f"[{GROUP}]\n{lines}\n")
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{requires}")
         for module, source in modules.items():
-            (self.folder / f"{module}.py").write_text(f"from made_up_registry import things\n{source}")
+            (tmp_path / f"{module}.py").write_text(f"from made_up_registry import things\n{source}")
 
-
-@pytest.fixture
-def distributions(tmp_path, monkeypatch):
-    registry: Registry[Any] = Registry("thing", GROUP)
-    host = ModuleType("made_up_registry")
-    host.things = registry  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "made_up_registry", host)
-    monkeypatch.syspath_prepend(tmp_path)
-    before = set(sys.modules)
-    yield Distributions(tmp_path, registry)
+    yield install
     for name in set(sys.modules) - before:
         if str(getattr(sys.modules[name], "__file__", "")).startswith(str(tmp_path)):
             del sys.modules[name]
 
 
 @pytest.fixture
-def plugin_modules():
-    yield
-    for name in [name for name in sys.modules if name.startswith("sysid_evo_plugin_")]:
-        del sys.modules[name]
+def installed(install):
+    """A distribution whose module ``good_module`` registers what its entry point names."""
+    install({"good": "good_module"}, {"good_module": GOOD})
 
 
-GOOD = "@things.register('good')\nclass Good:\n    def __init__(self, size=1):\n        self.size = size\n"
+@pytest.fixture
+def write(tmp_path):
+    """Writes a plugin file; what is loaded of it is forgotten afterwards."""
+
+    def write(text, path="my_robot.py"):
+        file = tmp_path / path
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(text)
+        return file
+
+    with forgetting():
+        yield write
 
 
-def test_a_decorated_class_is_found_and_made_with_its_parameters():
-    things: Registry[Any] = Registry("thing", GROUP)
-
+def test_a_decorated_class_is_found_and_made_with_its_parameters(things):
     @things.register("box")
     class Box:
         def __init__(self, *, size):
@@ -72,77 +96,64 @@ def test_a_decorated_class_is_found_and_made_with_its_parameters():
     assert dict(things.loaded) == {"box": Box}
 
 
-def test_an_entry_point_is_imported_only_when_asked_for(distributions):
-    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
-    registry = distributions.registry
-    assert registry.names() == ("good",)
+def test_an_entry_point_is_imported_only_when_asked_for(things, installed):
+    assert things.names() == ("good",)
     assert "good_module" not in sys.modules
-    assert not registry.loaded
-    assert registry.make("good", size=5).size == 5
+    assert not things.loaded
+    assert things.make("good", size=5).size == 5
     assert "good_module" in sys.modules
 
 
-def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(distributions):
+def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(things, install):
     other = "@things.register('other')\ndef make():\n    return None\n"
-    distributions.install(
-        "made-up",
-        {"better": "good_module", "other": "other_module"},
-        {"good_module": GOOD, "other_module": other},
-    )
-    distributions.registry.get("other")
+    install({"better": "good_module", "other": "other_module"}, {"good_module": GOOD, "other_module": other})
+    things.get("other")
     for _ in range(2):  # the second time the module is loaded already
         with pytest.raises(
             RegistrationError, match=r"better = 'good_module' should register 'better', .* registers 'good'\. Use"
         ):
-            distributions.registry.get("better")
+            things.get("better")
 
 
-def test_a_module_that_registers_nothing_is_an_error(distributions):
-    distributions.install("made-up", {"good": "empty_module"}, {"empty_module": ""})
+def test_a_module_that_registers_nothing_is_an_error(things, install):
+    install({"good": "empty_module"}, {"empty_module": ""})
     with pytest.raises(RegistrationError, match="but the module registers nothing"):
-        distributions.registry.get("good")
+        things.get("good")
 
 
-def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(distributions):
-    distributions.install(
-        "made-up",
-        {"bad": "bad_module", "good": "good_module"},
-        {"bad_module": "1 / 0\n", "good_module": GOOD},
-    )
+def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(things, install):
+    install({"bad": "bad_module", "good": "good_module"}, {"bad_module": "1 / 0\n", "good_module": GOOD})
     with pytest.warns(PluginWarning) as caught:
-        found = dict(distributions.registry.load_all())
+        found = dict(things.load_all())
     assert list(found) == ["good"]
     assert len(caught) == 1
     assert "thing 'bad' left out: " in str(caught[0].message)
-    with pytest.raises(
-        PluginError, match=r"thing 'bad' \(bad_module\) cannot be imported: ZeroDivisionError"
-    ) as raised:
-        distributions.registry.get("bad")
+    reason = r"thing 'bad' \(bad_module\) cannot be imported: ZeroDivisionError"
+    with pytest.raises(PluginError, match=reason) as raised:
+        things.get("bad")
     assert not isinstance(raised.value, MissingExtra)
 
 
-def test_a_missing_optional_package_names_the_extra_that_brings_it(distributions):
+def test_a_missing_optional_package_names_the_extra_that_brings_it(things, install):
     optional = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
     requires = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *optional))
-    distributions.install(
-        "made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires
-    )
+    install({"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires)
     with pytest.raises(MissingExtra, match=r"needs the package 'no_such_package'.*pip install \"made-up\[deep\]\""):
-        distributions.registry.get("deep")
+        things.get("deep")
 
 
-def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(distributions):
-    distributions.install("made-up", {"deep": "deep_module"}, {"deep_module": "import no_such_package\n"})
+def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(things, install):
+    install({"deep": "deep_module"}, {"deep_module": "import no_such_package\n"})
     with pytest.raises(PluginError, match=r"'deep'.*No module named 'no_such_package'") as raised:
-        distributions.registry.get("deep")
+        things.get("deep")
     assert not isinstance(raised.value, MissingExtra)
 
 
-def test_two_packages_that_bring_one_name_are_an_error_that_names_both(distributions):
-    distributions.install("first", {"good": "good_module"}, {"good_module": GOOD})
-    distributions.install("second", {"good": "other_module"}, {"other_module": GOOD})
+def test_two_packages_that_bring_one_name_are_an_error_that_names_both(things, install):
+    install({"good": "good_module"}, {"good_module": GOOD}, name="first")
+    install({"good": "other_module"}, {"other_module": GOOD}, name="second")
     with pytest.raises(RegistrationError, match="'good' is registered twice: by good_module and by other_module"):
-        distributions.registry.get("good")
+        things.get("good")
 
 
 def test_an_unknown_name_is_answered_with_the_nearest_known_one():
@@ -154,9 +165,7 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one():
         Registry("thing", GROUP).get("x")
 
 
-def test_a_name_cannot_be_taken_twice():
-    things: Registry[Any] = Registry("thing", GROUP)
-
+def test_a_name_cannot_be_taken_twice(things):
     @things.register("box")
     class Box:
         pass
@@ -171,22 +180,16 @@ def test_a_name_cannot_be_taken_twice():
     assert things.get("box") is Box
 
 
-PLUGIN = (
-    "from sysid_evo.registry import robots\n@robots.register('{name}')\ndef make(seed=0):\n    return '{name}', seed\n"
-)
+def test_a_forgotten_name_is_free_and_one_that_is_not_there_is_no_error(boxes):
+    boxes.forget("box")
+    boxes.forget("crate")
+    assert boxes.names() == ()
+    boxes.register("box")(dict)
+    assert boxes.get("box") is dict
 
 
-@pytest.fixture
-def forget_robots():
-    before = set(robots.loaded)
-    yield
-    for name in set(robots.loaded) - before:
-        robots.forget(name)
-
-
-def test_a_plugin_file_registers_what_it_holds_once(tmp_path, plugin_modules, forget_robots):
-    path = tmp_path / "my_robot.py"
-    path.write_text(PLUGIN.format(name="crawler"))
+def test_a_plugin_file_registers_what_it_holds_once(write):
+    path = write(PLUGIN.format(name="crawler"))
     load_plugin(path)
     first = robots.get("crawler")
     load_plugin(str(path))
@@ -194,33 +197,28 @@ def test_a_plugin_file_registers_what_it_holds_once(tmp_path, plugin_modules, fo
     assert make_robot("crawler") == ("crawler", 0)
 
 
-def test_a_plugin_file_that_fails_says_why_and_can_be_mended(tmp_path, plugin_modules, forget_robots):
-    path = tmp_path / "my_robot.py"
-    path.write_text("import nowhere_to_be_found\n")
-    with pytest.raises(
-        PluginError, match=r"my_robot.py cannot be imported: ModuleNotFoundError: .*nowhere_to_be_found"
-    ):
+def test_a_plugin_file_that_fails_says_why_and_can_be_mended(write):
+    path = write("import nowhere_to_be_found\n")
+    reason = r"my_robot.py cannot be imported: ModuleNotFoundError: .*nowhere_to_be_found"
+    with pytest.raises(PluginError, match=reason):
         load_plugin(path)
-    path.write_text(PLUGIN.format(name="mended") + "# another length, so that no cached bytecode is taken\n")
-    load_plugin(path)
+    load_plugin(write(PLUGIN.format(name="mended") + "# another length, so that no cached bytecode is taken\n"))
     assert "mended" in robots.loaded
 
 
 @pytest.mark.parametrize("name", ["missing.py", "folder", "notes.txt"])
-def test_a_plugin_that_is_no_python_file_is_refused(tmp_path, name):
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "notes.txt").write_text("hello")
+def test_a_plugin_that_is_no_python_file_is_refused(write, tmp_path, name):
+    write("hello", "folder/other.py")
+    write("hello", "notes.txt")
     with pytest.raises(PluginError, match="expected a Python file, found none"):
         load_plugin(tmp_path / name)
 
 
-def test_two_plugin_files_of_one_name_are_not_confused(tmp_path, plugin_modules, forget_robots):
-    for folder in ("a", "b"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "my_robot.py").write_text(PLUGIN.format(name=f"robot_{folder}"))
-    load_plugin(tmp_path / "a" / "my_robot.py")
+def test_two_plugin_files_of_one_name_are_not_confused(write):
+    first, second = (write(PLUGIN.format(name=f"robot_{folder}"), f"{folder}/my_robot.py") for folder in "ab")
+    load_plugin(first)
     with pytest.raises(PluginError, match=r"b/my_robot.py: .*a/my_robot.py, a file of the same name, is loaded"):
-        load_plugin(tmp_path / "b" / "my_robot.py")
+        load_plugin(second)
 
 
 def test_a_robot_may_be_named_with_a_seed(register):
@@ -259,29 +257,6 @@ def test_a_robot_file_that_cannot_be_used_says_why(register, tmp_path, text, com
         make_robot(str(file))
 
 
-def test_everything_this_repository_registers_can_be_loaded():
-    from sysid_evo import registry
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for kind in (registry.models, registry.tasks, registry.controllers, registry.strategies):
-            assert [name for name, _ in kind.load_all()] == list(kind.names())
-
-
-class Box:
-    """A thing with parameters, of which the seed is handed over by whoever runs it."""
-
-    def __init__(self, *, size=1, colour, seed):
-        self.size, self.colour, self.seed = size, colour, seed
-
-
-@pytest.fixture
-def boxes():
-    registry: Registry[Box] = Registry("thing", GROUP, given=frozenset({"seed"}))
-    registry.register("box")(Box)
-    return registry
-
-
 def test_a_thing_is_made_from_the_text_of_its_spec(boxes):
     box = boxes.make("mine=box(size=3, colour=red)", seed=7)
     assert (box.size, box.colour, box.seed) == (3, "red", 7)
@@ -300,67 +275,54 @@ def test_a_parameter_that_is_lacking_is_named_and_one_that_is_handed_over_is_not
     assert boxes.check("box(colour=red)").parameters == {"colour": "red"}
 
 
-def test_a_factory_that_takes_any_parameter_is_not_second_guessed():
-    things: Registry[Any] = Registry("thing", GROUP)
+def test_a_factory_that_takes_any_parameter_is_not_second_guessed(things):
     things.register("any")(lambda **parameters: parameters)
     assert things.make("any(a=1)") == {"a": 1}
 
 
-def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(distributions):
-    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
+def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(things, installed):
     with pytest.raises(RegistrationError, match=r"'good' is registered twice: by good_module and by .*Other"):
 
-        @distributions.registry.register("good")
+        @things.register("good")
         class Other:
             pass
 
-    assert distributions.registry.get("good").__module__ == "good_module"
+    assert things.get("good").__module__ == "good_module"
 
 
-def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are_named(tmp_path, plugin_modules):
-    path = tmp_path / "my_linear.py"
-    path.write_text("from sysid_evo.registry import models\n@models.register('linear')\nclass Mine:\n    pass\n")
-    with pytest.raises(
-        RegistrationError, match=r"my_linear\.py: model 'linear' .*by model_zoo\.linear.* and by .*my_linear\.Mine"
-    ):
-        load_plugin(path)
+def test_a_plugin_file_that_takes_a_shipped_name_is_refused_and_both_modules_are_named(write):
+    text = "from sysid_evo.registry import models\n@models.register('linear')\nclass Mine:\n    pass\n"
+    reason = r"my_linear\.py: model 'linear' .*by model_zoo\.linear.* and by .*my_linear\.Mine"
+    with pytest.raises(RegistrationError, match=reason):
+        load_plugin(write(text, "my_linear.py"))
 
 
-def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(distributions):
+def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(things, install):
     requires = 'Requires-Dist: no-such-package>=2; extra == "deep"\nProvides-Extra: deep\n'
     late = GOOD.replace("class Good:\n", "class Good:\n    requires = ('{}',)\n")
-    distributions.install(
-        "made-up",
+    install(
         {"good": "good_module"},
         {"good_module": late.format("no_such_package"), "other_module": late.format("json").replace("good", "other")},
         requires,
     )
-    registry = distributions.registry
-    error = registry.lacking("good")
+    error = things.lacking("good")
     assert error is not None
     assert 'pip install "made-up[deep]"' in str(error)
-    registry.register("here")(type("Here", (), {"requires": ("json",)}))
-    assert registry.lacking("here") is None
+    things.register("here")(type("Here", (), {"requires": ("json",)}))
+    assert things.lacking("here") is None
 
 
-def test_the_module_behind_a_name_is_known_without_importing_it(distributions):
-    distributions.install("made-up", {"good": "good_module"}, {"good_module": GOOD})
-    assert distributions.registry.module("good") == "good_module"
+def test_the_module_behind_a_name_is_known_without_importing_it(things, installed):
+    assert things.module("good") == "good_module"
     assert "good_module" not in sys.modules
 
 
-def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(
-    tmp_path, plugin_modules, forget_robots
-):
+def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(write):
     digests = []
     for folder, text in (("a", PLUGIN), ("b", PLUGIN), ("c", PLUGIN + "# more\n")):
-        path = tmp_path / folder / "crawler.py"
-        path.parent.mkdir()
-        path.write_text(text.format(name="crawler"))
-        load_plugin(path)
-        digests.append(source_digest(robots.get("crawler")))
-        robots.forget("crawler")
-        del sys.modules["sysid_evo_plugin_crawler"]
+        with forgetting():
+            load_plugin(write(text.format(name="crawler"), f"{folder}/crawler.py"))
+            digests.append(source_digest(robots.get("crawler")))
     assert digests[0] == digests[1] != digests[2]
     assert len(digests[0]) == 64
     assert source_digest(models.get("linear")) == ""
@@ -374,9 +336,7 @@ def test_the_identity_of_a_thing_holds_every_parameter_but_those_handed_over(box
     assert len(plain["source"]) == 64
 
 
-def test_an_identity_is_strict_json_whatever_the_parameters_are():
-    things: Registry[Any] = Registry("thing", GROUP)
-
+def test_an_identity_is_strict_json_whatever_the_parameters_are(things):
     @things.register("odd")
     class Odd:
         def __init__(self, *, limit=float("inf"), sizes=(1, 2), law=len):
