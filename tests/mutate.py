@@ -39,8 +39,8 @@ NIGHTLY_LINES, NIGHTLY = 60, (
 """Lines that are changed in a night, of all these folders together: verdicts, statistics, refusals and protocols."""
 NEVER = {"benchmarks", "docs", "packaging", "rig", "mutation"}
 """Folders of tests that are not run here; those of ``tests/system`` only where no other test imports a module."""
-MOST_TESTS, MOST_SECONDS = 25, 60.0
-"""Modules of tests for one module of the product, and what they may take together while nothing is changed."""
+MOST_STEPS, MOST_TESTS, MOST_SECONDS = 3, 25, 60.0
+"""Imports from a test to the module, modules of tests for it, and what these may take together without a change."""
 RUNS = ((0, 3), (3, 10), (10, MOST_TESTS))
 """Which of them are run together: most changes are noticed by the nearest few."""
 MEMORY = 8 << 30  # bytes of a run: a size that was changed must not fill the machine
@@ -245,8 +245,8 @@ class Imports:
         file, nodes = self.files[module], list(ast.walk(self.trees[module]))
         found = {self._origin(*pair) for pair in self.pairs[module]}
         texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-        firsts = {re.split(r"\W", text)[0] for text in texts}
-        found |= texts | {f"{module.rpartition('.')[0]}.{first}" for first in firsts}
+        places = {text.partition(":")[0] for text in texts if re.fullmatch(r"[\w.]+(:\w+)?", text)}
+        found |= places | {f"{module.rpartition('.')[0]}.{place}" for place in places}
         if not file.name.startswith("test_"):
             return found
         asked = {node.arg for node in nodes if isinstance(node, ast.arg)}
@@ -259,7 +259,7 @@ class Imports:
                     found |= {self._origin(*pair) for pair in self._pairs(conftest, fixture)}
                     used = {node.id for node in ast.walk(fixture) if isinstance(node, ast.Name)}
                     found |= {self._origin(*pair) for pair in self.pairs[conftest] if pair[1] in used}
-        return found | {f"plugin {first}" for first in firsts}
+        return found | {"plugin " + re.split(r"\W", text)[0] for text in texts}
 
     def tests_of(self, file: str) -> list[str]:
         """Return the modules of tests that import the module ``file``, those first between which few others stand."""
@@ -268,13 +268,15 @@ class Imports:
         while front:
             steps |= dict.fromkeys(front, len(set(steps.values())))
             front = {name for name, others in imported.items() if others & front and name not in steps}
-        words = set(re.split(r"\W|_", file))
+        words, own = set(re.split(r"\W|_", file)), f"test_{Path(file).stem}"
         tests = [name for name in steps if name in self.files and self.files[name].name.startswith("test_")]
 
-        def rank(name: str) -> tuple[int, int, int, str]:
-            return steps[name], -len(words & set(re.split(r"\W|_", name))), len(self.imported[name]), name
+        def rank(name: str) -> tuple[int, bool, int, int]:
+            likeness = len(words & set(re.split(r"\W|_", name)))
+            return steps[name], not name.endswith(own), -likeness, len(self.pairs[name])
 
-        ranked = [self.files[name].as_posix() for name in sorted(tests, key=rank)]
+        near = [name for name in tests if steps[name] <= MOST_STEPS] or tests
+        ranked = [self.files[name].as_posix() for name in sorted(sorted(near), key=rank)]
         return [test for test in ranked if not test.startswith("tests/system/")] or ranked
 
 
