@@ -58,7 +58,7 @@ class Robot(ABC):
         return None if self.dynamics is None else DynamicsRunner(self.dynamics)
 
     def step_seconds(self) -> float:
-        """Return how long one step of one trial takes its `runner`, timed here; 0 of one that is compiled."""
+        """Return how long a step of one trial takes in NumPy, timed here; 0 if it has a compiled form, used or not."""
         if self.dynamics is None or self.dynamics.kernel() is not None:
             return 0.0
         alone = self._step_seconds(1)

@@ -17,6 +17,7 @@ from sysid_evo.carry import clip_state
 from sysid_evo.data.units import spelled_range
 from sysid_evo.errors import LinkLost
 from sysid_evo.models.dynamics import Dynamics, started
+from sysid_evo.processors import ENGINE_VARIABLE, resolve
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
@@ -340,5 +341,6 @@ def _speed(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
             break
     seconds = (time.perf_counter() - began) * STEPS / steps
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"
+    form = f"NumPy ({ENGINE_VARIABLE} names the reference)" if resolve() == "reference" else form
     sentence = f"Rollouts are {form}; in NumPy {BATCH} trials of {STEPS} steps take {seconds:.2f} s."
     return SelfTestFinding("speed", True, sentence, {"seconds": seconds})

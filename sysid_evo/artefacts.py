@@ -226,8 +226,8 @@ class CheckpointFile:
             return None
         if owner != identity:
             warnings.warn(
-                f"{self.path}: the checkpoint of other work (other models, settings, seed or versions); it is ignored, "
-                "and all is computed again",
+                f"{self.path}: the checkpoint of other work (other models, settings, seed, engine or versions); it is "
+                "ignored, and all is computed again",
                 CheckpointWarning,
                 stacklevel=2,
             )

@@ -1,4 +1,4 @@
-"""How many processors this process may use."""
+"""What this process computes with: how many processors, and which form of the engine where none is named."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Literal, TypeAlias
 
 from threadpoolctl import ThreadpoolController
+
+from sysid_evo.errors import InvalidArgument
 
 INNER_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Libraries work on one thread: the matrices are small, and the engine spreads its blocks over all processors.
@@ -67,3 +70,27 @@ def one_thread(seed: int) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(threads)
+
+
+Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
+ENGINE_VARIABLE = "SYSID_EVO_ENGINE"
+
+
+def resolve(asked: Engine = "auto") -> Engine:
+    """Return the engine that ``asked`` means: itself, but for "auto" the one in `SYSID_EVO_ENGINE`.
+
+    "auto" is returned where that names no other: compiled where there are kernels, else NumPy. "reference" is NumPy in
+    rollouts, imagined trials, parameter evolution and the fit of grey boxes. What has no NumPy form is compiled with
+    either: simulations and sensitivities in the training of state spaces. Raises `InvalidArgument` for other values.
+    """
+    named = os.environ.get(ENGINE_VARIABLE) or "auto"
+    if asked != "auto" or named == "auto":
+        return asked
+    if named != "reference":
+        raise InvalidArgument(f"{ENGINE_VARIABLE}: expected auto or reference, got {named!r}. Set one, or unset it")
+    return "reference"
+
+
+def engine_inputs() -> dict[str, Engine]:
+    """Return what digests contain of the engine: nothing with "auto", so that results stored before are found."""
+    return {} if (engine := resolve()) == "auto" else {"engine": engine}

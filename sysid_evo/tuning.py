@@ -20,6 +20,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import InvalidArgument, described
 from sysid_evo.extras import check_installed
 from sysid_evo.models.parameters import OneOf, Searched, Within, check_names, limits_of
+from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress, told
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
@@ -100,6 +101,7 @@ class Tuning:
             len(self.pairs),
             sorted(self.space),
             self.seed,
+            *engine_inputs().items(),
         ]
         return f"{self.spec.name}-{hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:12]}"
 

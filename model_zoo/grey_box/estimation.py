@@ -18,6 +18,7 @@ from sysid_evo.data.trajectory import recording
 from sysid_evo.engine.compiled.open_loop import free_runs
 from sysid_evo.errors import InvalidData
 from sysid_evo.models.dynamics import enough
+from sysid_evo.processors import resolve
 from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
@@ -268,8 +269,8 @@ class FitWindows:
     def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
         """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
 
-        Compiled where the motion has a compiled form. Where parameters differ from window to window, they are the same
-        in all of a group.
+        Compiled where the motion has a compiled form, unless `SYSID_EVO_ENGINE` names the reference.
+        Where parameters differ from window to window, they are the same in all of a group.
         """
         w = self.cut
         if p.shape[2] > 1:
@@ -282,7 +283,8 @@ class FitWindows:
         with np.errstate(all="ignore"):
             carry = structure.start(p, w.past_states, w.past_controls, hidden)
             carry = np.broadcast_to(carry, (len(carry), *np.broadcast_shapes(p.shape[1:], carry.shape[1:])))
-            kernel = structure_kernel(structure, np.array([parameter.guess for parameter in structure.parameters]))
+            guess = np.array([parameter.guess for parameter in structure.parameters])
+            kernel = None if resolve() == "reference" else structure_kernel(structure, guess)
             if kernel is None:
                 return self._stepped(structure, p, carry)
         own = kernel_parameters(structure, p[:, :, 0].T)

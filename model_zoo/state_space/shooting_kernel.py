@@ -1,4 +1,4 @@
-"""Compiled simulations of state spaces and their sensitivities, for training.
+"""Compiled simulations of state spaces and their sensitivities, for training; whatever `SYSID_EVO_ENGINE` names.
 
 The space is that of `model_zoo.state_space.shooting.Spaces`; all arrays are flat. ``sizes`` are the numbers of pieces,
 steps, states, controls, units and outputs. The step is that of a difference equation, or one of the classical

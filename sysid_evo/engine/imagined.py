@@ -11,9 +11,9 @@ from sysid_evo.carry import clip_state
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, empty_lines, envelope_table
-from sysid_evo.engine.rollout import Engine
 from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, Precision, TaskKernel
 from sysid_evo.models.dynamics import Dynamics, enough
+from sysid_evo.processors import Engine, resolve
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray
 
@@ -22,7 +22,8 @@ class Imagination:
     """Runs trials of a bound ``task`` in ``dynamics``, from where they stand, without noise.
 
     ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy); "auto" takes the lowest
-    precision that the model allows where there are kernels. The scores are the same to rounding.
+    precision that the model allows where there are kernels, unless `SYSID_EVO_ENGINE` names the reference. The scores
+    are the same to rounding.
     """
 
     def __init__(self, dynamics: Dynamics, task: Task, *, engine: Engine = "auto") -> None:
@@ -52,12 +53,13 @@ class Imagination:
     @cached_property
     def compiled(self) -> CompiledTrials | None:
         """The compiled form; None if it is not wanted, or the model or the task has none."""
-        if self.engine == "reference":
+        engine = resolve(self.engine)
+        if engine == "reference":
             return None
         of_dynamics, of_task, envelope = self.dynamics.kernel(), self.task.kernel(), self.dynamics.envelope
         if of_dynamics is None or of_task is None:
             return None
-        precision = enough(of_dynamics.precision, envelope) if self.engine == "auto" else self.engine
+        precision = enough(of_dynamics.precision, envelope) if engine == "auto" else engine
         return CompiledTrials(
             of_dynamics, of_task, envelope_table(envelope, self.dynamics.system.nx, precision), precision
         )

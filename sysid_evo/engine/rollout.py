@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeAlias, get_args
+from typing import Protocol, get_args
 
 import numpy as np
 
@@ -16,12 +16,10 @@ from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
 from sysid_evo.models.dynamics import Dynamics, enough, started
-from sysid_evo.processors import available_processors
+from sysid_evo.processors import Engine, available_processors, resolve
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds, check_shape
-
-Engine: TypeAlias = Literal["auto", "reference", "float32", "float64"]
 
 
 class Runner(Protocol):
@@ -112,7 +110,8 @@ def rollout(
 
     ``engine`` is "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object);
     "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference; in
-    float64 where a state is far from zero for how much it changes (`far_from_zero`).
+    float64 where a state is far from zero for how much it changes (`far_from_zero`). With `SYSID_EVO_ENGINE=reference`
+    in the environment, "auto" is the reference.
     `Rollouts.engine` says which ran.
     Scores do not depend on ``threads`` (default: all processors this process may use).
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
@@ -126,6 +125,7 @@ def rollout(
         raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
     if threads is not None and threads < 1:
         raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
+    engine = resolve(engine)
     if engine != "reference":
         of_dynamics, of_task = dynamics.kernel(), task.kernel()
         of_controller = None if controller.n_noise else controller.kernel()

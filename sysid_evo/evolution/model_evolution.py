@@ -21,7 +21,7 @@ from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.kernels import DynamicsKernel, Precision
 from sysid_evo.models.dynamics import chained, enough, training_envelope
-from sysid_evo.processors import available_processors
+from sysid_evo.processors import available_processors, engine_inputs, resolve
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import keyed_generator
 from sysid_evo.types import Array
@@ -76,9 +76,9 @@ class ModelEvolution:
     ) -> Array:
         """Return the best parameters found, (n,), starting around ``initial`` (n,).
 
-        With ``kernel``, the compiled form of ``step``, generations run compiled. A simulation starts
-        from what ``start`` makes of ``history`` earlier samples, by default from the measured state. What was
-        stopped or killed goes on from its ``checkpoint``, to the same parameters.
+        With ``kernel``, the compiled form of ``step``, generations run compiled, unless `SYSID_EVO_ENGINE` names the
+        reference. A simulation starts from what ``start`` makes of ``history`` earlier samples, by default from the
+        measured state. What was stopped or killed goes on from its ``checkpoint``, to the same parameters.
         """
         every = dataset.window_places(self.horizon, history=history)
         if not len(every):
@@ -93,7 +93,7 @@ class ModelEvolution:
 
         def objective(population: Array, generation: int) -> Array:
             chosen = every[keyed_generator(seed, generation).integers(len(every), size=self.windows)]
-            compiled = None if kernel is None else kernel(population)
+            compiled = None if kernel is None or resolve() == "reference" else kernel(population)
             if compiled is None:
                 return -final_error(step, population, chosen, start, weight=weight)
             return -kernel_error(*compiled, chosen, start, weight=weight, precision=precision)
@@ -120,7 +120,7 @@ class ModelEvolution:
             """Return the digest of what is asked for, the data, and how the first candidates do."""
             first = objective(begun(0)[0].ask(), 0)
             asked = [repr(self), seed, spread, dataset.fingerprint, initial.tolist(), first.tolist()]
-            return hashlib.sha256(json.dumps(asked).encode()).hexdigest()
+            return hashlib.sha256(json.dumps([*asked, *engine_inputs().items()]).encode()).hexdigest()
 
         def told(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
             if progress is not None:

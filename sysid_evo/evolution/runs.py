@@ -17,6 +17,7 @@ from sysid_evo.errors import CheckpointWarning, EvolutionWarning
 from sysid_evo.evolution.champion import Finalist
 from sysid_evo.evolution.loop import Generation, Schedule, evolve
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
+from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks.task import Task
@@ -143,7 +144,7 @@ class _Search:
 
 def identity(told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int) -> str:
     """Return the digest of an evolution: what is ``told`` of it, strict JSON, and where controllers drive in models."""
-    text = json.dumps([*told, list(runners), task.system.to_dict(), seed], sort_keys=True)
+    text = json.dumps([*told, list(runners), task.system.to_dict(), seed, *engine_inputs().items()], sort_keys=True)
     digest = hashlib.sha256(text.encode())
     some = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
     for runner in runners.values():

@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
+from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress
 
 CONTRACT = 14
@@ -108,12 +109,13 @@ class Cell(ABC):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that the result depends on, the digests of the needed cells included."""
+        """SHA-256 of everything that the result depends on: needed cells, and the engine unless it is "auto", too."""
         content = {
             "kind": self.kind,
             "contract": CONTRACT,
             "inputs": self.inputs(),
             "needs": [cell.digest for cell in self.needs],
+            **engine_inputs(),
         }
         text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()

@@ -26,6 +26,7 @@ from sysid_evo.plan.dask_worker import BLOCKED, DONE, FAILED, LACKS
 from sysid_evo.plan.plan import Again, at_home, work_ahead
 from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger
 from sysid_evo.plan.store import Parcel, Store, digest_of, packed
+from sysid_evo.processors import resolve
 from sysid_evo.version import versions
 
 if TYPE_CHECKING:
@@ -291,7 +292,7 @@ class Dispatch:
         names, files = _packed_files(again.files)
         made_of = {FILES: files, **_made_of(again, store)}
         self._made_of: dict[str, Parcel] = {name: parcel for name, parcel in made_of.items() if parcel}
-        self._plan = {"function": again.function, "settings": again.settings, "files": names}
+        self._plan = {"function": again.function, "settings": again.settings, "files": names, "engine": resolve()}
         told = [json.dumps(self._plan, sort_keys=True), *map(digest_of, self._made_of.values())]
         self._run = hashlib.sha256("\n".join(told).encode()).hexdigest()
         self._topic = f"sysid-evo-{self._run[:12]}-{time.time_ns()}"

@@ -79,7 +79,7 @@ class Child:
         again = Again(asked["function"], asked["settings"]).with_files_at(names)
         self.inbox: Inbox = SimpleQueue()
         self.worker = Worker(self.inbox)
-        self.worker.say(threads=1, function=again.function, settings=again.settings)
+        self.worker.say(threads=1, function=again.function, settings=again.settings, engine=asked["engine"])
         self.worker.say(folder=str(self.store.path))
         self.knows: frozenset[str] | None = None
         self.cannot = ""

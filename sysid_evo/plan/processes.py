@@ -27,7 +27,7 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.plan import Again, Plan, work_ahead
 from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger, Observer
 from sysid_evo.plan.store import Outcome, Store, StoredCell
-from sysid_evo.processors import INNER_THREADS, usable_processors, use_processors
+from sysid_evo.processors import ENGINE_VARIABLE, INNER_THREADS, resolve, usable_processors, use_processors
 
 
 class SideBySide:
@@ -77,7 +77,7 @@ class SideBySide:
 
     def _hire(self) -> Worker:
         worker = Worker(self.inbox)
-        worker.say(function=self.again.function, settings=self.again.settings)
+        worker.say(function=self.again.function, settings=self.again.settings, engine=resolve())
         self.coming.add(worker)
         return worker
 
@@ -345,6 +345,7 @@ def serve(master: Master) -> None:
     if order is None:
         return
     again = Again(order["function"], order["settings"])
+    os.environ[ENGINE_VARIABLE] = order["engine"]  # workers of a cluster have the environment of their own machine
     with suppress(Exception):  # what is wrong is told when the plan is made
         again.prepare()
     order = master.next()

@@ -22,6 +22,7 @@ from sysid_evo.testing.contract import (
     CheckResult,
     DoesNotApply,
     expect,
+    expect_kernel,
     expect_numbers,
     raise_broken,
     same,
@@ -159,8 +160,7 @@ def candidates_and_trials_are_independent(given: ControllerExample) -> None:
 
 def the_compiled_form_acts_as_act_does(given: ControllerExample) -> None:
     """The compiled form acts as act does"""
-    if given.bound.kernel() is None:
-        raise DoesNotApply("it has none, so that Python computes every step")
+    expect_kernel(given.bound.kernel())
     expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
 
 
@@ -374,8 +374,7 @@ def a_scene_can_be_drawn(given: TaskExample) -> None:
 
 def the_compiled_form_is_the_reference(given: TaskExample) -> None:
     """The compiled form scores as the reference form does"""
-    if given.task.kernel() is None:
-        raise DoesNotApply("it has none, so that Python computes every step")
+    expect_kernel(given.task.kernel())
     expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
 
 

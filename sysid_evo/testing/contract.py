@@ -14,6 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from sysid_evo.errors import ContractViolation, SysidEvoError, described
+from sysid_evo.processors import ENGINE_VARIABLE, resolve
 from sysid_evo.registry.registry import Registry
 from sysid_evo.types import Array, BoolArray
 
@@ -110,6 +111,18 @@ def expect_error(
     except kind as error:
         return error
     raise ContractViolation(f"{when}: expected {kind.__name__}, got no error")
+
+
+Kernel = TypeVar("Kernel")
+
+
+def expect_kernel(kernel: Kernel | None) -> Kernel:
+    """Return the ``kernel``. Raises `DoesNotApply` if it is None, or if `SYSID_EVO_ENGINE` names the reference."""
+    if kernel is None:
+        raise DoesNotApply("it has none, so that Python computes every step")
+    if resolve() == "reference":
+        raise DoesNotApply(f"{ENGINE_VARIABLE} is reference, so that nothing is compiled")
+    return kernel
 
 
 def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:

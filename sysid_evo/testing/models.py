@@ -32,6 +32,7 @@ from sysid_evo.testing.contract import (
     copied,
     expect,
     expect_error,
+    expect_kernel,
     normal,
     raise_broken,
     rows_off,
@@ -325,10 +326,8 @@ def expect_pure(dynamics: Dynamics, inputs: StepInputs) -> None:
 
 
 def expect_compiled_alike(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if the compiled form steps otherwise than `step`, `DoesNotApply` if there is none."""
-    kernel = dynamics.kernel()
-    if kernel is None:
-        raise DoesNotApply("it has none, so that Python computes every step")
+    """Raise `ContractViolation` if the compiled form steps otherwise than `step`; `DoesNotApply` as `expect_kernel`."""
+    kernel = expect_kernel(dynamics.kernel())
     carry, control, noise = inputs.carry, inputs.control, inputs.noise
     stepped = step(dynamics, inputs)
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")

@@ -12,7 +12,13 @@ from sysid_evo.plan import Plan, Store, dask_worker, execute
 from sysid_evo.plan.dask_worker import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
 from tests.fixtures.cells import Number
 
-ASKED: dict[str, Any] = {"run": "r", "function": "tests:none", "settings": {}, "files": {"own.py": "0/own.py"}}
+ASKED: dict[str, Any] = {
+    "run": "r",
+    "function": "tests:none",
+    "settings": {},
+    "files": {"own.py": "0/own.py"},
+    "engine": "reference",
+}
 ONE = Number(1, label="one")
 
 
@@ -66,7 +72,7 @@ def test_what_the_plan_is_made_of_is_put_down_before_the_process_begins(tmp_path
     child, worker = child_in(tmp_path, (before,), (("0/own.py", 0, b"x"),))
     assert (child.folder / "files/0/own.py").read_bytes() == b"x"
     assert all((child.store.path / name).is_file() for name, _, _ in before)
-    assert [sorted(message) for message in worker.told] == [["function", "settings", "threads"], ["folder"]]
+    assert [sorted(message) for message in worker.told] == [["engine", "function", "settings", "threads"], ["folder"]]
     child.dismiss()
     assert worker.dismissed
     assert not child.folder.exists()
