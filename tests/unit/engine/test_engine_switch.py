@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+
 from evaluation.cells.data import RecordedData, Split
 from model_zoo.grey_box import estimation
 from sysid_evo.artefacts import CheckpointFile
