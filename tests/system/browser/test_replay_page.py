@@ -3,7 +3,6 @@
 import io
 import re
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,25 +12,16 @@ from playwright.sync_api import expect
 from evaluation.plot_style import LINES
 from evaluation.report import save_report
 from sysid_evo.tasks import Target
-from tests.fixtures.browser import DESK, PHONE, TABLET, resize, share_of, shown, sideways
-from tests.fixtures.known_models import SYSTEM, Known, Sliding, fitted
-from tests.fixtures.reports import make_report
+from tests.fixtures.browser import DESK, PHONE, TABLET, resize, share_of, sideways
+from tests.fixtures.known_models import SYSTEM
 
 CLOCK, PLAY, TIME, ROW, PACE = "#replay-clock", "#replay-play", "#replay-time", "#replay-row", "#replay-pace"
 FRAMES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => requestAnimationFrame(done))))"
 
 
 @pytest.fixture(scope="module")
-def car(tmp_path_factory):
-    """The page of a car."""
-    report = make_report({"known": fitted(Known()), "sliding": fitted(Sliding())})
-    return save_report(report, tmp_path_factory.mktemp("page"))[1]
-
-
-@pytest.fixture(scope="module")
-def states(tmp_path_factory):
+def states_page(report, tmp_path_factory):
     """The page of a system without a pose, whose first state had a target."""
-    report = make_report({"known": fitted(Known())})
     cells = {}
     for key, cell in report.matrix.cells.items():
         target = Target(SYSTEM.states[0], 0, np.array([0.4]), 0.1)
@@ -39,8 +29,19 @@ def states(tmp_path_factory):
             replace(trace, trajectory=replace(trace.trajectory, pose=None), targets=(target,)) for trace in cell.traces
         )
         cells[key] = replace(cell, traces=traces)
-    report = replace(report, matrix=replace(report.matrix, cells=cells))
-    return save_report(report, tmp_path_factory.mktemp("page"))[1]
+    states = replace(report, prediction=None, exploitability=(), matrix=replace(report.matrix, cells=cells))
+    return save_report(states, tmp_path_factory.mktemp("page"))[1]
+
+
+@pytest.fixture
+def page(page):
+    """The page with its replay at the start, as it is when opened."""
+    if page.locator(PLAY).text_content() == "Pause":
+        page.locator(PLAY).click()
+    page.locator(ROW).select_option("known_c")
+    page.locator(PACE).select_option("1")
+    seek(page, 0.0)
+    return page
 
 
 def seek(page, seconds):
@@ -53,12 +54,10 @@ def painted(page):
     return np.asarray(imread(io.BytesIO(picture))[:, :, :3])
 
 
-def test_a_screen_for_every_system_the_robot_in_a_frame(visitor, car):
-    page = visitor.open(car)
-    expect(page.locator(ROW)).to_have_value("known_c")  # the one to take
+def test_a_screen_for_every_system_the_robot_in_a_frame(page):
     page.locator(ROW).select_option("ensemble_c")
     names = page.locator(".screen .name").evaluate_all("all => all.map(e => e.firstChild.textContent)")
-    assert names == ["car", "known", "sliding"]
+    assert names == ["car", "known", "weak", "sliding"]
     expect(page.locator(".screen.robot")).to_have_count(1)
     told = page.locator(".screen small").all_text_contents()
     assert "evolved here" not in told[0]
@@ -67,17 +66,14 @@ def test_a_screen_for_every_system_the_robot_in_a_frame(visitor, car):
     assert "as on the robot for " in told[2]
 
 
-def test_another_controller_is_shown_when_it_is_chosen(visitor, car):
-    page = visitor.open(car)
+def test_another_controller_is_shown_when_it_is_chosen(page):
     for row in ("sliding_c", "known_c"):
         page.locator(ROW).select_option(row)
         expect(page.locator(".screen canvas").first).to_have_attribute("aria-label", re.compile(f"^{row} on car"))
 
 
-def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor, car):
-    page = visitor.open(car)
-    schemes: tuple[Literal["dark", "light"], ...] = ("light", "dark")
-    for scheme in schemes:
+def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(page):
+    for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         coloured = []
         for seconds in (0.0, 2.9):
@@ -88,8 +84,7 @@ def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(visitor, car)
         assert coloured[0] < 1e-5 < 3e-5 < coloured[1], scheme  # a line of a few dozen pixels
 
 
-def test_it_plays_to_the_end_pauses_and_begins_anew(visitor, car):
-    page = visitor.open(car)
+def test_it_plays_to_the_end_pauses_and_begins_anew(page):
     play, clock = page.locator(PLAY), page.locator(CLOCK)
     page.locator(PACE).select_option("0.25")
     play.click()
@@ -110,8 +105,7 @@ def test_it_plays_to_the_end_pauses_and_begins_anew(visitor, car):
     assert float(page.locator(TIME).input_value()) < 2.0
 
 
-def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor, car):
-    page = visitor.open(car)
+def test_it_scrubs_with_the_pointer_and_with_the_keys(page):
     slider, clock = page.locator(TIME), page.locator(CLOCK)
     slider.scroll_into_view_if_needed()
     now = page.locator(".screen .now").first
@@ -136,8 +130,7 @@ def test_it_scrubs_with_the_pointer_and_with_the_keys(visitor, car):
     expect(clock).to_have_text("0.0 s")
 
 
-def test_it_goes_by_a_step_with_buttons_and_keys(visitor, car):
-    page = visitor.open(car)
+def test_it_goes_by_a_step_with_buttons_and_keys(page):
     seek(page, 1.0)
     time = page.locator(TIME)
     back, on = (page.get_by_role("button", name=f"One step {way}") for way in ("back", "on"))
@@ -157,11 +150,10 @@ def test_it_goes_by_a_step_with_buttons_and_keys(visitor, car):
     expect(page.locator(PLAY)).to_have_text("Play")
 
 
-def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor, car):
-    page = visitor.open(car)
+def test_a_phone_shows_the_robot_and_one_model_side_by_side(page):
     page.locator(ROW).select_option("ensemble_c")
     screens, beside = page.locator(".screen"), page.locator("#replay-beside")
-    assert screens.evaluate_all("all => all.filter(e => e.clientWidth).length") == 3
+    assert screens.evaluate_all("all => all.filter(e => e.clientWidth).length") == 4
     expect(beside).to_be_hidden()
     resize(page, PHONE)
     for name in ("known", "sliding"):
@@ -174,17 +166,7 @@ def test_a_phone_shows_the_robot_and_one_model_side_by_side(visitor, car):
         assert told[0][1] == told[1][1]
 
 
-def test_a_state_is_written_with_three_digits_of_its_range(visitor, states):
-    page = visitor.open(states)
-    for step in range(0, 60, 7):
-        seek(page, 0.05 * step)
-        text = page.locator(".screen .now").first.text_content() or ""
-        for number in re.findall(r"\d*\.\d+", text):
-            assert len(number.partition(".")[2]) <= 3, text
-
-
-def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor, car):
-    page = visitor.open(car)
+def test_what_plays_goes_on_from_where_it_is_scrubbed_to(page):
     page.locator(PACE).select_option("0.25")
     page.locator(PLAY).click()
     seek(page, 2.0)
@@ -194,8 +176,7 @@ def test_what_plays_goes_on_from_where_it_is_scrubbed_to(visitor, car):
     )
 
 
-def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(visitor, car):
-    page = visitor.open(car)
+def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(page):
     page.locator('.watch[data-row="sliding_c"] button').first.click()
     expect(page.locator(ROW)).to_have_value("sliding_c")
     expect(page.locator(PLAY)).to_have_text("Pause")
@@ -205,26 +186,7 @@ def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(
     expect(there).to_contain_text(f"as on the robot for {page.locator(CLOCK).text_content()}")
 
 
-def test_states_are_drawn_over_time_with_their_value_now(visitor, states):
-    page = visitor.open(states)
-    seek(page, 1.0)
-    name, unit = SYSTEM.states[0].name, SYSTEM.states[0].unit
-    expect(page.locator(".screen .now").first).to_have_text(re.compile(f"^{name} .*{unit}$"))
-    assert share_of(LINES[0].light, painted(page)) > 1e-3
-
-
-@pytest.mark.parametrize("which", ["car", "states"])
-def test_the_replay_is_never_wider_than_the_screen(which, visitor, request):
-    page = visitor.open(request.getfixturevalue(which))
-    for width in (320, PHONE, TABLET, DESK):
-        resize(page, width)
-        assert sideways(page) == 0, width
-        parts = page.locator(".deck > *, .screen")
-        assert max(parts.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) <= 0, width
-
-
-def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor, car):
-    page = visitor.open(car)
+def test_every_control_has_a_name_for_those_who_cannot_see_it(page):
     controls = page.locator(".deck select, .deck input")
     assert controls.evaluate_all("all => all.map(e => e.labels.length)") == [1, 1, 1, 1]
     for canvas in page.locator(".screen canvas").all():
@@ -234,7 +196,30 @@ def test_every_control_has_a_name_for_those_who_cannot_see_it(visitor, car):
     expect(page.locator(TIME)).to_have_attribute("aria-valuetext", "1.0 s")
 
 
-def test_without_a_script_the_page_says_what_is_missing(visitor, car):
-    page = visitor.open(car, java_script_enabled=False)
-    expect(page.locator(".unplayed")).to_contain_text("needs JavaScript")
-    assert shown(page, "#replay-player") == 0
+def widest(page):
+    """Return by how much the page, and the widest part of the replay, stand out at any width of the screen."""
+    out = []
+    for width in (320, PHONE, TABLET, DESK):
+        resize(page, width)
+        parts = page.locator(".deck > *, .screen").evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")
+        out += [sideways(page), *parts]
+    return max(out)
+
+
+def test_the_replay_is_never_wider_than_the_screen(page):
+    assert widest(page) == 0
+
+
+def test_states_are_drawn_over_time_with_their_value_now_in_three_digits_of_their_range(visitor, states_page, report):
+    page = visitor.open(states_page)
+    expect(page.locator(ROW)).to_have_value(report.transfer.pick)
+    now = page.locator(".screen .now").first
+    for step in range(0, 60, 7):
+        seek(page, 0.05 * step)
+        for number in re.findall(r"\d*\.\d+", now.text_content() or ""):
+            assert len(number.partition(".")[2]) <= 3, number
+    seek(page, 1.0)
+    name, unit = SYSTEM.states[0].name, SYSTEM.states[0].unit
+    expect(now).to_have_text(re.compile(f"^{name} .*{unit}$"))
+    assert share_of(LINES[0].light, painted(page)) > 1e-3
+    assert widest(page) == 0

@@ -1,67 +1,96 @@
-"""The page in a real browser, offline: on a desk and on a phone, in the light and in the dark."""
+"""The page of a report in a real browser: for everyone, on a desk, a phone and paper, and read with the pointer.
 
+axe-core is that of the package ``axe-core-python``, or a newer one where ``AXE_CORE`` says.
+"""
+
+import os
+import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from axe_core_python.sync_playwright import Axe
+from playwright.sync_api import expect
 
 from evaluation.plot_style import LINES, PAPER
 from evaluation.report import save_report
+from evaluation.report.study import save_study
+from tests.fixtures import reports as chosen
 from tests.fixtures.browser import DESK, PHONE, TABLET, resize, seen, share_of, shown, sideways
 from tests.fixtures.known_models import Known, Sliding, fitted
-from tests.fixtures.reports import make_report
+from tests.fixtures.studies import made_up
 
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
+SHEET = 718
+"""CSS pixels across a sheet of A4 within its margins."""
+HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Predicted and measured", "Claimed and achieved"
 
 
 @pytest.fixture(scope="module")
-def report_page(tmp_path_factory):
-    report = make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
-    return save_report(report, tmp_path_factory.mktemp("page"))[1]
+def pages(report_page, tmp_path_factory):
+    """The page of a run, of one with a long name in it, and of a study."""
+    folder = tmp_path_factory.mktemp("pages")
+    long = chosen.make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
+    study = save_study(made_up(recipe=["recommended", "plain"]), folder)
+    return {"run": report_page, "long": save_report(long, folder)[1], "study": study[-1]}
 
 
-def test_the_page_is_as_wide_as_the_screen(visitor, report_page):
-    page = visitor.open(report_page)
+@pytest.mark.parametrize("which", ["run", "study"])
+def test_axe_finds_nothing_and_a_page_is_printed_on_several_sheets(visitor, pages, which):
+    axe = Axe.from_file(os.environ["AXE_CORE"]) if "AXE_CORE" in os.environ else Axe()
+    page = visitor.open(pages[which])
+    contrast = {"runOnly": {"type": "rule", "values": ["color-contrast"]}}  # it takes most of the time
+    others = {"rules": {"color-contrast": {"enabled": False}}}
+    for width, scheme, rules in ((DESK, "light", {}), (DESK, "dark", contrast), (PHONE, "light", others)):
+        resize(page, width)
+        page.emulate_media(color_scheme=scheme)
+        found = axe.run(page, options={"resultTypes": ["violations"], **rules})
+        assert [f"{one['id']}: {one['nodes'][0]['html']}" for one in found["violations"]] == [], (width, scheme)
+    pdf = page.pdf(format="A4", print_background=True)
+    assert pdf.startswith(b"%PDF")
+    sheets = sum(pdf.count(mark) for mark in (b"/Type /Page\n", b"/Type /Page ", b"/Type/Page"))
+    assert sheets >= {"run": 4, "study": 2}[which]
+
+
+@pytest.mark.parametrize("which", ["long", "study"])
+def test_the_page_is_as_wide_as_the_screen_and_what_is_wider_scrolls_in_itself(visitor, pages, which):
+    page = visitor.open(pages[which])
     for width in (320, PHONE, TABLET, DESK):
         resize(page, width)
         assert sideways(page) == 0, width
         assert page.evaluate("innerWidth") == width
+    if which == "long":
+        resize(page, PHONE)
+        tables = page.locator("section > .scroll")
+        assert max(tables.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) > 50
+        overflow, attachment = tables.first.evaluate(
+            "e => [getComputedStyle(e).overflowX, getComputedStyle(e).backgroundAttachment]"
+        )
+        assert overflow == "auto"
+        assert attachment == "local, local, scroll, scroll"  # its edge is shaded
 
 
-def test_a_table_that_is_too_wide_scrolls_in_itself_and_its_edge_is_shaded(visitor, report_page):
-    page = visitor.open(report_page, width=PHONE)
-    tables = page.locator("section > .scroll")
-    assert max(tables.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) > 50
-    overflow, attachment = tables.first.evaluate(
-        "e => [getComputedStyle(e).overflowX, getComputedStyle(e).backgroundAttachment]"
-    )
-    assert overflow == "auto"
-    assert attachment == "local, local, scroll, scroll"
-
-
-def test_the_colours_follow_the_theme_of_the_reader(visitor, report_page):
-    page = visitor.open(report_page, height=2600)
+def test_the_colours_follow_the_theme_of_the_reader(page):
+    resize(page, DESK, 2600)
     light = seen(page)
     page.emulate_media(color_scheme="dark")
     dark = seen(page)
     assert share_of(PAPER.light, light) > 0.5
     assert share_of(PAPER.dark, dark) > 0.5
-    # the lines of the plots change with it; vermilion occurs in pictures alone
-    vermilion = LINES[1]
+    vermilion = LINES[1]  # of the lines of plots alone
     assert share_of(vermilion.light, light) > 1e-4
     assert share_of(vermilion.dark, dark) > 1e-4
     assert share_of(vermilion.light, dark) < 1e-5
 
 
-def test_a_phone_gets_the_drawings_made_for_it(visitor, report_page):
-    page = visitor.open(report_page, width=DESK)
+def test_a_phone_gets_the_drawings_made_for_it(page):
     assert (shown(page, ".on-wide > svg") > 0, shown(page, ".on-narrow > svg")) == (True, 0)
     resize(page, PHONE)
     assert (shown(page, ".on-wide > svg"), shown(page, ".on-narrow > svg") > 0) == (0, True)
 
 
-def test_labels_of_the_plots_are_large_enough_to_read(visitor, report_page):
-    page = visitor.open(report_page)
+def test_labels_of_the_plots_are_large_enough_to_read(page):
     for width in (PHONE, DESK):
         resize(page, width)
         sizes = page.locator("figure svg text").evaluate_all(
@@ -74,15 +103,150 @@ def test_labels_of_the_plots_are_large_enough_to_read(visitor, report_page):
         assert np.median(sizes) >= 10.0
 
 
-def test_the_drawings_have_ink_all_the_way_down(visitor, report_page):
-    inked = seen(visitor.open(report_page, height=6000)).min(axis=2) < 0.5
+def test_the_drawings_have_ink_all_the_way_down_and_nothing_sticks_out_of_the_column(page):
+    resize(page, DESK, 6000)
+    inked = seen(page).min(axis=2) < 0.5
     assert np.count_nonzero(inked.sum(axis=1)) > 1500
-    # nothing sticks out of the column of 60 rem
     assert not inked[:, 1200:].any()
 
 
-def test_headings_go_down_one_level_at_a_time(visitor, report_page):
-    page = visitor.open(report_page)
+def test_headings_go_down_one_level_at_a_time(page):
     levels = page.locator("h1, h2, h3, h4").evaluate_all("all => all.map(e => Number(e.tagName[1]))")
     assert levels[0] == 1
     assert all(after - before <= 1 for before, after in pairwise(levels))
+
+
+def test_paper_gets_no_buttons_and_no_player_and_heads_of_tables_again_on_the_next_page(page):
+    """A button in a head that is printed again is left out, so that heads are text in print."""
+    resize(page, SHEET)
+    page.emulate_media(media="print")
+    for gone in (".deck", ".screens", "nav", ".tip", ".watch", ".command button"):
+        assert shown(page, gone) == 0, gone
+    assert shown(page, "figure svg") > 4
+    assert sideways(page) == 0
+    head = page.locator("thead").first
+    expect(head).to_have_css("break-inside", "avoid")
+    expect(head.locator("th").first).to_have_css("position", "static")
+    expect(page.locator("thead th button").first).to_have_css("display", "contents")
+
+
+def figure(page, title):
+    return page.locator("figure").filter(has=page.get_by_role("heading", name=title, exact=True))
+
+
+def hover(page, title, across, down):
+    """Point at a place of a figure, in shares of its drawing, and return what the tip says."""
+    plot = figure(page, title).locator(".read").filter(visible=True).first
+    left, top, width, height = plot.evaluate(
+        "plot => { plot.scrollIntoView({block: 'center'}); const box = plot.getBoundingClientRect();"
+        " return [box.left, box.top, box.width, box.height]; }"
+    )
+    page.mouse.move(left + across * width, top + down * height)
+    return figure(page, title).locator(".tip").filter(visible=True).inner_text()
+
+
+def rows_of(tip):
+    """Return value and interval by the name of the series."""
+    rows = [line.strip().split("\t") for line in tip.splitlines() if "\t" in line]
+    return {row[0]: row[1:] for row in rows}
+
+
+def number(text):
+    return float(text.replace("\u2212", "-"))
+
+
+def column(table, place):
+    cells = table.locator(f"tbody td:nth-child({place + 1}), tbody th:nth-child({place + 1})")
+    return [text.split("\n")[0] for text in cells.all_inner_texts()]
+
+
+@pytest.mark.parametrize("width", [PHONE, DESK])
+def test_pointing_at_a_plot_shows_every_value_with_its_interval(page, report, width):
+    resize(page, width)
+    tip = hover(page, HORIZON, 0.6, 0.5)
+    dt = report.prediction.cases.system.dt
+    place = round(number(tip.split()[1]) / dt) - 1
+    assert place > 5
+    for name in ("weak", "sliding"):
+        model, (value, interval) = report.prediction.model(name), rows_of(tip)[name]
+        assert number(value) == pytest.approx(model.curve[place], rel=0.006)
+        low, high = (number(end) for end in interval.split(" to "))
+        assert (low, high) == pytest.approx(model.curve_interval[:, place], rel=0.006)
+    assert list(rows_of(tip)) == sorted(rows_of(tip), key=lambda name: -number(rows_of(tip)[name][0]))
+    box = figure(page, HORIZON).locator(".tip").filter(visible=True).bounding_box()
+    assert 0 <= box["x"] < box["x"] + box["width"] <= width
+
+
+def test_pointing_at_a_controller_shows_what_it_claims_and_achieves(page, report):
+    tip = hover(page, CLAIMS, 0.6, 0.1)
+    first = report.transfer.controllers[0]
+    assert tip.splitlines()[0] == first.name
+    assert number(rows_of(tip)["claimed (where evolved)"][0]) == pytest.approx(first.claimed.value, abs=0.05)
+
+
+def test_a_model_that_is_switched_off_is_hidden_in_every_plot_of_its_section_and_comes_back(page):
+    series = ('[data-series="1"]', '[data-series="2"]')
+    before = [shown(page, one) for one in series]
+    buttons = page.locator('.legend li[data-name="known"] button')
+    expect(buttons).to_have_count(2)
+    buttons.first.click()
+    for button in buttons.all():
+        expect(button).to_have_attribute("aria-pressed", "false")
+    assert [shown(page, one) for one in series] < before
+    for title in (HORIZON, FREE_RUN):
+        assert "known" not in rows_of(hover(page, title, 0.6, 0.5))
+    buttons.first.click()
+    assert [shown(page, one) for one in series] == before
+    assert "known" in rows_of(hover(page, HORIZON, 0.6, 0.5))
+
+
+def test_the_arrow_keys_read_a_plot_aloud(page):
+    plot = figure(page, FREE_RUN).locator(".read").first
+    expect(plot).to_have_role("slider")
+    expect(plot).to_have_accessible_name(re.compile("^Values of: "))
+    said = []
+    for place, key in enumerate(("Home", "ArrowRight", "ArrowRight", "ArrowDown")):
+        plot.press(key)
+        expect(plot).to_have_attribute("aria-valuenow", str(min(place, 2)))
+        said.append(plot.get_attribute("aria-valuetext") or "")
+    assert said[0].startswith("time ")
+    assert "measured " in said[0]
+    assert len(set(said)) == 4
+
+
+def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(page):
+    table, place = page.locator("table.sorts").first, 1
+    before = column(table, 0)
+    head = table.locator("thead tr").first.locator("th, td").nth(place)
+    orders = {}
+    for expected in ("ascending", "descending", None):
+        head.get_by_role("button").click()
+        assert head.get_attribute("aria-sort") == expected
+        orders[expected] = column(table, place)
+    known = [float(value) for value in orders["ascending"] if value != "–"]
+    assert known == sorted(known)
+    assert [float(value) for value in orders["descending"] if value != "–"] == known[::-1]
+    assert all(order[len(known) :] == ["–"] * (len(before) - len(known)) for order in list(orders.values())[:2])
+    assert column(table, 0) == before
+
+
+def test_the_command_of_the_controller_to_take_is_copied(visitor, tmp_path):
+    fitness = {"a": {"a": 10.0, "b": 9.0, "emulated_car": 9.5}, "b": {"a": 3.0, "b": 9.5, "emulated_car": 5.0}}
+    made = chosen.report(transfer=chosen.matrix(fitness, robot="emulated_car"))
+    files = {made.transfer.pick: "controllers/best.json"}
+    known = replace(made, controllers=files, settings={"robot": "emulated_car"})
+    page = visitor.open(save_report(known, tmp_path)[1], permissions=["clipboard-read", "clipboard-write"])
+    command = page.locator(".command").first
+    command.get_by_role("button").click()
+    expect(command.get_by_role("button")).to_have_text("Copied")
+    text = "sysid-evo drive --controller controllers/best.json --robot emulated_car"
+    expect(command.locator("code")).to_have_text(text)
+    assert page.evaluate("navigator.clipboard.readText()") == text
+
+
+def test_without_a_script_lines_and_tables_are_there_no_button_and_a_word_on_what_is_missing(visitor, report_page):
+    page = visitor.open(report_page, java_script_enabled=False)
+    assert shown(page, "[data-series]") > 10
+    expect(page.locator("main button:not(.deck button)")).to_have_count(0)
+    expect(page.locator(".unplayed")).to_contain_text("needs JavaScript")
+    assert shown(page, "#replay-player") == 0

@@ -14,24 +14,25 @@ WRONG = {
 }
 
 
-def written(folder, script):
-    page = folder / "page.html"
-    page.write_text(f"<!doctype html><title>A page</title><body><script>{script}</script>")
-    return page
+def visited(browser, folder, script):
+    """Return who opened a page with this script, and the page."""
+    file, visitor = folder / "page.html", Visitor(browser)
+    file.write_text(f"<!doctype html><title>A page</title><body><script>{script}</script>")
+    return visitor, visitor.open(file)
 
 
 @pytest.mark.parametrize("script", WRONG)
 def test_an_error_in_a_page_and_a_word_to_another_machine_fail_the_test(browser, tmp_path, script):
-    visitor = Visitor(browser)
-    page = visitor.open(written(tmp_path, script))
+    visitor, page = visited(browser, tmp_path, script)
     page.evaluate("0")  # what the page did until now is reported before its answer
+    with pytest.raises(AssertionError, match=r"\['"):
+        visitor.check()
     with pytest.raises(AssertionError, match=r"\['"):
         visitor.leave()
     assert WRONG[script] in visitor.faults[0]
 
 
 def test_a_page_that_keeps_to_itself_is_no_fault(browser, tmp_path):
-    visitor = Visitor(browser)
-    page = visitor.open(written(tmp_path, "document.body.append('all is well'); console.log('said')"))
+    visitor, page = visited(browser, tmp_path, "document.body.append('all is well'); console.log('said')")
     assert page.locator("body").inner_text() == "all is well"
     visitor.leave()
