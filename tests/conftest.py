@@ -113,7 +113,7 @@ def forgotten():
     for kind, registry in KINDS.items():
         for name in set(registry.loaded) - before[kind]:
             if not registry._points(name):
-                registry._entries.pop(name)
+                registry.forget(name)
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def register():
 
         def add(registry, name, thing):
             registry.register(name)(thing)
-            ends.callback(lambda: registry._entries.pop(name, None))
+            ends.callback(registry.forget, name)
             return thing
 
         yield add
@@ -168,6 +168,20 @@ def recordings():
     if not path.is_dir():
         pytest.skip(f"no recordings at {path}: set SYSID_EVO_DATA to the folder that holds them")
     return path
+
+
+@pytest.fixture(scope="session")
+def slippery(recordings):
+    """Training and test set of a real car on a slippery floor."""
+    return made.slippery(recordings)
+
+
+@pytest.fixture
+def emulated():
+    """The emulated toy car, as a robot."""
+    from sysid_evo.registry import make_robot
+
+    return make_robot("emulated_car")
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry import models
 from sysid_evo.testing import example_dataset
 from sysid_evo.types import Array
-from tests.sysid_evo.test_checkpoints import AlwaysDue, Stop, StopAfter
+from tests.unit.evolution.test_checkpoints import AlwaysDue, Stop, StopAfter
 
 ROOT = Path(__file__).parents[2]
 SHORT: dict[str, Any] = {"hidden": [6], "one_step_updates": 30, "updates": 30, "horizon": 5}

@@ -1,0 +1,276 @@
+"""Controllers beside the recurrent network, against loops over single numbers and against what they are for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
+from sysid_evo.controllers import FeedForward, LinearFeedback, Pid, Pursuit, RecurrentNetwork, View
+from sysid_evo.engine import rollout
+from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import PointToPoint, SetPoint, Task, TaskState
+from sysid_evo.testing import check_controller
+from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
+from tests.fixtures.by_hand import network_by_hand
+
+TRIALS = TaskState(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, dtype=bool))
+
+
+def bound_to_car(controller):
+    return controller.bind_to(PointToPoint().bind(continuous_car()))
+
+
+def outputs(controller, parameters, observations):
+    """Return what one candidate does on a sequence of observations (T, n), one after the other, (T, n_outputs)."""
+    memory, found = np.zeros((1, 1, controller.n_memory)), []
+    for observation in np.asarray(observations, dtype=float):
+        seen = observation.reshape(1, 1, -1)
+        raw, memory = controller.act(np.asarray(parameters, dtype=float)[None], memory, View(seen, seen, TRIALS))
+        found.append(raw[0, 0])
+    return np.array(found)
+
+
+def test_a_network_with_two_hidden_layers_equals_the_loop_over_its_units():
+    network = FeedForward(hidden=[3, 2]).bind(4, 1)
+    assert network.n_parameters == 5 * 3 + 4 * 2 + 3 * 1
+    rng = np.random.default_rng(0)
+    theta, observation = rng.standard_normal(network.n_parameters), rng.standard_normal(4)
+    values, numbers = list(observation), iter(theta)
+    for n_out in (3, 2, 1):
+        weights = [[next(numbers) for _ in range(n_out)] for _ in values]
+        bias = [next(numbers) for _ in range(n_out)]
+        values = [
+            math.tanh(bias[j] + sum(w[j] * x for w, x in zip(weights, values, strict=True))) for j in range(n_out)
+        ]
+    assert outputs(network, theta, [observation])[0] == pytest.approx(values)
+
+
+def test_linear_feedback_weighs_the_observations_that_are_named_and_saturates():
+    law = bound_to_car(LinearFeedback(inputs=["yaw_rate", "waypoint_angle"]))
+    assert law.n_parameters == 3 * 2
+    found = outputs(law, [0.1, 0.0, -0.2, 0.4, 0.05, -5.0], [[1.0, 9.0, 2.0, 1.5, 9.0]])
+    np.testing.assert_allclose(found, [[0.1 * 2.0 - 0.2 * 1.5 + 0.05, -1.0]])
+
+
+def pid_by_hand(gains, bias, errors, step):
+    """A textbook PID with conditional integration; ``step`` is dt / T."""
+    integral, last, found = 0.0, None, []
+    for error in errors:
+        change = 0.0 if last is None else (error - last) / step
+        last = error
+        grown = integral + error * step
+        output = bias + gains[0] * error + gains[1] * grown + gains[2] * change
+        if not (abs(output) > 1.0 and output * gains[1] * error > 0.0):
+            integral = grown
+        found.append(min(max(bias + gains[0] * error + gains[1] * integral + gains[2] * change, -1.0), 1.0))
+    return found
+
+
+def test_a_pid_loop_equals_the_textbook():
+    law = bound_to_car(Pid(loops={"steer": "waypoint_distance"}, scales={"waypoint_distance": 2.0}, time=0.5))
+    assert law.n_parameters == 3 + 2
+    distances = 2.0 * np.sin(0.3 * np.arange(60)) + 0.5
+    observations = np.zeros((60, 5))
+    observations[:, 4] = distances
+    found = outputs(law, [0.7, 1.5, 0.02, 0.3, -0.1], observations)
+    expected = pid_by_hand((0.7, 1.5, 0.02), -0.1, list(distances / 2.0), 0.05 / 0.5)
+    np.testing.assert_allclose(found[:, 1], expected, atol=1e-12)
+    np.testing.assert_allclose(found[:, 0], 0.3)
+    assert np.sum(np.abs(found[:, 1]) == 1.0) >= 3
+
+
+def test_an_integral_does_not_wind_up():
+    law = bound_to_car(Pid(loops={"steer": "waypoint_distance"}, time=0.05))
+    theta = [0.0, 0.1, 0.0, 0.0, 0.0]
+    observations = np.zeros((120, 5))
+    observations[:100, 4], observations[100:, 4] = 1.0, -1.0
+    steer = outputs(law, theta, observations)[:, 1]
+    assert steer[99] == pytest.approx(1.0)
+    assert steer[109] == pytest.approx(0.0, abs=0.11)  # wound up it would still be at its limit
+
+
+def test_an_angle_that_jumps_by_a_turn_does_not_kick_the_derivative():
+    law = bound_to_car(Pid(loops={"steer": "waypoint_angle"}, time=0.05))
+    observations = np.zeros((2, 5))
+    observations[:, 3] = 3.1, -3.1
+    turned = (2.0 * math.pi - 6.2) / math.pi
+    assert outputs(law, [0.0, 0.0, 0.5, 0.0, 0.0], observations)[1, 1] == pytest.approx(0.5 * turned)
+
+
+class Errors(PointToPoint):
+    observations = (Channel("bias"), Channel("speed_error", "m/s"), Channel("x"), Channel("y"), Channel("z"))
+
+
+def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows():
+    system = continuous_car()
+    assert Pid().bind_to(Errors().bind(system)).n_parameters == 3 * 2 * 1 + 2
+    assert Pid().bind_to(PointToPoint().bind(system)).n_parameters == 3 * 2 * 4 + 2
+    turning = SetPoint(channels="angle").bind(pendulum())
+    (loop,) = Pid().bind_to(turning).made
+    assert turning.observations[loop.observation].name == "sin_angle_error"
+
+
+@pytest.mark.parametrize(
+    "spec, reason",
+    [
+        ("linear(inputs=[theta])", "linear: the task shows no 'theta'; there are bias, forward_speed"),
+        ("pid(loops={heater: yaw_rate})", "pid: the system has no control 'heater'; there are drive, steer"),
+        ("pid(scales={theta: 2})", "pid: scales: the task shows no 'theta'"),
+        ("pursuit(steer=wheel)", r"name yours with drive= and steer=\): the system has no control 'wheel'"),
+    ],
+)
+def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec, reason):
+    with pytest.raises(IncompatibleTask, match=reason):
+        bound_to_car(make_controller(spec))
+
+
+@pytest.mark.parametrize(
+    "spec, reason",
+    [
+        ("feed_forward(hidden=[])", "expected hidden >= 1"),
+        ("feed_forward(hidden=[3, 0])", "expected hidden >= 1"),
+        ("linear(inputs=[a, a])", "expected different inputs"),
+        ("pid(time=0)", "expected time > 0 s, got 0"),
+        ("pid(loops=steer)", "expected loops such as"),
+        ("pid(scales={a: -1})", "expected scales > 0, got a -1"),
+        ("pursuit(look=0)", "expected look, acceleration, gain > 0"),
+    ],
+)
+def test_wrong_arguments_are_refused_when_they_are_given(spec, reason):
+    with pytest.raises(InvalidArgument, match=reason):
+        make_controller(spec)
+
+
+def test_a_controller_that_goes_by_names_says_so_when_it_gets_numbers():
+    with pytest.raises(InvalidArgument, match=r"Pid goes by the names of a task's channels: use bind_to\(task\)"):
+        Pid().bind(5, 2)
+
+
+@pytest.mark.parametrize(
+    "name, parameters",
+    [
+        ("feed_forward", {"hidden": [5, 3, 4]}),
+        ("linear", {"inputs": ["waypoint_angle"]}),
+        ("pid", {"loops": {"steer": ["waypoint_angle", "yaw_rate"]}}),
+        ("pursuit", {"backward": True}),
+    ],
+)
+def test_other_arguments_keep_the_contract_too(name, parameters):
+    check_controller(name, **parameters)
+
+
+def test_a_constant_controller_with_zeros_keeps_every_control_at_rest():
+    system = System(
+        (Channel("speed"),),
+        (Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))),
+        0.1,
+    )
+    law = make_controller("constant").bind_to(make_task("set_point(channels=speed)").bind(system))
+    assert law.hand_written
+    raw = outputs(law, [0.0, 0.0], np.zeros((2, 3)))
+    np.testing.assert_allclose(system.actuate(raw), [[1.0, 0.0]] * 2)
+    np.testing.assert_allclose(system.actuate(outputs(law, [0.5, 9.0], np.zeros((1, 3)))), [[2.0, 1.0]])
+
+
+@pytest.mark.parametrize("spec", ["constant", "feed_forward", "linear", "pid", "pursuit", "pursuit(backward=true)"])
+def test_both_engines_drive_a_car_with_switches_alike(spec):
+    robot = make_robot("emulated_car")
+    task, law = PointToPoint(horizon=150), make_controller(spec)
+    n = law.bind_to(task.bind(robot.system)).n_parameters
+    parameters = np.concatenate([np.zeros((1, n)), 0.5 * np.random.default_rng(1).standard_normal((2, n))])
+    runs = [
+        rollout(robot.dynamics, law, parameters, task, trial_seeds(3, 4), engine=engine, record=True)
+        for engine in ("float64", "reference")
+    ]
+    for a, b in zip(runs[0].trajectories, runs[1].trajectories, strict=True):
+        np.testing.assert_array_equal(a.controls, b.controls)
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward):
+    runner = DynamicsRunner(make_robot("emulated_car").dynamics)
+    law = Pursuit(backward=backward)
+    assert law.hand_written
+    fitness = runner.run(law, np.zeros((1, 4)), make_task("point_to_point"), trial_seeds(5, 40)).fitness
+    assert fitness.mean() > 9.5
+
+
+def test_pursuit_leaves_other_controls_neutral():
+    car = continuous_car()
+    car = replace(car, controls=(*car.controls, Channel("lamp", low=0.0, high=4.0, neutral=3.0)))
+    law = Pursuit().bind_to(PointToPoint().bind(car))
+    raw = outputs(law, np.zeros(4), [[1.0, 0.5, 0.1, 0.4, 1.0]])
+    assert car.actuate(raw)[0, 2] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("system", [switched_car(), continuous_car()])
+def test_outputs_made_from_controls_give_these_controls(system):
+    legal = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
+    np.testing.assert_array_equal(system.actuate(system.raw_of(legal)), legal)
+
+
+def test_outputs_made_from_controls_beyond_the_limits_are_the_nearest_legal_ones():
+    found = switched_car().raw_of(np.array([0.6, -7.0]))
+    np.testing.assert_array_equal(switched_car().actuate(found), [1.0, -1.0])
+    assert continuous_car().raw_of(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
+
+
+def test_a_task_is_what_every_controller_can_be_bound_to():
+    task: Task = PointToPoint().bind(switched_car())
+    assert make_controller("recurrent").bind_to(task).n_parameters == 78
+
+
+@pytest.mark.parametrize("hidden, inputs, outputs", [(6, 5, 2), (1, 3, 1), (4, 1, 3)])
+def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden, inputs, outputs):
+    rng = np.random.default_rng(4)
+    network = RecurrentNetwork(hidden=hidden).bind(inputs, outputs)
+    parameters = rng.standard_normal((3, network.n_parameters))
+    observations = rng.standard_normal((8, 3, 2, inputs))
+    memory = np.zeros((3, 2, network.n_memory))
+    acted = []
+    for observation in observations:
+        raw, memory = network.act(parameters, memory, View(observation, observation, TRIALS))
+        acted.append(raw)
+    for p in range(3):
+        for e in range(2):
+            expected = network_by_hand(parameters[p], observations[:, p, e], hidden, outputs)
+            np.testing.assert_allclose([raw[p, e] for raw in acted], expected, rtol=1e-12, atol=1e-14)
+
+
+def test_the_network_of_the_paper_has_78_weights():
+    assert RecurrentNetwork(hidden=6).bind(5, 2).n_parameters == 78
+
+
+def test_a_candidate_acts_the_same_whoever_else_is_there():
+    rng = np.random.default_rng(5)
+    network = RecurrentNetwork().bind(5, 2)
+    parameters = rng.standard_normal((7, 78))
+    memory, observation = rng.standard_normal((7, 4, 6)), rng.standard_normal((7, 4, 5))
+    raw, after = network.act(parameters, memory, View(observation, observation, TRIALS))
+    for p in range(7):
+        one = slice(p, p + 1)
+        alone = network.act(parameters[one], memory[one], View(observation[one], observation[one], TRIALS))
+        np.testing.assert_array_equal(alone[0], raw[one])
+        np.testing.assert_array_equal(alone[1], after[one])
+
+
+def test_binding_leaves_the_network_itself_unbound():
+    network = RecurrentNetwork(hidden=3)
+    assert network.bind(5, 2).n_parameters == 30
+    assert network.bind(4, 1).n_parameters == 24
+    assert not hasattr(network, "n_parameters")
+
+
+def test_wrong_numbers_of_units_and_weights_are_refused():
+    with pytest.raises(InvalidArgument, match="expected at least one hidden unit, got 0"):
+        RecurrentNetwork(hidden=0)
+    network = RecurrentNetwork().bind(5, 2)
+    view = View(np.zeros((1, 1, 5)), np.zeros((1, 1, 3)), TRIALS)
+    with pytest.raises(ShapeError, match=r"parameters: expected shape \(any, 78\), got \(1, 77\)"):
+        network.act(np.zeros((1, 77)), np.zeros((1, 1, 6)), view)

@@ -1,0 +1,218 @@
+"""Incremental evolution: stages end when the fitness is there, and what comes after meets the harder task."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_evo.artefacts import CheckpointFile
+from sysid_evo.engine import DynamicsRunner
+from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
+from sysid_evo.evolution import (
+    ControllerEvolution,
+    Generation,
+    MuPlusLambda,
+    Schedule,
+    Stage,
+    evolve,
+    evolve_controller,
+)
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec
+from sysid_evo.tasks.point_to_point import PointToPoint
+from tests.unit.evolution.test_checkpoints import Stop, StopAfter, assert_same
+
+SETTINGS = ControllerEvolution(
+    generations=6,
+    trials=2,
+    selection_trials=3,
+    controller="recurrent(hidden=2)",
+    task="point_to_point(horizon=40)",
+    strategy="mu_plus_lambda(parents=4, children=4)",
+    schedule="stage(task=point_to_point(horizon=20, waypoint_radius=0.8), models=[linear], at_most=2), "
+    "stage(task=point_to_point(horizon=30, waypoint_radius=0.5), until=0.1, over=2)",
+)
+
+
+@pytest.fixture(scope="module")
+def runners(car_data):
+    names = ("linear", "nearest_neighbour")
+    return {name: DynamicsRunner(make_model(name).fit(car_data, rng=0)) for name in names}
+
+
+def scored(*fitness):
+    return Generation(0, np.zeros((len(fitness), 1)), np.array(fitness))
+
+
+def hill(width):
+    """Return a hill around 3 in every parameter: outside its width it is flat."""
+
+    def fitness(population, _):
+        return np.maximum(0.0, 1.0 - np.abs(population - 3.0).max(axis=1) / width)
+
+    return fitness
+
+
+def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some_generations():
+    schedule = Schedule([(Stage(until=2.0, over=3), hill(9.0))], hill(1.0))
+    lucky, below, there = scored(9.0, 1.0, 1.0, 0.0, 0.0, 0.0), scored(1.9, 1.9, 0.0, 0.0), scored(2.1, 2.0, 0.0, -9.0)
+    for generation in (there, lucky, below, there, lucky):
+        assert not schedule.tell(generation)
+    assert schedule.tell(there)
+    assert schedule.status == "stage 2 of 2"
+    assert not schedule.tell(there)  # there is no further one
+
+
+def test_a_stage_ends_after_its_most_generations():
+    schedule = Schedule([(Stage(until=2.0, at_most=3), hill(9.0)), (Stage(at_most=1), hill(3.0))], hill(1.0))
+    assert [schedule.tell(scored(0.0)) for _ in range(6)] == [False, False, True, True, False, False]
+
+
+def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones():
+    def best(objective):
+        strategy = MuPlusLambda(n_parameters=4, seed=1, parents=10, children=10)
+        for generation in evolve(strategy, objective, 200):
+            if isinstance(objective, Schedule) and objective.tell(generation):
+                strategy.forget_fitness()
+        return float(np.asarray(hill(0.6)(strategy.elite, 0)).max())
+
+    stages = [(Stage(until=0.75), hill(width)) for width in (5.0, 2.0)]
+    assert best(hill(0.6)) == 0.0
+    assert best(Schedule(stages, hill(0.6))) > 0.3
+
+
+def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easier_stage():
+    strategy = MuPlusLambda(n_parameters=2, seed=1, parents=5, children=5, reevaluate=False)
+    schedule = Schedule([(Stage(at_most=3), lambda population, _: population[:, 0] + 1000.0)], hill(2.0))
+    for generation in evolve(strategy, schedule, 10):
+        if schedule.tell(generation):
+            assert len(strategy.ask()) == 5
+            strategy.forget_fitness()
+            assert len(strategy.ask()) == 10
+    assert (np.asarray(strategy.state["parents_fitness"]) < 1.1).all()
+
+
+def test_the_stages_of_a_controller_meet_their_own_task_and_models(runners, car_data, monkeypatch):
+    met: list[tuple[str, int, float]] = []
+    run = DynamicsRunner.run
+
+    def noted(self, *given, record=False):
+        met.append((type(self.dynamics).__name__, given[2].horizon, given[2].waypoint_radius))
+        return run(self, *given, record=record)
+
+    monkeypatch.setattr(DynamicsRunner, "run", noted)
+    notes: list[str] = []
+
+    def progress(done, total, note=""):
+        notes.append(note)
+
+    evolve_controller("c", runners, car_data.system, SETTINGS, seed=3, progress=progress)
+    families = ("Linear", "NearestNeighbour")
+    second = sum("stage 2 of 3" in note for note in notes)
+    tasks = [(30, 0.5)] * second + [(40, 0.3)] * (4 - second + 1)  # the last is that of the finalists
+    assert second >= 2
+    assert met[:2] == [("Linear", 20, 0.8)] * 2
+    both = [sorted(met[i : i + 2]) for i in range(2, len(met), 2)]  # the cheaper comes first
+    assert both == [[(family, *task) for family in families] for task in tasks]
+    assert ["linear" in note for note in notes] == [False] * 2 + [True] * 4
+
+
+def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, car_data, monkeypatch):
+    asked: list[int] = []
+    run = DynamicsRunner.run
+
+    def noted(self, *given, record=False):
+        asked.append(len(given[1]))
+        return run(self, *given, record=record)
+
+    monkeypatch.setattr(DynamicsRunner, "run", noted)
+    strategy = "mu_plus_lambda(parents=4, children=3, reevaluate=false)"
+    settings = replace(SETTINGS, generations=5, strategy=strategy, schedule=(Stage(at_most=3),))
+    evolve_controller("c", {"linear": runners["linear"]}, car_data.system, settings, seed=3)
+    assert asked == [7, 3, 3, 7, 3, 4]  # at last the finalists
+
+
+@pytest.mark.parametrize("after", range(1, 7))
+def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, runners, car_data, tmp_path):
+    def evolved(progress, checkpoint):
+        return evolve_controller(
+            "c", runners, car_data.system, SETTINGS, seed=3, progress=progress, checkpoint=checkpoint
+        )
+
+    with pytest.raises(Stop):
+        evolved(StopAfter(after), CheckpointFile(tmp_path / "c"))
+    assert_same(evolved(None, CheckpointFile(tmp_path / "c")), evolved(None, None))
+
+
+def test_a_stage_that_never_ends_is_said(runners, car_data):
+    unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
+    with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the task itself was never evolved"):
+        evolve_controller("c", runners, car_data.system, unreachable, seed=3)
+
+
+def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
+    first, second = SETTINGS.schedule
+    assert first == Stage(task="point_to_point(horizon=20, waypoint_radius=0.8)", models=("linear",), at_most=2)
+    assert second.task == Spec("point_to_point", {"horizon": 30, "waypoint_radius": 0.5})
+    assert Stage(models="a + b", until=1).models == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("stage(task=point_to_point)", "expected until=FITNESS, at_most=GENERATIONS or both"),
+        ("stage(until=inf)", "finite"),
+        ("stage(at_most=0)", ">= 1"),
+        ("step(until=3)", r"expected stage\(task=..., models=..., until=..., at_most=..., over=...\), got step"),
+        ("stage(untill=3)", "expected stage"),
+        ("stage(until=high)", "cannot be read"),
+        ("stage(task=point_to_point(radius=1), until=3)", "has no parameter 'radius'"),
+    ],
+)
+def test_a_schedule_that_makes_no_sense_is_refused(text, said):
+    with pytest.raises(InvalidArgument, match=said):
+        ControllerEvolution(schedule=text)
+
+
+def test_stages_must_fit_what_is_asked_for(car_data):
+    with pytest.raises(UnknownName, match="no task is called 'race'"):
+        Stage(task="race", until=3.0)
+    wrong = replace(SETTINGS, schedule=(Stage(models=("lineer",), until=3.0),))
+    with pytest.raises(InvalidArgument, match="'lineer' is not among the models: linear"):
+        wrong.stages(wrong.make_task(car_data.system), ("linear",))
+
+
+def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations():
+    schedule = Schedule([], hill(1.0), most=2.0)
+    full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
+    for generation in (*[full] * 19, not_quite, *[full] * 19):
+        schedule.tell(generation)
+        assert not schedule.exhausted
+    schedule.tell(full)
+    assert schedule.exhausted
+
+
+def test_an_easier_stage_does_not_end_a_search():
+    schedule = Schedule([(Stage(at_most=30), hill(9.0))], hill(1.0), most=1.0)
+    for _ in range(30):
+        schedule.tell(scored(1.0, 1.0))
+    assert schedule.stage == 1
+    assert not schedule.exhausted
+
+
+def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, car_data, tmp_path, monkeypatch):
+    monkeypatch.setattr(PointToPoint, "most", 0.0)  # whatever anybody does is all there is
+    settings = replace(SETTINGS, generations=40, runs=2, schedule=())
+
+    def evolved(progress, checkpoint):
+        return evolve_controller(
+            "c", runners, car_data.system, settings, seed=3, progress=progress, checkpoint=checkpoint
+        )
+
+    champion = evolved(None, None)
+    assert len(champion.history) == 20
+    with pytest.raises(Stop):
+        evolved(StopAfter(20), CheckpointFile(tmp_path / "c"))
+    assert_same(evolved(None, CheckpointFile(tmp_path / "c")), champion)

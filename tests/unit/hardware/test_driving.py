@@ -1,0 +1,306 @@
+"""A trial driven by hand, in simulated time, behind the real loop."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hardware.control_loop import ControlLoop
+from hardware.driving.hand_driving import LEAD, HumanPilot, Instruments, Phase, WhileDriving
+from hardware.driving.keyboard import Keyboard, Punctuality, Seats, control_of, key_life
+from hardware.driving.page_messages import BACKWARD, FORWARD, LEFT, RIGHT, InvalidWord
+from hardware.emulation.tracked_robots import ModelledRobot
+from hardware.estimator import StateEstimate
+from hardware.run_report import Reason
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.motion import PlanarBody
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks import PointToPoint
+from tests.fixtures.driving import Hands
+
+BEGIN = 1.5  # s at which the first key goes down
+SEED = 7
+
+
+def drive(robot, hands, task, *others, samples=None):
+    pilot = HumanPilot(hands.keyboard, task.bind(robot.system), seed=SEED)
+    with robot.connect(seed=1) as connection:
+        listeners = (hands, *(make(pilot) for make in others))
+        report = ControlLoop(connection, robot.system, listeners=listeners).run(pilot, samples=samples)
+    return pilot, report
+
+
+def forward(time):
+    return FORWARD if time >= BEGIN else 0
+
+
+def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated):
+    hands = Hands(forward)
+    pilot, report = drive(emulated, hands, PointToPoint(horizon=40))
+    driven = [command for command in hands.commands if command.control.any()]
+    assert report.reason is Reason.PILOT
+    assert len(driven) == 40
+    assert driven[0].time == pytest.approx(BEGIN, abs=emulated.system.dt)
+    assert not hands.commands[-1].control.any()
+    assert pilot.progress.phase is Phase.FINISHED
+    assert pilot.progress.steps == 40
+
+
+def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated):
+    task = PointToPoint(horizon=200, waypoint_radius=0.5, arena_radius=0.8)
+    pilot, _ = drive(emulated, Hands(lambda time: FORWARD | LEFT if time >= BEGIN else 0), task)
+    trajectory = pilot.trajectory("trial")
+    bound = task.bind(emulated.system)
+    state = bound.begin(np.array([SEED], dtype=np.uint64))
+    steps = zip(trajectory.states, trajectory.states[1:], trajectory.controls, trajectory.pose[1:], strict=False)
+    for before, after, control, pose in steps:
+        state, _ = bound.advance(state, before[None], after[None], control=control[None], pose=pose[None])
+    assert pilot.fitness == bound.fitness(state)[0] >= 2
+    assert len(trajectory) == 200
+    np.testing.assert_allclose(trajectory.pose[0], 0.0, atol=1e-12)
+
+
+def test_a_silent_page_means_neutral_within_150_ms(emulated):
+    for silent in BEGIN + 1.0 + 0.01 * np.arange(5):
+        hands = Hands(lambda time, end=silent: None if time > end else forward(time))
+        drive(emulated, hands, PointToPoint(horizon=60))
+        last_driven = max(command.time for command in hands.commands if command.control.any())
+        neutral = min(command.time for command in hands.commands if command.time > last_driven)
+        assert last_driven > silent - emulated.system.dt
+        assert neutral <= silent + 0.15 + 1e-9
+
+
+def test_a_released_key_means_neutral_in_the_next_sample(emulated):
+    hands = Hands(lambda time: forward(time) if time < BEGIN + 0.52 else 0)
+    drive(emulated, hands, PointToPoint(horizon=30))
+    last_driven = max(command.time for command in hands.commands if command.control.any())
+    assert last_driven < BEGIN + 0.52 + emulated.system.dt
+
+
+@pytest.mark.parametrize("overdue", [0.0, 1.0])
+def test_a_key_that_is_down_from_the_start_drives_nothing(emulated, overdue):
+    hands = Hands(lambda time: None if 2.0 < time < 2.0 + overdue else FORWARD)
+    pilot, _ = drive(emulated, hands, PointToPoint(horizon=30), samples=100)
+    assert not any(command.control.any() for command in hands.commands)
+    assert pilot.progress.phase is Phase.SETTLING
+
+
+def test_a_new_trial_ends_this_one_in_neutral_without_a_score(emulated):
+    hands = Hands(forward)
+
+    def keys(time):
+        if time > BEGIN + 1.0:
+            hands.keyboard.ask_for_new_trial()
+        return forward(time)
+
+    hands._keys_at = keys
+    pilot, report = drive(emulated, hands, PointToPoint(horizon=300))
+    assert report.reason is Reason.PILOT
+    assert not hands.commands[-1].control.any()
+    assert (pilot.progress.phase, pilot.fitness) == (Phase.ENDED, None)
+    assert 15 <= len(pilot.trajectory("trial")) <= 25
+    assert hands.keyboard.take_new_trial()
+
+
+def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated):
+    hands = Hands(lambda _: 0)
+    pilot = HumanPilot(hands.keyboard, PointToPoint(horizon=5).bind(emulated.system), seed=SEED)
+    stood = np.array([2.0, 1.0, np.pi / 2])
+    for tick in range(20):
+        hands.time = 0.05 * tick
+        hands.keyboard.press(FORWARD if tick == 19 else 0)
+        pilot.decide(tick, StateEstimate(hands.time, stood, np.zeros(3), 0.004))
+    assert pilot.progress.phase is Phase.DRIVING
+    np.testing.assert_allclose(pilot.in_arena(np.array([2.0, 3.0, np.pi])), [2.0, 0.0, np.pi / 2], atol=1e-12)
+
+
+def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
+    begin, recorded = 5.0, Hands(lambda _: None)
+    hands = Hands(lambda time: FORWARD if time >= begin else 0)
+    drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: WhileDriving(pilot, lambda: recorded))
+    assert recorded.frames[0].source_time == pytest.approx(begin - LEAD, abs=0.1)
+    assert recorded.frames == hands.frames[-len(recorded.frames) :]
+    assert [c.time for c in recorded.commands] == [c.time for c in hands.commands[-len(recorded.commands) :]]
+
+
+def test_without_a_key_nothing_is_recorded(emulated):
+    def refuse():
+        raise AssertionError("nothing was driven")
+
+    task = PointToPoint(horizon=20)
+    pilot, _ = drive(emulated, Hands(lambda _: 0), task, lambda pilot: WhileDriving(pilot, refuse), samples=60)
+    assert pilot.progress.phase is Phase.READY
+
+
+def test_a_model_is_driven_like_the_robot_that_it_models(emulated):
+    task = PointToPoint(horizon=30)
+    model = ModelledRobot("car without noise", emulated.dynamics)
+    ends = [drive(robot, Hands(forward), task)[0].trajectory("trial").pose[-1] for robot in (emulated, model)]
+    assert ends[0][0] > 0.8
+    np.testing.assert_allclose(ends[1], ends[0], atol=0.15)
+
+
+def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated):
+    hands = Hands(lambda time: FORWARD if time > 1.5 else 0)
+    task = PointToPoint(horizon=100).bind(emulated.system)
+    instruments = Instruments(emulated, task, hands.keyboard, clock=lambda: hands.time)
+    json.dumps([instruments.setting(), instruments.reading()], allow_nan=False)
+    pilot = HumanPilot(hands.keyboard, task, seed=1)
+    with emulated.connect(seed=1) as connection:
+        instruments.begin(pilot, 3)
+        loop = ControlLoop(connection, emulated.system, listeners=(hands, instruments))
+        loop.run(pilot, samples=60)
+        true = connection.state, connection.pose
+    reading = json.loads(json.dumps(instruments.reading(), allow_nan=False))
+    assert (reading["trial"], reading["phase"], reading["keys"]) == (3, "driving", FORWARD)
+    assert reading["speed"] == pytest.approx(true[0][0], abs=0.1)
+    np.testing.assert_allclose(reading["pose"], true[1], atol=0.05)
+    assert reading["tracker"]["rate"] == 200
+    assert reading["time_left"] == pytest.approx(5.0 - (hands.time - 1.5), abs=0.15)
+    assert reading["link"] is None
+    instruments.finish(4.0, "the tracker lost the robot")
+    reading = instruments.reading()
+    assert (reading["scores"], reading["message"], reading["control"]) == ([4.0], "the tracker lost the robot", None)
+
+
+class Clock:
+    time = 100.0
+
+    def __call__(self):
+        return self.time
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def keyboard(clock):
+    return Keyboard(life=0.1, clock=clock)
+
+
+def test_keys_hold_for_their_life_and_no_longer(keyboard, clock):
+    keyboard.press(FORWARD | LEFT)
+    clock.time += 0.099
+    assert keyboard.keys == FORWARD | LEFT
+    clock.time += 0.002
+    assert keyboard.keys == 0
+
+
+def test_released_keys_are_released_at_once(keyboard):
+    keyboard.press(FORWARD)
+    keyboard.release()
+    assert keyboard.keys == 0
+
+
+def test_a_word_that_is_overdue_does_not_let_go(keyboard, clock):
+    assert keyboard.let_go
+    keyboard.press(FORWARD)
+    clock.time += 1.0
+    assert not keyboard.keys
+    assert not keyboard.let_go
+    keyboard.release()
+    assert keyboard.let_go
+
+
+def test_a_loop_that_asks_once_a_sample_is_in_neutral_within_150_ms(car):
+    assert key_life(car) + car.dt == pytest.approx(0.15)
+    with pytest.raises(InvalidArgument, match=r"below 0\.15 s"):
+        key_life(car.with_dt(0.2))
+
+
+@pytest.mark.parametrize(
+    ("keys", "control"),
+    [
+        (0, (0, 0)),
+        (FORWARD, (1, 0)),
+        (BACKWARD, (-1, 0)),
+        (FORWARD | LEFT, (1, 1)),
+        (BACKWARD | RIGHT, (-1, -1)),
+        (FORWARD | BACKWARD | LEFT | RIGHT, (0, 0)),
+    ],
+)
+def test_keys_drive_and_steer_the_car(car, keys, control):
+    np.testing.assert_array_equal(control_of(keys, car), control)
+
+
+def test_no_key_is_neutral_even_where_the_middle_of_a_control_is_not():
+    throttle = Channel("throttle", low=0.0, high=1.0)
+    gear = Channel("gear", levels=(1.0, 2.0), neutral=1.0)
+    wheel = Channel("wheel", low=-0.5, high=0.5)
+    speeds = tuple(Channel(name) for name in ("forward_speed", "lateral_speed", "yaw_rate"))
+    system = System(speeds, (throttle, gear, wheel), 0.05, PlanarBody())
+    np.testing.assert_array_equal(control_of(0, system), (0.0, 1.0, 0.0))
+    np.testing.assert_array_equal(control_of(FORWARD | RIGHT, system), (1.0, 1.0, -0.5))
+    unbounded = System(speeds, (Channel("throttle"),), 0.05, PlanarBody())
+    with pytest.raises(InvalidArgument, match="throttle"):
+        control_of(FORWARD, unbounded)
+
+
+def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones():
+    way = Punctuality()
+    assert all(way.on_time(stamp, stamp + 50.0) for stamp in (1.0, 1.1, 1.2))
+    assert not way.on_time(1.3, 53.0)
+    assert way.on_time(3.0, 53.02)
+
+
+def test_clocks_that_drift_apart_do_not_make_words_late():
+    way = Punctuality()
+    assert all(way.on_time(second, 7.0 + second * (1 + 2e-4)) for second in range(10_000))
+
+
+def word(keys, clock, **more):
+    return {"keys": keys, "clock": clock, **more}
+
+
+def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard):
+    seat = Seats(keyboard).take()
+    seat.hear(word(FORWARD, 1.0), 1.0)
+    assert keyboard.keys == 0
+    seat.hear(word(0, 1.1), 1.1)
+    seat.hear(word(FORWARD, 1.2), 1.2)
+    assert keyboard.keys == FORWARD
+
+
+def test_what_was_held_up_on_its_way_presses_no_key_and_yet_ends_the_trial(keyboard):
+    seat = Seats(keyboard).take()
+    seat.hear(word(0, 1.0), 1.0)
+    seat.hear(word(FORWARD, 1.1, new=True), 2.1)
+    assert keyboard.keys == 0
+    assert keyboard.new_trial_wanted
+
+
+def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
+    seats = Seats(keyboard)
+    first, second = seats.take(), seats.take()
+    assert (first.drives, second.drives, seats.watchers) == (True, False, 1)
+    for seat, keys in ((first, FORWARD), (second, LEFT)):
+        seat.hear(word(0, 1.0), 1.0)
+        seat.hear(word(keys, 1.0, new=seat is second), 1.0)
+    assert keyboard.keys == FORWARD
+    assert not keyboard.new_trial_wanted
+    second.leave()
+    assert keyboard.keys == FORWARD
+    second = seats.take()
+    first.leave()
+    first.leave()
+    assert keyboard.keys == 0
+    first.hear(word(FORWARD, 1.1), 1.1)
+    assert keyboard.keys == 0
+    second.hear(word(0, 1.2), 1.2)
+    second.hear(word(RIGHT, 1.2, new=True), 1.2)
+    assert keyboard.keys == RIGHT
+    assert keyboard.take_new_trial()
+    assert not keyboard.take_new_trial()
+
+
+@pytest.mark.parametrize(
+    "said",
+    [None, [], {"keys": 1}, word(16, 0.0), word(-1, 0.0), word(True, 0.0), word(1, float("nan")), word(1, 1e300),
+     word(1, 0.0, new=1), word(1, 0.0, drive=True), {"keys": "1", "clock": 0.0}],
+)  # fmt: skip
+def test_what_a_page_does_not_say_is_refused(keyboard, said):
+    with pytest.raises(InvalidWord):
+        Seats(keyboard).take().hear(said, 1.0)
+    assert keyboard.keys == 0

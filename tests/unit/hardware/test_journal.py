@@ -1,0 +1,308 @@
+"""The journal: comes back as it was written, up to a crash, and takes nothing hostile."""
+
+import json
+import math
+import os
+import select
+import struct
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hardware.connection import Command, GateLimits, Measurement, RobotStatus
+from hardware.recording.journal import LONGEST, MAGIC, SCHEMA, Recorder, read_journal
+from hardware.recording.journal_reader import raw_log
+from hardware.toy_car import CAR
+from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.registry import trackers
+from tests.benchmarks.recorder import kill_once
+from tests.fixtures.trackers import read_all
+
+
+def measurement(number, body="car"):
+    time = 5.0 + 0.005 * number
+    return Measurement(time, time + 0.004, number, body, True, np.array([0.005 * number, -2.0, 0.5]))
+
+
+def session(path, frames=40):
+    """Return a recorder that was told of ``frames`` frames, a command every ten, a status after each."""
+    recorder = Recorder(path, CAR, robot="toy", body="car")
+    for number in range(frames):
+        recorder.measured(measurement(number))
+        if number % 10 == 0:
+            tick, time = number // 10, 5.0 + 0.005 * number
+            recorder.commanded(Command(tick, time, time, np.array([1.0, -1.0])))
+            recorder.reported(
+                RobotStatus(time + 0.01, 100.0 + time, "driving", np.array([1.0, 0.0]), {"crc": tick, "late": 7})
+            )
+    return recorder
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "run.rcj"
+
+
+@pytest.fixture
+def rewritten(path):
+    def rewrite(data):
+        path.write_bytes(data)
+        return read_journal(path)
+
+    return rewrite
+
+
+def test_everything_comes_back_in_the_order_it_was_told(path):
+    with session(path) as recorder:
+        pass
+    recorder.close()
+    journal = read_journal(path)
+    assert (journal.system, journal.closed, journal.torn, journal.notes) == (CAR, True, 0, ())
+    assert journal.header["robot"] == "toy"
+    assert [frame.frame for frame in journal.frames] == list(range(40))
+    first, told = journal.frames[7], measurement(7)
+    assert (first.source_time, first.arrival_time, first.body, first.valid) == (
+        told.source_time, told.arrival_time, "car", True,
+    )  # fmt: skip
+    assert np.array_equal(first.pose, told.pose)
+    assert [timed.command.tick for timed in journal.commands] == [0, 1, 2, 3]
+    assert np.array_equal(journal.commands[0].command.control, [1.0, -1.0])
+    status = journal.statuses[2]
+    assert (status.state, dict(status.counters), status.robot_time) == ("driving", {"crc": 2, "late": 7}, 105.1)
+    assert [type(event).__name__ for event in journal.events[:4]] == [
+        "Measurement", "TimedCommand", "RobotStatus", "Measurement",
+    ]  # fmt: skip
+
+
+def test_commands_carry_the_time_on_the_robots_clock(path):
+    session(path).close()
+    times = [timed.robot_time for timed in read_journal(path).commands]
+    assert math.isnan(times[0])
+    assert times[1:] == pytest.approx([100.0 + 5.0 + 0.05 * tick - 0.01 for tick in (1, 2, 3)])
+
+
+def test_unfinished_journal_is_whole_up_to_its_last_record(path):
+    recorder = session(path)
+    journal = read_journal(path)
+    assert len(journal.frames) == 40
+    assert not journal.closed
+    assert "stopped by force" in journal.notes[0]
+    recorder.close()
+    assert read_journal(path).closed
+
+
+def test_torn_tail_costs_the_last_record_only(path, rewritten):
+    session(path).close()
+    data = path.read_bytes()
+    whole = read_journal(path).events
+    end = len(data) - 9
+    for cut in range(end - 1, end - 58, -1):
+        journal = rewritten(data[:cut])
+        assert len(journal.events) == len(whole) - 1
+        assert journal.torn > 0 or cut == end - 57
+    damaged = bytearray(data[:end])
+    damaged[-10] ^= 1
+    assert len(rewritten(bytes(damaged)).events) == len(whole) - 1
+    assert rewritten(data[:end] + bytes(4096)).torn == 4096
+
+
+def test_damage_in_the_middle_is_refused(path, rewritten):
+    session(path).close()
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 0x10
+    with pytest.raises(InvalidData, match=r"run\.rcj, byte \d+"):
+        rewritten(bytes(data))
+
+
+def record(kind, payload, length=None):
+    front = struct.pack("<IB", len(payload) if length is None else length, kind) + payload
+    return front + struct.pack("<I", zlib.crc32(front))
+
+
+def header(**fields):
+    return json.dumps({"schema": SCHEMA, "system": CAR.to_dict(), **fields}).encode()
+
+
+@pytest.mark.parametrize(
+    "data, said",
+    [
+        (b"", "begins with"),
+        (b"t,x,y\n", "begins with"),
+        (MAGIC, "nothing was recorded"),
+        (MAGIC + record(1, b"{}", length=2**31), f"at most {LONGEST} bytes"),
+        (MAGIC + record(1, b"{"), "not JSON"),
+        (MAGIC + record(1, b"[" * 5000), "not JSON"),
+        (MAGIC + record(1, b"[]"), "an object"),
+        (MAGIC + record(1, b'{"schema": "sysid-evo/journal/2"}'), "schema"),
+        (MAGIC + record(1, b'{"schema": "sysid-evo/journal/1", "system": {"states": 3}}'), "a system"),
+        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: speed: expected a number"),
+        (MAGIC + record(1, header(limits={"pace": 1.0})), "the gate's limits"),
+        (MAGIC + record(1, header(limits={"speed": "9"})), "the gate's limits"),
+        (MAGIC + record(2, b""), "header, and first"),
+        (MAGIC + record(77, b""), "no kind of record has the number 77"),
+    ],
+)
+def test_hostile_files_are_refused(data, said, rewritten):
+    with pytest.raises(InvalidData, match=said):
+        rewritten(data)
+
+
+@pytest.mark.parametrize(
+    "kind, payload",
+    [(1, b"{}"), (2, b""), (2, bytes(25) + b"\xff" * 24), (2, bytes(26) + bytes(16)), (3, bytes(31)), (4, bytes(40)),
+     (2, struct.pack("<ddqBB", 0, 0, 0, 1, 2) + b"\xff\xff" + bytes(24)),
+     (4, struct.pack("<ddBH", 0, 0, 0, 5) + b"[[[[[" + bytes(16)),
+     (4, struct.pack("<ddBH", 0, 0, 0, 8) + b'{"a":[]}' + bytes(16))],
+)  # fmt: skip
+def test_records_that_do_not_hold_what_they_should_are_refused(kind, payload, path, rewritten):
+    session(path)
+    with pytest.raises(InvalidData, match="byte"):
+        rewritten(path.read_bytes() + record(kind, payload) + record(2, b""))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=4), st.integers(0, 10**6))
+def test_flipped_and_cut_journals_are_a_beginning_of_what_was_told_or_invalid_data(tmp_path, flips, cut):
+    path = tmp_path / "run.rcj"
+    path.unlink(missing_ok=True)
+    session(path, 12).close()
+    whole = read_journal(path).events
+    data = bytearray(path.read_bytes())
+    for place, value in flips:
+        data[place % len(data)] = value
+    path.write_bytes(data[: len(data) - cut % (len(data) + 1) if cut % 2 else len(data)])
+    try:
+        events = read_journal(path).events
+    except InvalidData:
+        return
+    assert [repr(event) for event in events] == [repr(event) for event in whole[: len(events)]]
+
+
+def test_journal_is_never_overwritten(path):
+    session(path).close()
+    with pytest.raises(InvalidArgument, match="there already"):
+        Recorder(path, CAR, robot="toy")
+
+
+def test_full_disk_is_told_and_raises_nothing(path, monkeypatch):
+    recorder = session(path, 5)
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:10]))
+    recorder.measured(measurement(5))
+    monkeypatch.undo()
+    assert recorder.lost == 1
+    assert "disk full" in str(recorder.problem)
+    recorder.measured(measurement(6))
+    recorder.close()
+    assert [frame.frame for frame in read_journal(path).frames] == [0, 1, 2, 3, 4, 6]
+
+
+def test_events_that_cannot_be_packed_are_counted_not_raised(path):
+    with session(path, 1) as recorder:
+        recorder.measured(Measurement(0.0, 0.0, 2**70, "car", True, np.zeros(3)))
+        recorder.measured(measurement(3, body="ü" * 400))
+    assert recorder.lost == 1
+    assert read_journal(path).frames[-1].body == "ü" * 127
+
+
+def test_commands_are_in_force_for_150_ms_at_most(path):
+    with Recorder(path, CAR, robot="toy") as recorder:
+        recorder.measured(measurement(0))
+        recorder.commanded(Command(0, 5.0, 5.0, np.array([1.0, 0.0])))
+        for number in range(1, 61):
+            recorder.measured(measurement(number))
+    log = raw_log(read_journal(path))
+    assert np.flatnonzero(log.controls[:, 0] == 0.0)[0] == 31
+    assert log.pose[:, 0] == pytest.approx(0.005 * np.arange(61))
+
+
+def test_break_of_the_track_leaves_a_hole_that_no_preparation_bridges(path):
+    with Recorder(path, CAR, robot="toy") as recorder:
+        recorder.measured(measurement(0))
+        recorder.commanded(Command(0, 5.0, 5.0, np.array([1.0, 0.0])))
+        for number in range(1, 61):
+            told = measurement(number)
+            frozen = 10 <= number < 21
+            recorder.measured(replace(told, pose=np.array([0.05, -2.0, 0.5])) if frozen else told)
+    log = raw_log(read_journal(path))
+    (hole,) = np.flatnonzero(np.diff(log.time) > 0.006)
+    assert log.time[hole] == pytest.approx(0.005 * 19)
+    assert np.diff(log.time)[hole] == pytest.approx(0.03)
+
+
+def test_journal_keeps_the_limits_of_its_gate(path):
+    limits = GateLimits(speed=math.inf, jump=math.inf, turn=2.0, frozen=None)
+    with Recorder(path, CAR, robot="toy", limits=limits) as recorder:
+        recorder.measured(measurement(0))
+        recorder.commanded(Command(0, 5.0, 5.0, np.array([1.0, 0.0])))
+        recorder.measured(measurement(900))
+    assert read_journal(path).limits == limits
+    assert len(raw_log(read_journal(path)).time) == 2
+    with pytest.raises(InvalidData, match="at least two frames"):
+        raw_log(read_journal(path), GateLimits())
+
+
+def test_journal_without_a_run_is_refused_as_a_log(path):
+    session(path, 0).close()
+    with pytest.raises(InvalidData, match="never driven"):
+        raw_log(read_journal(path))
+
+
+def test_recorder_that_is_killed_loses_at_most_one_record(tmp_path):
+    for number in range(3):
+        trial = kill_once(tmp_path / f"{number}.rcj", delay=0.02 + 0.013 * number)
+        assert 0 <= trial.lost <= 1
+        assert trial.stored > 10
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t,x,y,heading,drive\n" + "".join(f"{1 + 0.01 * i},{i},0.5,-0.25,1\n" for i in range(20)))
+    return path
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_replay_keeps_the_pace_of_the_log_and_ends(log, speed):
+    with trackers.make("replay", body="car", path=str(log), speed=speed).open() as stream:
+        frames, last = read_all(stream)
+    assert [frame.pose[0] for frame in frames] == list(range(20))
+    assert np.diff([frame.source_time for frame in frames]) == pytest.approx(0.01 / speed)
+    assert frames[-1].arrival_time - frames[0].arrival_time >= 0.18 / speed
+    assert all(frame.arrival_time >= frame.source_time for frame in frames)
+    assert "ended" in last
+
+
+def test_replay_at_speed_0_gives_frames_when_asked_with_the_times_of_the_log(log):
+    with trackers.make("replay", body="car", path=str(log), speed=0.0).open() as stream:
+        assert select.select([stream], [], [], 0.0)[0] == [stream]
+        frames, _ = read_all(stream)
+    assert [frame.source_time for frame in frames] == pytest.approx(1.0 + 0.01 * np.arange(20))
+
+
+def test_replay_of_a_journal_gives_its_frames(car, tmp_path):
+    told = [
+        Measurement(t, t + 0.004, n, "car", n != 2, np.array([t, 0, 0])) for n, t in enumerate((1.0, 1.1, 1.2, 1.3))
+    ]
+    with Recorder(tmp_path / "run.rcj", car, robot="toy") as recorder:
+        for frame in told:
+            recorder.measured(frame)
+    with trackers.make("replay", body="car", path=str(tmp_path / "run.rcj"), speed=0.0).open() as stream:
+        frames, _ = read_all(stream)
+    assert [(frame.source_time, frame.valid) for frame in frames] == [(one.source_time, one.valid) for one in told]
+    with pytest.raises(LinkLost, match="no frame of 'truck'"):
+        trackers.make("replay", body="truck", path=str(tmp_path / "run.rcj"), speed=0.0).open()
+
+
+def test_logs_that_cannot_be_replayed_are_refused(tmp_path):
+    with pytest.raises(InvalidArgument, match="speed"):
+        trackers.make("replay", body="car", path="x.csv", speed=-1.0)
+    with pytest.raises(InvalidData, match="expected a log"):
+        trackers.make("replay", body="car", path=str(tmp_path / "x.csv")).open()
+    (tmp_path / "x.csv").write_text("t,x,y,heading\n1,0,0,0\n0,0,0,0\n")
+    with pytest.raises(InvalidData, match="rising"):
+        trackers.make("replay", body="car", path=str(tmp_path / "x.csv")).open()

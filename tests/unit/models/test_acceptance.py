@@ -1,0 +1,383 @@
+"""The gate: what is held back, what counts as better, and how much is asked of short data."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sysid_evo.errors import PluginError
+from sysid_evo.models.adaptation import NONE, adaptation, held_out_error
+from sysid_evo.models.adaptation.selection import (
+    AS_AT_HOME,
+    MOST_PIECES,
+    Verdict,
+    decided,
+    moving_seconds,
+    refitted,
+    times_home,
+)
+from sysid_evo.models.base import make_model
+from sysid_evo.validation.acceptance import Held, Kind, Trial, failed, judged, surely_positive
+from sysid_evo.validation.folds import Block, blocks_of
+from tests.fixtures.systems import FloorCar, drive
+
+
+def test_a_window_is_never_on_both_sides_and_every_block_is_held_back_once():
+    first = np.arange(0, 580, 3)
+    blocks = blocks_of(first, 20)
+    held_back = np.array([block.held(first) for block in blocks])
+    learned = np.array([block.learned(first) for block in blocks])
+    assert len(blocks) == 3
+    assert not (held_back & learned).any()
+    assert (held_back.sum(axis=0) <= 1).all()
+    for block, inside, outside in zip(blocks, held_back, learned, strict=True):
+        assert (first[inside] >= block.low).all()
+        assert not ((first[outside] < block.high) & (first[outside] + 20 > block.low)).any()
+
+
+def test_the_rest_of_a_recording_is_all_but_the_block():
+    data = drive(FloorCar(), seconds=10.0, seed=0)
+    first = np.arange(0, 180)
+    for block in blocks_of(first, 20):
+        assert block.rest(data).n_steps == 200 - (block.high - block.low)
+
+
+def held(errors):
+    """Runs of which two begin in each second."""
+    return Held(errors, np.arange(len(errors)) // 2)
+
+
+@pytest.mark.parametrize(
+    ("error", "sure", "chosen"), [(0.8, True, "a"), (0.8, False, "none"), (0.9, True, "none"), (1.2, False, "none")]
+)
+def test_a_correction_counts_only_if_it_is_much_better_and_surely(error, sure, chosen):
+    assert decided([Trial("a", error, (error,) * 3, sure), Trial("b", 0.99, (0.9,) * 3, True)]) == chosen
+
+
+@pytest.mark.parametrize(("in_one", "chosen"), [(1.1, "none"), (0.97, "none"), (0.93, "a")])
+def test_a_correction_that_is_no_better_in_one_block_does_not_count(in_one, chosen):
+    assert decided([Trial("a", 0.5, (0.2, 0.3, in_one), True)]) == chosen
+
+
+def test_of_corrections_about_as_good_the_simplest_is_taken():
+    shares = {"strong": 0.62, "weak": 0.52, "weaker": 0.5}
+    assert decided([Trial(name, share, (share,) * 3, True) for name, share in shares.items()]) == "weak"
+
+
+@pytest.mark.parametrize("kind", ["further", "mean"])
+def test_more_training_or_a_mean_is_taken_if_it_is_better_than_the_simplest_that_is_about_as_good(kind):
+    shares = {"weak": 0.52, "weaker": 0.5}
+    others = [Trial(name, share, (share,) * 3, True) for name, share in shares.items()]
+    for error, chosen in ((0.51, "other"), (0.53, "weak")):
+        assert decided([*others, Trial("other", error, (error,) * 3, True, kind)]) == chosen
+
+
+@pytest.mark.parametrize("kind", ["further", "mean"])
+def test_of_more_training_the_best_is_taken(kind):
+    assert decided([Trial(f"{error}", error, (error,) * 3, True, kind) for error in (0.501, 0.5, 0.502)]) == "0.5"
+
+
+@pytest.mark.parametrize(
+    ("t", "believed"), [(2.0, ""), (2.4, "alone beside"), (2.55, "alone beside"), (2.7, "alone beside further mean")]
+)
+def test_more_training_must_be_surer_than_a_correction(t, believed):
+    """Of 15 seconds Student's t is 2.14 at 97.5 % and 2.62 at 99 %."""
+    apart = np.tile([0.3, -0.3, 0.1, -0.1, 0.0], 3)
+    gains = apart + t * apart.std(ddof=1) / np.sqrt(15)
+    plain = [np.full((10, 5, 2), np.sqrt(2.0))] * 3
+    better = [np.repeat(np.sqrt(2.0 - part), 2)[:, None, None] * np.ones((10, 5, 2)) for part in np.split(gains, 3)]
+    kinds: tuple[Kind, ...] = ("alone", "beside", "further", "mean")
+    sure = [kind for kind in kinds if judged("a", list(map(held, plain)), list(map(held, better)), kind).sure]
+    assert " ".join(sure) == believed
+
+
+def test_a_mean_is_taken_if_it_is_good_and_better_than_more_training():
+    most = Trial("most", 0.5, (0.5,) * 3, True, "further")
+    assert decided([most, Trial("mean", 0.49, (0.49,) * 3, True, "mean")]) == "mean"
+    assert decided([most, Trial("mean", 0.51, (0.51,) * 3, True, "mean")]) == "most"
+    assert decided([most, Trial("mean", 0.4, (0.1, 0.1, 1.0), True, "mean")]) == "most"
+
+
+@pytest.mark.parametrize(("error", "chosen"), [(0.43, "b and anew"), (0.45, "anew"), (0.38, "b and anew")])
+def test_another_fit_gives_way_to_its_mean_with_a_correction_that_is_about_as_good(error, chosen):
+    trials = [Trial("b", 0.6, (0.6,) * 3, True), Trial("anew", 0.4, (0.4,) * 3, True)]
+    trials.append(Trial("b and anew", error, (error,) * 3, True, "beside"))
+    assert decided(trials) == chosen
+
+
+def test_the_mean_of_a_fit_that_is_not_taken_is_none():
+    trials = [Trial("b", 0.6, (0.6,) * 3, True), Trial("anew", 0.58, (0.58,) * 3, True)]
+    assert decided([*trials, Trial("b and anew", 0.4, (0.4,) * 3, True, "beside")]) == "b"
+    assert decided([trials[1], Trial("b and anew", 0.6, (0.6, 0.6, 1.1), True, "beside")]) == "anew"
+
+
+def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
+    plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
+    trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])
+    assert trial.error == pytest.approx(0.5)
+    assert trial.each == pytest.approx((0.5, 0.5))
+    assert trial.good
+
+
+def test_an_error_that_is_lower_in_one_second_alone_is_not_surely_lower():
+    before, after = np.ones((12, 5, 2)), np.ones((12, 5, 2))
+    before[:2] = 10.0
+    trial = judged("luck", [held(before)], [held(after)])
+    assert trial.error < 0.5
+    assert not trial.good
+
+
+def test_fewer_seconds_must_show_more():
+    gains = np.array([1.0, 3.0, -0.6])
+    assert not surely_positive(gains)
+    assert surely_positive(np.tile(gains, 5))
+    assert not surely_positive(np.array([1.0, 1.0]))
+
+
+@pytest.mark.parametrize(("seconds", "share"), [(4, 0.5), (25, 0.2), (100, 0.15)])
+def test_of_more_training_more_is_asked_the_fewer_seconds_are_compared(seconds, share):
+    plain = [held(np.ones((2 * seconds, 5, 2)))]
+    better = [held(np.full((2 * seconds, 5, 2), 0.6))]
+    kinds: tuple[Kind, ...] = ("alone", "beside", "further", "mean")
+    assert [judged("a", plain, better, kind).asked for kind in kinds] == pytest.approx([0.15, 0.15, share, share])
+    for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
+        assert Trial("a", error, (0.5,), True, "further", share).good == good
+
+
+@pytest.mark.parametrize(("last", "no_good"), [(0.949, False), (0.951, True)])
+def test_what_is_hardly_better_in_one_block_has_failed_in_those_that_it_knows(last, no_good):
+    plain = [np.ones((8, 5, 2))] * 3
+    seen = [held(0.2 * plain[0]), held(last * plain[1])]
+    assert failed(list(map(held, plain)), seen) == no_good
+    assert judged("a", list(map(held, plain)), seen).each == pytest.approx((0.2, last))
+
+
+def fitted():
+    return make_model("linear").fit(drive(FloorCar(), seconds=30.0, seed=0), rng=0)
+
+
+def errors_by_hand(model, seed):
+    """Return the errors (N, 20, nx) of free runs of one second that begin at every third sample."""
+    windows = drive(FloorCar(), seconds=20.0, seed=seed).windows(20, stride=3, moving=True)
+    return model.simulate(windows.past_states, windows.past_controls, windows.controls) - windows.states
+
+
+def test_errors_of_all_that_was_held_out_are_pooled_in_the_units_of_the_states():
+    model = fitted()
+    cases = [(model, drive(FloorCar(), seconds=20.0, seed=seed)) for seed in (1, 2)]
+    squares = [(errors_by_hand(model, seed) ** 2).reshape(-1, 3) for seed in (1, 2)]
+    found = held_out_error(cases)
+    assert found is not None
+    np.testing.assert_allclose(found, np.sqrt(np.concatenate(squares).mean(axis=0)), rtol=1e-6)
+    assert found[0] != pytest.approx(found[2], rel=0.2)
+
+
+def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end():
+    class Counting(FloorCar):
+        most = 0
+
+        def step(self, carry, control, noise=None):
+            self.most = max(self.most, len(carry))
+            return super().step(carry, control, noise)
+
+    car, held = Counting(), drive(FloorCar(), seconds=200.0, seed=1, noise=0.0)
+    found = held_out_error([(car, held)])
+    assert found is not None
+    assert found.max() < 1e-9
+    assert car.most == MOST_PIECES
+
+
+def test_what_is_too_short_for_a_run_says_nothing():
+    model = fitted()
+    assert held_out_error([(model, drive(FloorCar(), seconds=20.0, seed=1))]) is not None
+    both = [(model, drive(FloorCar(), seconds=seconds, seed=1)) for seconds in (20.0, 0.5)]
+    assert held_out_error(both) is None
+
+
+def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit():
+    """Errors of 2 and 4 scales of 10 and 0.1 are 20 and 0.4; at home they were 10 and 0.1."""
+    errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
+    assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
+    assert times_home(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
+
+
+def test_a_family_that_says_it_otherwise_is_told_what_is_expected():
+    model = fitted()
+    model.held_out_error_ = np.ones(2)
+    with pytest.raises(PluginError, match=r"a number for each of 3 states, got the shape \(2,\)"):
+        model.adapt(drive(FloorCar(), seconds=20.0, seed=1), rng=0)
+
+
+@pytest.mark.parametrize(("share", "tried"), [(0.96, False), (1.04, True)])
+def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(share, tried):
+    """Pieces that reach over the edges of blocks are left out there, so that the two differ by a few percent."""
+    model, new = fitted(), drive(FloorCar(thrust=1.5), seconds=20.0, seed=3)
+    at_home = held_out_error([(model, new)])
+    free = adaptation(model, new, rng=np.random.default_rng(0)).verdict
+    assert free.chosen != NONE
+    assert at_home is not None
+    model.held_out_error_ = at_home / (AS_AT_HOME * share)
+    found = adaptation(model, new, rng=np.random.default_rng(0))
+    assert bool(found.verdict.trials) == tried
+    if tried:
+        assert found.verdict == free
+        return
+    assert found.verdict.chosen == NONE
+    assert found.learned.model is model
+    assert not found.learned.coefficients.any()
+    assert found.verdict.plain == pytest.approx(free.plain)
+    times = found.verdict.times_home
+    assert times is not None
+    assert times == pytest.approx(AS_AT_HOME * share, rel=0.04)
+    assert found.verdict.sentence == (
+        f"no correction: nothing much has shifted, free runs of a second are in no state more than {times:.2f} times "
+        "as far off as on what was held out from the training"
+    )
+
+
+def verdict(chosen, *trials):
+    return Verdict(24.6, 3, 0.5, trials, chosen).sentence
+
+
+def trial(name, error, each, *, sure=True):
+    return Trial(name, error, each, sure)
+
+
+GOOD = trial("linear, ridge 3", 0.6, (0.5, 0.6, 0.7))
+WORST = trial("products", 1.3, (1.3, 1.3, 1.3))
+
+
+@pytest.mark.parametrize(
+    ("trials", "said"),
+    [
+        ((), "no correction: 25 s in motion are too short to hold a block back"),
+        (
+            (WORST, trial("gains", 0.9, (0.9, 0.9, 0.9))),
+            "no correction: the best, gains, is 10 % better than none on 3 blocks it did not learn from; "
+            "15 % are asked",
+        ),
+        (
+            (WORST,),
+            "no correction: the best, products, is 30 % worse than none on 3 blocks it did not learn from; "
+            "15 % are asked",
+        ),
+        (
+            (WORST, trial("gains", 0.6, (0.5, 0.6, 0.7), sure=False)),
+            "no correction: the best, gains, is 40 % better than none on 3 blocks it did not learn from; "
+            "which may be chance",
+        ),
+        (
+            (WORST, Trial("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)),
+            "no correction: the best, mean, is 30 % better than none on 3 blocks it did not learn from; 35 % are asked",
+        ),
+        (
+            (trial("given up", 0.4, (0.2, 0.96)), trial("gains", 0.9, (0.9, 0.9, 0.9))),
+            "no correction: the best, gains, is 10 % better than none on 3 blocks it did not learn from; "
+            "15 % are asked",
+        ),
+        (
+            (WORST, trial("gains", 0.6, (0.2, 0.6, 1.0))),
+            "no correction: the best, gains, is 40 % better than none on 3 blocks it did not learn from; "
+            "but not on each of them",
+        ),
+    ],
+)
+def test_a_verdict_says_why_nothing_was_taken(trials, said):
+    assert verdict("none", *trials) == said
+
+
+def test_a_verdict_says_what_was_taken_though_another_was_better():
+    better = trial("gains, ridge 3", 0.58, (0.5, 0.6, 0.7))
+    assert verdict(GOOD.name, WORST, GOOD, better) == (
+        "linear, ridge 3: 40 % better than none on 3 blocks it did not learn from"
+    )
+
+
+@pytest.mark.parametrize(("error", "good"), [(0.85, True), (0.851, False)])
+def test_fifteen_percent_are_enough(error, good):
+    assert trial("a", error, (0.8, 0.8, 0.9)).good == good
+
+
+def test_five_percent_in_each_block_are_enough():
+    assert trial("a", 0.8, (0.5, 0.95, 0.5)).good
+    assert not trial("a", 0.8, (0.5, 0.951, 0.5)).good
+
+
+def test_two_seconds_are_never_sure():
+    assert not surely_positive(np.array([5.0, 5.0]))
+    assert surely_positive(np.array([5.0, 5.0, 5.0]))
+
+
+def test_a_mean_that_chance_explains_once_in_forty_is_sure_and_one_that_it_explains_more_often_is_not():
+    """Student's t of two degrees is 4.30 at 97.5 %: of (1 - d, 1, 1 + d) that is d = 0.403."""
+    assert surely_positive(np.array([0.6, 1.0, 1.4]))
+    assert not surely_positive(np.array([0.59, 1.0, 1.41]))
+
+
+def test_what_is_shared_out_over_blocks_is_compared_second_by_second():
+    """A second that only one of the two runs through says nothing; of several windows in it the mean counts."""
+    rng = np.random.default_rng(0)
+    plain = Held(1.0 + 0.01 * rng.random((6, 4, 1)), np.array([0, 0, 1, 1, 2, 9]))
+    after = Held(np.full((6, 4, 1), 0.5), np.array([0, 0, 1, 1, 2, 8]))
+    assert plain.squares()[0] == pytest.approx(float((plain.errors[:2] ** 2).mean()))
+    assert judged("a", [plain], [after]).sure
+    few = Held(plain.errors, np.array([0, 0, 1, 1, 9, 9]))
+    assert not judged("a", [few], [after]).sure  # two seconds are common
+
+
+def episodes(*lengths):
+    data = drive(FloorCar(), seconds=10.0, seed=0)
+    (whole,) = data
+    ends = np.cumsum([0, *lengths])
+    return data.with_episodes([whole[a:b] for a, b in pairwise(ends)])
+
+
+def test_a_block_and_the_rest_are_all_of_a_recording_over_the_edges_of_episodes():
+    data, block = episodes(40, 60, 50), Block(30, 110, 20)
+    assert [len(episode) for episode in block.part(data)] == [10, 60, 10]
+    assert [len(episode) for episode in block.rest(data)] == [30, 40]
+    (first, _, last), (_, second, third) = list(block.part(data)), list(data)
+    assert np.array_equal(first.states, next(iter(data)).states[30:])
+    assert np.array_equal(last.controls, third.controls[:10])
+    assert np.array_equal(list(block.part(data))[1].states, second.states)
+
+
+def test_windows_at_the_edge_of_a_block_are_on_its_side_if_they_lie_inside():
+    block = Block(30, 110, 20)
+    first = np.array([10, 11, 29, 30, 90, 91, 109, 110])
+    assert block.held(first).tolist() == [False, False, False, True, True, False, False, False]
+    assert block.learned(first).tolist() == [True, False, False, False, False, False, False, True]
+
+
+def test_where_a_block_has_nothing_to_be_judged_by_there_are_none():
+    assert blocks_of(np.arange(0, 30), 20) == []
+    blocks = blocks_of(np.arange(0, 300), 20)
+    assert (blocks[0].low, blocks[-1].high) == (0, 319)
+    assert [one.high for one in blocks[:-1]] == [one.low for one in blocks[1:]]
+
+
+def test_time_at_rest_is_no_time_in_motion():
+    data = drive(FloorCar(), seconds=10.0, seed=0)
+    (whole,) = data
+    still = data.with_episodes([whole, type(whole)(np.zeros((101, 3)), np.zeros((100, 2)), whole.dt)])
+    assert moving_seconds(still) == moving_seconds(data) <= 10.0
+    assert moving_seconds(data) > 8.0
+
+
+def test_a_refit_counts_the_new_seconds_as_much_as_all_the_old_ones():
+    """A linear model of both lies in the middle, though the new recording is a quarter as long."""
+    old, new = (
+        drive(FloorCar(thrust=thrust), seconds=s, seed=1, noise=0.0) for thrust, s in ((4.0, 40.0), (2.0, 10.0))
+    )
+    model = make_model("linear").fit(old, rng=np.random.default_rng(0))
+
+    def pull(one):
+        at_rest, full = np.zeros((1, 3)), np.array([[1.0, 0.0]])
+        return float((one.step(at_rest, full) - one.step(at_rest, 0.0 * full))[0, 0])  # type: ignore[attr-defined]
+
+    rng = np.random.default_rng(0)
+    both, alone = refitted(model, old, new, rng), refitted(model, None, new, rng)
+    assert pull(alone) == pytest.approx(0.5 * pull(model), rel=0.1)
+    assert pull(both) == pytest.approx(0.5 * (pull(alone) + pull(model)), rel=0.06)
