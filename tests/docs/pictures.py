@@ -18,14 +18,13 @@ from pathlib import Path
 
 from PIL import Image
 
-from tests.docs.blocks import PAGES
-from tests.docs.running import picture, run_page, shown_on
+from tests.docs.page import IMAGES, PAGES, picture
 from tests.fixtures.commands import run_here
 
 README = "README.md"
 COMPARISON = ("compare", "--preset", "quick", "--seed", "0")
 """The command whose report the README shows."""
-REPORT = PAGES["index.md"].parent / "images" / "report.png"
+REPORT = IMAGES / "report.png"
 SCREEN = 985, 900
 """Width and height of the first screen in pixels."""
 COLOURS = 64
@@ -35,7 +34,7 @@ COLOURS = 64
 def main(arguments: Sequence[str]) -> int:
     """Make the pictures of these pages, and return the exit code."""
     os.environ["COLUMNS"] = "80"
-    for page in arguments or [README, *(page for page in PAGES if shown_on(page))]:
+    for page in arguments or [README, *(name for name, page in PAGES.items() if page.pictures)]:
         with tempfile.TemporaryDirectory(prefix="sysid-evo-pictures-") as name:
             made = of_readme(Path(name)) if page == README else of_page(page, Path(name))
         for file in made:
@@ -45,10 +44,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def of_page(page: str, folder: Path) -> list[Path]:
     """Run a page in ``folder``, print what it says, and return its pictures."""
-    for said in run_page(page, folder, {}):
-        sys.stdout.write(f"$ {said.line}\n{said.printed}\n")
+    for printed in PAGES[page].visit(folder, {}):
+        sys.stdout.write(f"$ {printed.line}\n{printed.text}\n")
     made = []
-    for run, figure in shown_on(page):
+    for run, figure in PAGES[page].pictures:
         shutil.copyfile(folder / "runs" / run / "figures" / f"{figure}.svg", picture(run, figure))
         made.append(picture(run, figure))
     return made

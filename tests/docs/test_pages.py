@@ -1,61 +1,99 @@
-"""Every block of code in README and docs works as it stands."""
+"""README and pages: blocks in known languages, commands with their options, links, and Python that runs."""
 
-from __future__ import annotations
-
-import importlib.util
+import json
+import os
 import re
 import shlex
+import shutil
+import socket
+import subprocess
 import sys
+import threading
+import time
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from hardware.connection import GateLimits
+from hardware.control_loop import ControlLoop
+from hardware.estimator import NewestPose
+from hardware.recording.manoeuvres import Manoeuvre
+from hardware.recording.record import ManoeuvrePilot
+from hardware.robot import find_robot
+from hardware.run_report import Reason
+from hardware.trackers.udp import FrameMessage
 from sysid_evo.cli.app import loaded
-from sysid_evo.data import Dataset
-from sysid_evo.registry import KINDS
-from sysid_evo.testing import example_dataset
+from sysid_evo.data import Dataset, load_columns
+from sysid_evo.data.columns import parse_columns, shipped_names
+from sysid_evo.engine import rollout
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import KINDS, load_plugin, robot_spec, robots
+from sysid_evo.tasks import PointToPoint
+from sysid_evo.testing import check_model, example_dataset
 from sysid_evo.testing.template import PLUGINS, write_plugin
-from tests.docs.blocks import PAGES, ROOT, blocks, commands, program
+from tests.docs.page import PAGES, ROOT
+from tests.fixtures.commands import forgetting, run_here
+from tests.system.rig.pose_stream import format_message
 
-OWN_TEST = {
-    "data.md": "tests/data/test_data_page.py",
-    "kernels.md": "tests/sysid_evo/engine/test_kernels_page.py",
-    "robots.md": "tests/hardware/test_robots_page.py",
-    "your_own_system.md": "tests/docs/test_your_own_system.py",
-}
-"""Pages whose Python wants more than a folder of logs; tutorials have a test of their own, too."""
-PYTHON = [page for page in PAGES if blocks(page, "python") and page not in OWN_TEST and "tutorials/" not in page]
-EXAMPLES = {
-    "model": ("models.md", "bilinear"),
-    "task": ("tasks.md", "hold"),
-    "controller": ("controllers.md", "feedback"),
-    "strategy": ("strategies.md", "cross_entropy"),
-    "reader": ("readers.md", "json_lines"),
-}
-"""The page of each kind, and what its example is called."""
 LANGUAGES = {"", "python", "toml", "sh", "py", "matlab"}
 """``py`` and ``matlab`` are other programs' and are not run: what is ours is ``python``."""
 OTHER_PROGRAMS = {"make", "pip", "cd", "python3"}
+VISITED = ("tutorials/", "your_own_system")
+RUN = [page for name, page in PAGES.items() if page.blocks("python") and not name.startswith(VISITED)]
+"""Pages whose Python is a program; the others are visited as a whole, see test_tutorials."""
+SMALL_TASK = 'task="point_to_point(horizon=40)"'
+SMALL = f'generations=1, trials=2, selection_trials=2, {SMALL_TASK}, strategy="mu_plus_lambda(parents=2, children=2)"'
+COMPARISON = f"polish=1, transfer_trials=2, traces=0, yardstick=False, {SMALL}"
+KERNELS = ("damped", "damped_lifted", "damped_block")
+"""The families of the page on kernels."""
+BUDGETS = {
+    "README.md": {
+        "duration=120.0": "duration=20.0",
+        '"sindy", "nearest': '"sindy(degree=1)", "nearest',
+        "generations=20, trials=4": SMALL,
+        '"near2=nearest_neighbour(state_lags=2)"], generations=20': f"], {COMPARISON}",
+    },
+    "coming_from.md": {
+        '"sindy": make_model("sindy")': '"sindy": make_model("sindy", threshold=0.1)',
+        "        generations=3,\n        trials=3,": f"\n        {SMALL},",
+    },
+    "compare.md": {
+        '    task="point_to_point(arena_radius=1.0)",': "",
+        "    minutes=1.0,": "    minutes=0.3,",
+        "    generations=3,": f"    {COMPARISON},",
+    },
+    "evolving.md": {
+        "(generations=10, trials=4)": f"({SMALL})",
+        'generations=8, trials=4, controller="recurrent(hidden=10)", strategy="niches"': (
+            f"generations=2, trials=2, {SMALL_TASK}, strategy='niches'"
+        ),
+        "generations=12, trials=4, runs=2": f"{SMALL}, runs=2",
+        "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
+        "generations=20)": "generations=2)",
+    },
+    "gymnasium.md": {
+        "horizon=100": "horizon=40",
+        "duration=40.0": "duration=20.0",
+        "generations=4,": "generations=1, strategy='mu_plus_lambda(parents=2, children=2)',",
+        "selection_trials=10,": "selection_trials=2,",
+    },
+    # what compiles is made, and another fitted
+    "hidden_state.md": {"horizon=100)": "horizon=100) and make_model('linear', state_lags=2)"},
+    "kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
+    "shift.md": {"degree=2": "degree=1", 'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))'},
+}
+"""By page: a text, and what takes its place by day, so that a page takes a second."""
 
 
 @pytest.fixture
-def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder, made the current one, with two logs and an example file of another kind."""
-    monkeypatch.chdir(tmp_path)
+def folder(tmp_path):
+    """A folder with two logs, whose columns are those of a shipped map, and an example file of another kind."""
     (tmp_path / "logs").mkdir()
-    write_logs(example_dataset(episodes=2), tmp_path / "logs")
     rows = (f'{{"t": {0.05 * i:g}, "speed": {i % 3}}}\n' for i in range(4))
     (tmp_path / "example.jsonl").write_text("".join(rows))
-    return tmp_path
-
-
-def write_logs(dataset: Dataset, folder: Path) -> None:
-    """Write the episodes as CSV with the columns of a shipped map."""
+    dataset = example_dataset(episodes=2)
     system = dataset.system
     for episode in dataset.episodes:
         steps = len(episode.controls)
@@ -72,72 +110,128 @@ def write_logs(dataset: Dataset, folder: Path) -> None:
             "steering": episode.controls[:, 1],
             **dict(zip(("x", "y", "yaw"), pose[:-1].T, strict=True)),
         }
-        pd.DataFrame(columns).to_csv(folder / f"{episode.name}.csv", index=False)
+        pd.DataFrame(columns).to_csv(tmp_path / "logs" / f"{episode.name}.csv", index=False)
+    return tmp_path
 
 
-def what_a_user_has() -> dict[str, Any]:
-    """Arrays and a table of a pendulum, under the names that the pages use for them."""
+@pytest.fixture
+def given():
+    """Arrays and a table of a pendulum, under the names that the pages use for what a user has."""
     rng = np.random.default_rng(0)
     states, controls = rng.standard_normal((6, 2)), rng.uniform(-1.0, 1.0, 5)
     frame = pd.DataFrame(states, columns=["theta", "theta_dot"]).assign(torque=[*controls, 0.0], run=[*"aaabbb"])
     return {"states": states, "controls": controls, "frame": frame}
 
 
-@pytest.fixture
-def forgetting() -> Iterator[None]:
-    """Whatever is registered during the test is forgotten after it."""
-    before = {kind: dict(registry.loaded) for kind, registry in KINDS.items()}
-    yield
-    for kind, registry in KINDS.items():
-        for name, factory in dict(registry.loaded).items():
-            if before[kind].get(name) is None and factory.__module__.startswith("page_"):
-                registry.forget(name)
+def of_data(folder):
+    """Write the column map of the page, and two logs that it describes in place of the others."""
+    (folder / "my_robot.toml").write_text(PAGES["data.md"].blocks("toml")[0].text)
+    time = 0.05 * np.arange(200)
+    speed, yaw_rate = 1.0 + 0.5 * np.sin(time), 0.4 * np.cos(0.7 * time)
+    heading = np.concatenate([[0.0], np.cumsum(0.05 * yaw_rate)])[:-1]
+    rng = np.random.default_rng(20070707)
+    shutil.rmtree(folder / "logs")
+    (folder / "logs").mkdir()
+    for name in ("first_drive", "last_drive"):
+        columns = {
+            "stamp": 1e3 * time,
+            "v": speed,
+            "gyro_z": -np.degrees(yaw_rate),
+            "voltage": np.linspace(8.2, 7.9, 200),
+            "throttle": rng.uniform(0.0, 1.0, 200),
+            "armed": np.ones(200),
+            "servo": rng.choice(["right", "straight", "left"], 200),
+            "px": 1e3 * np.cumsum(0.05 * speed * np.cos(heading)),
+            "py": 1e3 * np.cumsum(0.05 * speed * np.sin(heading)),
+            "yaw": np.degrees(heading),
+            "wheel": speed,
+        }
+        pd.DataFrame(columns).to_csv(folder / "logs" / f"{name}.csv", index=False)
+    inspect, store, _ = PAGES["data.md"].commands
+    for line in (inspect, store):
+        done(line, folder)
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_page_has_only_blocks_that_a_test_understands(page: str) -> None:
-    assert len(re.findall(r"^```", PAGES[page].read_text(), re.MULTILINE)) % 2 == 0
-    found = set(re.findall(r"^```(\w+)", PAGES[page].read_text(), re.MULTILINE))
-    assert found <= LANGUAGES
+def of_robots(folder):
+    """Write the files of the page, and run its commands on the boat."""
+    boat, *_ = PAGES["robots.md"].blocks("python")
+    (folder / "boat.py").write_text(boat.text)
+    said = [done(line, folder) for line in PAGES["robots.md"].commands]
+    assert "A model boat" in said[1]
+    assert not [line for text in said for line in text.splitlines() if line.startswith(("wrong", "BROKEN"))]
+    dataset = Dataset.read(folder / "data" / "boat")
+    assert dataset.system.state_names == ("surge", "sway", "yaw_rate")
+    assert max(episode.states[:, 0].max() for episode in dataset.episodes) > 0.5
 
 
-@pytest.mark.parametrize("page", PYTHON)
-def test_the_python_of_a_page_runs(
-    page: str, workplace: Path, monkeypatch: pytest.MonkeyPatch, forgetting: None
-) -> None:
-    """All blocks of a page are one program, in a module of its own, because kernels are read from their file."""
-    path = workplace / f"page_{page.removesuffix('.md').lower()}.py"
-    path.write_text(program(page))
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    module.__dict__.update(what_a_user_has())
-    monkeypatch.setitem(sys.modules, path.stem, module)
-    spec.loader.exec_module(module)
+def done(line, folder):
+    """Run a command of a page in ``folder`` and return what it printed."""
+    ended = run_here(*shlex.split(line)[1:], cwd=folder)
+    assert ended.returncode == 0, f"{line}\n{ended.stderr}"
+    return ended.stdout
 
 
-@pytest.mark.parametrize("page", ["README.md"])
-def test_the_first_python_of_a_page_runs_in_an_empty_folder(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    exec(compile(blocks(page, "python")[0].text, page, "exec"), {})
-    assert "standard deviations" in capsys.readouterr().out
+BEFORE = {"data.md": of_data, "robots.md": of_robots}
+"""Pages that want another folder."""
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
-def test_the_commands_of_a_page_exist_with_these_options(page: str) -> None:
-    group = loaded()
-    for line in commands(page):
-        called, *arguments = shlex.split(line)
-        assert called in {"sysid-evo", *OTHER_PROGRAMS}, line
-        if called == "sysid-evo":
-            accepted(group, arguments, line)
+def has_run_readme(module, said):
+    assert len(module.data.episodes[0]) == 5
 
 
-def accepted(command: Any, arguments: list[str], line: str) -> None:
-    """Fail unless ``command`` takes ``arguments``; nothing is run."""
+def has_run_data(module, said):
+    assert module.test.names == ("last_drive",)
+    assert module.data.names == ("a", "b")
+    assert module.pendulum.controls[0].unit == "N m"
+
+
+def has_run_kernels(module, said):
+    for name in KERNELS:
+        check_model(name)
+
+
+AFTER = {"README.md": has_run_readme, "data.md": has_run_data, "kernels.md": has_run_kernels}
+"""What a page has made when it has run."""
+
+
+@pytest.mark.parametrize("page", PAGES.values(), ids=str)
+def test_a_page_is_as_it_says(page, request):
+    """Its blocks are in known languages, its commands exist with their options, its links lead to files; it runs."""
+    assert len(re.findall(r"^```", page.text, re.MULTILINE)) % 2 == 0
+    assert set(re.findall(r"^```(\w+)", page.text, re.MULTILINE)) <= LANGUAGES
+    assert [link for link in page.links if not (page.path.parent / link).exists()] == []
+    groups = {registry.group for registry in KINDS.values()}
+    for block in page.blocks("toml"):
+        assert set(tomllib.loads(block.text).get("project", {}).get("entry-points", {})) <= groups
+    for line in page.commands:
+        accepted(line)
+    compile(page.program(), page.name, "exec")
+    if page in RUN:
+        run(page, BUDGETS.get(page.name, {}), request)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("page", RUN, ids=str)
+def test_the_python_of_a_page_runs_with_its_own_budgets_and_compiled(page, request, monkeypatch):
+    monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
+    run(page, {}, request)
+
+
+def run(page, budget, request):
+    """Run the Python of a page as one program."""
+    folder, given, capsys = (request.getfixturevalue(name) for name in ("folder", "given", "capsys"))
+    BEFORE.get(page.name, lambda folder: None)(folder)
+    with page.module(folder, given, budget) as module:
+        AFTER.get(page.name, lambda module, said: None)(module, capsys.readouterr().out)
+
+
+def accepted(line):
+    """Fail unless a command exists and takes its arguments; nothing is run."""
+    called, *arguments = shlex.split(line)
+    assert called in {"sysid-evo", *OTHER_PROGRAMS}, line
+    if called != "sysid-evo":
+        return
+    command = loaded()
     while hasattr(command, "commands"):
         name, *arguments = arguments or [""]
         assert name in command.commands, f"no such command: {line}"
@@ -145,37 +239,170 @@ def accepted(command: Any, arguments: list[str], line: str) -> None:
     command.make_context("sysid-evo", [argument for argument in arguments if argument != "--help"])
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")])
-def test_the_toml_of_a_page_is_read_and_its_entry_points_are_of_a_known_kind(page: str) -> None:
-    groups = {registry.group for registry in KINDS.values()}
-    for block in blocks(page, "toml"):
-        project = tomllib.loads(block.text).get("project", {})
-        assert set(project.get("entry-points", {})) <= groups
+def test_a_budget_replaces_what_is_on_the_page_only():
+    with pytest.raises(ValueError, match=r"start\.md: its budget replaces 'minutes=77'"):
+        PAGES["start.md"].program({"minutes=77": "minutes=1"})
 
 
-@pytest.mark.parametrize("kind", EXAMPLES)
-def test_the_example_of_a_kind_is_what_plugin_new_writes(kind: str, tmp_path: Path) -> None:
-    page, name = EXAMPLES[kind]
+def test_the_first_python_of_the_readme_needs_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = PAGES["README.md"].blocks("python")[0].text
+    for old, new in [*BUDGETS["README.md"].items()][:3]:
+        text = text.replace(old, new)
+    exec(text, {})
+    assert "standard deviations" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("kind", "page", "name"),
+    [
+        ("model", "models.md", "bilinear"),
+        ("task", "tasks.md", "hold"),
+        ("controller", "controllers.md", "feedback"),
+        ("strategy", "strategies.md", "cross_entropy"),
+        ("reader", "readers.md", "json_lines"),
+    ],
+)
+def test_the_example_of_a_kind_is_what_plugin_new_writes(kind, page, name, tmp_path):
     path, *_ = write_plugin(name, tmp_path / name, kind)
-    assert path.read_text() in [block.text for block in blocks(page, "python")]
+    assert path.read_text() in [block.text for block in PAGES[page].blocks("python")]
 
 
-def test_every_kind_has_a_page() -> None:
-    assert set(EXAMPLES) | {"robot"} == set(PLUGINS)
+def test_every_kind_has_a_page():
+    assert set(PLUGINS) == {"model", "task", "controller", "strategy", "reader", "robot"}
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_a_page_links_only_to_what_is_there(page: str) -> None:
-    links = re.findall(r"\]\(([^)#:]+)\)", PAGES[page].read_text())
-    assert [link for link in links if not (PAGES[page].parent / link).exists()] == []
-
-
-FAMILIES_TOLD = {"README.md": r"(\d+) behind one contract", "CHANGELOG.md": r"(\d+) model families"}
-
-
-@pytest.mark.parametrize("page", FAMILIES_TOLD)
-def test_as_many_families_are_told_of_as_there_are(page: str) -> None:
-    told = re.search(FAMILIES_TOLD[page], (ROOT / page).read_text())
+@pytest.mark.parametrize(
+    ("page", "told"), [("README.md", r"(\d+) behind one contract"), ("CHANGELOG.md", r"(\d+) model families")]
+)
+def test_pages_name_the_number_of_families(page, told):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert told is not None
-    assert int(told[1]) == len(project["entry-points"]["sysid_evo.models"])
+    found = re.search(told, (ROOT / page).read_text())
+    assert int(found[1]) == len(project["entry-points"]["sysid_evo.models"])
+
+
+def test_every_column_map_of_the_page_on_data_is_valid():
+    car, pendulum = (parse_columns(block.text, "docs/data.md") for block in PAGES["data.md"].blocks("toml"))
+    assert (car.name, pendulum.name) == ("my robot", "pendulum")
+    assert [channel.unit for channel in pendulum.system({}).states] == ["rad", "rad/s"]
+    assert set(shipped_names()) <= set(re.findall(r"`(\w+)`", PAGES["data.md"].text))
+
+
+def test_the_column_map_of_the_page_on_data_is_read_with_the_defaults_of_its_table(folder):
+    of_data(folder)
+    columns = folder / "my_robot.toml"
+    assert load_columns(columns).differentiated == ()
+    system = Dataset.read(folder / "logs", columns=columns).system
+    channels = {channel.name: channel for channel in (*system.states, *system.controls)}
+    assert (channels["battery"].low, channels["battery"].neutral) == (6.0, 7.4)
+    assert channels["yaw_rate"].unit == "rad/s"
+    assert channels["steer"].levels == (-1.0, 0.0, 1.0)
+    columns.write_text(columns.read_text().replace(", neutral = 7.4", ""))  # a state that is never 0 needs none
+    assert Dataset.read(folder / "logs", columns=columns).system.states[2].neutral == 6.0
+
+
+def test_the_page_on_kernels_names_nothing_that_an_installed_package_lacks():
+    text = PAGES["kernels.md"].text
+    assert not re.search(r"python -m tests|make \w+|tests\.benchmarks|model_zoo/\w+\.py", text)
+    assert set(re.findall(r"from (sysid_evo\.engine[\w.]*) import", text)) == {"sysid_evo.engine"}
+
+
+@pytest.mark.nightly
+def test_the_three_levels_of_the_page_on_kernels_step_alike_in_the_forms_they_promise(tmp_path, car_data, monkeypatch):
+    monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
+    weights, forms = np.random.default_rng(1).standard_normal((5, 78)), []
+    with PAGES["kernels.md"].module(tmp_path, {}, {}) as page:
+        for name in KERNELS:
+            assert page.difference(name) == 0.0
+            model = make_model(name).fit(car_data, rng=np.random.default_rng(0))
+            case = (model, page.RecurrentNetwork(), weights, PointToPoint(horizon=30), page.trial_seeds(0, 2))
+            forms.append(rollout(*case).engine)
+            if name != "damped":
+                fast, exact = (rollout(*case, engine=engine, record=True) for engine in ("float64", "reference"))
+                for a, b in zip(fast.trajectories, exact.trajectories, strict=True):
+                    np.testing.assert_allclose(a.states, b.states, rtol=1e-12, atol=1e-12)
+    assert forms == ["reference", "compiled float32", "compiled float32"]
+
+
+def test_the_line_of_the_page_on_robots_makes_the_boat_known_wherever_it_is_installed(tmp_path):
+    page = PAGES["robots.md"]
+    (tmp_path / "boat.py").write_text(page.blocks("python")[0].text)
+    info = tmp_path / "boat-1.0.dist-info"
+    info.mkdir()
+    info.joinpath("METADATA").write_text("Metadata-Version: 2.1\nName: boat\nVersion: 1.0\n")
+    points = tomllib.loads(page.blocks("toml")[0].text)["project"]["entry-points"]
+    lines = [f"[{group}]\n{name} = {module}\n" for group, named in points.items() for name, module in named.items()]
+    info.joinpath("entry_points.txt").write_text("".join(lines))
+    program = "from sysid_evo.registry import make_robot; print(make_robot('boat(waves=0.5)').physics.waves)"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    assert subprocess.check_output([sys.executable, "-c", program], env=environment, text=True) == "0.5\n"
+
+
+class Harbour:
+    """A boat on the network and the tracker that sees it: answers commands, and stops when they expire."""
+
+    def __init__(self, port, tracker):
+        self.heard = []
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", port))
+        self._socket.settimeout(0.005)
+        self._tracker = ("127.0.0.1", tracker)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def _live(self):
+        frame = 0
+        rng = np.random.default_rng(1)
+        while not self._over.is_set():
+            try:
+                self.heard.append(json.loads(self._socket.recv(1024)))
+            except TimeoutError:
+                pose = 0.001 * rng.standard_normal(3)
+                message = FrameMessage(time.monotonic(), frame, "boat", True, pose)
+                self._socket.sendto(format_message(message), self._tracker)
+                frame += 1
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def test_the_boat_of_the_page_on_the_network_is_driven_by_the_loop_and_left_in_neutral(tmp_path):
+    page, port, tracker = PAGES["robots.md"], free_port(), free_port()
+    (tmp_path / "real_boat.py").write_text(page.blocks("python")[1].text)
+    mine = tmp_path / "my_boat.toml"
+    text = page.blocks("toml")[1].text.replace("port = 5010\n", f"port = {port}\n")
+    mine.write_text(text.replace("port = 5011\n", f"port = {tracker}\n"))
+    with forgetting():
+        load_plugin(tmp_path / "real_boat.py")
+        robot = find_robot(str(mine))
+        robot.check()
+        with Harbour(port, tracker) as harbour, robot.connect() as connection:
+            assert connection.gate_limits.speed == 3.0
+            loop = ControlLoop(connection, robot.system, estimator=NewestPose(robot.system))
+            report = loop.run(ManoeuvrePilot(Manoeuvre("ahead", np.tile([1.0, 0.5], (8, 1)))))
+            connection.close()
+            time.sleep(0.05)
+    assert report.reason is Reason.PILOT, report.sentence
+    driven = [word["control"] for word in harbour.heard]
+    assert driven.count([1.0, 0.5]) == 8
+    assert driven[-1] == [0.0, 0.0]
+
+
+def test_the_robot_file_of_the_page_on_the_car_makes_a_robot(tmp_path):
+    (description,) = PAGES["hardware.md"].blocks("toml")
+    (tmp_path / "my_car.toml").write_text(description.text)
+    robot = robots.make(robot_spec(str(tmp_path / "my_car.toml")))
+    assert (robot.name, robot.port, robot.tracker.port) == ("red car", "/dev/rcb", 5005)
+    assert robot.gate == GateLimits()

@@ -1,55 +1,62 @@
-"""Every tutorial works as it stands: files, commands and Python, from an empty folder, in the order of the page."""
-
-from __future__ import annotations
+"""Tutorials and the page for a system of one's own, from an empty folder: files, commands and Python in their order."""
 
 import os
 import re
-import sys
-from pathlib import Path
+import subprocess
 
 import numpy as np
 import pytest
 
 from hardware.robot import find_robot
 from sysid_evo import Champion, load_plugin, make_controller, make_task, trial_seeds
+from sysid_evo.data import Dataset
 from sysid_evo.export.exported_controller import law_of
 from sysid_evo.export.python_file import python_text
-from tests.docs.blocks import PAGES, blocks
-from tests.docs.running import SMALL, picture, run_page, shown_on, words_of
+from tests.docs.page import PAGES, QUICK, importable, picture, words_of
 from tests.fixtures.commands import forgetting
 
-TUTORIALS = [page for page in PAGES if page.startswith("tutorials/")]
+OWN_SYSTEM = "your_own_system.md"
 WIDTH = 80
-LARGEST = 120_000
-"""Bytes of a picture, so that a page is there at once."""
 
 
-@pytest.mark.parametrize("page", TUTORIALS)
-def test_a_tutorial_runs_from_an_empty_folder(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def of_a_system_of_ones_own(folder, printed):
+    checks = [one.text for one in printed if "robots check" in one.line]
+    assert len(checks) == 2
+    assert not any(line.startswith("wrong") for text in checks for line in text.splitlines())
+    assert Dataset.read(folder / "data").system.state_names == ("upper", "lower")
+    for run in ("first", "turntable"):
+        assert "What to use?" in (folder / "runs" / run / "report.html").read_text()
+    assert any("on tank" in one.text for one in printed if " drive " in one.line)
+    ran = subprocess.run(["python3", "recommended.py"], cwd=folder, capture_output=True, text=True, check=False)
+    assert ran.stdout.startswith("ok"), ran.stderr
+    assert "(target - lower) / (0.2 m)" in (folder / "recommended.c").read_text()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", [OWN_SYSTEM, *(name for name in PAGES if name.startswith("tutorials/"))])
+def test_a_page_works_from_an_empty_folder(name, tmp_path, monkeypatch):
     """No line that is printed is wider than the terminal, but paths and commands; the pictures are those of the runs.
 
     A picture of a smaller budget has other numbers, so it is told by what is written in it.
     """
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", str(WIDTH))
-    for said in run_page(page, tmp_path, SMALL):
-        wide = [row for row in said.printed.splitlines() if len(row.rstrip()) > WIDTH]
-        assert not [row for row in wide if not re.search(rf"\S{os.sep}\S|use:|check:", row)], said.line
-    for run, figure in shown_on(page):
-        shown, made = picture(run, figure), tmp_path / "runs" / run / "figures" / f"{figure}.svg"
-        assert words_of(shown) == words_of(made), "make pictures"
-        assert shown.stat().st_size < LARGEST
+    monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
+    options = {**QUICK, "record": ("--minutes", "9")} if name == OWN_SYSTEM else QUICK
+    printed = list(PAGES[name].visit(tmp_path, options))
+    for one in printed:
+        wide = [row for row in one.text.splitlines() if len(row.rstrip()) > WIDTH]
+        assert not [row for row in wide if not re.search(rf"\S{os.sep}\S|use:|check:", row)], one.line
+    for run, figure in PAGES[name].pictures:
+        made = tmp_path / "runs" / run / "figures" / f"{figure}.svg"
+        assert words_of(picture(run, figure)) == words_of(made), "make pictures"
+    if name == OWN_SYSTEM:
+        of_a_system_of_ones_own(tmp_path, printed)
 
 
-def test_every_picture_of_a_run_is_shown_somewhere() -> None:
-    shown = {picture(run, figure) for page in PAGES for run, figure in shown_on(page)}
-    assert set(picture("any", "any").parent.glob("*.svg")) == shown
-
-
-def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path: Path) -> None:
+def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path):
     """A reward must ask for something: a pole that stands, not the one that hangs where nobody acts."""
     file = tmp_path / "near_the_middle.py"
-    file.write_text(blocks("tutorials/own_task.md", "python")[0].text)
+    file.write_text(PAGES["tutorials/own_task.md"].blocks("python")[0].text)
     robot = find_robot("cart_pole")
     with forgetting():
         load_plugin(file)
@@ -62,10 +69,7 @@ def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path: Path) -> Non
     assert balanced > 0.95
 
 
-def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
+def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(tmp_path, capsys):
     name = "Pendulum-v1"
     robot, task = find_robot(f'gymnasium(id="{name}")'), make_task(f'environment(id="{name}")')
     controller = make_controller("recurrent(hidden=4)").bind_to(task.bind(robot.system))
@@ -82,8 +86,7 @@ def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(
         system=robot.system,
     )
     (tmp_path / "recommended.py").write_text(python_text(law_of(champion)))
-    sys.modules.pop("recommended", None)  # of the page, where that ran before
-    exec(blocks("tutorials/pendulum.md", "python")[-1].text, {})
-    del sys.modules["recommended"]
+    with importable(tmp_path):
+        exec(PAGES["tutorials/pendulum.md"].blocks("python")[-1].text, {})
     earned = robot.runner().run(controller, weights[None], task, np.zeros(1, dtype=np.uint64)).fitness
     assert capsys.readouterr().out == f"{earned.item():.0f} in 200 steps\n"

@@ -1,25 +1,20 @@
 """What the pages show passes ``mypy --strict``, as in a project that uses the package; what they warn of does not."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
-import pytest
 from mypy import api
 
-from tests.docs.blocks import PAGES, blocks, program
+from tests.docs.page import PAGES, ROOT
 
-PYTHON = [page for page in PAGES if blocks(page, "python")]
-SETTINGS = """
-[mypy]
-strict = true
-follow_imports = silent
-
-[mypy-cma.*,sklearn.*,recommended]
+STRICTER = "# mypy: warn-return-any, no-warn-unreachable\n"
+"""What ``mypy --strict`` asks of a user beyond our own settings."""
+WITHOUT_TYPES = """
+[[tool.mypy.overrides]]
+module = ["cma.*", "recommended"]
 ignore_missing_imports = true
 """
-"""Of a user: what our own modules do is not their concern; two libraries and an exported file have no types."""
+"""A library and an exported file."""
 HAS = """
 import numpy as np
 import pandas as pd
@@ -28,7 +23,7 @@ states: np.ndarray
 controls: np.ndarray
 frame: pd.DataFrame
 """
-"""The arrays and the table that a reader of some pages has already, see `test_pages.what_a_user_has`."""
+"""The arrays and the table that a reader of some pages has already, see `test_pages.given`."""
 WRONG = """
 from evaluation import compare
 from sysid_evo import Dataset, System, make_model
@@ -41,28 +36,37 @@ System(1, ["u"], dt=0.1)
 """
 
 
-def checked(folder: Path, cache: Path, texts: dict[str, str]) -> list[str]:
-    """Return the errors that mypy finds in these modules, with the name of each; the cache makes it quick."""
-    (folder / "mypy.ini").write_text(SETTINGS)
+def errors_in(folder, texts):
+    """Return the file, line and text of each error that mypy finds in these modules.
+
+    Our settings and our cache, which `make lint` fills, so that the product is not checked again.
+    """
+    (folder / "mypy.toml").write_text((ROOT / "pyproject.toml").read_text() + WITHOUT_TYPES)
     for name, text in texts.items():
-        (folder / f"{name}.py").write_text(text)
-    options = ["--config-file", str(folder / "mypy.ini"), "--cache-dir", str(cache), "--no-error-summary"]
+        (folder / f"{name}.py").write_text(STRICTER + text)
+    options = [
+        "--config-file",
+        str(folder / "mypy.toml"),
+        "--cache-dir",
+        str(ROOT / ".mypy_cache"),
+        "--no-error-summary",
+    ]
     said, failed, _ = api.run(
         [*options, "--python-executable", sys.executable, *(str(folder / f"{name}.py") for name in texts)]
     )
     assert not failed, failed
-    return [line.removeprefix(f"{folder}/") for line in said.splitlines() if ": note:" not in line]
+    lines = [line.split(":", 2) for line in said.splitlines() if ": note:" not in line]
+    return [(Path(file).name, int(line), text) for file, line, text in lines]  # the cache remembers another folder
 
 
-def test_the_python_of_all_pages_passes_a_strict_type_checker(tmp_path: Path, pytestconfig: pytest.Config) -> None:
-    assert pytestconfig.cache is not None
-    texts = {"has": HAS}
-    for page in PYTHON:
-        text, name = program(page), f"page_{page.removesuffix('.md').replace('/', '_').lower()}"
-        texts[name] = (
-            text.replace("\n", "from has import controls, frame, states\n", 1) if "states, controls)" in text else text
-        )
-    cache = pytestconfig.cache.mkdir("mypy")
-    assert checked(tmp_path, cache, texts) == []
-    refused = checked(tmp_path, cache, {"wrong": WRONG})
-    assert [line.split(":")[1] for line in refused] == ["6", "7", "8", "9"], refused
+def test_the_python_of_all_pages_passes_a_strict_type_checker(tmp_path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    texts = {"has": HAS, "wrong": WRONG}
+    for page in PAGES.values():
+        if page.blocks("python"):
+            text = page.program()
+            if "states, controls)" in text:
+                text = text.replace("\n", "from has import controls, frame, states\n", 1)
+            texts[f"page_{page.identifier}"] = text
+    found = errors_in(tmp_path, texts)
+    assert [(file, line) for file, line, _ in found] == [("wrong.py", line) for line in (7, 8, 9, 10)], found

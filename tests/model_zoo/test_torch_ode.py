@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.docs.blocks import blocks
 
 from model_zoo.features import Features
 from model_zoo.networks.network import Layers, random_network
@@ -23,7 +24,6 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import check_model, example_dataset
-from tests.docs.blocks import blocks
 from tests.fixtures.systems import DRIVEN
 
 torch = pytest.importorskip("torch")
