@@ -40,13 +40,15 @@ def pages(report_page, tmp_path_factory):
 def test_axe_finds_nothing_and_a_page_is_printed_on_several_sheets(visitor, pages, which):
     axe = Axe.from_file(os.environ["AXE_CORE"]) if "AXE_CORE" in os.environ else Axe()
     page = visitor.open(pages[which])
+    page.evaluate(axe.axe_script)
     contrast = {"runOnly": {"type": "rule", "values": ["color-contrast"]}}  # it takes most of the time
     others = {"rules": {"color-contrast": {"enabled": False}}}
     for width, scheme, rules in ((DESK, "light", {}), (DESK, "dark", contrast), (PHONE, "light", others)):
         resize(page, width)
         page.emulate_media(color_scheme=scheme)
-        found = axe.run(page, options={"resultTypes": ["violations"], **rules})
-        assert [f"{one['id']}: {one['nodes'][0]['html']}" for one in found["violations"]] == [], (width, scheme)
+        options = {"resultTypes": ["violations"], **rules}
+        found = page.evaluate("options => axe.run(document, options).then(found => found.violations)", options)
+        assert [f"{one['id']}: {one['nodes'][0]['html']}" for one in found] == [], (width, scheme)
     pdf = page.pdf(format="A4", print_background=True)
     assert pdf.startswith(b"%PDF")
     sheets = sum(pdf.count(mark) for mark in (b"/Type /Page\n", b"/Type /Page ", b"/Type/Page"))
