@@ -285,26 +285,31 @@ def _dotted(file: Path) -> str:
 
 
 class Watch:
-    """A plugin of pytest: the tests that failed and the seconds of each module, of which ``budget`` are spent."""
+    """A plugin of pytest: the tests that failed and the seconds of each module that ends within its share.
+
+    ``budget`` is for all modules together; one takes at most a quarter of it, and the rest of its tests is left out.
+    """
 
     def __init__(self, budget: float) -> None:
-        self.budget, self.failed, self.seconds = budget, list[str](), defaultdict[str, float](float)
-        self.session: Any = None
+        self.budget, self.failed = budget, list[str]()
+        self.spent, self.cut = defaultdict[str, float](float), set[str]()
 
-    def pytest_sessionstart(self, session: Any) -> None:
-        self.session = session
+    def pytest_runtest_setup(self, item: Any) -> None:
+        module = item.nodeid.partition("::")[0]
+        if self.spent[module] > self.budget / 4 or sum(self.spent.values()) > self.budget:
+            self.cut.add(module)
+            import_module("pytest").skip("enough")
 
     def pytest_collectreport(self, report: Any) -> None:
         self.failed += [report.nodeid] * report.failed
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         self.failed += [report.nodeid] * report.failed
-        module = report.nodeid.partition("::")[0]
-        if not self.session.shouldstop:
-            self.seconds[module] += report.duration
-            if sum(self.seconds.values()) > self.budget:
-                del self.seconds[module]  # it does not run to its end
-                self.session.shouldstop = "enough"
+        self.spent[report.nodeid.partition("::")[0]] += report.duration
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        return {module: seconds for module, seconds in self.spent.items() if module not in self.cut}
 
 
 class Tree:
