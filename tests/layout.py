@@ -30,6 +30,25 @@ def trees() -> dict[str, ast.Module]:
     return {name_of(file): ast.parse(file.read_text("utf-8")) for file in files}
 
 
+@cache
+def import_statements(module: str) -> list[tuple[ast.Import | ast.ImportFrom, bool]]:
+    """Return every import in ``module`` and whether it stands in a function; expressions are not searched."""
+    found, rest = [], [(statement, False) for statement in trees()[module].body]
+    while rest:
+        node, inside = rest.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append((node, inside))
+        inside = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            rest += [(statement, inside) for statement in getattr(node, part, ())]
+    return found
+
+
+def names_in(node: ast.Import | ast.ImportFrom) -> list[str]:
+    """Return the modules that an import names; a relative one is named as it is written."""
+    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+
+
 def name_of(file: Path) -> str:
     """Return the name by which ``file`` is imported."""
     parts = file.relative_to(ROOT).with_suffix("").parts
@@ -53,16 +72,14 @@ def lines_of(file: Path) -> int:
 
 def imports(module: str) -> Iterator[tuple[str, bool]]:
     """Yield each module of the four packages that ``module`` imports, and whether the import stands at its top."""
-    tree = trees()[module]
-    top = {id(node) for node in tree.body}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and not node.level and node.module:
+    top = {id(node) for node in trees()[module].body}
+    for node, _ in import_statements(module):
+        names = names_in(node)
+        if isinstance(node, ast.ImportFrom):
+            if node.level:
+                continue
             submodules = [name for alias in node.names if (name := f"{node.module}.{alias.name}") in trees()]
-            names = submodules if len(submodules) == len(node.names) else [node.module, *submodules]
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        else:
-            continue
+            names = submodules if len(submodules) == len(node.names) else [*names, *submodules]
         for name in names:
             if name.split(".")[0] in PACKAGES:
                 yield name, id(node) in top
@@ -97,26 +114,23 @@ def repeated_classes() -> dict[str, list[str]]:
 
 def importers_of(*packages: str) -> list[str]:
     """Return the modules that import one of these third-party packages, anywhere in them."""
-    found = set()
-    for module, tree in trees().items():
-        for node in ast.walk(tree):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            if any(name.split(".")[0] in packages for name in names):
-                found.add(module)
-    return sorted(found)
+    return sorted(
+        module
+        for module in trees()
+        if any(name.split(".")[0] in packages for node, _ in import_statements(module) for name in names_in(node))
+    )
 
 
 def imports_in_functions() -> list[tuple[str, str]]:
     """Return the module and the package that it imports, for each import in a function of what is not ours."""
-    found = set()
-    for module, tree in trees().items():
-        functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
-        for node in (inner for function in functions for inner in ast.walk(function)):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            found |= {(module, name.split(".")[0]) for name in names if name.split(".")[0] not in PACKAGES}
-    return sorted(found)
+    found = {
+        (module, name.split(".")[0])
+        for module in trees()
+        for node, in_function in import_statements(module)
+        if in_function
+        for name in names_in(node)
+    }
+    return sorted((module, package) for module, package in found if package not in PACKAGES)
 
 
 def main() -> None:

@@ -1,9 +1,5 @@
 """The comparison of stored numbers: what it calls equal, moved, gone and new, and what a table of renames does."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,18 +12,18 @@ BEFORE = {
 }
 
 
-def counted(before: dict, after: dict) -> tuple[list[str], list[str]]:
+def counted(before, after):
     """Return the line of the table for everything together, and the lines of what is not equal."""
     table, lines = listed(before, after)
     return [list(column.cells)[-1] for column in table.columns[1:]], lines
 
 
-def test_what_was_stored_is_equal_to_itself(tmp_path: Path) -> None:
+def test_what_was_stored_is_equal_to_itself(tmp_path):
     write(BEFORE, tmp_path)
     assert counted(read(tmp_path, {}), BEFORE) == (["3", "0", "0", "0"], [])
 
 
-def test_what_moved_is_listed_with_how_far_and_what_is_gone_or_new_by_name() -> None:
+def test_what_moved_is_listed_with_how_far_and_what_is_gone_or_new_by_name():
     moved = BEFORE["family/linear/car/learned/weights_"] + np.array([[0.0, 0.5], [0.0, 0.0]])
     after = {"family/linear/car/learned/weights_": moved, "family/linear/car/learned/name_": '"lasso"', "report/x": "1"}
     counts, lines = counted(BEFORE, after)
@@ -49,11 +45,11 @@ def test_what_moved_is_listed_with_how_far_and_what_is_gone_or_new_by_name() -> 
         ("one", "float64(1,) -> one"),
     ],
 )
-def test_the_last_bit_the_shape_and_the_type_count(other: np.ndarray | str, said: str) -> None:
+def test_the_last_bit_the_shape_and_the_type_count(other, said):
     assert difference(np.array([1.0]), other) == said
 
 
-def test_a_table_of_renames_leads_from_old_names_to_new_ones(tmp_path: Path) -> None:
+def test_a_table_of_renames_leads_from_old_names_to_new_ones(tmp_path):
     write(BEFORE, tmp_path)
     table = tmp_path / "renames.csv"
     table.write_text("old,new\nlinear,affine\ncma_es,cma\nname_,\n", encoding="utf-8")
@@ -62,7 +58,7 @@ def test_a_table_of_renames_leads_from_old_names_to_new_ones(tmp_path: Path) -> 
     assert found["champion/niches/described/strategy"] == '"niches(strategy=cma)"'
 
 
-def test_an_array_that_is_not_what_its_digest_says_ends_the_comparison(tmp_path: Path) -> None:
+def test_an_array_that_is_not_what_its_digest_says_ends_the_comparison(tmp_path):
     write(BEFORE, tmp_path / "first")
     write({**BEFORE, "family/linear/car/learned/weights_": np.zeros((2, 2))}, tmp_path / "second")
     (tmp_path / "second" / "references.safetensors").replace(tmp_path / "first" / "references.safetensors")
@@ -70,14 +66,14 @@ def test_an_array_that_is_not_what_its_digest_says_ends_the_comparison(tmp_path:
         read(tmp_path / "first", {})
 
 
-def test_leaves_are_found_by_their_paths() -> None:
+def test_leaves_are_found_by_their_paths():
     found = flat("report", {"a": [1, 2.5], "b": [{"c": None}, "x"], "d": True})
     np.testing.assert_array_equal(found.pop("report/a"), [1.0, 2.5])
     assert found == {"report/b/0/c": "null", "report/b/1": '"x"', "report/d": "true"}
 
 
-def test_work_that_fails_is_an_entry_that_says_so() -> None:
-    def broken(name: str) -> dict:
+def test_work_that_fails_is_an_entry_that_says_so():
+    def broken(name):
         raise ValueError(name)
 
     found, complaint = guarded(broken, ("linear",))
