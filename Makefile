@@ -1,11 +1,12 @@
-# Two commands do everything: `make compare` and `make test`. Both set up .venv first.
+# `make compare` runs the whole job, `make check` the quick tests, `make test` all of a day. All set up .venv first.
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.complete
+PYTEST := SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup compare test pytest lint docs pictures clean
+.PHONY: setup compare check test nightly unit suite lint docs pictures clean
 
 setup: $(STAMP)
 
@@ -27,12 +28,26 @@ lint: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# Types are checked on one processor while the tests begin on the other.
-test: setup
-	$(MAKE) --no-print-directory -j 2 lint pytest
+# Lint, layers and types, beside the unit tests: after every step.
+check: setup
+	$(MAKE) --no-print-directory -j 2 lint unit
 
-pytest: setup
-	SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest -n 3
+# Lint, layers and types, beside all tests of a day: before every commit.
+test: setup
+	$(MAKE) --no-print-directory -j 2 lint suite
+
+# Also what takes long, the benchmarks, and lines changed by chance.
+nightly: setup
+	$(PYTEST) -n 3 --nightly
+	$(PYTEST) -n 2 --nightly tests/benchmarks
+	$(BIN)/python -m tests.mutate --nightly
+
+unit: setup
+	$(PYTEST) -n 2 tests/unit
+
+# Three workers for two processors, since some tests wait.
+suite: setup
+	$(PYTEST) -n 3
 
 # The pages of docs/ as a site in build/site; a broken link or name is an error.
 docs: setup
