@@ -10,7 +10,6 @@ import pytest
 
 from model_zoo.features import between_limits, integrals
 from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 
@@ -77,19 +76,6 @@ def test_no_cart_runs_beyond_the_limits_of_its_channel(family: str) -> None:
     model = make_model(family, **QUICK.get(family, {})).fit(driven(limited), rng=0)
     simulated = model.simulate(np.array([farthest, 0.3]), np.ones((8, 1)))
     assert simulated[:, 0].max() == farthest + 0.05
-
-
-@pytest.mark.parametrize("family", FAMILIES)
-def test_the_compiled_form_adds_the_change_as_the_model_does(family: str) -> None:
-    limited = replace(CART, states=(Channel("position", "m", -1.5, 1.5), CART.states[1]))
-    model = make_model(family, **QUICK.get(family, {})).fit(driven(limited), rng=0)
-    rng = np.random.default_rng(0)
-    states, controls = rng.uniform(-1.8, 1.8, (40, 2)), rng.uniform(-1.0, 1.0, (40, 1))
-    carry = model.start(np.repeat(states[:, None], model.n_lags + 1, axis=1), np.zeros((40, model.n_lags, 1)))
-    kernel = model.kernel()
-    assert kernel is not None
-    compiled = kernel_step(kernel, carry, controls, precision="float64")
-    np.testing.assert_allclose(compiled, model.step(carry, controls), rtol=1e-6, atol=1e-7)
 
 
 def test_what_stands_at_a_limit_is_not_learned_as_what_drove_it_there() -> None:

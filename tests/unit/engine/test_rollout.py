@@ -1,7 +1,5 @@
 """The closed loop against a plain scalar loop, and what it does when trials end or diverge."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -9,15 +7,19 @@ import numpy as np
 import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.engine import DynamicsRunner, rollout
+from sysid_evo.engine import DynamicsRunner, behaviour_names, rollout
+from sysid_evo.engine.compiled import loops
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
+from sysid_evo.evolution import Champion
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import step_noise, trial_draws, trial_seeds
+from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.by_hand import Climber, Constant, Echo, Ladder, LadderState, Restless, SluggishCar, network_by_hand
+from tests.fixtures.compiled_ladder import seeds_from
 
-SEEDS = np.array([12, 7, 33], dtype=np.uint64)
+SEEDS = seeds_from(12, 7, 33)
 RADIUS = 1.0  # m: a random network passes a few waypoints of this size
 
 
@@ -27,7 +29,7 @@ def drive_by_hand(weights, waypoints, noise, draw, horizon):
     u = v = r = x = y = heading = last_drive = 0.0
     battery = 1.0 + 0.1 * draw
     passed = 0
-    observations: list[list[float]] = []
+    observations = []
     states = [[u, v, r]]
     for k in range(horizon):
         dx, dy = waypoints[passed][0] - x, waypoints[passed][1] - y
@@ -142,7 +144,7 @@ def test_trial_seeds_are_keyed_by_seed_generation_and_trial():
 def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder):
     """From height 2 at 0.5 a step: infinite on step 3 above 3.2, so that two steps survive of ten."""
     parameters = np.array([[0.5], [0.0], [1.0]])
-    seeds = np.array([2, 0], dtype=np.uint64)
+    seeds = seeds_from(2, 0)
     dynamics = Climber(ladder, breaks_above=3.2)
     run = rollout(dynamics, Constant(), parameters, Ladder(horizon=10), seeds, record=True)
     np.testing.assert_array_equal(run.survived, [[2, 6], [10, 10], [1, 3]])
@@ -154,7 +156,7 @@ def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder)
 
 
 def test_a_trial_that_diverges_at_once_scores_least_and_leaves_no_trajectory(ladder):
-    seeds = np.array([9, 0], dtype=np.uint64)
+    seeds = seeds_from(9, 0)
     run = rollout(
         Climber(ladder, breaks_above=3.0), Constant(), np.array([[0.1]]), Ladder(horizon=4), seeds, record=True
     )
@@ -171,7 +173,7 @@ def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder, weight
 
 def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder):
     dynamics = Climber(ladder, envelope=np.array([[-1.0], [1.2]]))
-    seeds = np.array([0], dtype=np.uint64)
+    seeds = seeds_from(0)
     run = rollout(dynamics, Constant(), np.array([[0.5], [0.1], [-1.0]]), Ladder(horizon=5), seeds, record=True)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 1.0, 1.2, 1.2, 1.2])
     np.testing.assert_array_equal(run.clipped[:, 0], [3, 0, 4])
@@ -180,7 +182,7 @@ def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder)
 
 
 def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
-    seeds = np.array([0, 2], dtype=np.uint64)
+    seeds = seeds_from(0, 2)
     run = rollout(Climber(ladder), Constant(), np.array([[0.5], [0.0]]), Ladder(horizon=8, top=3.2), seeds, record=True)
     # from 0: 0.5 ... 3.5 on step 7; from 2: 2.5, 3.0, 3.5 on step 3
     np.testing.assert_array_equal(run.survived, [[7, 3], [8, 8]])
@@ -193,7 +195,7 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
 
 def test_a_trial_that_is_over_is_clipped_no_more(ladder):
     dynamics = Climber(ladder, envelope=np.array([[-1.0], [2.1]]))
-    seeds = np.array([0], dtype=np.uint64)
+    seeds = seeds_from(0)
     run = rollout(dynamics, Constant(), np.array([[0.5], [0.1]]), Ladder(horizon=8, top=1.7), seeds)
     # 0.5 ends on 2.0 in step 4; four steps more would each be clipped
     np.testing.assert_array_equal(run.survived[:, 0], [4, 8])
@@ -201,14 +203,14 @@ def test_a_trial_that_is_over_is_clipped_no_more(ladder):
 
 
 def test_a_wall_alters_the_state_that_goes_on(ladder):
-    seeds = np.array([0], dtype=np.uint64)
+    seeds = seeds_from(0)
     run = rollout(Climber(ladder), Constant(), np.array([[0.5]]), Ladder(horizon=4, ceiling=0.8), seeds, record=True)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 0.8, 0.8, 0.8])
     assert run.clipped[0, 0] == 0
 
 
 def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_controls(ladder):
-    seeds = np.array([3], dtype=np.uint64)
+    seeds = seeds_from(3)
     run = rollout(Echo(ladder), Constant(), np.array([[1.0]]), Ladder(horizon=4), seeds, record=True)
     # neutral is 0.25: 10 * 0.25 + 3 twice, then 10 * 1 + 3, then 10 * 1 + 5.5
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [3.0, 5.5, 5.5, 13.0, 15.5])
@@ -216,9 +218,9 @@ def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_control
 
 @pytest.mark.parametrize("lags", [{}, {"state_lags": 2, "control_lags": 1}])
 def test_a_recorded_rollout_is_the_free_run_under_its_controls(car_data, lags):
-    model = make_model("linear", **lags).fit(car_data, rng=np.random.default_rng(0))
+    model = make_model("linear", **lags).fit(car_data, rng=0)
     weights = np.random.default_rng(8).standard_normal((3, 78))
-    run = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=50), SEEDS, record=True, engine="float64")
+    run = rollout(model, RecurrentNetwork(), weights, PointToPoint(horizon=50), SEEDS, record=True, engine="reference")
     assert len({tuple(t.controls.ravel()) for t in run.trajectories}) > 1
     for trajectory in run.trajectories:
         past = np.repeat(trajectory.states[:1][None], model.n_lags + 1, axis=1)
@@ -242,6 +244,45 @@ def test_recorded_poses_follow_from_the_recorded_states(car):
         moved = car.motion.move(t.pose[:-1], t.states[:-1], t.states[1:], car.dt, car.state_names)
         np.testing.assert_allclose(t.pose[1:], moved, atol=1e-12)
         np.testing.assert_array_equal(t.pose[0], [0.0, 0.0, 0.0])
+
+
+def test_names_of_behaviours_stand_in_the_order_of_states_and_controls():
+    system = make_robot("emulated_car").system
+    names = behaviour_names(system)
+    assert names[:2] == ("forward_speed above", "forward_speed below")
+    assert names[-4:] == ("drive above", "drive below", "steer above", "steer below")
+    assert len(names) == 2 * (system.nx + system.nu)
+
+
+def test_samples_of_behaviour_are_counted_by_hand(ladder):
+    """Heights begin at 0, which is neutral, and at 3; samples are those of steps 0 and 5; 0.25 is no command."""
+    candidates = np.array([[1.0], [0.25], [-1.0]])
+    found = rollout(Climber(ladder), Constant(), candidates, Ladder(), seeds_from(0, 3))
+    assert loops.EVERY == 5
+    climbs, stays, descends = found.behaviour
+    np.testing.assert_array_equal(climbs, [[0.5, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
+    np.testing.assert_array_equal(stays[:, 2:], 0.0)
+    np.testing.assert_array_equal(descends, [[0.0, 0.5, 0.0, 1.0], [0.5, 0.5, 0.0, 1.0]])
+
+
+def test_only_the_time_of_the_trial_counts_as_behaviour(ladder):
+    """From 0 up by one a step, a trial that ends above 6 has seven steps and two samples, at 0 and at 5."""
+    found = rollout(Climber(ladder), Constant(), np.array([[1.0]]), Ladder(top=6.5), seeds_from(0))
+    assert found.survived[0, 0] == 7
+    np.testing.assert_array_equal(found.behaviour[0, 0], [0.5, 0.0, 1.0, 0.0])
+
+
+def test_a_trial_that_diverges_has_no_behaviour(ladder):
+    found = rollout(Climber(ladder, breaks_above=10.2), Constant(), np.array([[1.0]]), Ladder(), trial_seeds(1, 6))
+    broken = found.fitness[0] < 0.0
+    assert broken.any()
+    np.testing.assert_array_equal(found.behaviour[0, broken], 0.0)
+
+
+def test_a_champion_of_somebody_who_drives_by_hand_has_no_tensors_of_candidates():
+    person = Champion("anna", np.empty(0), (), "min", 0, np.empty((0, 3)))
+    assert person.tensors["finalists"].shape == (0, 0)
+    assert person.tensors["population"].shape == (0, 0)
 
 
 def test_wrong_arguments_are_refused_before_anything_runs(car, ladder):

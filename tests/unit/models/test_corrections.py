@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from sysid_evo.data import Dataset
-from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.models.adaptation import Terms
 from sysid_evo.models.adaptation.correction import Pieces, corrections, free_runs, pushed, sensitivities
 from sysid_evo.models.base import make_model
-from sysid_evo.models.kernels.correction import correction_kernel
-from sysid_evo.testing.examples import ExampleDynamics, example_dataset, example_systems
+from sysid_evo.testing.examples import example_dataset
 from sysid_evo.validation.simulation_error import error_of
 from tests.fixtures.systems import FloorCar, drive
 
@@ -99,20 +96,6 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there():
     held, pushed_off = (model.step(resting, control) for control in (idle, idle + 1.0))
     assert np.array_equal(terms.corrected(resting, idle, held, np.ones(terms.shape)), resting)
     assert not np.array_equal(terms.corrected(resting, idle + 1.0, pushed_off, np.ones(terms.shape)), pushed_off)
-
-
-@pytest.mark.parametrize("system", example_systems(), ids=lambda system: system.name)
-def test_the_compiled_form_corrects_as_the_terms_do(system, rng):
-    model = ExampleDynamics(system)
-    states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
-    terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
-    before, control, coefficients = 2.0 * states[:70], controls[:70], rng.normal(size=terms.shape)
-    kernel = correction_kernel(model.kernel(), system, terms.arrays, coefficients)
-    assert kernel is not None
-    compiled = kernel_step(kernel, before, control, precision="float64")
-    after = model.step(before, control)
-    np.testing.assert_allclose(compiled, terms.corrected(before, control, after, coefficients), rtol=1e-6, atol=1e-7)
-    assert not np.allclose(compiled, after)
 
 
 def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other():

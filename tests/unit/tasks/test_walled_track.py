@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.predictive_control import Predictive
@@ -184,17 +183,6 @@ def test_a_collision_may_end_the_trial():
 )
 def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(parameters):
     check_task("walled_track", switched_car(), horizon=150, **parameters)
-
-
-def test_in_single_precision_the_same_way_is_driven():
-    task, network = WalledTrack(horizon=60), RecurrentNetwork(hidden=3)
-    parameters = 0.3 * np.random.default_rng(2).standard_normal((5, network.bind(8, 2).n_parameters))
-    found, exact = (
-        rollout(ExampleDynamics(switched_car()), network, parameters, task, SEEDS, engine=engine)
-        for engine in ("float32", "reference")
-    )
-    assert exact.fitness.max() > 0.2
-    assert np.median(np.abs(found.fitness - exact.fitness)) < 1e-3
 
 
 @pytest.mark.parametrize(

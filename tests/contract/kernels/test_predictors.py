@@ -1,17 +1,12 @@
 """The kernel library's predictors against plain NumPy, over random shapes and parameters."""
 
-from __future__ import annotations
-
-from itertools import pairwise
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import LANES, Precision
+from sysid_evo.kernels import LANES
 from sysid_evo.models.kernels import (
     added,
     command_network_predictor,
@@ -20,49 +15,18 @@ from sysid_evo.models.kernels import (
     network_predictor,
     polynomial_predictor,
 )
-from sysid_evo.types import Array
-from tests.sysid_evo.engine.running import EXACT_FIRST, RTOL, predictions
+from tests.fixtures.lanes import OWN_FIRST, RTOL, predictions
 
-few = settings(max_examples=8, deadline=None, derandomize=True)
+few = settings(max_examples=5, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def agree(predicted: Array, expected: Array, precision: str) -> None:
+def agree(predicted, expected, precision):
     tolerance = RTOL[precision]
     np.testing.assert_allclose(predicted, expected, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-@few
-@given(
-    seed=seeds,
-    hidden=st.lists(st.integers(1, 9), max_size=3),
-    members=st.integers(1, 3),
-    n_carry=st.integers(1, 7),
-    n_control=st.integers(0, 3),
-    n_out=st.integers(1, 6),
-)
-def test_networks_give_their_mean(
-    precision: Precision, seed: int, hidden: list[int], members: int, n_carry: int, n_control: int, n_out: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    sizes = [n_carry + n_control, *hidden, n_out]
-    networks = [
-        [(rng.normal(size=(a, b)) / np.sqrt(a), rng.normal(size=b)) for a, b in pairwise(sizes)] for _ in range(members)
-    ]
-    x, u = rng.normal(size=(LANES, n_carry)), rng.normal(size=(LANES, n_control))
-    outputs = []
-    for layers in networks:
-        z = np.concatenate([x, u], axis=1)
-        for i, (weights, bias) in enumerate(layers):
-            z = z @ weights + bias
-            z = np.tanh(z) if i < len(layers) - 1 else z
-        outputs.append(z)
-    predicted = predictions(network_predictor(networks, n_carry, n_control), x, u, n_out, precision)
-    agree(predicted, np.mean(outputs, axis=0), precision)
-
-
-def test_networks_of_different_shapes_are_refused() -> None:
+def test_networks_of_different_shapes_are_refused():
     one, two = [(np.zeros((3, 2)), np.zeros(2))], [(np.zeros((3, 1)), np.zeros(1))]
     with pytest.raises(InvalidArgument, match="equal shapes"):
         network_predictor([one, two], 2, 1)
@@ -70,7 +34,7 @@ def test_networks_of_different_shapes_are_refused() -> None:
         network_predictor([one], 2, 2)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
+@pytest.mark.parametrize("precision", OWN_FIRST)
 @few
 @given(
     seed=seeds,
@@ -79,9 +43,7 @@ def test_networks_of_different_shapes_are_refused() -> None:
     n_control=st.integers(0, 3),
     n_out=st.integers(1, 4),
 )
-def test_polynomials_are_the_sum_of_their_terms(
-    precision: Precision, seed: int, terms: int, n_carry: int, n_control: int, n_out: int
-) -> None:
+def test_polynomials_are_the_sum_of_their_terms(precision, seed, terms, n_carry, n_control, n_out):
     rng = np.random.default_rng(seed)
     powers = rng.integers(0, 4, (terms, n_carry + n_control))
     coefficients = rng.normal(size=(terms, n_out)) * (rng.random((terms, n_out)) < 0.5)
@@ -92,26 +54,26 @@ def test_polynomials_are_the_sum_of_their_terms(
           expected, precision)  # fmt: skip
 
 
-def test_a_polynomial_of_wrong_exponents_is_refused() -> None:
+def test_a_polynomial_of_wrong_exponents_is_refused():
     with pytest.raises(InvalidArgument, match="exponents >= 0"):
         polynomial_predictor([[1, -1]], np.ones((1, 1)), 1, 1)
     with pytest.raises(InvalidArgument, match=r"2 \+ 1 variables"):
         polynomial_predictor([[1, 1]], np.ones((1, 1)), 2, 1)
 
 
-def cell_of(u: Array, midpoints: list[Array]) -> Any:
+def cell_of(u, midpoints):
     cell = np.zeros(len(u), dtype=np.int64)
     for i, between in enumerate(midpoints):
         cell = cell * (len(between) + 1) + np.searchsorted(between, u[:, i])
     return cell
 
 
-def some_grid(rng: np.random.Generator, n_controls: int) -> tuple[list[Array], int]:
+def some_grid(rng, n_controls):
     midpoints = [np.sort(rng.uniform(-1, 1, rng.integers(1, 4))) for _ in range(n_controls)]
     return midpoints, int(np.prod([len(m) + 1 for m in midpoints]))
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
+@pytest.mark.parametrize("precision", OWN_FIRST)
 @few
 @given(
     seed=seeds,
@@ -120,9 +82,7 @@ def some_grid(rng: np.random.Generator, n_controls: int) -> tuple[list[Array], i
     n_out=st.integers(1, 3),
     hidden=st.integers(1, 12),
 )
-def test_the_networks_of_the_command_in_force_answer(
-    precision: Precision, seed: int, n_states: int, n_controls: int, n_out: int, hidden: int
-) -> None:
+def test_the_networks_of_the_command_in_force_answer(precision, seed, n_states, n_controls, n_out, hidden):
     rng = np.random.default_rng(seed)
     midpoints, cells = some_grid(rng, n_controls)
     exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()
@@ -140,8 +100,8 @@ def test_the_networks_of_the_command_in_force_answer(
     agree(predictions(predictor, x, u, n_out, precision), expected, precision)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-@settings(max_examples=15, deadline=None, derandomize=True)
+@pytest.mark.parametrize("precision", OWN_FIRST)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(
     seed=seeds,
     n_states=st.integers(1, 4),
@@ -150,9 +110,7 @@ def test_the_networks_of_the_command_in_force_answer(
     most=st.sampled_from([1, 3, 17, 400, 3000]),
     reach=st.sampled_from([1.0, 100.0]),
 )
-def test_the_nearest_of_all_points_under_the_command_answers(
-    precision: Precision, seed: int, n_states: int, n_controls: int, n_out: int, most: int, reach: float
-) -> None:
+def test_the_nearest_of_all_points_under_the_command_answers(precision, seed, n_states, n_controls, n_out, most, reach):
     """Also with a single point, with far queries, with exact controls, with cells that have no points."""
     rng = np.random.default_rng(seed)
     midpoints, cells = some_grid(rng, n_controls)
@@ -176,8 +134,8 @@ def test_the_nearest_of_all_points_under_the_command_answers(
         assert any(np.allclose(predicted[lane], value, rtol=1e-6) for value in values[tied])
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-def test_a_point_that_was_recorded_finds_itself_among_many_equal_coordinates(precision: Precision) -> None:
+@pytest.mark.parametrize("precision", OWN_FIRST)
+def test_a_point_that_was_recorded_finds_itself_among_many_equal_coordinates(precision):
     rng = np.random.default_rng(4)
     points = np.unique(rng.integers(0, 9, (2000, 3)), axis=0).astype(float)
     points = points[rng.permutation(len(points))]
@@ -188,8 +146,8 @@ def test_a_point_that_was_recorded_finds_itself_among_many_equal_coordinates(pre
     np.testing.assert_array_equal(found[:, 0], asked)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision: Precision) -> None:
+@pytest.mark.parametrize("precision", OWN_FIRST)
+def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision):
     rng = np.random.default_rng(4)
     points, values = rng.normal(size=(900, 2)), rng.normal(size=(900, 2))
     predictor = neighbour_predictor([(points, values)], np.array([0, 0]), [np.array([0.0])], [0], 1)
@@ -202,17 +160,15 @@ def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision: Pr
     np.testing.assert_allclose(found[5:], values[nearest], rtol=1e-6)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-def test_asking_groups_of_buckets_first_finds_the_same_point(
-    precision: Precision, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("precision", OWN_FIRST)
+def test_asking_groups_of_buckets_first_finds_the_same_point(precision, monkeypatch):
     """Also in tables of few points, in one of a single group, far away, and where a query is not a number."""
     rng = np.random.default_rng(5)
     sizes = (9000, 5, 1, 300, 4096)
     tables = [(rng.normal(size=(n, 2)).astype(np.float32).astype(float), rng.normal(size=(n, 2))) for n in sizes]
     midpoints, serving = [np.array([-0.6, -0.2, 0.2, 0.6])], np.arange(5)
 
-    def found(x: Array, u: Array) -> Array:
+    def found(x, u):
         return predictions(neighbour_predictor(tables, serving, midpoints, [0], 1), x, u, 2, precision)
 
     u = rng.uniform(-1.0, 1.0, (LANES, 1))
@@ -227,15 +183,15 @@ def test_asking_groups_of_buckets_first_finds_the_same_point(
         assert np.isfinite(by_groups).all()
 
 
-def test_more_points_than_the_compiled_form_can_address_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_points_than_the_compiled_form_can_address_are_refused(monkeypatch):
     monkeypatch.setattr(neighbours, "EXACT_INTEGERS", 1000)
     points = np.zeros((400, 1))
     with pytest.raises(InvalidArgument, match="use fewer points"):
         neighbour_predictor([(points, np.zeros((len(points), 3)))], np.array([0, 0]), [np.array([0.0])], [], 1)
 
 
-@pytest.mark.parametrize("precision", EXACT_FIRST)
-def test_a_sum_prepares_both_of_its_parts(precision: Precision) -> None:
+@pytest.mark.parametrize("precision", OWN_FIRST)
+def test_a_sum_prepares_both_of_its_parts(precision):
     rng = np.random.default_rng(6)
     x, u = rng.uniform(-1, 1, (LANES, 3)), rng.uniform(-1, 1, (LANES, 2))
     parts = [polynomial_predictor(rng.integers(0, 3, (n, 5)), rng.normal(size=(n, 3)), 3, 2) for n in (4, 7)]

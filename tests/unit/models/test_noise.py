@@ -1,96 +1,41 @@
-"""Noise around a dynamics: what differs from trial to trial, what does not, and that both forms agree."""
-
-from __future__ import annotations
+"""Noise, lost and late commands and a late state around a dynamics: what differs from trial to trial, and what not."""
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
-from sysid_evo.engine.compiled.open_loop import kernel_step
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.models import (
-    DelayedEstimate,
-    Dynamics,
-    DynamicsModel,
-    NoisySensors,
-    Perturbed,
-    RadicalEnvelope,
-    disturbed,
-    state_spread,
-)
+from sysid_evo.models import DelayedEstimate, NoisySensors, Perturbed, RadicalEnvelope, disturbed, state_spread
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import noises
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
-from sysid_evo.testing.closed_loop import expect_engines_agree
 from sysid_evo.testing.examples import ExampleDynamics, pendulum
-from sysid_evo.types import Array
-from tests.fixtures.by_hand import Climber, SluggishCar
+from tests.fixtures.by_hand import Climber, SluggishCar, started
 
-SPREAD = np.array([0.5, 0.1, 1.0])
-LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), 0.1)
-ALL = RadicalEnvelope(
-    sensor=0.2, bias=0.1, latency=3, dropout=0.4, gain=0.2, scale=0.1, effect=0.1, process=0.05, base=["lateral_speed"]
-)
-KINDS = [
-    {"sensor": 0.3}, {"bias": 0.2}, {"latency": 2}, {"dropout": 0.6}, {"gain": 0.2}, {"scale": 0.2}, {"effect": 0.3},
-    {"process": 0.1}, {"latency": 1, "dropout": 0.5, "process": 0.1},
-]  # fmt: skip
-GIVEN = RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (13, 78)), PointToPoint(horizon=60)
+DT = 0.1
+LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), DT)
 
 
 @cache
-def linear() -> DynamicsModel:
-    return make_model("linear", state_lags=1, control_lags=1).fit(example_dataset(), rng=np.random.default_rng(0))
+def linear():
+    return make_model("linear", state_lags=1, control_lags=1).fit(example_dataset(), rng=0)
 
 
 class SpinningBody(ExampleDynamics):
     """Its angle goes round a fifth of a turn in each step."""
 
-    def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
+    def step(self, carry, control, noise=None):
         return carry + np.array([0.4 * np.pi, 0.0])
 
 
-def started(dynamics: Dynamics, rows: int, rng: np.random.Generator) -> Array:
-    states = np.tile(dynamics.system.neutral_state, (rows, dynamics.n_lags + 1, 1))
-    controls = np.tile(dynamics.system.neutral_control, (rows, dynamics.n_lags, 1))
-    return dynamics.start(states, controls, rng.standard_normal((rows, dynamics.n_draws)))
-
-
-@pytest.mark.parametrize("noise", [ALL, *(RadicalEnvelope(**kind) for kind in KINDS)])
-def test_compiled_form_steps_as_step_does(noise: RadicalEnvelope, rng: np.random.Generator) -> None:
-    noisy = NoisySensors(DelayedEstimate(Perturbed(linear(), noise, SPREAD), 0.07), noise, SPREAD)
-    kernel = noisy.kernel()
-    assert kernel is not None
-    compiled = stepped = started(noisy, 70, rng)
-    assert stepped.shape[1] == noisy.n_carry
-    for _ in range(6):
-        control = rng.integers(-1, 2, (70, noisy.system.nu)).astype(float)
-        drawn = rng.standard_normal((70, noisy.n_noise))
-        compiled = kernel_step(kernel, compiled, control, drawn, precision="float64")
-        stepped = noisy.step(stepped, control, drawn)
-        np.testing.assert_allclose(compiled, stepped, rtol=1e-7, atol=1e-9)
-
-
-def test_engines_run_the_same_trials_with_noise() -> None:
-    expect_engines_agree(disturbed(linear(), ALL, delay=0.07), *GIVEN)
-
-
-def test_scores_under_noise_are_the_same_for_any_number_of_threads() -> None:
-    noisy, seeds = disturbed(linear(), ALL, delay=0.07), trial_seeds(0, 7)
-    one, two = (rollout(noisy, *GIVEN, seeds, engine="float32", threads=threads).fitness for threads in (1, 2))
-    np.testing.assert_array_equal(one, two)
-    assert (one != rollout(linear(), *GIVEN, seeds).fitness).any()
-
-
 @pytest.mark.parametrize("wrapper", [Perturbed, NoisySensors])
-def test_an_empty_envelope_changes_nothing(wrapper: Any, rng: np.random.Generator) -> None:
+def test_an_empty_envelope_changes_nothing(wrapper, rng):
     plain = SluggishCar(example_dataset().system)
     noisy = wrapper(plain, RadicalEnvelope(), np.ones(3))
     a, b = started(plain, 4, np.random.default_rng(3)), started(noisy, 4, np.random.default_rng(3))
@@ -103,7 +48,7 @@ def test_an_empty_envelope_changes_nothing(wrapper: Any, rng: np.random.Generato
         np.testing.assert_allclose(shown, a[:, :3])
 
 
-def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng: np.random.Generator) -> None:
+def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng):
     late = Perturbed(Climber(LINE), RadicalEnvelope(latency=3), np.ones(1))
     carry = started(late, 4000, rng)
     first = np.full(len(carry), -1)
@@ -114,7 +59,7 @@ def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng: np.random.Ge
     np.testing.assert_array_equal(carry[:, 0], 5.0 - first)
 
 
-def test_a_lost_command_leaves_the_last_one_in_force(rng: np.random.Generator) -> None:
+def test_a_lost_command_leaves_the_last_one_in_force(rng):
     lossy = Perturbed(Climber(LINE), RadicalEnvelope(dropout=0.8), np.ones(1))
     carry, sent, held = started(lossy, 2000, rng), np.zeros((2000, 1)), np.zeros((2000, 1))
     lost = np.zeros(2000)
@@ -131,11 +76,11 @@ def test_a_lost_command_leaves_the_last_one_in_force(rng: np.random.Generator) -
     assert lost.max() > 0.7
 
 
-def test_scale_changes_where_a_state_ends_and_gain_only_how_soon() -> None:
+def test_scale_changes_where_a_state_ends_and_gain_only_how_soon():
     plain, control = ExampleDynamics(LINE), np.ones((200, 1))
     ends, soon = {}, {}
     for name in ("scale", "gain"):
-        noisy = Perturbed(plain, RadicalEnvelope(**{name: 0.2}), np.ones(1))  # type: ignore[arg-type]
+        noisy = Perturbed(plain, RadicalEnvelope(**{name: 0.2}), np.ones(1))
         carry = started(noisy, 200, np.random.default_rng(0))
         factor = carry[:, 1 if name == "gain" else 2]
         for k in range(200):
@@ -151,8 +96,8 @@ def test_scale_changes_where_a_state_ends_and_gain_only_how_soon() -> None:
 
 
 def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_a_state_in_every_step(
-    rng: np.random.Generator,
-) -> None:
+    rng,
+):
     off_centre = System((Channel("height", "m"),), (Channel("climb", "m", 0.0, 1.0, neutral=0.5),), 0.1)
     noisy = Perturbed(Climber(off_centre), RadicalEnvelope(effect=0.2), np.ones(1))
     carry = started(noisy, 500, rng)
@@ -170,7 +115,7 @@ def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_a_
     assert 1.8 < size.max() < 2.3, "half of 4"
 
 
-def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng: np.random.Generator) -> None:
+def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng):
     noisy = NoisySensors(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), np.array([4.0]))
     carry, shown = started(noisy, 500, rng), []
     for _ in range(400):
@@ -184,7 +129,7 @@ def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(
     assert 0.36 < bias.std() < 0.44
 
 
-def test_the_base_set_meets_no_noise(rng: np.random.Generator) -> None:
+def test_the_base_set_meets_no_noise(rng):
     everything = RadicalEnvelope(
         sensor=0.5, bias=0.5, latency=2, dropout=0.9, gain=0.5, scale=0.5, effect=0.5, process=0.5,
         base=["forward_speed", "lateral_speed", "yaw_rate", "drive", "steer"],
@@ -198,7 +143,7 @@ def test_the_base_set_meets_no_noise(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(b[:, noisy.observed_at :][:, :3], np.clip(a[:, :3], *plain.envelope), atol=1e-12)
 
 
-def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot() -> None:
+def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot():
     data = example_dataset()
     states = np.concatenate([episode.states[:-1] for episode in data.episodes])
     np.testing.assert_allclose(state_spread(linear()), states.std(axis=0))
@@ -218,18 +163,86 @@ def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_r
         ("envelope(sensr=1)", "sensor"),
     ],
 )
-def test_a_wrong_envelope_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:
+def test_a_wrong_envelope_is_refused_with_what_is_wrong(text, complaint):
     with pytest.raises(InvalidArgument, match=complaint):
         noises.make(text)
 
 
-def test_unknown_names_are_refused() -> None:
+def test_unknown_names_are_refused():
     with pytest.raises(UnknownName, match="envelope"):
         noises.make("envelop(sensor=1)")
     with pytest.raises(InvalidArgument, match="forward_speed"):
         disturbed(linear(), RadicalEnvelope(sensor=0.1, base=["forward"]))
 
 
-def test_perturbing_what_is_observed_late_is_refused() -> None:
+def test_perturbing_what_is_observed_late_is_refused():
     with pytest.raises(InvalidArgument, match="late"):
-        Perturbed(DelayedEstimate(linear(), 0.05), ALL, np.ones(3))
+        Perturbed(DelayedEstimate(linear(), 0.05), RadicalEnvelope(gain=0.2), np.ones(3))
+
+
+def observed(dynamics, carry):
+    return carry[:, dynamics.observed_at :][:, : dynamics.system.nx]
+
+
+@pytest.mark.parametrize("samples", [0.0, 0.25, 1.0, 1.5, 2.0, 3.75])
+def test_ramp_is_observed_as_much_lower_as_it_rises_within_the_delay(samples):
+    late = DelayedEstimate(Climber(LINE), samples * DT)
+    past = np.arange(-late.n_lags, 1.0)[None, :, None]
+    carry = late.start(past, np.ones((1, late.n_lags, 1)))
+    for k in range(8):
+        assert carry[0, 0] == k
+        assert observed(late, carry)[0, 0] == pytest.approx(k - samples)
+        carry = late.step(carry, np.ones((1, 1)))
+
+
+def test_dynamics_underneath_goes_on_as_without_the_wrapper(rng):
+    system = example_dataset().system
+    plain = SluggishCar(system)
+    late = DelayedEstimate(plain, 0.07)
+    draws, lags = rng.standard_normal((4, plain.n_draws)), late.n_lags
+    states, controls = np.zeros((4, lags + 1, system.nx)), np.zeros((4, lags, system.nu))
+    a = plain.start(states[:, lags - plain.n_lags :], controls[:, lags - plain.n_lags :], draws)
+    b = late.start(states, controls, draws)
+    for _ in range(20):
+        control, noise = rng.integers(-1, 2, (4, system.nu)).astype(float), rng.standard_normal((4, plain.n_noise))
+        a, b = plain.step(a, control, noise), late.step(b, control, noise)
+        np.testing.assert_array_equal(a, b[:, : plain.n_carry])
+
+
+def test_pose_follows_the_true_state_and_the_controller_sees_the_late_one():
+    """What moves the pose is what the wrapped dynamics did; only observations are late."""
+    model = make_model("linear").fit(example_dataset(), rng=0)
+    run = rollout(
+        DelayedEstimate(model, 0.05), RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (1, 78)),
+        PointToPoint(horizon=60), trial_seeds(0, 1), engine="reference", record=True,
+    )  # fmt: skip
+    trajectory = run.trajectories[0]
+    system, pose = model.system, np.zeros(3)
+    assert trajectory.pose is not None
+    for k in range(60):
+        before, after = trajectory.states[k], trajectory.states[k + 1]
+        assert system.motion is not None
+        pose = system.motion.move(pose, before, after, system.dt, system.state_names)
+        np.testing.assert_allclose(trajectory.pose[k + 1], pose, atol=1e-9)
+        stepped = model.step(before[None], trajectory.controls[k][None])[0]
+        np.testing.assert_allclose(after, np.clip(stepped, *model.envelope))
+
+
+def test_clipping_of_the_true_state_is_counted_and_never_observed_beyond_it():
+    limited = Climber(LINE, envelope=np.array([[-2.0], [2.0]]))
+    late = DelayedEstimate(limited, 0.04)
+    carry = late.start(np.full((1, 2, 1), 1.5), np.ones((1, 1, 1)))
+    after = late.step(carry, np.ones((1, 1)))
+    assert after[0, 0] == 2.5, "the loop clips and counts"
+    assert observed(late, after)[0, 0] == pytest.approx(0.6 * 2.0 + 0.4 * 1.5)
+
+
+@pytest.mark.parametrize("delay", [-0.01, np.nan, np.inf])
+def test_delay_must_be_a_time(delay):
+    with pytest.raises(InvalidArgument, match="delay"):
+        DelayedEstimate(Climber(LINE), delay)
+
+
+def test_estimate_of_an_estimate_is_refused():
+    with pytest.raises(InvalidArgument, match="already"):
+        DelayedEstimate(DelayedEstimate(Climber(LINE), 0.01), 0.01)

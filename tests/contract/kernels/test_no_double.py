@@ -1,9 +1,6 @@
 """Float32 kernels compute in float32: no number of the library's compiled code is a double."""
 
-from __future__ import annotations
-
 import importlib.util
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,11 +18,10 @@ from sysid_evo.models.kernels import (
     runge_kutta_predictor,
     stepping_kernel,
 )
-from sysid_evo.system import System
 from sysid_evo.tasks import PointToPoint
 
 
-def library(car: System) -> dict[str, tuple[Source, Signature]]:
+def library(car):
     between, layers = [np.zeros(1)], [(np.zeros((3, 3)), np.zeros(3))]
     predictors = {
         "networks": network_predictor([layers, layers], 3, 0),
@@ -53,7 +49,7 @@ def promotes(x, y):
     y[0] = x[0] * 3 + x[1] * 5
 
 
-def llvm(source: Source, signature: Signature, folder: Path, *, pointer: bool = True) -> str:
+def llvm(source, signature, folder, *, pointer=True):
     """Compile without the cache, whose code cannot be looked at; return its LLVM text."""
     path = folder / "looked_at.py"
     path.write_text(generate(source, signature, "float32", pointer=pointer).replace("cache=True, ", ""))
@@ -71,13 +67,13 @@ def llvm(source: Source, signature: Signature, folder: Path, *, pointer: bool = 
     "name",
     ["networks", "polynomial", "neighbours", "command networks", "recurrent", "observe", "advance", "open loop"],
 )
-def test_a_float32_kernel_computes_no_double(name: str, car: System, tmp_path: Path) -> None:
+def test_a_float32_kernel_computes_no_double(name, car, tmp_path):
     source, signature = library(car)[name]
     text = llvm(source, signature, tmp_path, pointer=name != "open loop")
     assert " double" not in text
     assert "float" in text
 
 
-def test_the_search_for_doubles_finds_one(tmp_path: Path) -> None:
+def test_the_search_for_doubles_finds_one(tmp_path):
     """A whole number beside a float32 one makes a float64 one: that is what the library avoids."""
     assert " double" in llvm(KernelSource(promotes), Signature(x=REALS, y=REALS), tmp_path)
