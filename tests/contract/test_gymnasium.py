@@ -1,14 +1,9 @@
-"""An environment of Gymnasium as a robot: its channels, its actions, and what is refused."""
-
-from __future__ import annotations
+"""Environments of Gymnasium as robots: channels, actions, recordings, controllers in them, their reward as a task."""
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
 
 from hardware.preflight import check_recording
 from hardware.robot import find_robot
@@ -27,22 +22,37 @@ from sysid_evo.tasks import Task, TaskState
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.types import Array
-from tests.fixtures import environments as small
-from tests.fixtures.environments import BREAKS, NAME, register
 
-register()
 CLASSIC = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
+ROTOR, SLIDER = "Rotor-v0", "Slider-v0"
+SEEDS = trial_seeds(5, 4)
+FULL = np.zeros((1, 24))
+FULL[0, 9:12], FULL[0, 21:24] = 5.0, 5.0  # the bias drives the outputs of a network to the limit
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    from tests.fixtures import environments
+
+    environments.register()
+    return environments
 
 
 def rotor(**parameters):
-    return GymnasiumRobot(id=NAME, **parameters)
+    return GymnasiumRobot(id=ROTOR, **parameters)
+
+
+def network(task, system, candidates=2):
+    controller = RecurrentNetwork(hidden=3)
+    size = controller.bind(len(task.bind(system).observations), system.nu).n_parameters
+    return controller, np.random.default_rng(0).standard_normal((candidates, size))
 
 
 @pytest.mark.parametrize("name", CLASSIC)
 def test_the_states_of_a_classic_environment_are_its_own_in_its_own_order(name):
     robot = GymnasiumRobot(id=name)
     with robot.simulator.open() as session:
-        inner: Any = session._env.unwrapped
+        inner = session._env.unwrapped
         state = session.reset(3)
         for k in range(5):
             np.testing.assert_allclose(np.sin(state), np.sin(np.asarray(inner.state, dtype=float)), atol=1e-5)
@@ -83,27 +93,25 @@ def test_channels_and_controls_get_other_names_and_keep_all_else():
 
 
 def test_a_cosine_and_its_sine_become_one_periodic_state_in_the_place_of_the_first():
-    system = rotor(angle="1,2").system
-    assert system.state_names == ("observation_0", "angle_1")
-    assert system.periods == {1: TURN}
-    assert rotor().system.state_names == ("observation_0", "observation_1", "observation_2")
-    environment = rotor(angle="1,2").simulator
-    np.testing.assert_allclose(environment.observations.state([0.5, np.cos(2.5), np.sin(2.5)]), [0.5, 2.5])
+    plain, round_ = rotor(), rotor(angle="1,2")
+    assert plain.system.state_names == ("observation_0", "observation_1", "observation_2")
+    assert round_.system.state_names == ("observation_0", "angle_1")
+    assert round_.system.periods == {1: TURN}
+    np.testing.assert_allclose(round_.simulator.observations.state([0.5, np.cos(2.5), np.sin(2.5)]), [0.5, 2.5])
+    named = rotor(angle="1,2", channels="speed [rad/s], angle").system
+    assert [(c.name, c.unit) for c in named.states] == [("speed", "rad/s"), ("angle", "rad")]
+    assert named.periods == {1: TURN}
+    assert (plain.system.states[1].high, plain.system.states[0].high) == (1.0, np.inf)
 
 
-def test_channels_are_named_with_their_units_and_keep_limits_and_period():
-    system = rotor(angle="1,2", channels="speed [rad/s], angle").system
-    assert [(c.name, c.unit) for c in system.states] == [("speed", "rad/s"), ("angle", "rad")]
-    assert system.periods == {1: TURN}
-    assert rotor().system.states[1].high == 1.0
-    assert rotor().system.states[0].high == np.inf
+def test_angles_are_read_from_their_text():
+    assert parse_angles("x", "0,1; 4", 5) == ((0, 1), (4,))
+    assert parse_angles("x", "", 5) == ()
 
 
 def test_the_time_of_a_step_is_what_the_environment_says_unless_it_is_given():
-    assert rotor().system.dt == 0.1
-    assert rotor(dt=0.02).system.dt == 0.02
-    assert GymnasiumRobot(id="CartPole-v1").system.dt == 0.02
-    assert GymnasiumRobot(id="Pendulum-v1").system.dt == 0.05
+    robots = (rotor(), rotor(dt=0.02), GymnasiumRobot(id="CartPole-v1"), GymnasiumRobot(id="Pendulum-v1"))
+    assert [robot.system.dt for robot in robots] == [0.1, 0.02, 0.02, 0.05]
 
 
 @pytest.mark.parametrize(
@@ -121,29 +129,26 @@ def test_actions_become_controls_and_controls_actions(actions, levels, control, 
     with robot.simulator.open() as session:
         session.reset(0)
         session.step(np.array(control))
-        inner: Any = session._env.unwrapped
-        np.testing.assert_array_equal(inner.given, action)
+        np.testing.assert_array_equal(session._env.unwrapped.given, action)
 
 
 def test_the_force_of_the_cart_has_the_sign_of_its_push():
-    environment = GymnasiumRobot(id="CartPole-v1").simulator
-    with environment.open() as session:
-        session.reset(0, np.zeros(4))
-        assert session.step(np.array([10.0]))[0][1] > 0.1
-        session.reset(0, np.zeros(4))
-        assert session.step(np.array([-10.0]))[0][1] < -0.1
+    with GymnasiumRobot(id="CartPole-v1").simulator.open() as session:
+        for force in (10.0, -10.0):
+            session.reset(0, np.zeros(4))
+            assert session.step(np.array([force]))[0][1] * force > 1.0
 
 
 @pytest.mark.parametrize(
     ("parameters", "error", "words"),
     [
         ({"id": "Pendulum-v99"}, InvalidArgument, "no environment can be made of 'Pendulum-v99'"),
-        ({"id": NAME, "angle": "1,7"}, InvalidArgument, "from 0 to 2; got '1,7'"),
-        ({"id": NAME, "angle": "x"}, InvalidArgument, "expected the numbers of a cosine and of its sine"),
-        ({"id": NAME, "angle": "1,2; 2"}, InvalidArgument, "stands in two angles"),
-        ({"id": NAME, "channels": "speed"}, InvalidArgument, "expected 3 names"),
-        ({"id": NAME, "dt": 0.0}, InvalidArgument, "dt: expected a number above 0"),
-        ({"id": NAME, "settings": {"limit": np.inf}}, IncompatibleSystem, "a Box of them with finite limits"),
+        ({"id": ROTOR, "angle": "1,7"}, InvalidArgument, "from 0 to 2; got '1,7'"),
+        ({"id": ROTOR, "angle": "x"}, InvalidArgument, "expected the numbers of a cosine and of its sine"),
+        ({"id": ROTOR, "angle": "1,2; 2"}, InvalidArgument, "stands in two angles"),
+        ({"id": ROTOR, "channels": "speed"}, InvalidArgument, "expected 3 names"),
+        ({"id": ROTOR, "dt": 0.0}, InvalidArgument, "dt: expected a number above 0"),
+        ({"id": ROTOR, "settings": {"limit": np.inf}}, IncompatibleSystem, "a Box of them with finite limits"),
         ({"id": "FrozenLake-v1"}, IncompatibleSystem, "expected a Box of at most 64 observations in a row"),
     ],
 )
@@ -157,296 +162,6 @@ def test_the_control_loop_is_not_for_environments():
         rotor().connect()
 
 
-def test_angles_are_read_from_their_text():
-    assert parse_angles("x", "0,1; 4", 5) == ((0, 1), (4,))
-    assert parse_angles("x", "", 5) == ()
-
-
-NAME = "Slider-v0"
-ENDS = 1.5
-
-
-class Slider(gymnasium.Env[Any, Any]):
-    """A block on a floor: keeps position and speed in ``state``; a push left or right."""
-
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "render_fps": 10}
-
-    def __init__(self, forgetful=False):
-        self.observation_space = spaces.Box(-np.inf, np.inf, (2,))
-        self.action_space = spaces.Discrete(2)
-        self.forgetful, self.steps = forgetful, 0
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.state = self.np_random.uniform(-0.5, 0.5, 2)
-        return self.state.astype(np.float32), {}
-
-    def step(self, action):
-        position, speed = self.state
-        self.steps += 1
-        self.state = np.array([position + 0.1 * speed, 0.9 * speed + (0.3 if action else -0.3)])
-        reward = 1.0 - position**2 - 0.1 * speed**2 + (0.01 * self.steps if self.forgetful else 0.0)
-        return self.state.astype(np.float32), float(reward), bool(abs(self.state[0]) > ENDS), False, {}
-
-
-@pytest.fixture(autouse=True, scope="module")
-def registered():
-    if NAME not in gymnasium.registry:
-        gymnasium.register(NAME, entry_point=Slider, max_episode_steps=40)
-        gymnasium.register("Forgetful-v0", entry_point=Slider, max_episode_steps=40, kwargs={"forgetful": True})
-    small.register()
-
-
-def test_rewards_starts_and_ends_are_those_of_the_environment():
-    robot = GymnasiumRobot(id=NAME)
-    task = EnvironmentTask(id=NAME)
-    controller = RecurrentNetwork(hidden=3).bind_to(task.bind(robot.system))
-    parameters = np.random.default_rng(1).standard_normal((3, controller.n_parameters))
-    seeds = trial_seeds(2, 3)
-    found = robot.runner().run(RecurrentNetwork(hidden=3), parameters, task, seeds, record=True)
-    lengths = set()
-    with robot.simulator.open() as session:
-        for trajectory, fitness, seed in zip(found.trajectories, found.fitness.ravel(), np.tile(seeds, 3), strict=True):
-            np.testing.assert_allclose(trajectory.states[0], session.reset(int(seed)), atol=1e-6)
-            total = sum(max(session.step(control)[1], task.worst / 40) for control in trajectory.controls)
-            assert fitness == pytest.approx(total, abs=1e-3)
-            lengths.add(len(trajectory.controls))
-    assert task.horizon == 40
-    assert max(lengths) <= 40
-
-
-def test_the_task_keeps_the_contract_on_the_robot_s_system():
-    check_task("environment", GymnasiumRobot(id=NAME).system, id=NAME, horizon=12)
-
-
-def test_what_is_below_the_least_counts_as_the_least():
-    robot = GymnasiumRobot(id=NAME)
-    task = EnvironmentTask(id=NAME, least=-2.0, horizon=5).bind(robot.system)
-    before, control = np.array([[50.0, 0.0], [0.0, 0.0]]), np.zeros((2, 1))
-    trial, _ = task.advance(task.begin(trial_seeds(1, 2)), before, before, control=control)
-    np.testing.assert_allclose(task.fitness(trial), [-2.0, 1.0])
-    assert trial.alive.tolist() == [False, True]
-    assert task.worst == -10.0
-
-
-def test_what_cannot_be_asked_is_refused_with_what_to_do():
-    with pytest.raises(IncompatibleTask, match=r"has no attribute state.*register_reward"):
-        EnvironmentTask(id=small.NAME)
-    with pytest.raises(IncompatibleTask, match=r"went on in two ways.*register_reward"):
-        EnvironmentTask(id="Forgetful-v0")
-    with pytest.raises(InvalidArgument, match="no environment can be made of 'Nothing-v9'"):
-        EnvironmentTask(id="Nothing-v9")
-    with pytest.raises(InvalidArgument, match="the least reward of CartPole-v1 is known, 0"):
-        EnvironmentTask(id="CartPole-v1", least=-1.0)
-    with pytest.raises(IncompatibleTask, match="needs 2 states, those in which the environment keeps itself"):
-        EnvironmentTask(id=NAME).bind(pendulum())
-
-
-register()
-SEEDS = trial_seeds(5, 4)
-
-
-@dataclass(frozen=True)
-class Counted(TaskState):
-    count: Array
-
-
-class Counting(Task):
-    """Counts what the control is, and ends where the first state passes ``end``."""
-
-    worst = -1e6
-
-    def __init__(self, horizon=30, end=np.inf, start=0.0):
-        self.horizon, self.end, self.start = horizon, end, start
-
-    def check_system(self, system):
-        self.observations = tuple(Channel(name) for name in (*system.regressor_names, "bias"))
-
-    def begin(self, seeds):
-        state = np.tile(self.system.neutral_state, (len(seeds), 1))
-        state[:, 0] += self.start + 1e-3 * np.arange(len(seeds))
-        return Counted(state, np.zeros((len(seeds), 0)), np.ones(len(seeds), dtype=bool), np.zeros(len(seeds)))
-
-    def observe(self, task_state, state):
-        return np.column_stack([self.system.regressors(state), np.ones(len(state))])
-
-    def advance(self, task_state, before, after, *, control, pose=None):
-        count = task_state.count + control[:, 0]
-        return replace(task_state, count=count, alive=after[:, 0] <= self.end), after
-
-    def fitness(self, task_state):
-        return task_state.count.copy()
-
-
-def network(task, system, candidates=2):
-    controller = RecurrentNetwork(hidden=3)
-    size = controller.bind(len(task.bind(system).observations), system.nu).n_parameters
-    return controller, np.random.default_rng(0).standard_normal((candidates, size))
-
-
-def by_hand(robot, task, parameters, seed, at):
-    """Return fitness and states of one trial, with the environment as its maker gave it."""
-    env = gymnasium.make(robot.name)
-    observation, _ = env.reset(seed=int(seed) % 2**31)
-    if at is not None:
-        inner: Any = env.unwrapped
-        inner.state = np.array(at)
-    task, total = task.bind(robot.system), 0.0
-    controller = RecurrentNetwork(hidden=3).bind(len(task.observations), robot.system.nu)
-    states = [robot.simulator.observations.state(observation) if at is None else at]
-    memory = np.zeros(3)
-    i, h = len(task.observations), 3
-    w_in, w_h = parameters[: i * h].reshape(i, h), parameters[i * h : (i + h) * h].reshape(h, h)
-    for _ in range(task.horizon):
-        seen = np.append(robot.system.regressors(states[-1]), 1.0)
-        memory = np.tanh(seen @ w_in + memory @ w_h)
-        raw = np.tanh(memory @ parameters[(i + h) * h :].reshape(h, -1))
-        control = robot.system.actuate(raw)
-        total += control[0]
-        observation, _, ended, late, _ = env.step(robot.simulator.actions.action(control))
-        states.append(robot.system.near(robot.simulator.observations.state(observation), states[-1]))
-        if ended or late or states[-1][0] > task.end:
-            break
-    assert controller.n_parameters == len(parameters)
-    return total, np.array(states)
-
-
-@pytest.mark.parametrize("name", ["Pendulum-v1", "CartPole-v1", "MountainCar-v0", NAME])
-def test_every_trial_is_what_a_loop_written_by_hand_gives(name):
-    robot, task = GymnasiumRobot(id=name), Counting(start=0.05)
-    controller, parameters = network(task, robot.system)
-    found = robot.runner().run(controller, parameters, task, SEEDS, record=True)
-    starts = task.bind(robot.system).begin(SEEDS).state
-    trajectories = iter(found.trajectories)
-    for candidate in range(2):
-        for trial, seed in enumerate(SEEDS):
-            at = starts[trial] if robot.simulator.settable else None
-            fitness, states = by_hand(robot, task, parameters[candidate], seed, at)
-            assert found.fitness[candidate, trial] == pytest.approx(fitness, abs=1e-5)
-            assert found.survived[candidate, trial] == len(states) - 1
-            np.testing.assert_allclose(next(trajectories).states, states, atol=1e-5)
-
-
-def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_beside():
-    robot, task = GymnasiumRobot(id="CartPole-v1"), Counting()
-    controller, parameters = network(task, robot.system, candidates=70)
-    all_of_them = robot.runner().run(controller, parameters, task, SEEDS)
-    alone = robot.runner().run(controller, parameters[65:66], task, SEEDS)
-    np.testing.assert_array_equal(all_of_them.fitness[65], alone.fitness[0])
-    np.testing.assert_array_equal(all_of_them.behaviour[65], alone.behaviour[0])
-    assert all_of_them.fitness.shape == (70, 4)
-
-
-def test_a_trial_is_over_when_the_environment_ends_it():
-    robot, task = GymnasiumRobot(id=NAME), Counting(horizon=100)
-    controller, _ = network(task, robot.system)
-    full = np.zeros((1, 3 * (4 + 3 + 1)))
-    full[0, 9:12], full[0, 21:24] = 5.0, 5.0  # the bias drives the outputs to the limit
-    found = robot.runner().run(controller, full, task, SEEDS, record=True)
-    assert (found.survived == 30).all()
-    assert all(abs(t.states[-1, 0]) > BREAKS >= abs(t.states[-2, 0]) - 1e-5 for t in found.trajectories)
-
-
-def test_a_trial_is_over_when_the_task_ends_it():
-    robot, task = GymnasiumRobot(id=NAME), Counting(horizon=100, end=0.55)
-    full = np.zeros((1, 24))
-    full[0, 9:12], full[0, 21:24] = 5.0, 5.0
-    assert (robot.runner().run(RecurrentNetwork(hidden=3), full, task, SEEDS).survived == 6).all()
-
-
-def test_an_environment_that_returns_no_number_is_a_trial_that_diverged():
-    robot, task = GymnasiumRobot(id=NAME, settings={"bad": True}), Counting(horizon=40)
-    full = np.zeros((1, 24))
-    full[0, 9:12], full[0, 21:24] = 5.0, 5.0
-    found = robot.runner().run(RecurrentNetwork(hidden=3), full, task, SEEDS)
-    assert (found.survived == 5).all()
-    np.testing.assert_allclose(found.fitness, task.worst - 1.0 + 5 / 40)
-
-
-def test_a_run_without_a_trial_is_refused():
-    robot, task = GymnasiumRobot(id=NAME), Counting()
-    controller, parameters = network(task, robot.system)
-    with pytest.raises(InvalidArgument, match="at least one candidate and one seed"):
-        robot.runner().run(controller, parameters, task, SEEDS[:0])
-
-
-NAMES = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_task_keeps_the_contract_compiled_and_not(name):
-    check_task("environment", GymnasiumRobot(id=name).system, id=name, horizon=30)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_reward_and_end_of_every_step_are_those_of_the_environment(name):
-    robot = GymnasiumRobot(id=name)
-    task = EnvironmentTask(id=name).bind(robot.system)
-    rng = np.random.default_rng(0)
-    low = np.array([max(c.low, -6.0) for c in robot.system.states])
-    high = np.array([min(c.high, 6.0) for c in robot.system.states])
-    ends = set()
-    with robot.simulator.open() as session:
-        for _ in range(300):
-            state = session.reset(0, rng.uniform(low, high))
-            control = robot.system.actuate(rng.uniform(-1.0, 1.0, robot.system.nu))
-            after, reward, over, _ = session.step(control)
-            trial, _ = task.advance(task.begin(trial_seeds(0, 1)), state[None], after[None], control=control[None])
-            assert task.fitness(trial)[0] == pytest.approx(reward, abs=1e-4)
-            assert trial.alive[0] == (not over)
-            ends.add(over)
-    assert ends == ({False} if name == "Pendulum-v1" else {True, False})
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_long(name):
-    robot = GymnasiumRobot(id=name)
-    task = EnvironmentTask(id=name).bind(robot.system)
-    seeds = trial_seeds(4, 3)
-    with robot.simulator.open() as session:
-        for start, seed in zip(task.begin(seeds).state, seeds, strict=True):
-            np.testing.assert_allclose(np.cos(start), np.cos(session.reset(int(seed))), atol=1e-6)
-        assert session._env.spec.max_episode_steps == task.horizon
-
-
-def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot():
-    robot = GymnasiumRobot(id="Pendulum-v1")
-    task = EnvironmentTask(id="Pendulum-v1")
-    parameters = np.random.default_rng(1).standard_normal((2, 3 * (4 + 3 + 1)))
-    seeds = trial_seeds(8, 2)
-    found = robot.runner().run(RecurrentNetwork(hidden=3), parameters, task, seeds, record=True)
-    with robot.simulator.open() as session:
-        for trajectory, fitness in zip(found.trajectories, found.fitness.ravel(), strict=True):
-            session.reset(0, trajectory.states[0])
-            total = sum(session.step(control)[1] for control in trajectory.controls)
-            assert fitness == pytest.approx(total, abs=1e-2)
-
-
-def test_a_good_model_gives_the_fitness_of_the_environment():
-    robot, task = GymnasiumRobot(id="CartPole-v1"), EnvironmentTask(id="CartPole-v1", horizon=60)
-    model = make_model("linear").fit(robot.record(seed=0, duration=60.0).dataset)
-    parameters = np.random.default_rng(1).standard_normal((8, 3 * (5 + 3 + 1)))
-    given: tuple[Any, ...] = (RecurrentNetwork(hidden=3), parameters, task, trial_seeds(3, 5))
-    own, on_robot = rollout(model, *given), robot.runner().run(*given)
-    assert own.engine == "compiled float32"
-    np.testing.assert_allclose(own.fitness.mean(axis=1), on_robot.fitness.mean(axis=1), atol=1.5)
-
-
-def test_what_does_not_fit_is_refused_with_what_would():
-    with pytest.raises(InvalidArgument, match="a horizon of at least one step, got 0"):
-        EnvironmentTask(horizon=0)
-    with pytest.raises(IncompatibleTask, match="needs the states position, speed, angle, angular_speed"):
-        EnvironmentTask(id="CartPole-v1").bind(pendulum())
-
-
-def test_no_reward_is_below_the_worst():
-    assert EnvironmentTask(id="Pendulum-v1", horizon=10).worst == pytest.approx(-162.7, abs=0.1)
-    assert all(rules.least <= 0.0 for rules in RULES.values())
-
-
-register()
-
-
 def recorded(name, duration, seed=0):
     return GymnasiumRobot(id=name).record(seed=seed, duration=duration).dataset
 
@@ -456,9 +171,8 @@ def test_a_recording_replays_in_the_environment_itself():
     dataset = robot.record(seed=1, duration=50.0).dataset
     with robot.simulator.open() as session:
         for episode in dataset.episodes[::4]:
-            for state, control, after in list(zip(episode.states, episode.controls, episode.states[1:], strict=False))[
-                ::20
-            ]:
+            steps = list(zip(episode.states, episode.controls, episode.states[1:], strict=False))
+            for state, control, after in steps[::20]:
                 session.reset(0, state)
                 np.testing.assert_allclose(dataset.system.difference(session.step(control)[0], after), 0.0, atol=2e-5)
 
@@ -468,11 +182,11 @@ def test_the_same_seed_gives_the_same_recording_and_another_seed_another():
     assert one == same != other
 
 
-def test_every_episode_ends_where_the_environment_ends_it():
-    dataset = recorded(NAME, 100.0)
+def test_every_episode_ends_where_the_environment_ends_it(small):
+    dataset = recorded(ROTOR, 100.0)
     speeds = [episode.states[:, 0] for episode in dataset]
-    assert all((np.abs(speed[:-1]) <= BREAKS + 1e-6).all() for speed in speeds)
-    assert any(abs(speed[-1]) > BREAKS for speed in speeds)
+    assert all((np.abs(speed[:-1]) <= small.BREAKS + 1e-6).all() for speed in speeds)
+    assert any(abs(speed[-1]) > small.BREAKS for speed in speeds)
     assert max(len(episode) for episode in dataset) == 50
     assert dataset.n_steps == pytest.approx(1000, abs=20)
 
@@ -501,22 +215,215 @@ def test_a_linear_model_of_the_cart_predicts_it_from_a_minute():
 def test_a_recording_that_is_too_short_is_refused_and_says_how_long_it_must_be():
     with pytest.raises(InvalidArgument, match=r"expected at least 0\.67 min for 8 scripts"):
         recorded("Pendulum-v1", 20.0)
+    robot = GymnasiumRobot(id="Acrobot-v1")
+    check_recording(robot, None, duration=180.0)  # needs no loop and no tracker
+    with pytest.raises(InvalidArgument, match=r"at least 2\.7 min for 8 scripts of 100 samples, got 1 min"):
+        check_recording(robot, None, duration=60.0)
 
 
 def test_a_stop_ends_the_recording_and_keeps_what_there_is():
     robot = GymnasiumRobot(id="Pendulum-v1")
     with Stops() as stops:
-        made = robot.record(
-            seed=0, duration=60.0, stops=stops, progress=lambda done, total: stops.request(Reason.SIGINT)
-        )
+        made = robot.record(seed=0, duration=60.0, stops=stops, progress=lambda *_: stops.request(Reason.SIGINT))
     assert made.report.reason is Reason.SIGINT
     assert len(made.dataset) == 1
     with pytest.raises(LinkLost, match="Pendulum-v1: interrupted; nothing was recorded"):
         robot.record(seed=0, duration=60.0, stops=stops)
 
 
-def test_a_recording_needs_no_loop_and_no_tracker():
-    robot = GymnasiumRobot(id="Acrobot-v1")
-    check_recording(robot, None, duration=180.0)
-    with pytest.raises(InvalidArgument, match=r"at least 2\.7 min for 8 scripts of 100 samples, got 1 min"):
-        check_recording(robot, None, duration=60.0)
+@dataclass(frozen=True)
+class Counted(TaskState):
+    count: Array
+
+
+class Counting(Task):
+    """Counts what the control is, and ends where the first state passes ``end``."""
+
+    worst = -1e6
+
+    def __init__(self, horizon=30, end=np.inf, start=0.0):
+        self.horizon, self.end, self.start = horizon, end, start
+
+    def check_system(self, system):
+        self.observations = tuple(Channel(name) for name in (*system.regressor_names, "bias"))
+
+    def begin(self, seeds):
+        state = np.tile(self.system.neutral_state, (len(seeds), 1))
+        state[:, 0] += self.start + 1e-3 * np.arange(len(seeds))
+        return Counted(state, np.zeros((len(seeds), 0)), np.ones(len(seeds), dtype=bool), np.zeros(len(seeds)))
+
+    def observe(self, task_state, state):
+        return np.column_stack([self.system.regressors(state), np.ones(len(state))])
+
+    def advance(self, task_state, before, after, *, control, pose=None):
+        return replace(task_state, count=task_state.count + control[:, 0], alive=after[:, 0] <= self.end), after
+
+    def fitness(self, task_state):
+        return task_state.count.copy()
+
+
+def by_hand(robot, task, parameters, seed, at):
+    """Return fitness and states of one trial, with the environment as its maker gave it."""
+    import gymnasium
+
+    env = gymnasium.make(robot.name)
+    observation, _ = env.reset(seed=int(seed) % 2**31)
+    if at is not None:
+        env.unwrapped.state = np.array(at)
+    task, total = task.bind(robot.system), 0.0
+    states = [robot.simulator.observations.state(observation) if at is None else at]
+    i, h, memory = len(task.observations), 3, np.zeros(3)
+    w_in, w_h = parameters[: i * h].reshape(i, h), parameters[i * h : (i + h) * h].reshape(h, h)
+    w_out = parameters[(i + h) * h :].reshape(h, robot.system.nu)
+    for _ in range(task.horizon):
+        seen = np.append(robot.system.regressors(states[-1]), 1.0)
+        memory = np.tanh(seen @ w_in + memory @ w_h)
+        control = robot.system.actuate(np.tanh(memory @ w_out))
+        total += control[0]
+        observation, _, ended, late, _ = env.step(robot.simulator.actions.action(control))
+        states.append(robot.system.near(robot.simulator.observations.state(observation), states[-1]))
+        if ended or late or states[-1][0] > task.end:
+            break
+    return total, np.array(states)
+
+
+@pytest.mark.parametrize("name", ["Pendulum-v1", "CartPole-v1", "MountainCar-v0", ROTOR])
+def test_every_trial_is_what_a_loop_written_by_hand_gives(name):
+    robot, task = GymnasiumRobot(id=name), Counting(start=0.05)
+    controller, parameters = network(task, robot.system)
+    found = robot.runner().run(controller, parameters, task, SEEDS, record=True)
+    starts = task.bind(robot.system).begin(SEEDS).state
+    trajectories = iter(found.trajectories)
+    for candidate in range(2):
+        for trial, seed in enumerate(SEEDS):
+            at = starts[trial] if robot.simulator.settable else None
+            fitness, states = by_hand(robot, task, parameters[candidate], seed, at)
+            assert found.fitness[candidate, trial] == pytest.approx(fitness, abs=1e-5)
+            assert found.survived[candidate, trial] == len(states) - 1
+            np.testing.assert_allclose(next(trajectories).states, states, atol=1e-5)
+
+
+def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_beside():
+    robot, task = GymnasiumRobot(id="CartPole-v1"), Counting()
+    controller, parameters = network(task, robot.system, candidates=70)
+    together = robot.runner().run(controller, parameters, task, SEEDS)
+    alone = robot.runner().run(controller, parameters[65:66], task, SEEDS)
+    np.testing.assert_array_equal(together.fitness[65], alone.fitness[0])
+    np.testing.assert_array_equal(together.behaviour[65], alone.behaviour[0])
+    assert together.fitness.shape == (70, 4)
+
+
+@pytest.mark.parametrize(("end", "steps"), [(np.inf, 30), (0.55, 6)], ids=["environment", "task"])
+def test_a_trial_is_over_when_the_environment_or_the_task_ends_it(end, steps, small):
+    controller, task = RecurrentNetwork(hidden=3), Counting(horizon=100, end=end)
+    found = rotor().runner().run(controller, FULL, task, SEEDS, record=True)
+    assert (found.survived == steps).all()
+    if end == np.inf:
+        assert all(abs(t.states[-1, 0]) > small.BREAKS >= abs(t.states[-2, 0]) - 1e-5 for t in found.trajectories)
+
+
+def test_an_environment_that_returns_no_number_is_a_trial_that_diverged():
+    task = Counting(horizon=40)
+    found = rotor(settings={"bad": True}).runner().run(RecurrentNetwork(hidden=3), FULL, task, SEEDS)
+    assert (found.survived == 5).all()
+    np.testing.assert_allclose(found.fitness, task.worst - 1.0 + 5 / 40)
+
+
+def test_a_run_without_a_trial_is_refused():
+    with pytest.raises(InvalidArgument, match="at least one candidate and one seed"):
+        rotor().runner().run(RecurrentNetwork(hidden=3), FULL, Counting(), SEEDS[:0])
+
+
+@pytest.mark.parametrize("name", [*CLASSIC, SLIDER])
+def test_the_task_of_an_environment_keeps_the_contract_on_the_robots_system(name):
+    check_task("environment", GymnasiumRobot(id=name).system, id=name, horizon=12 if name == SLIDER else 30)
+
+
+@pytest.mark.parametrize("name", CLASSIC)
+def test_reward_and_end_of_every_step_are_those_of_the_environment(name):
+    robot = GymnasiumRobot(id=name)
+    task = EnvironmentTask(id=name).bind(robot.system)
+    rng = np.random.default_rng(0)
+    low = np.array([max(c.low, -6.0) for c in robot.system.states])
+    high = np.array([min(c.high, 6.0) for c in robot.system.states])
+    ends = set()
+    with robot.simulator.open() as session:
+        for _ in range(300):
+            state = session.reset(0, rng.uniform(low, high))
+            control = robot.system.actuate(rng.uniform(-1.0, 1.0, robot.system.nu))
+            after, reward, over, _ = session.step(control)
+            trial, _ = task.advance(task.begin(trial_seeds(0, 1)), state[None], after[None], control=control[None])
+            assert task.fitness(trial)[0] == pytest.approx(reward, abs=1e-4)
+            assert trial.alive[0] == (not over)
+            ends.add(over)
+    assert ends == ({False} if name == "Pendulum-v1" else {True, False})
+
+
+@pytest.mark.parametrize("name", CLASSIC)
+def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_long(name):
+    robot, seeds = GymnasiumRobot(id=name), trial_seeds(4, 3)
+    task = EnvironmentTask(id=name).bind(robot.system)
+    with robot.simulator.open() as session:
+        for start, seed in zip(task.begin(seeds).state, seeds, strict=True):
+            np.testing.assert_allclose(np.cos(start), np.cos(session.reset(int(seed))), atol=1e-6)
+        assert session._env.spec.max_episode_steps == task.horizon
+
+
+def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot():
+    robot, task = GymnasiumRobot(id="Pendulum-v1"), EnvironmentTask(id="Pendulum-v1")
+    controller, parameters = network(task, robot.system)
+    found = robot.runner().run(controller, parameters, task, trial_seeds(8, 2), record=True)
+    with robot.simulator.open() as session:
+        for trajectory, fitness in zip(found.trajectories, found.fitness.ravel(), strict=True):
+            session.reset(0, trajectory.states[0])
+            total = sum(session.step(control)[1] for control in trajectory.controls)
+            assert fitness == pytest.approx(total, abs=1e-2)
+
+
+def test_a_good_model_gives_the_fitness_of_the_environment():
+    robot, task = GymnasiumRobot(id="CartPole-v1"), EnvironmentTask(id="CartPole-v1", horizon=60)
+    model = make_model("linear").fit(recorded("CartPole-v1", 60.0))
+    given = (*network(task, robot.system, candidates=8), task, trial_seeds(3, 5))
+    own, on_robot = rollout(model, *given), robot.runner().run(*given)
+    np.testing.assert_allclose(own.fitness.mean(axis=1), on_robot.fitness.mean(axis=1), atol=1.5)
+
+
+def test_rewards_of_an_unknown_environment_are_asked_of_it_where_it_begins_and_ends():
+    robot, task = GymnasiumRobot(id=SLIDER), EnvironmentTask(id=SLIDER)
+    controller, parameters = network(task, robot.system, candidates=3)
+    seeds = trial_seeds(2, 3)
+    found = robot.runner().run(controller, parameters, task, seeds, record=True)
+    with robot.simulator.open() as session:
+        for trajectory, fitness, seed in zip(found.trajectories, found.fitness.ravel(), np.tile(seeds, 3), strict=True):
+            np.testing.assert_allclose(trajectory.states[0], session.reset(int(seed)), atol=1e-6)
+            total = sum(max(session.step(control)[1], task.worst / 40) for control in trajectory.controls)
+            assert fitness == pytest.approx(total, abs=1e-3)
+            assert len(trajectory.controls) <= task.horizon == 40
+
+
+def test_what_is_below_the_least_counts_as_the_least():
+    task = EnvironmentTask(id=SLIDER, least=-2.0, horizon=5).bind(GymnasiumRobot(id=SLIDER).system)
+    before, control = np.array([[50.0, 0.0], [0.0, 0.0]]), np.zeros((2, 1))
+    trial, _ = task.advance(task.begin(trial_seeds(1, 2)), before, before, control=control)
+    np.testing.assert_allclose(task.fitness(trial), [-2.0, 1.0])
+    assert trial.alive.tolist() == [False, True]
+    assert task.worst == -10.0
+    assert EnvironmentTask(id="Pendulum-v1", horizon=10).worst == pytest.approx(-162.7, abs=0.1)
+    assert all(rules.least <= 0.0 for rules in RULES.values())
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "words"),
+    [
+        ({"horizon": 0}, InvalidArgument, "a horizon of at least one step, got 0"),
+        ({"id": "CartPole-v1"}, IncompatibleTask, "needs the states position, speed, angle, angular_speed"),
+        ({"id": ROTOR}, IncompatibleTask, r"has no attribute state.*register_reward"),
+        ({"id": "Forgetful-v0"}, IncompatibleTask, r"went on in two ways.*register_reward"),
+        ({"id": "Nothing-v9"}, InvalidArgument, "no environment can be made of 'Nothing-v9'"),
+        ({"id": "CartPole-v1", "least": -1.0}, InvalidArgument, "the least reward of CartPole-v1 is known, 0"),
+        ({"id": SLIDER}, IncompatibleTask, "needs 2 states, those in which the environment keeps itself"),
+    ],
+)
+def test_a_task_that_does_not_fit_or_cannot_be_asked_is_refused_with_what_to_do(parameters, error, words):
+    with pytest.raises(error, match=words):
+        EnvironmentTask(**parameters).bind(pendulum())
