@@ -61,20 +61,6 @@ def test_timings_stand_under_one_key_alone_and_the_page_leaves_out_the_short_one
     assert "run linear on car" not in page
 
 
-def test_the_page_is_self_contained_and_names_every_model_and_controller(report, report_page):
-    page = report_page.read_text()
-    assert not re.search(r"""(?:src|href)\s*=\s*["'](?!data:|\#)""", page)
-    assert set(re.findall(r"https?://[^\"]*", page)) == {"http://www.w3.org/2000/svg"}  # a name, never fetched
-    assert "@import" not in page
-    scripts = re.findall(r"<script([^>]*)>", page)  # data, and the script of the page: nothing that is fetched
-    data = {' type="application/json" id="replay-data"', ' type="application/json" class="chart"'}
-    assert {script for script in scripts if script} == data
-    assert scripts.count("") == 1
-    for name in (*report.prediction.names, *report.matrix.rows, *report.matrix.columns):
-        assert html.escape(name) in page
-    assert page.index("Which models predict?") < page.index("Error over the horizon")
-
-
 def test_names_are_escaped_and_never_taken_for_mathematics():
     drawn = to_html(chosen.report(transfer=matrix({EVIL: {EVIL: 9.0, "b": 8.0}})))
     assert any("$\\frac$" in drawing for drawing in re.findall(r"<svg.*?</svg>", drawn, re.DOTALL))

@@ -1,5 +1,7 @@
 """What a report, a study and all else look like where a user of Python looks at them."""
 
+from dataclasses import fields
+
 import pytest
 
 from evaluation import Study, compare, run_study
@@ -17,7 +19,7 @@ def test_all_that_a_notebook_shows_is_small(car_data, report):
         "Dataset": car_data,
         "Trajectory": car_data.episodes[0],
         "Linear()": make_model("linear").fit(car_data),
-        "Known cars": PrintedReport(**vars(report)),
+        "Known cars": PrintedReport(**{one.name: getattr(report, one.name) for one in fields(report)}),
         "Champion": report.matrix.champions[0],
         "Prediction": report.prediction,
         "TransferMatrix": report.matrix,
