@@ -1,13 +1,9 @@
 """Every family that contains linear systems recovers one from data without noise, also on a free run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
-
-from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
 from tests.fixtures.systems import AUTONOMOUS, DRIVEN, ONE_STATE, LinearSystem
@@ -21,19 +17,25 @@ EXACT_FAMILIES: dict[str, dict[str, Any]] = {
 SYSTEMS = {"driven": DRIVEN, "autonomous": AUTONOMOUS, "one state": ONE_STATE}
 
 
-def free_run_error(model: Any, fresh: Dataset) -> float:
+@pytest.fixture(scope="module", autouse=True)
+def pysindy():
+    """SINDy imports it in its first fit, which takes longer than a unit test may."""
+    return pytest.importorskip("pysindy")
+
+
+def free_run_error(model, fresh):
     """The largest error of whole episodes from their first states."""
     return max(float(np.abs(model.simulate(e.states[0], e.controls) - e.states[1:]).max()) for e in fresh)
 
 
-def later(learned: Dataset) -> Dataset:
+def later(learned):
     """Return pieces that begin later: other starts, inside the training range."""
     return learned.with_episodes([episode[7:90] for episode in learned.episodes])
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize("family", EXACT_FAMILIES)
-def test_a_linear_system_is_recovered_exactly(family: str, name: str) -> None:
+def test_a_linear_system_is_recovered_exactly(family, name):
     """Every step, and every free run, to rounding."""
     system: LinearSystem = SYSTEMS[name]
     learned = system.recording(seed=1)
@@ -44,13 +46,13 @@ def test_a_linear_system_is_recovered_exactly(family: str, name: str) -> None:
     assert free_run_error(model, later(learned)) < EXACT
 
 
-def test_the_linear_family_is_exact_outside_the_training_range_too() -> None:
+def test_the_linear_family_is_exact_outside_the_training_range_too():
     """The others clip their inputs to it."""
     model = make_model("linear").fit(DRIVEN.recording(seed=1))
     assert free_run_error(model, DRIVEN.recording(seed=2)) < EXACT
 
 
-def test_a_linear_differential_equation_is_recovered_to_the_order_of_its_difference() -> None:
+def test_a_linear_differential_equation_is_recovered_to_the_order_of_its_difference():
     """The data follow its trapezoidal rule, of which the difference is the exact inverse; RK4 differs by dt^2."""
     rate = np.array([[0.0, 1.0], [-1.0, -0.3]])
     for dt in (0.1, 0.01):
@@ -66,7 +68,7 @@ def test_a_linear_differential_equation_is_recovered_to_the_order_of_its_differe
         assert free_run_error(model, later(learned)) < 0.5 * dt**2
 
 
-def test_a_gaussian_process_recovers_a_linear_system_to_a_thousandth() -> None:
+def test_a_gaussian_process_recovers_a_linear_system_to_a_thousandth():
     """Its linear part is shrunk a little; the process makes up for it where there are data."""
     learned = DRIVEN.recording(seed=1)
     model = make_model("gaussian_process", inducing=60, state_lags=0, control_lags=0).fit(learned)
@@ -75,7 +77,7 @@ def test_a_gaussian_process_recovers_a_linear_system_to_a_thousandth() -> None:
     assert free_run_error(model, later(learned)) < 0.01
 
 
-def test_the_plane_through_neighbours_follows_a_linear_system_where_it_has_neighbours() -> None:
+def test_the_plane_through_neighbours_follows_a_linear_system_where_it_has_neighbours():
     learned = DRIVEN.recording(seed=1, episodes=8)
     model = make_model("k_neighbours", neighbours=8, state_lags=0, control_lags=0).fit(learned)
     data = learned.transitions()
@@ -84,7 +86,7 @@ def test_the_plane_through_neighbours_follows_a_linear_system_where_it_has_neigh
     assert model.score(learned) > -0.1
 
 
-def test_nearest_neighbour_repeats_what_it_recorded() -> None:
+def test_nearest_neighbour_repeats_what_it_recorded():
     learned = DRIVEN.recording(seed=1)
     model = make_model("nearest_neighbour").fit(learned)
     assert free_run_error(model, learned) < EXACT

@@ -1,0 +1,203 @@
+"""Every registered family keeps the contract, on a car with switches, a proportional car, and no car at all."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import model_zoo
+from sysid_evo.errors import IncompatibleSystem
+from sysid_evo.extras import extra_of
+from sysid_evo.models.base import make_model
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import models
+from sysid_evo.system import Channel, System
+from sysid_evo.testing import CHECKS, example_dataset, run_checks
+from sysid_evo.testing.models import rows_are_independent
+from sysid_evo.validation.simulation_error import judging_windows
+from tests.fixtures.families import SMALL, small
+from tests.fixtures.systems import SMALL_SYSTEMS
+
+ONE_OF_A_KIND = ("average", "linear_state_space", "mlp_ensemble", "narx", "nearest_neighbour")
+"""One family of each structure that may describe any system; the others see a second system with --nightly."""
+CARS = ("hybrid_ode", "parametrised", "single_track")
+
+
+def at_night(names, often=()):
+    """Return all families, ``names`` of them with --nightly alone unless they are among ``often``."""
+    return [pytest.param(n, marks=pytest.mark.nightly) if n in names and n not in often else n for n in models.names()]
+
+
+def quick(name):
+    return dict(models.get(name).presets.get("quick", {}))
+
+
+def broken(results):
+    return [f"{check.sentence}: {check.failure}" for check in results if check.failure]
+
+
+@cache
+def learned(family):
+    """Return the family after two episodes of the car, with a search for all that it can search, and what it told."""
+    options, told = quick(family), []
+    searched = {key: None for key in ("state_lags", "control_lags", "degree", "terms", "neighbours") if key in options}
+    model = make_model(family, **{**options, **SMALL.get(family, {}), **searched})
+    train, _ = example_dataset().split(["episode-2"])
+    model.fit(train, rng=np.random.default_rng(1), progress=lambda done, total: told.append(done))
+    return model, told
+
+
+@pytest.mark.parametrize("recording", ["car_data", pytest.param("throttle_car_data", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(family, recording, request):
+    """Where a family can hold a body at rest, it does so on the car with switches."""
+    dataset = request.getfixturevalue(recording)
+    results = list(run_checks(family, dataset, **SMALL.get(family, {}), rest_hold=recording == "car_data"))
+    assert not broken(results)
+    assert len(results) == 2 + len(CHECKS)
+
+
+@pytest.mark.parametrize("family", at_night(models.names(), often=(*CARS, *ONE_OF_A_KIND)))
+def test_every_family_keeps_the_contract_on_what_is_no_car_or_refuses_it(family, oscillator_data):
+    """Only a family that assumes physics may refuse, and it does so before it learns anything."""
+    model = make_model(family)
+    try:
+        model.check_system(oscillator_data.system)
+    except IncompatibleSystem:
+        assert model.knowledge in ("grey", "white")
+        with pytest.raises(IncompatibleSystem):
+            model.fit(oscillator_data, rng=np.random.default_rng(0))
+        with pytest.raises(IncompatibleSystem):
+            list(run_checks(family, oscillator_data))
+        assert not hasattr(model, "system_")
+    else:
+        assert not broken(run_checks(family, oscillator_data, **SMALL.get(family, {})))
+
+
+@pytest.mark.parametrize("case", SMALL_SYSTEMS)
+@pytest.mark.parametrize("family", at_night(models.names(), often=(*CARS, *ONE_OF_A_KIND)))
+def test_a_family_works_on_a_small_system_or_says_why_not(family, case):
+    """Without controls, with one state, under a control that never changes: it runs free to finite states."""
+    dataset = SMALL_SYSTEMS[case].recording()
+    model = small(family)
+    if family in CARS:
+        with pytest.raises(IncompatibleSystem, match="describes a planar body, but the system has no motion"):
+            model.fit(dataset, rng=np.random.default_rng(0))
+        return
+    model.fit(dataset, rng=np.random.default_rng(0))
+    windows = dataset.windows(10, stride=10, history=model.n_lags)
+    assert np.isfinite(model.simulate(windows.past_states, windows.past_controls, windows.controls)).all()
+    rows_are_independent(model, dataset)
+
+
+@pytest.mark.parametrize("family", CARS)
+def test_a_car_without_controls_is_refused_in_a_sentence(family):
+    channels = (Channel("forward_speed"), Channel("lateral_speed"), Channel("yaw_rate"))
+    with pytest.raises(IncompatibleSystem, match="there is no 'drive' among no controls; name it with drive="):
+        make_model(family).check_system(System(channels, (), 0.05, PlanarBody()))
+
+
+@pytest.mark.parametrize(
+    ("family", "options"),
+    [
+        ("backprop27", {"state_lags": 1, "control_lags": 2, "epochs": 5}),
+        ("evolved3", {"state_lags": 1, "control_lags": 2, "generations": 3}),
+        ("linear", {"state_lags": 2, "control_lags": 1}),
+        ("nearest_neighbour", {"state_lags": 1, "control_lags": 2}),
+        ("parametrised", {"control_lags": 2, "generations": 3}),
+    ],
+)
+def test_lags_asked_for_keep_the_contract(family, options, throttle_car_data):
+    assert not broken(run_checks(family, throttle_car_data, rest_hold=True, **options))
+    assert make_model(family, **options).lags == (options.get("state_lags", 0), options["control_lags"])
+
+
+@pytest.mark.parametrize("family", models.names())
+def test_every_family_says_how_much_it_knows_and_predicts_better_than_nothing(family, car_data):
+    """Half a second ahead, a fitted model is nearer to the recording than its last measured state."""
+    assert models.get(family).knowledge in ("black", "dark grey", "grey", "white")
+    model, _ = learned(family)
+    windows = car_data.split(["episode-2"])[1].windows(10, stride=5, history=model.n_lags)
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    forward = simulated[:, -1, 0] - windows.states[:, -1, 0]
+    persistence = windows.start_states[:, 0] - windows.states[:, -1, 0]
+    assert np.sqrt(np.mean(forward**2)) < np.sqrt(np.mean(persistence**2))
+
+
+@pytest.mark.parametrize("family", [name for name in models.names() if name not in ("linear", "nearest_neighbour")])
+def test_a_fit_that_takes_long_tells_often_how_far_it_is(family):
+    """Every family reports at least ten times, also with a small budget."""
+    _, told = learned(family)
+    assert len(told) >= 10
+    assert told == sorted(told)
+
+
+@pytest.mark.parametrize("family", ["k_neighbours", "narx", "sindy", "sindy_discrete", "neural_ode"])
+def test_a_control_moves_a_body_that_is_held_at_rest(family):
+    model = learned(family)[0].variant(rest_hold=True)
+    rest = model.start(np.zeros((1, model.n_lags + 1, 3)), np.zeros((1, model.n_lags, 2)))
+    assert np.array_equal(model.step(rest, np.zeros((1, 2)))[:, :3], np.zeros((1, 3)))
+    assert not np.array_equal(model.step(rest, np.ones((1, 2)))[:, :3], np.zeros((1, 3)))
+
+
+def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car(car_data):
+    """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
+    model = make_model("parametrised", generations=3, control_lags=2, rest_hold=True)
+    model.fit(car_data, rng=np.random.default_rng(0))
+    model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
+    carry, speeds = np.zeros((1, model.n_carry)), []
+    for drive in (1.0, 0.0, 0.0, 0.0):
+        carry = model.step(carry, np.array([[drive, 0.0]]))
+        speeds.append(carry[0, 0])
+    assert speeds[:2] == [0.0, 0.0]
+    assert speeds[2] > 0.05
+
+
+@pytest.mark.parametrize("family", ["backprop27", "evolved3", "nearest_neighbour", "parametrised"])
+def test_a_family_of_the_paper_beats_persistence_at_one_second(family):
+    train, held = example_dataset(episodes=4, steps=500).split(["episode-2"])
+    model = make_model(family, **quick(family)).fit(train, rng=np.random.default_rng(3))
+    windows = judging_windows(held, 0)
+    truth = windows.states[:, -1]
+    simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)[:, -1]
+    ours, persistence = (
+        np.mean(np.sqrt(np.mean((guess - truth) ** 2, axis=0)) / truth.std(axis=0))
+        for guess in (simulated, windows.start_states)
+    )
+    assert ours < persistence
+
+
+def test_only_families_that_take_little_time_for_a_million_steps_learn_from_all_of_them():
+    """`linear` 3 s, `nearest_neighbour` 2 s, `parametrised` 16 s and `evolved3` 40 s."""
+    everything = {name for name in models.names() if "most_steps" not in make_model(name).get_params()}
+    assert everything == {"linear", "nearest_neighbour", "parametrised", "evolved3", "adapted"}
+
+
+def test_every_family_can_hold_a_body_at_rest():
+    assert not [name for name in models.names() if "rest_hold" not in make_model(name).get_params()]
+
+
+def test_every_optional_package_that_a_family_imports_is_among_those_it_requires():
+    """So that one that is missing is named before anything is learned, whichever of several it is."""
+    root = Path(model_zoo.__file__).parent
+    trees = {
+        ".".join(f.relative_to(root.parent).with_suffix("").parts): ast.parse(f.read_text()) for f in root.rglob("*.py")
+    }
+    for family in models.names():
+        kind = models.get(family)
+        ahead, reached, named = [kind.__module__], set(), set()
+        while ahead:
+            reached.add(module := ahead.pop())
+            for node in ast.walk(trees[module]) if module in trees else ():
+                if isinstance(node, ast.ImportFrom):
+                    named.add(str(node.module))
+                    ahead += {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)} & set(
+                        trees
+                    ) - reached
+                elif isinstance(node, ast.Import):
+                    named |= {alias.name for alias in node.names}
+            ahead += (named & trees.keys()) - reached
+        tops = {name.partition(".")[0] for name in named}
+        assert {top for top in tops if extra_of(top) is not None} <= set(kind.requires), family
