@@ -1,0 +1,330 @@
+"""A model adapted to another floor: better there, untouched where nothing has changed, stored with its base."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.models import load_model, save_model
+from sysid_evo.models.adaptation import NONE, REFIT, Learned, Terms
+from sysid_evo.models.adaptation import adapted as module
+from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
+from sysid_evo.models.adaptation.selection import ANEW, FURTHER, Adaptation, Verdict
+from sysid_evo.models.base import make_model
+from sysid_evo.system import System
+from sysid_evo.validation import intervals
+from sysid_evo.validation.acceptance import AND
+from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
+from tests.benchmarks.coverage import coverage
+from tests.fixtures.systems import FloorCar, drive
+
+OTHER = FloorCar(thrust=1.8, turn=2.0)
+
+
+@pytest.fixture(scope="module")
+def training():
+    return drive(FloorCar(), seconds=60.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def base(training):
+    return make_model("narx", degree=2, terms=8, state_lags=1, control_lags=1).fit(training, rng=0)
+
+
+@pytest.fixture(scope="module")
+def adapted(base):
+    return base.adapt(drive(OTHER, seconds=30.0, seed=3))
+
+
+def test_thirty_seconds_of_another_floor_take_at_least_two_fifths_of_the_error(base, adapted):
+    test = drive(OTHER, seconds=40.0, seed=4)
+    assert adapted.score(test) > 0.6 * base.score(test)
+    assert "better than none on 3 blocks it did not learn from" in adapted.fit_note
+
+
+def test_where_nothing_has_changed_the_model_stays_what_it_is(base, training):
+    same = base.adapt(drive(FloorCar(), seconds=30.0, seed=5))
+    windows = training.windows(20, stride=50, history=base.n_lags)
+    arguments = (windows.past_states, windows.past_controls, windows.controls)
+    np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
+    np.testing.assert_array_equal(same.envelope_, base.envelope_)
+    assert "no correction: the best" in same.fit_note
+
+
+def test_a_recording_too_short_to_hold_a_block_back_changes_nothing(base):
+    short = base.adapt(drive(OTHER, seconds=2.0, seed=3))
+    assert "too short to hold a block back" in short.fit_note
+    assert not np.any(short.coefficients_)
+
+
+def test_a_stored_adapted_model_holds_its_base_and_can_be_adapted_again(adapted, base, tmp_path):
+    loaded = load_model(save_model(adapted, tmp_path / "there"))
+    test = drive(OTHER, seconds=10.0, seed=7)
+    assert loaded.score(test) == adapted.score(test)
+    assert loaded.fit_note == adapted.fit_note
+    assert type(loaded.base_) is type(adapted.base_)
+    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=20.0, seed=8))
+    assert again.score(back) > 0.8 * loaded.score(back)
+
+
+def test_a_stored_model_is_named_by_its_path(base, adapted, tmp_path):
+    path, there = save_model(base, tmp_path / "base"), drive(OTHER, seconds=30.0, seed=3)
+    by_path = make_model("adapted", base=str(path)).fit(there, rng=0)
+    assert by_path.score(there) == adapted.score(there)
+    with pytest.raises(InvalidArgument, match="there is nothing to adapt"):
+        make_model("adapted", base=None).fit(there, rng=0)
+
+
+def test_with_the_training_data_a_refit_is_tried_as_well(base, adapted, training):
+    assert REFIT in base.adapt(drive(OTHER, seconds=8.0, seed=3), training=training).tried_
+    assert REFIT not in adapted.tried_
+
+
+def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_same_gate(training):
+    data = drive(OTHER, seconds=30.0, seed=3)
+    backward = replace(data.episodes[0], controls=-data.episodes[0].controls[:, ::-1])
+    useless = make_model("narx", degree=2, terms=8).fit(data.with_episodes([backward]), rng=0)
+    test, anew = drive(OTHER, seconds=20.0, seed=4), make_model("narx", degree=2, terms=8).fit(data, rng=0)
+    found = useless.adapt(data, rng=0)
+    assert found.chosen_.endswith(ANEW)
+    assert found.score(test) > 1.1 * anew.score(test)
+    assert found.score(test) > 0.5 * useless.score(test)
+
+
+def test_the_envelope_covers_both_recordings(base, adapted):
+    weak = make_model("linear").fit(drive(FloorCar(thrust=2.0), seconds=40.0, seed=1), rng=0)
+    wide = weak.adapt(drive(FloorCar(), seconds=20.0, seed=3))
+    assert wide.coefficients_.any()
+    assert wide.envelope_[1, 0] > weak.envelope_[1, 0]
+    assert (wide.envelope_[0] <= weak.envelope_[0]).all()
+    assert len(wide.pairs_) > len(weak.pairs_)
+    assert (adapted.envelope_[1] >= base.envelope_[1]).all()
+
+
+def test_data_of_another_robot_are_refused_and_of_other_limits_taken(base):
+    there = drive(OTHER, seconds=2.0, seed=3)
+    system = there.system
+    narrow = replace(system, controls=tuple(replace(c, low=-0.9, high=0.95) for c in system.controls))
+    assert base.adapt(Dataset(narrow, there.episodes)).system == base.system
+    slow = System(system.states, system.controls, 0.1, system.motion)
+    with pytest.raises(IncompatibleSystem, match="the data are of another system: 20 Hz against 10 Hz"):
+        base.adapt(Dataset(slow, tuple(replace(e, dt=0.1) for e in there)))
+
+
+NETWORKS = {
+    "mlp_ensemble": {"members": 2, "hidden": [8], "state_lags": 0, "control_lags": 1, "one_step_updates": 200},
+    "neural_ode": {"hidden": [8], "one_step_updates": 200},
+    "hybrid_ode": {"hidden": [8], "state_lags": 0, "control_lags": 1, "one_step_updates": 200},
+}
+
+
+@pytest.mark.parametrize("family", NETWORKS)
+def test_a_network_goes_on_learning_where_it_ended(family, training):
+    model = make_model(family, **NETWORKS[family], updates=20, horizon=10).fit(training, rng=0)
+    there, rng = drive(OTHER, seconds=20.0, seed=3), np.random.default_rng(0)
+    hardly, further = (model.trained_further(there, updates, rng=rng) for updates in (1, 100))
+    assert hardly is not None
+    assert further is not None
+    assert hardly.score(training) == pytest.approx(model.score(training), rel=0.05)
+    test = drive(OTHER, seconds=20.0, seed=4)
+    assert further.score(test) > 0.7 * model.score(test)
+
+
+def test_a_family_without_updates_is_not_trained_further(base, training):
+    assert base.trained_further(training, 10, rng=np.random.default_rng(0)) is None
+
+
+@pytest.fixture(scope="module")
+def between(training):
+    """A network adapted to a floor on which the mean of a correction and more training is best."""
+    network = make_model("mlp_ensemble", **NETWORKS["mlp_ensemble"], updates=20, horizon=10).fit(training, rng=0)
+    return network.adapt(drive(OTHER, seconds=20.0, seed=3, noise=0.05), rng=0)
+
+
+def test_a_mean_of_a_correction_and_another_way_is_judged_and_taken(between):
+    assert between.chosen_.count(AND) == 1
+    correction, way = between.chosen_.split(AND)
+    assert {correction, way} <= set(between.tried_)
+    assert not between.corrects
+    first, second = between.base_.members_
+    assert first.corrects
+    np.testing.assert_array_equal(between.base_.weights_, [0.5, 0.5])
+    test = drive(OTHER, seconds=20.0, seed=4, noise=0.05)
+    assert between.score(test) > 0.8 * first.base_.score(test)
+    assert not hasattr(second, "coefficients_")
+
+
+def test_such_a_mean_is_stored(between, tmp_path):
+    loaded = load_model(save_model(between, tmp_path / "between"))
+    test = drive(OTHER, seconds=10.0, seed=7)
+    assert loaded.score(test) == between.score(test)
+
+
+@pytest.fixture(scope="module")
+def lines(training):
+    """A linear model with a spread, as it was and adapted to a floor that shakes, and one without a spread adapted."""
+    there = drive(OTHER, seconds=30.0, seed=3, noise=0.05)
+    noisy, plain = (make_model("linear", stochastic=stochastic).fit(training, rng=0) for stochastic in (True, False))
+    return noisy, noisy.adapt(there, rng=0), plain.adapt(there, rng=0)
+
+
+def test_of_a_model_that_draws_noise_no_mean_is_tried(lines):
+    _, noisy, plain = lines
+    means = [name for name in plain.tried_ if AND in name]
+    assert means == [name for name in plain.tried_ if name.endswith(AND + ANEW)]
+    assert noisy.tried_ == [name for name in plain.tried_ if name not in means]
+
+
+def test_the_spread_of_an_adapted_model_is_that_of_the_new_condition(lines):
+    model, adapted, _ = lines
+    assert adapted.corrects
+    test = drive(OTHER, seconds=60.0, seed=4, noise=0.05)
+    windows = test.windows(60, stride=9, history=model.n_lags)
+
+    def held(judged):
+        drawn = judged.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=3)
+        return np.array([coverage(drawn[:, :, h - 1], windows.states[:, h - 1]).mean() for h in (1, 10, 20, 60)])
+
+    assert (np.abs(held(adapted) - 0.9) < 0.08).all(), held(adapted)
+    assert (held(model) < 0.7).all(), held(model)
+
+
+def test_without_noise_an_adapted_model_predicts_what_it_would_have_without_a_spread(lines):
+    _, noisy, plain = lines
+    assert noisy.corrects
+    assert noisy.n_noise == 3
+    quiet, test = noisy.without_noise(), drive(OTHER, seconds=10.0, seed=4)
+    assert quiet.n_noise == 0
+    run = test.episodes[0]
+    assert plain.chosen_ == noisy.chosen_
+    np.testing.assert_array_equal(quiet.simulate(run), plain.simulate(run))
+    assert noisy.score(test) == quiet.score(test)
+    assert not np.array_equal(noisy.simulate(run), quiet.simulate(run))
+    assert plain.without_noise() is plain
+
+
+NOISE = 0.05
+
+
+@pytest.fixture(scope="module")
+def steady():
+    """A model of the car, linear and with a spread, that hardly errs."""
+    return make_model("linear", stochastic=True).fit(drive(FloorCar(), seconds=40.0, seed=1, noise=0.001), rng=0)
+
+
+@pytest.fixture(scope="module")
+def parts():
+    """Two recordings of the same car on a floor that shakes, the second of two episodes."""
+    first, second, third = (drive(FloorCar(), seconds=s, seed=s, noise=NOISE) for s in (12, 7, 9))
+    return [first, second.with_episodes([*second, *third])]
+
+
+def uncorrected(steady, held):
+    terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=3))
+    return Learned(steady, terms, np.zeros(terms.shape), held)
+
+
+def kept(model):
+    return [getattr(model, name).copy() for name in ("residual_", "persistent_", "horizon_scales_")]
+
+
+def test_the_error_of_a_step_is_that_over_all_held_parts_and_the_base_keeps_its_own(steady, parts):
+    before = kept(steady)
+    found = calibrated_elsewhere(steady, [uncorrected(steady, held) for held in parts], np.random.default_rng(0))
+    assert found is not steady
+    assert all((one == other).all() for one, other in zip(kept(steady), before, strict=True))
+    assert found.residual_[:2] == pytest.approx(np.full(2, NOISE), rel=0.25)  # how it turns is not linear
+    assert (found.residual_[:2] > 3.0 * before[0][:2]).all()
+    assert (found.persistent_[:2] < 0.3).all()
+
+
+def test_samples_of_two_parts_and_of_two_episodes_are_never_neighbours(steady, parts, monkeypatch):
+    seen = []
+
+    def persistent_share(errors, numbers):
+        seen.append(numbers)
+        return np.zeros(errors.shape[1])
+
+    monkeypatch.setattr(intervals, "persistent_share", persistent_share)
+    calibrated_elsewhere(steady, [uncorrected(steady, held) for held in parts], np.random.default_rng(0))
+    (numbers,) = seen
+    steps = np.diff(numbers)
+    assert (steps > 0).all()
+    assert (np.sort(steps)[-2:] > max(LAGS)).all()
+    assert (np.sort(steps)[:-2] == 1).all()
+
+
+def test_every_part_is_run_with_the_error_of_all_and_has_its_share_of_windows(steady, parts, monkeypatch):
+    cases = []
+
+    def horizon_scales(own, *_):
+        cases.extend(own)
+        return np.ones((4, 3))
+
+    monkeypatch.setattr(module, "MOST_WINDOWS", 60)
+    monkeypatch.setattr(module, "horizon_scales", horizon_scales)
+    apart = [*(uncorrected(steady, held) for held in parts), uncorrected(steady, None)]
+    found = calibrated_elsewhere(steady, apart, np.random.default_rng(0))
+    assert [len(case.windows) for case in cases] == [30, 30]
+    assert all((case.model.base.residual_ == found.residual_).all() for case in cases)
+    assert MOST_WINDOWS > 60
+
+
+def test_a_correction_is_part_of_the_step(steady, parts):
+    """One that adds as much to every acceleration shifts every step by that, and is no noise about a mean."""
+    plain, pushed = uncorrected(steady, parts[0]), 1.0
+    coefficients = plain.coefficients.copy()
+    coefficients[0] = pushed / (plain.terms.unit * steady.system.dt)
+    shifted = calibrated_elsewhere(steady, [replace(plain, coefficients=coefficients)], np.random.default_rng(0))
+    assert shifted.residual_ == pytest.approx(np.full(3, pushed), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "anew"),
+    [(NONE, False), (ANEW, False), (REFIT, False), ("linear, ridge 3", True), ("trained further, 50 updates", True)],
+)
+def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
+    learned = uncorrected(steady, None)
+    found = Adaptation(learned, Verdict(10.0, 3, 0.5, (), chosen), (uncorrected(steady, parts[0]),))
+    monkeypatch.setattr(module, "adaptation", lambda *_, **__: found)
+    calibrated = steady.variant()
+    monkeypatch.setattr(module, "calibrated_elsewhere", lambda *_: calibrated)
+    model = make_model("adapted", base=None).given(steady).fit(parts[0], rng=0)
+    assert model.base_ is (calibrated if anew else steady)
+
+
+def polynomial(thrust):
+    data = drive(FloorCar(thrust=thrust), seconds=30.0, seed=1)
+    return make_model("narx", degree=2, terms=8, state_lags=0, control_lags=0).fit(data, rng=0)
+
+
+@pytest.mark.parametrize(
+    ("thrust", "blocks", "of_way", "of_mean"),
+    [
+        (5.0, 1, False, False),  # the wrong way: neither it nor the mean is better in the first block
+        (0.5, 3, False, True),  # too far: farther off than the model was, but the mean is in the middle
+        (1.6, 3, True, True),
+    ],
+)
+def test_a_way_is_given_up_after_a_block_in_which_neither_it_nor_its_mean_is_better(
+    thrust, blocks, of_way, of_mean, monkeypatch
+):
+    model, further, called = polynomial(3.0), polynomial(thrust), Counter()
+
+    def trained_further(self, dataset, updates, *, rng):
+        called[updates] += 1
+        return further
+
+    monkeypatch.setattr(type(model), "trained_further", trained_further)
+    adapted = model.adapt(drive(FloorCar(thrust=1.7), seconds=12.0, seed=3, noise=0.0), rng=0)
+    shown = dict(zip(adapted.tried_, adapted.gate_, strict=True))
+    for way in FURTHER:
+        (mean,) = [name for name in shown if name.endswith(AND + way)]
+        for name, better in ((way, of_way), (mean, of_mean)):
+            assert len(shown[name]) == 1 + blocks
+            assert (max(shown[name][1:]) < 0.95) == better, shown[name]
+    chosen = [updates for way, updates in zip(FURTHER, called, strict=True) if way in adapted.chosen_]
+    assert {updates: count - (updates in chosen) for updates, count in called.items()} == dict.fromkeys(called, blocks)

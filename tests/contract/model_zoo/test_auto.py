@@ -1,0 +1,537 @@
+"""`auto` and `average`: acceptance, weights, what is tried for a budget, and the mean of what is kept."""
+
+import importlib.util
+from functools import cache
+
+import numpy as np
+import pytest
+
+from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, named, offered
+from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
+from model_zoo.auto.model import PROCESSORS, SHARE, Auto
+from model_zoo.auto.selection import (
+    REFINED,
+    UNPROMISING,
+    UNTRIED,
+    Choosing,
+    affordable,
+    chosen,
+    structure_of,
+    weights_of,
+)
+from model_zoo.average import Average
+from model_zoo.linear import Linear
+from sysid_evo.data import Dataset
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, SysidEvoError
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.models.adaptation import held_out_error
+from sysid_evo.models.adaptation.selection import ANEW, adaptation
+from sysid_evo.models.base import make_model
+from sysid_evo.processors import use_processors
+from sysid_evo.registry import Spec, make_robot, models
+from sysid_evo.system import Channel, System
+from sysid_evo.testing import example_dataset
+from sysid_evo.validation.folds import folds_of
+from sysid_evo.validation.simulation_error import HeldOutTest, Judge
+from tests.fixtures.systems import FloorCar, drive
+
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some recordings stand still
+
+DATA = example_dataset()
+FEW = ["narx(terms=12, state_lags=0, control_lags=2)", "linear(state_lags=1)", "linear(state_lags=0)"]
+
+
+@pytest.fixture(scope="module")
+def data():
+    return DATA
+
+
+@cache
+def learned(**settings):
+    model = make_model("auto", candidates=FEW, **settings).fit(DATA, rng=0)
+    assert isinstance(model, Auto)
+    return model
+
+
+def mean_of(*specs, **settings):
+    """Return the mean of these families, the first of which counts half."""
+    parts = [make_model(spec).fit(DATA, rng=0) for spec in specs]
+    rest = 0.5 / (len(parts) - 1)
+    found = learned().variant(**settings)
+    found.become(parts, np.array([0.5, *[rest] * (len(parts) - 1)]))
+    return found
+
+
+def test_the_mean_of_next_states_is_the_mean_of_accelerations():
+    """Members with lags of their own and without any step from the same state, step after step."""
+    mean = mean_of("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear", rest_hold=True)
+    data = example_dataset(seed=5)
+    system, windows = data.system, data.windows(6, stride=25, history=mean.n_lags)
+    carry = mean.start(windows.past_states, windows.past_controls)
+    states = [windows.past_states[:, lag] for lag in range(3)]
+    controls = [windows.past_controls[:, lag] for lag in range(2)]
+    for k in range(6):
+        state, control = carry[:, : system.nx], windows.controls[:, k]
+        past, commands = np.stack(states[-3:], axis=1), np.stack(controls[-2:], axis=1)
+        accelerations = []
+        for member in mean.members_:
+            own = member.start(past[:, 2 - member.n_lags :], commands[:, 2 - member.n_lags :])
+            accelerations.append(system.acceleration(state, member.step(own, control)[:, : system.nx]))
+        expected = system.integrate(state, np.tensordot([0.5, 0.25, 0.25], accelerations, axes=1))
+        carry = mean.step(carry, control)
+        np.testing.assert_allclose(carry[:, : system.nx], expected, rtol=1e-9, atol=1e-12)
+        states.append(carry[:, : system.nx])
+        controls.append(control)
+
+
+class Remembering(DynamicsModel):
+    """What is told is the sum of all controls so far, which stands behind the state, and half of its noise."""
+
+    n_noise = 1
+
+    def fit(self, dataset, *, rng, progress=None):
+        return self
+
+    @property
+    def n_carry(self):
+        return self.system.nx + 1
+
+    def start(self, states, controls, draws=None):
+        return np.concatenate([states[:, -1], np.zeros((len(states), 1))], axis=1)
+
+    def step(self, carry, control, noise=None):
+        total = carry[:, 3:] + control[:, :1]
+        own = 0.0 if noise is None else 0.5 * noise
+        return np.concatenate([carry[:, :3] + total + own, total], axis=1)
+
+
+def test_a_member_with_a_memory_and_noise_of_its_own_keeps_both(data):
+    """Its state is the mean's, what it remembers and the noise that it is given are its own."""
+    mean = learned().variant()
+    mean.become([Remembering().fit(data, rng=0)] * 2, np.array([0.25, 0.75]))
+    assert (mean.n_carry, mean.n_noise, mean.kernel()) == (3 + 2 * 4, 2, None)
+    carry, noise = mean.start(np.zeros((1, 1, 3)), np.zeros((1, 0, 2))), np.array([[0.4, 0.8]])
+    for total in (1.0, 2.0):
+        before = carry[0, 0]
+        carry = mean.step(carry, np.array([[1.0, 0.0]]), noise)
+        assert carry[0, 0] == pytest.approx(before + total + 0.25 * 0.2 + 0.75 * 0.4)
+        assert carry[0, [6, 10]].tolist() == [total, total]
+
+
+def test_a_class_of_structure_weighs_as_the_root_of_how_many_are_in_it_and_these_weigh_alike():
+    found = weights_of(["network", "polynomial", "network", "neighbours", "network", "network"])
+    np.testing.assert_allclose(found, [1 / 8, 1 / 4, 1 / 8, 1 / 4, 1 / 8, 1 / 8])
+
+
+@pytest.mark.parametrize(
+    ("spec", "structure"),
+    [
+        ("neural_ode(hidden=[2], one_step_updates=1, updates=1)", "network without lags"),
+        ("neural_ode(hidden=[2], one_step_updates=1, updates=1, control_lags=1)", "network with lags"),
+        ("narx(terms=3, state_lags=0, control_lags=1)", "polynomial"),
+        ("nearest_neighbour", "neighbours"),
+        ("parametrised(generations=1)", "physics"),
+        ("linear_state_space(iterations=1, folds=1, order=3)", "state space"),
+        ("average(families=[nearest_neighbour, nearest_neighbour])", "neighbours"),
+        ("average(families=[nearest_neighbour, linear])", "several structures"),
+    ],
+)
+def test_every_model_has_a_class_of_structure(spec, structure):
+    assert structure_of(make_model(spec).fit(example_dataset(episodes=1), rng=0)) == structure
+
+
+def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason():
+    model = make_model("auto", candidates=[*FEW, "nearest_neighbour", "narx(state_lags=500, control_lags=0)"])
+    model.fit(DATA, rng=0)
+    rows = {row["candidate"]: row for row in model.standing()}
+    assert rows[FEW[0]]["weight"] == "1.00"
+    assert rows["linear(state_lags=0)"]["remark"].endswith("x the best in the first of 3 turns")
+    assert "of its free runs diverge" in rows["nearest_neighbour"]["remark"]
+    assert "no episode is longer than 500 steps" in rows["narx(state_lags=500, control_lags=0)"]["remark"]
+    assert "kept 1 of 4 candidates" in model.fit_note
+    assert "every other candidate fell out in the first turn" in model.fit_note
+
+
+def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_turn():
+    """With a wide gate the same candidate is judged in all turns."""
+    for gate, remark in ((1.25, "5.2 x the best in the first of 3 turns"), (5.0, "above")):
+        model = make_model("auto", candidates=FEW, gate=gate)
+        model.fit(DATA, rng=0)
+        row = next(row for row in model.standing() if row["candidate"] == "linear(state_lags=0)")
+        assert row["remark"].startswith(remark)
+    assert "do differ significantly" in model.fit_note
+
+
+def test_what_may_be_behind_by_chance_is_judged_in_every_turn():
+    """In the first turn of few data one candidate is 1.3 times as far off as the best, another 1.7 times, by chance."""
+    near = "linear(state_lags=1, control_lags=2)"
+    model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], gate=1.0)
+    model.fit(example_dataset(seed=1, episodes=1, steps=130), rng=0)
+    remarks = {row["candidate"]: row["remark"] for row in model.standing()}
+    assert remarks[near] == "1.3 x the best in the first of 3 turns"
+    assert remarks["nearest_neighbour"] == "above 1.00 x the best"
+
+
+@pytest.mark.parametrize(
+    ("candidates", "error", "said"),
+    [
+        (
+            ["narx(state_lags=500, control_lags=0)"],
+            InvalidData,
+            r"got none: narx\(state_lags=500.*no episode is longer",
+        ),
+        (["linear", "auto"], InvalidArgument, "would try itself"),
+    ],
+)
+def test_candidates_of_which_none_can_be_fitted_or_one_is_itself_are_refused(candidates, error, said, data):
+    with pytest.raises(error, match=said):
+        make_model("auto", candidates=candidates).fit(data, rng=0)
+
+
+def test_if_no_candidate_can_describe_the_system_the_reasons_are_told():
+    turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
+    data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
+    with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it is not periodic, and angle comes round"):
+        make_model("auto", candidates=["linear"]).fit(data, rng=0)
+
+
+def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse():
+    errors = [0.30, 0.20, 0.24, 0.9]
+    for mean_error, kept, gate in (
+        ((0.20, 0.20), [0, 1, 2], 1.5),
+        ((0.21, 0.19), [1, 2], 1.25),
+        ((0.25, 0.25), [1], 1.125),
+    ):
+        group, passed = chosen(errors, 1.5, lambda group, e=mean_error: e[0 if len(group) == 3 else 1])
+        assert (group, passed.gate) == (kept, gate)
+        assert dict(passed.compared) == {1.5: mean_error[0], 1.25: mean_error[1], 1.125: 0.20, 1.0: 0.20}
+
+
+def test_what_is_as_good_as_the_best_for_all_that_is_known_is_kept_by_every_gate_but_the_widest():
+    group, _ = chosen([0.30, 0.20, 0.24, 0.9], 1.5, lambda group: 0.1 * len(group), ties=[1, 2, 3])
+    assert group == [1, 2], "the last is outside the widest gate"
+
+
+def test_a_plugin_that_declares_a_structure_is_a_candidate(register, data):
+    class Zero(DynamicsModel):
+        """The state stays as it is."""
+
+        structure = "nothing moves"
+
+        def fit(self, dataset, *, rng, progress=None):
+            return self
+
+        def acceleration(self, carry, control):
+            return 0.0 * carry
+
+    register(models, "made_up_zero", Zero)
+    assert offered(data.system)[0][0].spec.name == "made_up_zero"
+    model = make_model("auto", candidates=["made_up_zero"]).fit(data, rng=0)
+    assert structure_of(model.members_[0]) == "nothing moves"
+
+
+def test_with_noise_the_intervals_hold_most_of_what_was_held_out():
+    model = learned(stochastic=True)
+    assert model.n_noise == 3
+    assert model.kernel() is None
+    windows = example_dataset(seed=9).windows(20, stride=20, history=model.n_lags)
+    drawn = model.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=1)
+    low, high = np.quantile(drawn[:, :, -1], [0.05, 0.95], axis=0)
+    inside = ((windows.states[:, -1] >= low) & (windows.states[:, -1] <= high)).mean()
+    assert 0.75 < inside <= 1.0
+
+
+def test_what_progress_raises_is_no_failure_of_a_candidate():
+    class Enough(Exception):
+        pass
+
+    once = iter([Enough()])
+
+    def progress(done, total, note=""):
+        if done and (stop := next(once, None)) is not None:
+            raise stop
+
+    with pytest.raises(Enough):
+        make_model("auto", candidates=["sindy(lag_search=few)", *FEW]).fit(DATA, rng=0, progress=progress)
+
+
+def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest(monkeypatch):
+    asked = []
+    monkeypatch.setattr("model_zoo.auto.fitting.importlib.import_module", asked.append)
+    load([*LARGE, "no_such_library"])
+    assert asked == [name for name in LARGE if importlib.util.find_spec(name)]
+    assert "numba" in asked
+
+
+@pytest.mark.nightly
+def test_the_model_is_the_same_for_any_number_of_processes(data):
+    spec = make_model("neural_ode", hidden=[6], one_step_updates=30, updates=10, horizon=5)
+    tasks = [FitTask((number, 0), "neural_ode", spec.get_params(), data, number, 20.0) for number in range(2)]
+    try:
+        use_processors(2)
+        side_by_side = FitWork(None, 40.0).outcomes(tasks)
+    finally:
+        use_processors(0)
+    for task in tasks:
+        here, there = fitted(task).model, side_by_side[task.key].model
+        assert here is not None
+        assert there is not None
+        for mine, other in zip(here.weights_, there.weights_, strict=True):
+            np.testing.assert_array_equal(mine, other)
+
+
+@pytest.mark.parametrize("chooses", [True, False])
+def test_what_chooses_among_families_does_not_choose_anew_for_an_adaptation(chooses, data):
+    class Choosing(Linear):
+        pass
+
+    Choosing.chooses = chooses
+    few = data.with_episodes([data.episodes[0][:200]])
+    model = Choosing().fit(few, rng=0)
+    tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).verdict.trials]
+    assert tried
+    assert (ANEW in tried) == (not chooses)
+    assert Auto.chooses
+
+
+def test_what_was_held_out_tells_how_far_off_it_is_at_home_and_there_nothing_is_adapted(tmp_path, data):
+    """The mean of what learned without each fold runs free there, with the weights of the whole."""
+    model = learned()
+    means = []
+    for seen, held in folds_of(data, model.folds):
+        parts = [make_model(spec).fit(seen, rng=0) for spec in FEW]
+        kept = [part for part, share in zip(parts, shares_of(model), strict=True) if share > 0.0]
+        means.append((model.of(kept, weights_of([structure_of(part) for part in kept])), held))
+    expected = held_out_error(means)
+    assert expected is not None
+    assert model.held_out_error_ is not None
+    np.testing.assert_allclose(model.held_out_error_, expected, rtol=1e-6)
+    stored = load_model(save_model(model, tmp_path / "auto", seed=0))
+    np.testing.assert_array_equal(stored.held_out_error_, model.held_out_error_)
+    adapted = stored.adapt(data.with_episodes([data.episodes[0][:400]]), rng=0)
+    assert "nothing much has shifted" in adapted.fit_note
+    assert learned(stochastic=True).held_out_error_ is not None
+
+
+def shares_of(model):
+    """Return the weights of the candidates that it had, in the order in which they were named."""
+    return [float(model.shares_[model.candidates_.index(name)]) for name in FEW]
+
+
+def test_where_nothing_was_held_out_it_does_not_know_how_far_off_it_is(data):
+    short = data.with_episodes([data.episodes[0][:40]])
+    assert folds_of(short, 3)[0][0] is short
+    model = make_model("auto", candidates=["linear"], horizons=[5]).fit(short, rng=0)
+    assert model.held_out_error_ is None
+
+
+@pytest.fixture(scope="module")
+def average(data):
+    return make_model("average(families=[linear, narx(terms=4)])").fit(data, rng=0)
+
+
+def test_it_predicts_the_mean_of_what_its_families_predict(average, data):
+    windows = data.windows(1, history=average.n_lags)
+    predicted = average.simulate(windows.past_states, windows.past_controls, windows.controls)
+    members = [
+        model.simulate(windows.past_states, windows.past_controls, windows.controls)
+        for model in (make_model("linear").fit(data, rng=0), make_model("narx(terms=4)").fit(data, rng=0))
+    ]
+    np.testing.assert_allclose(predicted, np.mean(members, axis=0), atol=1e-9)
+    assert not np.allclose(members[0], members[1], atol=1e-3)
+
+
+def test_it_is_stored_with_its_members_and_names_what_it_uses(average, data, tmp_path):
+    loaded = load_model(save_model(average, tmp_path / "average"))
+    assert loaded.score(data) == average.score(data)
+    assert average.uses() == ("linear", "narx")
+    assert make_model("average").uses() == ("narx", "k_neighbours")
+
+
+def test_fitted_models_are_put_together_with_the_widest_envelope():
+    slow, fast = (
+        make_model("linear").fit(drive(FloorCar(thrust=thrust), seconds=20.0, seed=1), rng=0) for thrust in (1.0, 3.0)
+    )
+    made = Average.made_of([slow, fast])
+    np.testing.assert_array_equal(made.envelope_[0], np.minimum(slow.envelope_[0], fast.envelope_[0]))
+    np.testing.assert_array_equal(made.envelope_[1], np.maximum(slow.envelope_[1], fast.envelope_[1]))
+    assert made.envelope_[1, 0] > slow.envelope_[1, 0]
+    np.testing.assert_array_equal(made.weights_, [0.5, 0.5])
+    assert made.system == slow.system
+
+
+def test_with_noise_it_spreads_as_far_as_it_errs():
+    learned, test = (drive(FloorCar(), seconds=40.0, seed=seed, noise=0.05) for seed in (1, 2))
+    model = make_model("average(families=[linear, narx(terms=4)], stochastic=true)").fit(learned, rng=0)
+    windows = test.windows(20, stride=9, history=model.n_lags)
+    drawn = model.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=3)
+    low, high = np.quantile(drawn[:, :, -1], [0.05, 0.95], axis=0)
+    held = ((windows.states[:, -1] >= low) & (windows.states[:, -1] <= high)).mean()
+    assert 0.8 < held < 0.98
+
+
+@pytest.mark.parametrize(
+    ("families", "said"),
+    [
+        ([], "families: expected at least one family, got none"),
+        (["narx", "average"], "families: expected other families, got average, which would hold itself"),
+        (["nrax"], "narx"),
+        (["narx(term=4)"], "term"),
+    ],
+)
+def test_wrong_families_are_refused_at_once(families, said):
+    with pytest.raises(SysidEvoError, match=said):
+        make_model("average", families=families)
+
+
+def test_a_family_that_does_not_fit_the_system_is_named():
+    with pytest.raises(IncompatibleSystem, match=r"families: linear is not periodic, and angle comes round"):
+        make_model("average(families=[narx, linear])").check_system(make_robot("pendulum").system)
+    with pytest.raises(IncompatibleSystem, match="Parametrised describes a planar body"):
+        make_model("average", families=["parametrised"]).check_system(make_robot("thermal").system)
+
+
+def test_without_noise_neither_the_mean_nor_its_members_draw_any(data):
+    members = [make_model("linear", stochastic=stochastic).fit(data, rng=0) for stochastic in (True, False)]
+    mean = Average.made_of(members)
+    assert mean.n_noise == 3
+    quiet = mean.without_noise()
+    assert quiet.n_noise == 0
+    np.testing.assert_allclose(quiet.simulate(data.episodes[0]), members[1].simulate(data.episodes[0]), atol=1e-9)
+    assert mean.score(data) == quiet.score(data)
+    assert quiet.without_noise() is quiet
+    noisy = make_model("average(families=[linear], stochastic=true)").fit(data, rng=0)
+    assert noisy.n_noise == 3
+    assert noisy.without_noise().n_noise == 0
+
+
+NARX = "narx(terms=12, state_lags=0, control_lags=2)"
+
+
+def test_all_that_is_shipped_is_offered_to_a_car():
+    found, left_out = offered(DATA.system)
+    assert [one.spec for one in found] == [one.spec for one in SHIPPED]
+    assert not left_out
+
+
+@pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
+def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs, budget):
+    names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
+    system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
+    found, _ = offered(system)
+    costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
+    tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
+    assert "nonlinear_state_space" in tried
+
+
+@pytest.mark.parametrize(("roughly", "seconds"), [({"members": 2}, 5.0), ({"members": 4}, 8.0), ({}, 8.0)])
+def test_a_fit_that_only_judges_is_expected_to_take_less_only_where_it_has_fewer_members(roughly, seconds):
+    """A quarter of the time of four members is not theirs."""
+    one = Candidate(Spec("mlp_ensemble", {"members": 4}), 8.0, 0.0, roughly)
+    system = DATA.system
+    size = (system.nx + system.nu) / NUMBERS
+    assert one.seconds_for(system, 100, rough=True) == pytest.approx(size * seconds)
+    assert one.seconds_for(system, 100, rough=False) == pytest.approx(size * 8.0)
+
+
+def test_a_small_system_takes_less_time_by_the_share_that_goes_with_its_states_and_controls():
+    """With one state and one control instead of three and two."""
+    system, car = System(("y",), ("u",), dt=0.1), System(("a", "b", "c"), ("u", "v"), dt=0.1)
+    for share, less in ((0.0, 1.0), (0.3, 0.82), (1.0, 0.4)):
+        one = Candidate(Spec("linear"), 8.0, 0.0, widening=share)
+        assert one.seconds_for(car, 100, rough=False) == pytest.approx(8.0)
+        assert one.seconds_for(system, 100, rough=False) == pytest.approx(8.0 * less)
+
+
+def test_networks_are_expected_to_take_nearly_as_long_with_one_output_and_state_spaces_far_less():
+    system = System(("y",), ("u",), dt=0.1)
+    shares = {one.spec.name: one.seconds_for(system, round(STEPS), rough=False) / one.seconds for one in SHIPPED}
+    assert shares["mlp_ensemble"] > 0.75
+    assert shares["nonlinear_state_space"] < 0.5
+
+
+def choice_among(candidates, budget=100.0):
+    """Return what becomes of these candidates, judged after ten steps."""
+    data = DATA
+    pairs = folds_of(data, 3)
+    judge = Judge.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
+    seeds = np.zeros((len(candidates), 4), dtype=np.int64)
+    choosing = Choosing(data, pairs, judge, candidates, seeds, budget, FitWork(None, budget))
+    return choosing.choice(1.25, Average.made_of)
+
+
+@pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
+def test_a_budget_is_spent_by_expected_time_and_what_falls_behind_makes_room_for_others(budget, tried):
+    """Each is expected to take so many seconds four times: in three folds and for all data; b falls behind in one."""
+    specs = {"a": (NARX, 1.0), "b": ("linear(state_lags=0)", 1.0)}
+    specs |= {"c": ("linear(state_lags=1, ridge=0.1)", 0.9), "d": ("linear(state_lags=2)", 0.7)}
+    candidates = [Candidate(Spec.parse(f"{name}={text}"), cost, 0.0) for name, (text, cost) in specs.items()]
+    choice = choice_among(candidates, budget)
+    assert "".join(one.name for one, error in zip(candidates, choice.errors, strict=True) if error) == tried
+    untried = [reason for error, reason in zip(choice.errors, choice.reasons, strict=True) if error is None]
+    assert all(reason == UNTRIED for reason in untried)
+
+
+BEHIND, PLAIN, BROKEN = "linear(state_lags=0)", "narx(terms=6, state_lags=0, control_lags=2)", "narx(state_lags=500)"
+
+
+@pytest.mark.parametrize(
+    ("rough", "better", "budget", "left", "reasons"),
+    [
+        (PLAIN, PLAIN, 100.0, "ac", ["", REFINED, ""]),
+        (PLAIN, NARX, 100.0, "abc", ["", "", ""]),
+        (NARX, PLAIN, 100.0, "ac", ["", REFINED, ""]),
+        (PLAIN, BEHIND, 100.0, "ab", ["", "", "x the best in the first of 3 turns"]),
+        (PLAIN, BROKEN, 100.0, "ab", ["", "", "no episode is longer than 500 steps"]),
+        (BEHIND, PLAIN, 100.0, "a", ["", "x the best in the first of 3 turns", UNPROMISING]),
+        (PLAIN, PLAIN, 9.0, "ab", ["", "", UNTRIED]),
+        (PLAIN, PLAIN, 5.0, "a", ["", UNTRIED, UNPROMISING]),
+    ],
+)
+def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes_its_place_unless_it_is_worse(
+    rough, better, budget, left, reasons
+):
+    """The best is a; c refines b; each is expected to take a second four times."""
+    first, second = (Candidate(Spec.parse(text), 1.0, 0.0) for text in (f"a={PLAIN}", f"b={rough}"))
+    choice = choice_among([first, second, Candidate(Spec.parse(f"c={better}"), 1.0, 0.0, refines=second)], budget)
+    assert "".join("abc"[number] for number in choice.kept) == left
+    for expected, reason in zip(reasons, choice.reasons, strict=True):
+        assert expected in reason
+        assert bool(reason) == bool(expected)
+
+
+@pytest.mark.parametrize(("gate", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
+def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_without_a_fold(
+    monkeypatch, gate, folds
+):
+    """Both are polynomials, so each weighs a half; the second is a committee."""
+    tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, committee=name == "b") for name in "ab"]
+    monkeypatch.setattr("model_zoo.auto.model.offered", lambda _: (tried, []))
+    model = make_model("auto", gate=gate).fit(data, rng=0)
+    assert isinstance(model, Auto)
+    size = len(folds) + 1
+    np.testing.assert_allclose(model.weights_, [0.5, *[0.5 / size] * size])
+    assert [row["weight"] for row in model.standing()] == ["0.50", "0.50"]
+    windows, parts = data.windows(1, history=2), [data, data, *(folds_of(data, 3)[fold][0] for fold in folds)]
+    for member, part in zip(model.members_, parts, strict=True):
+        again = make_model(PLAIN).fit(part, rng=0)
+        now = [one.simulate(windows.past_states, windows.past_controls, windows.controls) for one in (member, again)]
+        np.testing.assert_allclose(*now)
+
+
+def test_what_is_named_is_tried_even_if_it_refines_another():
+    assert any(one.refines for one in SHIPPED)
+    found = named(["nonlinear_state_space"])
+    assert len(found) == 2
+    assert not any(one.refines for one in found)
+
+
+def test_an_average_that_is_named_alone_is_that_of_its_own_families():
+    (found,) = named(["average"])
+    assert found.spec.parameters == {}
+    assert any(one.spec.name == "average" and one.refines for one in SHIPPED)
+
+
+def test_a_refinement_that_is_shipped_stands_behind_what_it_refines():
+    for number, one in enumerate(SHIPPED):
+        assert one.refines is None or one.refines in SHIPPED[:number]

@@ -1,0 +1,269 @@
+"""How far a prediction may be off: intervals hold what they should on recordings that were never seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from model_zoo.linear import Linear
+from sysid_evo.data import Dataset
+from sysid_evo.errors import NotFitted
+from sysid_evo.models import DynamicsModel, load_model, save_model
+from sysid_evo.system import Channel, System
+from sysid_evo.testing import run_checks
+from sysid_evo.validation import intervals
+from sysid_evo.validation.folds import unseen_parts
+from sysid_evo.validation.intervals import (
+    HORIZONS,
+    conformal_scale,
+    growth_on_unseen_recordings,
+    horizon_scales,
+    normalised_errors,
+    persistent_share,
+    rough_fits,
+    segments,
+    with_noise,
+)
+from sysid_evo.validation.intervals import Case as HeldOutCase
+from tests.benchmarks.coverage import coverage
+
+pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # the recordings stand still
+
+PAIR = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
+UNSEEN = {"a": 0.2, "b": 0.3, "c": 0.9}
+
+
+class Biased(DynamicsModel):
+    """Drifts by a known amount in every step; x by the bias of the recordings it never saw, y always alike."""
+
+    envelope = None  # all states are zero: nothing to clip to
+
+    def fit(self, dataset, *, rng, progress=None):
+        seen = {name.split("[")[0] for name in dataset.names}
+        self.bias_ = np.array([max((UNSEEN[name] for name in UNSEEN if name not in seen), default=0.1), 0.1])
+        return self
+
+    def next_state(self, carry, control):
+        return carry + self.bias_
+
+
+def resting(names):
+    return Dataset.from_arrays(PAIR, [np.zeros((241, 2))] * len(names), [np.zeros((240, 1))] * len(names), names=names)
+
+
+def roughly(part):
+    return Biased().fit(part, rng=0)
+
+
+def test_the_growth_is_the_geometric_mean_over_unseen_recordings_and_at_least_one():
+    """Errors on the three are two, three and nine times those on blocks of what was seen."""
+    dataset = resting(["a[0:240]", "b", "c"])
+    np.testing.assert_allclose(growth_on_unseen_recordings(roughly, dataset), [54.0 ** (1 / 3), 1.0])
+    assert rough_fits(dataset) == 5
+
+
+def test_a_recording_alone_cannot_be_held_out():
+    dataset = resting(["a[0:240]", "a[240:480]"])
+    assert rough_fits(dataset) == 0
+    np.testing.assert_array_equal(growth_on_unseen_recordings(roughly, dataset), [1.0, 1.0])
+    assert len(unseen_parts(dataset)) == 3
+    short = dataset.with_episodes([dataset.episodes[0][:40]])
+    assert len(unseen_parts(short)) == 1, "where nothing can be held out, the same fit is not made three times"
+    assert unseen_parts(short)[0][1] is short
+
+
+class Noisy(DynamicsModel):
+    """A damped walk whose noise it underestimates; y pulls x along, so that the two scales depend on each other."""
+
+    envelope = None
+
+    def __init__(self, *, stochastic: bool = False) -> None:
+        self.stochastic = stochastic
+
+    @property
+    def n_noise(self):
+        return 2 if self.stochastic else 0
+
+    def fit(self, dataset, *, rng, progress=None):
+        self.noise_scale_ = np.ones(2)
+        return self
+
+    def step(self, carry, control, noise=None):
+        after = 0.9 * carry + 0.1 * carry[:, ::-1] * np.array([1.0, 0.0])
+        return after if noise is None else after + 0.01 * self.noise_scale_ * noise
+
+
+def test_the_scale_that_made_the_data_is_found_and_holds_nine_in_ten():
+    """Two channels, one with three times and one with half the noise that the model believes in."""
+    truth = np.array([3.0, 0.5])
+    model = Noisy().fit(resting(["a"]), rng=0)
+    cut = resting([f"log-{i}" for i in range(60)]).windows(20, stride=20)
+    generator = with_noise(model)
+    generator.noise_scale_ = truth
+
+    def lived(seed):
+        rng = np.random.default_rng(seed)
+        return replace(cut, states=generator.simulate(cut.past_states, cut.past_controls, cut.controls, rng=rng))
+
+    scale = conformal_scale([(model, lived(1)), (model, lived(2))], np.random.default_rng(5))
+    np.testing.assert_allclose(scale, truth, rtol=0.2)
+    noisy, fresh = with_noise(model), lived(3)
+    noisy.noise_scale_ = scale
+    drawn = noisy.simulate(fresh.past_states, fresh.past_controls, fresh.controls, samples=40)
+    assert (np.abs(coverage(drawn[:, :, -1], fresh.states[:, -1]) - 0.9) < 0.07).all()
+    assert not model.stochastic
+
+
+def test_a_truth_on_the_edge_of_its_interval_has_a_normalised_error_of_one():
+    """Of 99 equally spaced samples, 0.01 to 0.99, the central 90 % reach from 0.05 to 0.95."""
+    samples = np.tile(np.arange(1, 100)[:, None, None] / 100.0, (1, 4, 1))
+    truth = np.array([[0.05], [0.95], [0.5], [1.4]])
+    np.testing.assert_allclose(normalised_errors(samples, truth)[:, 0], [1.0, 1.0, 0.0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(coverage(samples, np.array([[0.04], [0.06], [0.94], [0.96]])), [0.5])
+
+
+def recorded(seed, episodes=10, steps=400):
+    """A damped linear system with noise of three kinds: in every step, all along a recording, and of measurement."""
+    rng = np.random.default_rng(seed)
+    control = np.repeat(rng.uniform(-1.0, 1.0, (episodes, steps // 10, 1)), 10, axis=1)
+    matrix, slope = np.array([[0.95, 0.05], [-0.05, 0.9]]), np.array([[0.1], [0.05]])
+    states, lasting = np.zeros((episodes, steps + 1, 2)), 0.01 * rng.standard_normal((episodes, 2))
+    for k in range(steps):
+        white = rng.standard_normal((episodes, 2)) * [0.01, 0.005]
+        states[:, k + 1] = states[:, k] @ matrix.T + control[:, k] @ slope.T + white + lasting
+    measured = states + 0.02 * rng.standard_normal(states.shape)
+    return Dataset.from_arrays(PAIR, list(measured), list(control), names=[f"{seed}-{i}" for i in range(episodes)])
+
+
+def held(model, data):
+    """Return the coverage (nx,) at each horizon."""
+    windows = data.windows(max(HORIZONS), stride=9, history=model.n_lags)
+    drawn = model.simulate(windows.past_states, windows.past_controls, windows.controls, samples=60, rng=3)
+    return [coverage(drawn[:, :, h - 1], windows.states[:, h - 1]) for h in HORIZONS]
+
+
+def test_intervals_hold_nine_in_ten_at_all_four_horizons_of_recordings_never_seen():
+    model = Linear(stochastic=True).fit(recorded(1), rng=0)
+    found = np.array(held(model, recorded(2)))
+    assert (np.abs(found.mean(axis=1) - 0.9) < 0.05).all(), found
+    assert model.n_carry == 2 + 2 + 1
+    growing = model.variant()
+    growing.horizon_scales_ = np.tile(model.horizon_scales_[:1], (4, 1))
+    assert not (np.abs(np.array(held(growing, recorded(2))).mean(axis=1) - 0.9) < 0.05).all()
+
+
+def test_the_lasting_share_is_told_from_white_and_from_measurement_noise():
+    rng = np.random.default_rng(0)
+    sample = np.concatenate([np.arange(20) + 100 * run for run in range(2000)])
+    lasting = np.repeat(rng.standard_normal((2000, 2)) * [1.0, 0.5], 20, axis=0)
+    white = rng.standard_normal((40_000, 2)) * [1.0, 0.5 * np.sqrt(3.0)]
+    measured = 2.0 * np.diff(rng.standard_normal((40_001, 2)), axis=0)
+    np.testing.assert_allclose(persistent_share(lasting + white + measured, sample), [0.5, 0.25], atol=0.08)
+    np.testing.assert_allclose(persistent_share(lasting, sample), 1.0, atol=0.02)
+    assert (persistent_share(white, sample) < 0.05).all()
+
+
+class Still:
+    """Never moves of itself."""
+
+    n_lags, system, envelope = 0, PAIR, None
+
+    def lagged(self, states, controls):
+        return states[:, -1]
+
+    def disturbed(self, carry, control, disturbance):
+        return carry + disturbance
+
+
+def test_each_stretch_of_time_adds_what_is_missing_at_its_end():
+    """A walk of step size 1 whose noise triples after ten steps."""
+    rng = np.random.default_rng(1)
+    size = np.where(np.arange(60) < 10, 1.0, 3.0)[:, None]
+    walks = [
+        np.cumsum(np.concatenate([np.zeros((1, 2)), size * rng.standard_normal((60, 2))]), axis=0) for _ in range(300)
+    ]
+    data = Dataset.from_arrays(PAIR, walks, [np.zeros((60, 1))] * 300)
+    case = HeldOutCase.of(Still(), data, 60, 300)
+    scales = horizon_scales([case], np.zeros(2), np.random.default_rng(0))
+    np.testing.assert_allclose(scales, np.array([1.0, 1.0, 3.0, 3.0])[:, None] * np.ones(2), rtol=0.25)
+    assert segments(20) == [(0, 1), (1, 10), (10, 20)]
+
+
+def test_a_step_adds_noise_of_which_a_share_lasts_and_counts_the_steps():
+    model = Linear(stochastic=True, control_lags=1).fit(recorded(1, episodes=4, steps=200), rng=0)
+    rng = np.random.default_rng(0)
+    carry = rng.standard_normal((80, model.n_carry)) * 0.3
+    carry[:, -1] = np.arange(80)
+    control, noise = rng.uniform(-1.0, 1.0, (80, 1)), rng.standard_normal((80, 2))
+    after = model.step(carry, control, noise)
+    np.testing.assert_array_equal(after[:, -1], carry[:, -1] + 1)
+    np.testing.assert_array_equal(after[:, -3:-1], carry[:, -3:-1])
+    moved = after[:, :2] - model.variant(stochastic=False).step(carry[:, :-3], control)[:, :2]
+    share = np.sqrt(1.0 - model.persistent_) * noise + np.sqrt(model.persistent_) * carry[:, -3:-1]
+    scale = model.horizon_scales_[[0] + [1] * 9 + [2] * 10 + [3] * 60]
+    np.testing.assert_allclose(moved, scale * model.residual_ * share, atol=1e-12)
+
+
+NO_LAGS = {"control_lags": 0, "state_lags": 0}
+
+
+@pytest.mark.parametrize(
+    ("family", "options"),
+    [
+        ("linear", {}),
+        pytest.param("narx", {"terms": 6, **NO_LAGS}, marks=pytest.mark.nightly),
+        pytest.param("k_neighbours", {"neighbours": 8, **NO_LAGS}, marks=pytest.mark.nightly),
+    ],
+)
+def test_families_with_a_spread_keep_the_contract(family, options, car_data):
+    results = run_checks(family, car_data, stochastic=True, **options)
+    assert not [f"{c.sentence}: {c.failure}" for c in results if c.failure]
+
+
+def test_a_spread_that_was_not_learned_is_refused_and_one_that_was_is_stored(tmp_path):
+    data = recorded(1, episodes=3, steps=120)
+    plain = Linear().fit(data, rng=0)
+    spread = Linear(stochastic=True).fit(data, rng=0)
+    np.testing.assert_array_equal(plain.coefficients_, spread.coefficients_)
+    with pytest.raises(NotFitted, match="was not fitted with stochastic=True"):
+        plain.set_params(stochastic=True).simulate(data.episodes[0].states[0], data.episodes[0].controls, samples=5)
+    save_model(spread, tmp_path / "model")
+    start, controls = data.episodes[0].states[0], data.episodes[0].controls
+    again = load_model(tmp_path / "model").simulate(start, controls, samples=5)
+    np.testing.assert_array_equal(again, spread.simulate(start, controls, samples=5))
+    assert np.ptp(again[:, -1], axis=0).min() > 0
+
+
+LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
+
+
+class Shaken(DynamicsModel):
+    """Stands still; with ``stochastic`` it walks at random."""
+
+    envelope = None
+
+    def __init__(self, *, stochastic: bool = False) -> None:
+        self.stochastic = stochastic
+
+    def fit(self, dataset, *, rng, progress=None):
+        self.noise_scale_ = np.ones(1)
+        return self
+
+    @property
+    def n_noise(self):
+        return 1 if self.stochastic else 0
+
+    def step(self, carry, control, noise=None):
+        return carry if noise is None else carry + self.noise_scale_ * noise
+
+
+@pytest.mark.parametrize(("windows", "rank"), [(19, -1), (29, -2)])
+def test_few_windows_widen_the_intervals_by_n_plus_1_over_n(windows, rank, monkeypatch):
+    """Split conformal: of n = 19 errors the 0.9 (n + 1) / n quantile is the largest, of 29 the largest but one."""
+    data = Dataset.from_arrays(LINE, [np.zeros((60, 1))], [np.zeros((59, 1))])
+    model = Shaken().fit(data)
+    cut = data.windows(1)[:windows]
+    errors = np.linspace(0.5, 2.0, windows)[:, None]
+    monkeypatch.setattr(intervals, "normalised_errors", lambda *_, **__: errors)
+    scale = intervals.conformal_scale([(model, cut)], np.random.default_rng(0), rounds=1)
+    assert scale[0] == errors[rank, 0]

@@ -1,0 +1,334 @@
+"""What is trained and what steps are the same model; its gradients are derivatives; it can be trained further."""
+
+import numpy as np
+import pytest
+
+from model_zoo.backprop27 import Backprop27
+from model_zoo.car.hybrid_ode import CarPhysics, HybridOde
+from model_zoo.networks.backpropagation import StandardisedModel
+from model_zoo.networks.mlp_ensemble import LaggedMembers, MlpEnsemble
+from model_zoo.networks.network import Layers, random_network
+from model_zoo.networks.neural_ode import Flow
+from model_zoo.networks.training import (
+    FLOOR,
+    SHARPNESS,
+    Batches,
+    Shots,
+    Trainings,
+    TrainingSchedule,
+    step_weights,
+    train,
+)
+from model_zoo.scaling import Mirror
+from sysid_evo.carry import CarryLayout
+from sysid_evo.data import Dataset
+from sysid_evo.models.base import make_model
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.progress import Counter
+from sysid_evo.testing import example_dataset
+from sysid_evo.types import Array
+from tests.fixtures.systems import FloorCar, drive, swung
+
+HARDLY = {"hidden": [6], "one_step_updates": 10, "updates": 2, "horizon": 5, "input_noise": 0.07}
+FAMILIES = {
+    "mlp_ensemble": {**HARDLY, "members": 2, "state_lags": 1, "control_lags": 1},
+    "neural_ode": HARDLY,
+    "hybrid_ode": {**HARDLY, "state_lags": 0, "control_lags": 0},
+}
+
+
+@pytest.fixture(scope="module")
+def ensemble(car_data):
+    model = MlpEnsemble(
+        members=3, hidden=[16], state_lags=1, control_lags=2, one_step_updates=200, updates=40, horizon=10, folds=3
+    )
+    return model.fit(car_data, rng=np.random.default_rng(4))
+
+
+def test_layers_and_plain_networks_agree():
+    rng = np.random.default_rng(0)
+    network = random_network([4, 7, 5, 2], 3, rng)
+    inputs, centre, scale, output = rng.standard_normal((6, 4)), np.ones(4), rng.uniform(1, 2, 4), np.array([2.0, 3.0])
+    layers = Layers([4, 7, 5, 2], 3, centre=centre, scale=scale, output_scale=output)
+    parameters = layers.flat(network)
+    layers.take(parameters)
+    layers.reserve(2, 6)[1] = inputs
+    folded = network.folded(centre, scale, output)
+    np.testing.assert_allclose(layers.forward(1), folded(inputs), atol=1e-5)
+    np.testing.assert_allclose(layers.network(parameters)(inputs), network(inputs), atol=1e-5)
+
+
+def test_a_folded_network_takes_raw_inputs():
+    rng = np.random.default_rng(0)
+    network = random_network([4, 7, 2], 3, rng)
+    centre, scale, output = rng.standard_normal(4), rng.uniform(1, 2, 4), rng.uniform(1, 2, 2)
+    inputs = rng.standard_normal((6, 4))
+    np.testing.assert_allclose(
+        network.folded(centre, scale, output)(inputs), network((inputs - centre) / scale) * output, atol=1e-12
+    )
+
+
+def members(dataset):
+    mirror = Mirror.of(dataset.system, ["steer"])
+    rng = np.random.default_rng(0)
+    return LaggedMembers(dataset, (1, 3), hidden=[7, 6], members=2, further=1, mirror=mirror, rng=rng)
+
+
+def flow(dataset):
+    return Flow(dataset, (2, 1), hidden=[7], rng=np.random.default_rng(0))
+
+
+def hybrid(dataset):
+    model = Flow(dataset, (0, 2), hidden=[5], rng=np.random.default_rng(0))
+    model.know(CarPhysics((0, 1, 2, 0, 1)), HybridOde.initial)
+    return model
+
+
+def swinging():
+    """Return a short recording of a pendulum, whose angle is periodic."""
+    return swung(0, steps=40)
+
+
+@pytest.mark.parametrize(
+    ("make", "record"),
+    [(members, example_dataset), (flow, example_dataset), (hybrid, example_dataset), (flow, swinging)],
+)
+def test_the_gradient_of_a_free_run_is_its_derivative(make, record):
+    """Of a random sum of all states of all steps, by every eleventh parameter and the last nine."""
+    dataset, rng = record(), np.random.default_rng(3)
+    model = make(dataset)
+    count, size = model.parameters.shape
+    shots = Shots.of(dataset, 6, model.layout.history)
+    batch = Batches([shots] * count, model.layout.history).of(rng.integers(0, len(shots), (count, 9)), 6)
+    batch = model.augmented(batch, rng)
+    weights = rng.standard_normal((6, count, 9, dataset.system.nx)).astype(np.float32)
+    model.run(batch)
+    found, before = model.gradient(weights), model.parameters
+    for place in (*range(0, size - 9, 11), *range(size - 9, size)):
+        sums = []
+        for step in (2e-3, -2e-3):
+            model.parameters = before.copy()
+            model.parameters[:, place] += step
+            sums.append(np.sum(model.run(batch).astype(np.float64) * weights, axis=(0, 2, 3)))
+        slope = (sums[0] - sums[1]) / 4e-3
+        np.testing.assert_allclose(found[:, place], slope, atol=1e-3 * np.abs(found).max())
+
+
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "hybrid_ode"])
+def test_what_was_trained_is_what_steps(family, car_data, monkeypatch):
+    """Its free runs over the held-out windows, in single precision, are those of the fitted model."""
+    seen = []
+    learn = StandardisedModel.learn
+
+    def watched(self, *arguments):
+        learned = learn(self, *arguments)
+        seen.append((self, learned[0]))
+        return learned
+
+    monkeypatch.setattr(StandardisedModel, "learn", watched)
+    small = {"hidden": [8], "one_step_updates": 40, "updates": 20, "horizon": 4, "state_lags": 1, "control_lags": 2}
+    model = make_model(family, **small, **({"members": 1} if family == "mlp_ensemble" else {}))
+    model.fit(car_data, rng=0)
+    trained, trained.parameters = seen[-1]
+    trained.as_recorded()
+    windows = car_data.windows(5, stride=20, history=2)
+    shots = Shots.at(car_data, windows.episode, windows.start, 5)
+    found = trained.run(Batches([shots], 2).of([np.arange(len(shots))], 5))
+    expected = model.simulate(windows.past_states, windows.past_controls, windows.controls)
+    np.testing.assert_allclose(np.moveaxis(found[:, 0], 0, 1), expected, atol=2e-4)
+
+
+def test_the_rotation_of_the_frame_alone_keeps_the_speed(car):
+    state = np.array([[1.0, 0.2, 3.0]])
+    after = rk4(car.turning, state, 0.05)
+    assert np.hypot(*after[0, :2]) == pytest.approx(np.hypot(1.0, 0.2), abs=1e-6)
+
+
+def test_runge_kutta_is_of_fourth_order():
+    def error(dt):
+        state = np.array([[1.0]])
+        for _ in range(round(1.0 / dt)):
+            state = rk4(lambda x: -(x**2), state, dt)
+        return abs(float(state[0, 0]) - 0.5)
+
+    assert 3.7 < np.log2(error(0.1) / error(0.05)) < 4.3
+
+
+def test_a_mirrored_car_steers_the_other_way(car):
+    mirror = Mirror.of(car, ["steer"])
+    assert mirror is not None
+    assert mirror.states.tolist() == [1.0, -1.0, -1.0]
+    assert mirror.controls.tolist() == [1.0, -1.0]
+    assert Mirror.of(car, ["rudder"]) is None
+
+
+def test_the_ensemble_learns_and_its_members_differ(ensemble, car_data):
+    windows = car_data.windows(20, stride=10, history=2)
+    simulated = ensemble.simulate(windows.past_states, windows.past_controls, windows.controls)
+    error = np.sqrt(np.mean((simulated - windows.states) ** 2)) / windows.states.std()
+    assert error < 0.5
+    carry = ensemble.start(windows.past_states, windows.past_controls)
+    outputs = ensemble.network(np.concatenate([carry, windows.controls[:, 0]], axis=1))
+    assert np.abs(outputs[0] - outputs[1]).max() > 1e-3
+
+
+def test_ninety_per_cent_intervals_hold_ninety_per_cent(ensemble):
+    fresh = example_dataset(seed=9)
+    windows = fresh.windows(20, stride=5, history=2)
+    ensemble.set_params(stochastic=True)
+    drawn = ensemble.simulate(
+        windows.past_states, windows.past_controls, windows.controls, samples=60, rng=np.random.default_rng(0)
+    )
+    ensemble.set_params(stochastic=False)
+    low, high = np.quantile(drawn[:, :, -1], [0.05, 0.95], axis=0)
+    truth = windows.states[:, -1]
+    assert 0.75 < float(((truth >= low) & (truth <= high)).mean()) < 0.99
+
+
+@pytest.mark.parametrize("optimiser", ["adam", "gradient"])
+def test_back_propagation_fits_a_linear_map(optimiser):
+    rng = np.random.default_rng(0)
+    inputs = rng.standard_normal((200, 3))
+    targets = 0.4 * inputs @ rng.standard_normal((3, 2))
+
+    def error(epochs):
+        model = Backprop27(epochs=epochs, optimiser=optimiser, learning_rate=0.02 if optimiser == "adam" else 0.2)
+        counter = Counter(None, epochs)
+        first, first_bias, last, last_bias = model._trained(inputs, targets, np.random.default_rng(1), counter)
+        hidden = np.tanh(inputs @ first + first_bias).reshape(200, 2, 8)
+        guess: Array = np.einsum("nsh,sh->ns", hidden, last) + last_bias
+        return float(np.mean((guess - targets) ** 2) / targets.var())
+
+    assert error(600) < 0.05 < error(1)
+
+
+@pytest.fixture(scope="module")
+def training():
+    return drive(FloorCar(), seconds=20.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def there():
+    return drive(FloorCar(thrust=1.5), seconds=10.0, seed=2)
+
+
+def learned(model):
+    """Return copies of all that training changes."""
+    names = [name for name in ("weights_", "biases_", "physical_") if hasattr(model, name)]
+    return {name: [np.array(one) for one in getattr(model, name)] for name in names}
+
+
+def same(one, other):
+    return all((a == b).all() for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_parameter_learns_and_the_model_stays_what_it_was(family, training, there):
+    model = make_model(family, **FAMILIES[family]).fit(training, rng=0)
+    before = learned(model)
+    further = model.trained_further(there, 3, rng=np.random.default_rng(1))
+    assert type(further) is type(model)
+    assert further is not model
+    assert further.lags == model.lags
+    after, again = (learned(one) for one in (further, model.trained_further(there, 3, rng=np.random.default_rng(1))))
+    assert not any(same(after[name], before[name]) for name in before)
+    assert all(same(after[name], again[name]) for name in before)
+    assert all(same(learned(model)[name], before[name]) for name in before)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in_the_mirror(
+    family, training, there, monkeypatch
+):
+    plans, signs = [], []
+    model = make_model(family, **FAMILIES[family]).fit(training, rng=0)
+    original = StandardisedModel.learn_further
+
+    def remembered(self, dataset, plan, trainings):
+        plans.append(plan)
+        signs.append(self.mirror.states.tolist())
+        assert dataset is there
+        return original(self, dataset, plan, trainings)
+
+    monkeypatch.setattr(StandardisedModel, "learn_further", remembered)
+    model.trained_further(there, 7, rng=np.random.default_rng(1))
+    (plan,) = plans
+    assert (plan.one_step_updates, plan.updates, plan.horizon) == (5, 2, 5)
+    assert plan.learning_rate == TrainingSchedule(1, 1, 1).learning_rate
+    assert plan.input_noise == model.input_noise
+    assert signs == [[1.0, -1.0, -1.0]]
+
+
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode"])
+def test_left_turns_teach_something_of_right_turns(family, training, monkeypatch):
+    model = make_model(family, **{**FAMILIES[family], "one_step_updates": 300, "updates": 20}).fit(training, rng=0)
+    other, steps, rng = FloorCar(turn=2.0), 300, np.random.default_rng(3)
+    controls = np.repeat(rng.uniform([0.3, 0.2], 1.0, (steps // 5, 2)), 5, axis=0)
+    left = recorded(other, controls)
+    right = recorded(other, controls * [1.0, -1.0])
+    seen_in_the_mirror = model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+    monkeypatch.setattr(Mirror, "of", lambda *_: None)
+    assert seen_in_the_mirror > 0.93 * model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+
+
+def recorded(car, controls):
+    """Return what the car does from rest under ``controls`` (H, 2)."""
+    states = np.zeros((len(controls) + 1, 3))
+    for k, control in enumerate(controls):
+        states[k + 1] = car.step(states[k : k + 1], control[None])[0]
+    return Dataset.from_arrays(car.system, states, controls)
+
+
+def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(training, there):
+    rng = np.random.default_rng(0)
+    network = make_model("mlp_ensemble", **FAMILIES["mlp_ensemble"]).fit(training, rng=rng)
+    linear = make_model("auto", candidates=["linear"], folds=2).fit(training, rng=rng)
+    mean = linear.of([network, linear.members_[0]], np.array([0.25, 0.75]))
+    further = mean.trained_further(there, 2, rng=rng)
+    np.testing.assert_array_equal(further.weights_, [0.25, 0.75])
+    assert further.members_[1] is linear.members_[0]
+    assert further.members_[0] is not network
+    assert (further.members_[0].weights_[0] != network.weights_[0]).any()
+    assert linear.trained_further(there, 2, rng=rng) is None
+    assert mean.members_[0] is network
+
+
+def test_the_steps_of_a_free_run_weigh_by_the_inverse_of_their_error_to_the_power_of_2_5():
+    error = np.array([[0.1, 0.3], [0.4, 0.4], [0.9, 1.1]])
+    weight = (np.array([0.2, 0.4, 1.0]) + FLOOR) ** -SHARPNESS
+    np.testing.assert_allclose(step_weights(error), weight / weight.sum(), rtol=1e-5)
+    assert SHARPNESS == 2.5
+    assert step_weights(np.zeros((3, 1))) == pytest.approx([1 / 3] * 3)
+
+
+class Drifting:
+    """A model of one number p that predicts p after one step and 4 p after two."""
+
+    layout = CarryLayout(1, 0)
+
+    def __init__(self) -> None:
+        self.parameters = np.full((1, 1), 0.5)
+
+    def run(self, samples):
+        steps, size = len(samples) - 1, samples.shape[2]
+        return self.parameters[0, 0] * np.tile(4.0 ** np.arange(steps)[:, None, None, None], (1, 1, size, 1))
+
+    def gradient(self, by_states):
+        steps = 4.0 ** np.arange(len(by_states))[:, None, None, None]
+        return np.sum(by_states * steps).reshape(1, 1)
+
+    def augmented(self, samples, rng):
+        return samples
+
+    def as_recorded(self):
+        return
+
+
+def test_training_follows_the_weights_of_the_steps():
+    """The steps ask for p = 1 and p = 2; the first decides, though the second has the larger error."""
+    shots = Shots(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
+    plan = TrainingSchedule(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
+    one = np.ones(1)
+    trainings = Trainings(np.random.default_rng(0))
+    found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)
+    assert float(found[0, 0]) == pytest.approx(1.0, abs=0.1)
