@@ -15,10 +15,9 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.system import Channel
 from sysid_evo.testing import example_dataset, run_checks
-from sysid_evo.testing.models import the_compiled_form_steps_as_step_does
-from tests.fixtures.families import PERIODIC, SMALL, small
+from tests.fixtures.families import PERIODIC
 from tests.fixtures.plants import Cylinder, Pendulum, cylinder, pendulum
-from tests.fixtures.systems import CART, SMALL_SYSTEMS, FloorCar, cart, drive, one_output, swung
+from tests.fixtures.systems import CART, FloorCar, cart, drive, one_output, swung
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
 LIMITED = replace(CART, states=(Channel("position", "m", -1.5, 1.5), CART.states[1]))

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tests.docs.blocks import blocks
 from torch import nn  # after the skip
 from torchdiffeq import odeint
 
@@ -19,7 +20,6 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import check_model, example_dataset
-from tests.docs.blocks import blocks
 from tests.fixtures.systems import DRIVEN, SWING
 
 torch = pytest.importorskip("torch")

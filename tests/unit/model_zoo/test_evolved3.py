@@ -1,6 +1,7 @@
 """`evolved3` is judged as many steps ahead as its horizon."""
 
 import pytest
+
 from model_zoo.evolved3 import Evolved3
 from sysid_evo.evolution import model_evolution
 from sysid_evo.models.base import make_model

@@ -1,6 +1,7 @@
 """The likelihood of a Gaussian process, its gradient, its maximum and its inducing points."""
 
 import numpy as np
+
 from model_zoo.gaussian_process import (
     GaussianProcess,
     inducing_rows,

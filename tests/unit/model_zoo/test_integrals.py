@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from model_zoo.features import between_limits, integrals
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.base import make_model

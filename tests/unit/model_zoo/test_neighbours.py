@@ -4,6 +4,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+
 from model_zoo.control_grid import CommandCells
 from model_zoo.neighbours import KNeighbours
 from sysid_evo.data import Dataset

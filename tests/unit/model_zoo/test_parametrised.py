@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from model_zoo.car.parametrised import PARAMETERS
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem

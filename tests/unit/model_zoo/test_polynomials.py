@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from evaluation.planning import with_preset
 from model_zoo.features import Features, powers, quotient
 from model_zoo.polynomial.narx import forward_selection

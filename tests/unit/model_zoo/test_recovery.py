@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from sysid_evo.models.base import make_model
 from sysid_evo.types import Array
 from tests.fixtures.systems import AUTONOMOUS, DRIVEN, ONE_STATE, LinearSystem

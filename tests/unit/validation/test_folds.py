@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from sysid_evo.data import Dataset
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
