@@ -73,7 +73,9 @@ BUDGETS = {
         "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
         "generations=20)": "generations=2)",
     },
+    "grey_box.md": {"duration=60.0": "duration=30.0"},
     "gymnasium.md": {
+        PAGES["gymnasium.md"].blocks("python")[-1].text: "",  # Stable-Baselines3, which takes seconds to import
         "horizon=100": "horizon=40",
         "duration=40.0": "duration=20.0",
         "generations=4,": "generations=1, strategy='mu_plus_lambda(parents=2, children=2)',",
@@ -93,7 +95,7 @@ def folder(tmp_path):
     (tmp_path / "logs").mkdir()
     rows = (f'{{"t": {0.05 * i:g}, "speed": {i % 3}}}\n' for i in range(4))
     (tmp_path / "example.jsonl").write_text("".join(rows))
-    dataset = example_dataset(episodes=2)
+    dataset = example_dataset(episodes=2, steps=120)
     system = dataset.system
     for episode in dataset.episodes:
         steps = len(episode.controls)
