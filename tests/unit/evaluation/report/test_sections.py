@@ -234,6 +234,15 @@ def test_episodes_and_fits_have_a_row_each(assessed):
     assert known[1].startswith(f"{mean:.1f}\n")
 
 
+def test_an_episode_in_which_one_state_stands_counts_for_the_others(assessed):
+    known = assessed.model("known")
+    first, *others = known.episodes
+    stands = replace(first, fit=np.array([np.nan, *first.fit[1:]]))
+    (row,) = fit_sheet(replace(assessed, models=(replace(known, episodes=(stands, *others)),))).rows
+    assert row[1].startswith(f"{np.mean([one.fit[0] for one in others]):.1f}\n")
+    assert row[2].startswith(f"{np.mean([one.fit[1] for one in known.episodes]):.1f}\n")
+
+
 def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed):
     known = assessed.model("known")
     hit = replace(known, divergence=replace(known.divergence, free_run_times=(None, 2.0, 4.0, None)))
@@ -242,8 +251,9 @@ def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed):
 
 
 @pytest.mark.parametrize("sheet", [difference_sheet, residual_sheet, region_sheet, episode_error_sheet, fit_sheet])
-def test_every_table_of_errors_is_80_columns_wide_at_most(assessed, sheet):
+def test_every_table_of_errors_is_80_columns_wide_at_most_and_a_detail_but_for_the_first(assessed, sheet):
     made = sheet(assessed)
+    assert made.details == (sheet is not difference_sheet)
     lines = printed(to_rich(made))
     assert max(map(len, lines)) <= 80
     assert made.title in lines
