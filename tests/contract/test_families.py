@@ -17,7 +17,7 @@ from sysid_evo.system import Channel, System
 from sysid_evo.testing import CHECKS, example_dataset, run_checks
 from sysid_evo.testing.models import rows_are_independent
 from sysid_evo.validation.simulation_error import judging_windows
-from tests.fixtures.families import SMALL, small
+from tests.fixtures.families import SMALL, hurry, small
 from tests.fixtures.systems import SMALL_SYSTEMS
 
 ONE_OF_A_KIND = ("average", "linear_state_space", "mlp_ensemble", "narx", "nearest_neighbour")
@@ -29,10 +29,8 @@ CARS = ("hybrid_ode", "parametrised", "single_track")
 
 @pytest.fixture(scope="module", autouse=True)
 def few_evaluations():
-    """Grey boxes fit in NumPy here, which takes seconds; the contract does not ask for accuracy."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("model_zoo.grey_box.model.FIRST_EVALUATIONS", 2)
-        patch.setattr("model_zoo.grey_box.model.LAST_EVALUATIONS", 3)
+        hurry(patch)
         yield
 
 
