@@ -502,7 +502,7 @@ def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes
 
 @pytest.mark.parametrize(("gate", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
 def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_without_a_fold(
-    monkeypatch, gate, folds
+    monkeypatch, gate, folds, data
 ):
     """Both are polynomials, so each weighs a half; the second is a committee."""
     tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, committee=name == "b") for name in "ab"]

@@ -294,7 +294,7 @@ def test_networks_become_wider_only_where_that_pays():
         assert any(len(inner) > 2 for inner in model.inner_) == wider
 
 
-@pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
+@pytest.mark.parametrize("family", ["nonlinear_state_space", pytest.param("latent_ode", marks=pytest.mark.nightly)])
 def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_better(family, monkeypatch):
     """Asked for the impossible, it gives the linear state space, and networks again when refitted."""
     data = one_output(0, 300, bend=0.03)
