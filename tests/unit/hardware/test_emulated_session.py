@@ -1,4 +1,4 @@
-"""The emulated car behind the connection of a robot."""
+"""Emulated cars and models of them behind the connection of a robot."""
 
 import numpy as np
 import pytest
@@ -24,144 +24,126 @@ from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 
-FORWARD = np.array([1.0, 0.0])
+FORWARD, NEUTRAL = np.array([1.0, 0.0]), [0.0, 0.0]
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return make_robot("emulated_car")
+@pytest.fixture
+def link(emulated):
+    """A session with the emulated car."""
+    with emulated.connect(seed=1) as link:
+        yield link
 
 
-def test_robot_of_the_registry_keeps_the_contract(robot, car):
-    assert isinstance(robot, Robot)
-    assert robot.name == "emulated_car"
-    assert robot.system == car
-    assert isinstance(robot.dynamics, HeldControl)
-    assert robot.dynamics.system == robot.system
+def frames(connection, count):
+    return [connection.measure(1.0) for _ in range(count)]
 
 
-def test_seed_in_the_name_gives_another_car(robot):
+def test_robot_of_the_registry_keeps_the_contract(emulated, car):
+    assert isinstance(emulated, Robot)
+    assert emulated.name == "emulated_car"
+    assert emulated.system == car
+    assert isinstance(emulated.dynamics, HeldControl)
+    assert emulated.dynamics.system == emulated.system
+
+
+def test_seed_in_the_name_gives_another_car(emulated):
     third, again = make_robot("emulated_car:3"), make_robot("emulated_car:3")
     assert third.name == "emulated_car:3"
-    assert third.physics.parameters == again.physics.parameters != robot.physics.parameters
+    assert third.physics.parameters == again.physics.parameters != emulated.physics.parameters
     assert make_robot("emulated_car:4").physics.parameters != third.physics.parameters
 
 
-def test_frames_come_every_five_milliseconds_of_simulated_time(robot):
-    with robot.connect(seed=1) as link:
-        frames = [link.measure(1.0) for _ in range(5)]
-    assert [frame.frame for frame in frames] == [0, 1, 2, 3, 4]
-    assert [frame.source_time for frame in frames] == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02])
-    assert all(frame.valid and frame.body == "emulated_car" for frame in frames)
-    assert all(0.0 < frame.arrival_time - frame.source_time < 0.01 for frame in frames)
+def test_frames_come_every_five_milliseconds_of_simulated_time(link):
+    seen = frames(link, 5)
+    assert [frame.frame for frame in seen] == [0, 1, 2, 3, 4]
+    assert [frame.source_time for frame in seen] == pytest.approx([0.0, 0.005, 0.01, 0.015, 0.02])
+    assert all(frame.valid and frame.body == "emulated_car" for frame in seen)
+    assert all(0.0 < frame.arrival_time - frame.source_time < 0.01 for frame in seen)
 
 
-def test_no_frame_within_a_short_timeout_is_none(robot):
-    with robot.connect(seed=1) as link:
-        assert link.measure(0.001) is not None
-        assert [link.measure(0.002) is None for _ in range(3)] == [True, True, False]
+def test_no_frame_within_a_short_timeout_is_none(link):
+    assert link.measure(0.001) is not None
+    assert [link.measure(0.002) is None for _ in range(3)] == [True, True, False]
 
 
-def test_driven_robot_moves_forward_and_is_seen_where_it_is(robot):
-    with robot.connect(seed=1) as link:
-        link.measure(1.0)
-        for _ in range(200):
-            link.send(FORWARD, valid_for=0.05)
-            frame = link.measure(1.0)
-        assert 0.4 < link.pose[0] < 1.2
-        assert np.abs(frame.pose[:2] - link.pose[:2]).max() < 0.006
-        assert np.abs(frame.pose[2] - link.pose[2]) < 0.03
+def test_driven_robot_moves_forward_and_is_seen_where_it_is(link):
+    link.measure(1.0)
+    for _ in range(200):
+        link.send(FORWARD, valid_for=0.05)
+        frame = link.measure(1.0)
+    assert 0.4 < link.pose[0] < 1.2
+    assert np.abs(frame.pose[:2] - link.pose[:2]).max() < 0.006
+    assert np.abs(frame.pose[2] - link.pose[2]) < 0.03
 
 
-def test_pose_is_the_integral_of_the_true_velocities(robot):
+def test_pose_is_the_integral_of_the_true_velocities(emulated, link):
     pose = np.zeros(3)
-    with robot.connect(seed=2) as link:
+    link.measure(1.0)
+    link.send(np.array([1.0, 1.0]), valid_for=10.0)
+    for _ in range(400):
+        before = link.state
         link.measure(1.0)
-        link.send(np.array([1.0, 1.0]), valid_for=10.0)
-        for _ in range(400):
-            before = link.state
-            link.measure(1.0)
-            pose = robot.system.motion.move(pose, before, link.state, 0.005, robot.system.state_names)
-        assert pose == pytest.approx(link.pose, abs=1e-12)
-        assert abs(pose[2]) > 2.0
+        pose = emulated.system.motion.move(pose, before, link.state, 0.005, emulated.system.state_names)
+    assert pose == pytest.approx(link.pose, abs=1e-12)
+    assert abs(pose[2]) > 2.0
 
 
-def test_command_that_outlives_its_validity_becomes_neutral(robot):
-    with robot.connect(seed=1) as link:
+def test_command_that_outlives_its_validity_becomes_neutral(link):
+    link.measure(1.0)
+    link.send(FORWARD, valid_for=0.1)
+    for _ in range(20):
         link.measure(1.0)
-        link.send(FORWARD, valid_for=0.1)
-        for _ in range(20):
-            link.measure(1.0)
-            assert np.array_equal(link.control, FORWARD)
-        link.measure(1.0)
-        assert np.array_equal(link.control, [0.0, 0.0])
-        for _ in range(800):
-            link.measure(1.0)
-        assert np.all(link.state == 0.0)
+        assert np.array_equal(link.control, FORWARD)
+    link.measure(1.0)
+    assert np.array_equal(link.control, NEUTRAL)
+    frames(link, 800)
+    assert np.all(link.state == 0.0)
 
 
-def test_robot_is_neutral_on_every_way_out(robot):
-    with robot.connect(seed=1) as link:
+def test_robot_is_neutral_on_every_way_out(emulated):
+    with emulated.connect(seed=1) as link:
         link.measure(1.0)
         link.send(FORWARD, valid_for=9.0)
-    assert np.array_equal(link.control, [0.0, 0.0])
-    link = robot.connect(seed=1)
+    assert np.array_equal(link.control, NEUTRAL)
+    link = emulated.connect(seed=1)
     with pytest.raises(InvalidArgument), link:  # noqa: PT012  # the first command must be in force
         link.send(FORWARD, valid_for=9.0)
         link.send(FORWARD, valid_for=-1.0)
-    assert np.array_equal(link.control, [0.0, 0.0])
+    assert np.array_equal(link.control, NEUTRAL)
     link.close()
     for use in (lambda: link.measure(1.0), lambda: link.send(FORWARD, valid_for=1.0)):
         with pytest.raises(LinkLost, match="closed"):
             use()
 
 
-def test_illegal_commands_are_refused_and_not_sent(robot):
-    with robot.connect(seed=1) as link:
-        for control, error in (([0.5, 0.0], InvalidArgument), ([np.nan, 0.0], InvalidArgument), ([1.0], ShapeError)):
-            with pytest.raises(error):
-                link.send(np.array(control), valid_for=1.0)
-        with pytest.raises(InvalidArgument, match="valid_for > 0"):
-            link.send(FORWARD, valid_for=0.0)
-        assert np.array_equal(link.control, [0.0, 0.0])
+def test_illegal_commands_are_refused_and_not_sent(link):
+    for control, error in (([0.5, 0.0], InvalidArgument), ([np.nan, 0.0], InvalidArgument), ([1.0], ShapeError)):
+        with pytest.raises(error):
+            link.send(np.array(control), valid_for=1.0)
+    with pytest.raises(InvalidArgument, match="valid_for > 0"):
+        link.send(FORWARD, valid_for=0.0)
+    assert np.array_equal(link.control, NEUTRAL)
 
 
-def test_same_seed_gives_the_same_session_and_another_seed_another(robot):
+def test_same_seed_gives_the_same_session_and_another_seed_another(emulated):
     def drive(seed):
-        with robot.connect(seed=seed) as link:
+        with emulated.connect(seed=seed) as link:
             link.measure(1.0)
             link.send(np.array([1.0, -1.0]), valid_for=9.0)
-            return np.array([link.measure(1.0).pose for _ in range(300)])
+            return np.array([frame.pose for frame in frames(link, 300)])
 
     assert np.array_equal(drive(5), drive(5))
     assert np.abs(drive(5) - drive(6))[-1].max() > 0.01
     assert not np.array_equal(drive(None), drive(None))
 
 
-def test_controllers_run_on_the_car_and_trials_repeat(robot, rng):
-    parameters = 0.3 * rng.standard_normal((3, 78))
-    task, seeds = PointToPoint(horizon=60), trial_seeds(1, 4)
-    first = rollout(robot.dynamics, RecurrentNetwork(), parameters, task, seeds, record=True)
-    again = rollout(robot.dynamics, RecurrentNetwork(), parameters, task, seeds, record=True)
+def test_controllers_run_on_the_car_and_trials_repeat(emulated, rng):
+    given = RecurrentNetwork(), 0.3 * rng.standard_normal((3, 78)), PointToPoint(horizon=60), trial_seeds(1, 4)
+    first, again = (rollout(emulated.dynamics, *given, record=True) for _ in range(2))
     assert np.all(first.survived == 60)
     assert np.array_equal(first.task_state.pose, again.task_state.pose)
     states = np.concatenate([episode.states for episode in first.trajectories])
     assert 0.2 < np.abs(states[:, 0]).max() < 2.2
-
-
-def test_only_a_planar_body_can_be_tracked():
-    class Tank(Dynamics):
-        system = System((Channel("level", "m"),), (Channel("valve", low=0.0, high=1.0),), dt=0.01)
-        n_carry = 1
-
-        def start(self, states, controls, draws=None):
-            return states[:, -1]
-
-        def step(self, carry, control, noise=None):
-            return carry + control
-
-    with pytest.raises(IncompatibleSystem, match="planar body"):
-        EmulatedRobot("tank", Tank(), repeats=5)
 
 
 class Pushed(Dynamics):
@@ -178,25 +160,22 @@ class Pushed(Dynamics):
         return np.where(carry[:, :1] > self.end, np.nan, after)
 
 
-CONTROLS = [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (-1.0, -1.0), (0.0, 0.0)]
-
-
-def frames(connection, count):
-    return [connection.measure(1.0) for _ in range(count)]
+def pushed(system, name="pushed", **options):
+    return ModelledRobot(name, Pushed(system, **options)).connect()
 
 
 def test_poses_at_the_ends_of_samples_are_those_of_the_model(car):
-    model = Pushed(car)
-    state, pose, wanted = np.zeros(3), np.zeros(3), []
-    for control in CONTROLS:
+    controls = [(1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (-1.0, -1.0), (0.0, 0.0)]
+    model, state, pose, wanted = Pushed(car), np.zeros(3), np.zeros(3), []
+    for control in controls:
         after = model.step(state[None], np.array([control]))[0]
         pose = car.motion.move(pose, state, after, car.dt, car.state_names)
         state = after
         wanted.append(pose)
-    with ModelledRobot("pushed", model).connect() as connection:
+    with pushed(car) as connection:
         frames(connection, 1)
         seen = []
-        for control in CONTROLS:
+        for control in controls:
             connection.send(np.array(control), valid_for=0.15)
             seen += frames(connection, FRAMES)
         seen += frames(connection, LEAD)
@@ -206,7 +185,7 @@ def test_poses_at_the_ends_of_samples_are_those_of_the_model(car):
 
 
 def test_poses_between_samples_are_a_smooth_path(car):
-    with ModelledRobot("pushed", Pushed(car)).connect() as connection:
+    with pushed(car) as connection:
         connection.send(np.array([1.0, 1.0]), valid_for=9.0)
         path = np.array([frame.pose for frame in frames(connection, 20 * FRAMES)])
     assert np.abs(np.diff(path[:, 0], n=2)).max() < 2.0 * (car.dt / FRAMES) ** 2
@@ -215,16 +194,16 @@ def test_poses_between_samples_are_a_smooth_path(car):
 def test_a_command_that_is_a_little_late_counts_for_its_own_sample(car):
     ends = []
     for late in (0, LEAD - 1):
-        with ModelledRobot("pushed", Pushed(car)).connect() as connection:
-            connection.send(np.array([1.0, 0.0]), valid_for=0.15)
+        with pushed(car) as connection:
+            connection.send(FORWARD, valid_for=0.15)
             frames(connection, 1 + FRAMES + late)
-            connection.send(np.array([-1.0, 0.0]), valid_for=0.15)
+            connection.send(-FORWARD, valid_for=0.15)
             ends.append(frames(connection, FRAMES + LEAD - late)[-1].pose)
     np.testing.assert_array_equal(*ends)
 
 
 def test_the_model_rests_until_the_first_command_that_is_not_neutral(car):
-    with ModelledRobot("drifting", Pushed(car, drift=0.1)).connect() as connection:
+    with pushed(car, drift=0.1) as connection:
         connection.send(np.zeros(2), valid_for=0.15)
         assert not np.any([frame.pose for frame in frames(connection, 50)])
         connection.send(np.array([0.0, 1.0]), valid_for=0.15)
@@ -232,24 +211,24 @@ def test_the_model_rests_until_the_first_command_that_is_not_neutral(car):
 
 
 def test_a_command_that_has_expired_is_neutral_from_the_next_sample_on(car):
-    with ModelledRobot("pushed", Pushed(car)).connect() as connection:
+    with pushed(car) as connection:
         frames(connection, 1)
-        connection.send(np.array([1.0, 0.0]), valid_for=0.15)
+        connection.send(FORWARD, valid_for=0.15)
         moving = np.array([frame.pose[0] for frame in frames(connection, LEAD + 6 * FRAMES)])
     speed = np.diff(moving[LEAD - 1 :: FRAMES]) / car.dt
     assert speed == pytest.approx([0.025, 0.075, 0.125, 0.15, 0.15, 0.15], abs=1e-3)
 
 
 def test_a_model_that_diverges_is_lost_from_sight(car):
-    with ModelledRobot("diverging", Pushed(car, end=0.04)).connect() as connection:
-        connection.send(np.array([1.0, 0.0]), valid_for=9.0)
+    with pushed(car, end=0.04) as connection:
+        connection.send(FORWARD, valid_for=9.0)
         seen = [frame.valid for frame in frames(connection, 5 * FRAMES)]
     assert seen[FRAMES]
     assert not seen[-1]
 
 
 def test_commands_are_checked_and_a_closed_session_says_so(car):
-    connection = ModelledRobot("pushed", Pushed(car)).connect()
+    connection = pushed(car)
     with pytest.raises(InvalidArgument, match="drive"):
         connection.send(np.array([0.5, 0.0]), valid_for=0.15)
     connection.close()
@@ -257,9 +236,12 @@ def test_commands_are_checked_and_a_closed_session_says_so(car):
         connection.measure(1.0)
 
 
-def test_a_model_without_a_motion_has_no_pose_to_drive(car):
+def test_only_a_planar_body_can_be_tracked_and_only_a_model_with_a_motion_driven(car):
+    still = Pushed(System(car.states, car.controls, car.dt))
+    with pytest.raises(IncompatibleSystem, match="planar body"):
+        EmulatedRobot("tank", Pushed(System((Channel("level", "m"),), car.controls, car.dt)), repeats=5)
     with pytest.raises(IncompatibleSystem, match="motion"):
-        ModelledRobot("still", Pushed(System(car.states, car.controls, car.dt)))
+        ModelledRobot("still", still)
 
 
 def test_errors_have_the_stated_size_and_correlation(rng):

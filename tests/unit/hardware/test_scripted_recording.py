@@ -1,7 +1,5 @@
 """Scripted recording: from manoeuvres to journals, logs and a prepared data set."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,15 +20,13 @@ from sysid_evo.data.preparation import prepare
 from sysid_evo.data.readers import CsvReader
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.registry import make_robot
-from sysid_evo.types import Array
 
 
 class Watched(Connection):
-    """A connection that notes the true states and loses sight of the body in some frames."""
+    """A connection that notes the true states; ``robot`` says which frames show no body, end, or show it elsewhere."""
 
-    def __init__(self, link, hidden, last_frame):
-        self.link, self.hidden, self.last_frame = link, hidden, last_frame
-        self.states: list[Array] = []
+    def __init__(self, link, robot):
+        self.link, self.robot, self.states = link, robot, []
 
     @property
     def time(self):
@@ -41,33 +37,35 @@ class Watched(Connection):
 
     def measure(self, timeout):
         frame = self.link.measure(timeout)
-        if frame is None or frame.frame > self.last_frame:
+        if frame is None or frame.frame > self.robot.last_frame:
             return None
         self.states.append(self.link.state)
-        return replace(frame, valid=frame.frame not in self.hidden)
+        jumped = 0.4 * (frame.frame >= self.robot.jump)
+        seen = frame.frame not in self.robot.hidden
+        return replace(frame, valid=seen, pose=np.add(frame.pose, [jumped, 0.0, 0.0]))
 
     def close(self):
         self.link.close()
 
 
 class WatchedRobot(Robot):
-    def __init__(self, robot, hidden=range(0), last_frame=np.inf):
-        self.robot, self.hidden, self.last_frame = robot, hidden, last_frame
+    def __init__(self, robot, hidden=range(0), last_frame=np.inf, jump=np.inf):
+        self.robot, self.hidden, self.last_frame, self.jump = robot, hidden, last_frame, jump
         self.name, self.system, self.dynamics = robot.name, robot.system, robot.dynamics
-        self.sessions: list[Watched] = []
+        self.sessions = []
 
     def connect(self, *, seed=None):
-        self.sessions.append(Watched(self.robot.connect(seed=seed), self.hidden, self.last_frame))
+        self.sessions.append(Watched(self.robot.connect(seed=seed), self))
         return self.sessions[-1]
 
 
 @pytest.fixture
-def robot():
-    return WatchedRobot(make_robot("emulated_car"))
+def robot(emulated):
+    return WatchedRobot(emulated)
 
 
-def short(rng, steps=40):
-    return Manoeuvre("short", np.repeat(rng.integers(-1, 2, (steps // 4, 2)).astype(float), 4, axis=0))
+def short(rng, steps=40, name="short"):
+    return Manoeuvre(name, np.repeat(rng.integers(-1, 2, (steps // 4, 2)).astype(float), 4, axis=0))
 
 
 @pytest.fixture
@@ -107,7 +105,7 @@ def test_recording_of_a_car_without_noise_is_its_20_hz_form(rng, recorded):
 
 
 def test_same_seed_gives_the_same_recording(rng, recorded):
-    manoeuvres = [short(rng), replace(short(rng), name="second")]
+    manoeuvres = [short(rng), short(rng, name="second")]
     one, same, other = (recorded(make_robot("emulated_car"), manoeuvres, seed=seed) for seed in (4, 4, 5))
     for a, b, c in zip(one, same, other, strict=True):
         assert np.array_equal(a.pose, b.pose)
@@ -117,20 +115,17 @@ def test_same_seed_gives_the_same_recording(rng, recorded):
 
 def test_progress_counts_control_samples(robot, rng, recorded):
     calls = []
-    recorded(
-        robot,
-        [short(rng), replace(short(rng), name="second")],
-        progress=lambda done, total: calls.append((done, total)),
-    )
+    both = [short(rng), short(rng, name="second")]
+    recorded(robot, both, progress=lambda done, total: calls.append((done, total)))
     assert sorted(set(calls)) == [(i, 80) for i in range(81)]
     assert calls == sorted(calls)
 
 
-def test_frames_that_lost_the_body_are_left_out(rng, recorded):
-    (log,) = recorded(WatchedRobot(make_robot("emulated_car"), hidden=range(90, 101)), [short(rng)])
+def test_frames_that_lost_the_body_are_left_out(emulated, rng, recorded):
+    (log,) = recorded(WatchedRobot(emulated, hidden=range(90, 101)), [short(rng)])
     assert len(log.time) == 401 - 11
     assert np.diff(log.time).max() == pytest.approx(0.06)
-    (late,) = recorded(WatchedRobot(make_robot("emulated_car"), hidden=range(3)), [short(rng)])
+    (late,) = recorded(WatchedRobot(emulated, hidden=range(3)), [short(rng)])
     assert (late.time[0], len(late.time)) == (0.0, 401)
 
 
@@ -138,9 +133,11 @@ def test_frames_that_lost_the_body_are_left_out(rng, recorded):
     "trouble, rows",
     [({"hidden": range(200, 9999)}, 200), ({"hidden": range(9999)}, None), ({"last_frame": 199}, 200)],
 )
-def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_there_is(trouble, rows, rng, recorded):
-    robot = WatchedRobot(make_robot("emulated_car"), **trouble)
-    logs = recorded(robot, [short(rng, 80), replace(short(rng), name="never begun")])
+def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_there_is(
+    trouble, rows, emulated, rng, recorded
+):
+    robot = WatchedRobot(emulated, **trouble)
+    logs = recorded(robot, [short(rng, 80), short(rng, name="never begun")])
     assert recorded.report.reason is Reason.TRACKER_LOST
     assert [len(log.time) for log in logs] == ([rows] if rows else [])
     assert len(robot.sessions) == 1
@@ -156,7 +153,7 @@ def test_interrupted_recording_keeps_what_there_is(robot, rng, recorded):
         if done == 30:
             stops.request(Reason.SIGINT)
 
-    (log,) = recorded(robot, [short(rng, 80), replace(short(rng), name="second")], stops=stops, progress=interrupt)
+    (log,) = recorded(robot, [short(rng, 80), short(rng, name="second")], stops=stops, progress=interrupt)
     assert recorded.report.reason is Reason.SIGINT
     assert log.time[-1] == pytest.approx(1.5, abs=0.06)
     assert prepared([log], robot.system).duration > 0.5
@@ -164,38 +161,15 @@ def test_interrupted_recording_keeps_what_there_is(robot, rng, recorded):
 
 def test_physical_robot_stays_connected_and_rests_between_manoeuvres(robot, rng, recorded):
     robot.dynamics = None
-    logs = recorded(robot, [short(rng), replace(short(rng), name="second")])
+    logs = recorded(robot, [short(rng), short(rng, name="second")])
     assert [len(log.time) for log in logs] == [401, 401]
     (session,) = robot.sessions
     assert session.time == pytest.approx(2.0 + 2.0 + 2.0, abs=0.11)
     assert np.abs(session.states[600:800]).max() < np.abs(session.states[:400]).max()
 
 
-class Jumping(Watched):
-    """From frame 400 on the body seems to be 0.4 m away, at once or after a gap of ``gap`` frames."""
-
-    gap = 0
-
-    def measure(self, timeout):
-        frame = super().measure(timeout)
-        if frame is None or frame.frame < 400:
-            return frame
-        return replace(frame, pose=np.add(frame.pose, [0.4, 0.0, 0.0]), valid=frame.frame >= 400 + self.gap)
-
-
-class JumpingRobot(WatchedRobot):
-    gap = 0
-
-    def connect(self, *, seed=None):
-        session = Jumping(self.robot.connect(seed=seed), range(0), np.inf)
-        session.gap = self.gap
-        self.sessions.append(session)
-        return session
-
-
-def test_jump_after_a_gap_splits_the_recording(rng, recorded):
-    robot = JumpingRobot(make_robot("emulated_car"))
-    robot.gap = 18
+def test_jump_after_a_gap_splits_the_recording(emulated, rng, recorded):
+    robot = WatchedRobot(emulated, jump=400, hidden=range(400, 418))
     (log,) = recorded(robot, [short(rng, 80)])
     assert recorded.report.reason is Reason.PILOT
     dataset = prepared([log], robot.system)
@@ -203,9 +177,8 @@ def test_jump_after_a_gap_splits_the_recording(rng, recorded):
     assert all(np.abs(episode.states[:, :2]).max() < 1.5 for episode in dataset.episodes)
 
 
-def test_jump_that_no_robot_can_make_ends_the_recording(rng, recorded):
-    robot = JumpingRobot(make_robot("emulated_car"))
-    (log,) = recorded(robot, [short(rng, 80)])
+def test_jump_that_no_robot_can_make_ends_the_recording(emulated, rng, recorded):
+    (log,) = recorded(WatchedRobot(emulated, jump=400), [short(rng, 80)])
     assert recorded.report.reason is Reason.TRACKER_LOST
     assert "jumped" in recorded.report.sentence
     assert log.time[-1] == pytest.approx(1.995)
@@ -226,13 +199,13 @@ def test_prepared_recording_agrees_with_the_true_states(robot, recorded):
 
 
 def test_registered_robot_gives_a_data_set(car):
-    recorded = make_robot("emulated_car:1").record(seed=3, duration=24.0)
+    recorded = make_robot("emulated_car:1").record(seed=3, duration=18.0)
     logs, dataset = recorded.logs, recorded.dataset
     assert len(logs) == len(dataset) == 12
     assert dataset.system == car
     assert dataset.names == tuple(log.name for log in logs)
-    assert dataset.duration == pytest.approx(24.0, abs=6.0)
-    assert dataset.fingerprint == make_robot("emulated_car:1").record(seed=3, duration=24.0).dataset.fingerprint
+    assert dataset.duration == pytest.approx(18.0, abs=6.0)
+    assert dataset.fingerprint == make_robot("emulated_car:1").record(seed=3, duration=18.0).dataset.fingerprint
 
 
 def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):
