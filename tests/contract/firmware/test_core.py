@@ -10,15 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hardware.link.framing import FrameDecoder, checksum, encode
-from hardware.link.messages import (
-    Buttons,
-    CommandMessage,
-    Hello,
-    HelloAcknowledgement,
-    StatusMessage,
-    Stop,
-    unpack,
-)
+from hardware.link.messages import Buttons, CommandMessage, Hello, HelloAcknowledgement, StatusMessage, Stop, unpack
 from sysid_evo.errors import InvalidArgument
 from tests.benchmarks.link.__main__ import RATES, damage
 from tests.fixtures.golden_frames import CONVERSATION, ROBOT
@@ -42,10 +34,6 @@ def test_both_sides_write_the_same_frames(body):
     out = ctypes.create_string_buffer(len(body) + 4)
     size = library.rcb_encode(body, ctypes.c_size_t(len(body)), out)
     assert out.raw[:size] == encode(body)
-
-
-def test_both_sides_have_the_check_value_of_the_catalogue():
-    library = ctypes.CDLL(str(build_core()))
     library.rcb_crc.restype = ctypes.c_uint16
     assert library.rcb_crc(b"123456789", ctypes.c_size_t(9)) == checksum(b"123456789") == 0x29B1
 
@@ -83,7 +71,6 @@ def replayer():
     program = build_c("replay", (Path(__file__).with_name("replay.c"),), SANITIZE)
     with subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         yield process
-        assert process.stdin is not None
         process.stdin.close()
         assert process.wait(10) == 0
 
@@ -108,8 +95,6 @@ _CHUNKS = st.lists(st.tuples(st.integers(0, 255), _BYTES), max_size=12)
 def _survives(process, chunks):
     """Feed ``chunks`` to a fresh core; compare its counts with the Python decoder's and return what it said."""
     reading, writing = process.stdout, process.stdin
-    assert reading is not None
-    assert writing is not None
     stream = b"".join(bytes([wait, len(data)]) + data for wait, data in chunks)
     writing.write(struct.pack("<I", len(stream)) + stream)
     writing.flush()
@@ -156,31 +141,24 @@ def test_frames_up_to_the_longest_and_beyond_are_counted_alike(replayer, size):
     assert last.crc + last.length == 2
 
 
-@settings(suppress_health_check=list(HealthCheck), deadline=None)
+@settings(suppress_health_check=list(HealthCheck))
 @given(_CHUNKS)
 def test_core_takes_arbitrary_bytes_under_sanitizers(replayer, chunks):
     _survives(replayer, chunks)
 
 
 @pytest.mark.nightly
-@settings(max_examples=100_000, suppress_health_check=list(HealthCheck), deadline=None)
+@settings(max_examples=100_000, suppress_health_check=list(HealthCheck))
 @given(_CHUNKS)
 def test_core_takes_a_hundred_thousand_streams_under_sanitizers(replayer, chunks):
     _survives(replayer, chunks)
 
 
 @pytest.mark.parametrize("rate", RATES)
-def test_damaged_frames_are_refused_and_intact_ones_after_a_delimiter_accepted(rate):
-    found = damage(100_000, rate, seed=1)
+@pytest.mark.parametrize("frames", [100_000, pytest.param(10**7, marks=pytest.mark.nightly)])
+def test_damaged_frames_are_refused_and_intact_ones_after_a_delimiter_accepted(frames, rate):
+    found = damage(frames, rate, seed=1)
     assert found.damaged == pytest.approx(found.frames * (1.0 - (1.0 - rate) ** 13), rel=0.1)
     assert found.wrong == 0
     assert found.missed == 0
     assert found.accepted > 0.2 * found.frames
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("rate", RATES)
-def test_no_wrong_command_is_accepted_in_ten_million_frames(rate):
-    found = damage(10**7, rate, seed=1)
-    assert found.wrong == 0
-    assert found.missed == 0
