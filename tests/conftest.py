@@ -264,6 +264,14 @@ def run_copy(finished_run, tmp_path):
 
 
 @pytest.fixture(scope="session")
+def failed_run(session_folder, finished_run):
+    """The folder of a run of which one family failed and the robot is absent; `tests.fixtures.session.fail`."""
+    from tests.fixtures import session
+
+    return session_folder.get("failed", lambda folder: session.fail(folder, finished_run)) / "out"
+
+
+@pytest.fixture(scope="session")
 def study_folder(session_folder):
     """The folder of a finished study of two emulated cars and two seeds, read only."""
     from tests.fixtures import session

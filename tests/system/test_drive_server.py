@@ -1,9 +1,12 @@
-"""The page's server: who may open it, and what losing it means to the robot."""
-
-from __future__ import annotations
+"""The page of `sysid-evo drive`: who may open it, what losing it means to the robot, and what driving leaves behind."""
 
 import json
+import os
+import re
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import urllib.error
@@ -11,22 +14,29 @@ import urllib.request
 from contextlib import ExitStack, suppress
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from hardware.connection import Command, Listener
+from evaluation.transfer import load_measured
+from hardware.connection import GateLimits, Listener
 from hardware.driving import server
-from hardware.driving.hand_driving import HandDriving, Instruments, Phase
+from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments, Phase
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
-from hardware.driving.page_messages import FORWARD
-from hardware.driving.server import PageServer
+from hardware.driving.page_messages import FORWARD, LEFT
+from hardware.driving.server import PageServer, check_page
 from hardware.emulation.simulated_robot import in_real_time
-from hardware.robot import Robot
-from hardware.run_report import Reason, Stops
-from sysid_evo.errors import InvalidArgument
+from hardware.emulation.tracked_robots import ModelledRobot
+from hardware.recording.journal import read_journal
+from hardware.run_report import LoopReport, Reason, Stops
+from sysid_evo.cli.robots import Driven, add_row
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
+from tests.fixtures.commands import COMMAND
+from tests.fixtures.robots import store_champion
 
 EVERY = 0.025  # s
 
@@ -35,11 +45,11 @@ class Desk:
     """A robot, the page to drive it, and what a session needs."""
 
     def __init__(self):
-        self.robot: Robot = in_real_time(make_robot("emulated_car"))
+        self.robot = in_real_time(make_robot("emulated_car"))
         self.task = PointToPoint(horizon=200).bind(self.robot.system)
         self.keyboard = Keyboard(life=key_life(self.robot.system))
         self.instruments = Instruments(self.robot, self.task, self.keyboard)
-        self.deaths: list[str] = []
+        self.deaths = []
         self.page = PageServer(self.instruments, self.keyboard, host="127.0.0.1", port=0, died=self.deaths.append)
 
 
@@ -60,15 +70,14 @@ def status_of(url, **headers):
             return error.code
 
 
-def talk(desk, *, origin="ours", **headers):
-    base = urlsplit(desk.page.url)
+def talk(url, *, origin="ours"):
+    base = urlsplit(url)
     origin = f"http://{base.netloc}" if origin == "ours" else origin
-    address = f"ws://{base.netloc}{base.path}socket"
-    return connect(address, origin=origin, additional_headers=headers, compression=None, max_queue=None)
+    return connect(f"ws://{base.netloc}{base.path}socket", origin=origin, compression=None, max_queue=None)
 
 
-def say(line, keys, **more):
-    line.send(json.dumps({"keys": keys, "clock": time.monotonic(), **more}))
+def say(line, keys):
+    line.send(json.dumps({"keys": keys, "clock": time.monotonic()}))
 
 
 def drain(line):
@@ -118,10 +127,10 @@ def test_a_name_that_was_pointed_at_this_machine_is_refused(desk, host, status):
 
 def test_another_page_may_not_open_the_socket(desk):
     for origin in ("http://evil.example", "null", None):
-        with pytest.raises(InvalidStatus), talk(desk, origin=origin):
+        with pytest.raises(InvalidStatus), talk(desk.page.url, origin=origin):
             pass
     assert status_of(desk.page.url, Origin="http://evil.example") == 403
-    with talk(desk) as line:
+    with talk(desk.page.url) as line:
         assert json.loads(line.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
 
 
@@ -134,7 +143,7 @@ def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypat
         lines = [
             stack.enter_context(socket.create_connection((base.hostname or "", base.port or 0))) for _ in range(60)
         ]
-        with talk(desk) as page:
+        with talk(desk.page.url) as page:
             assert json.loads(page.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
             assert status_of(desk.page.url) == 200
             refused = lines.pop()
@@ -151,7 +160,7 @@ def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypat
                 assert time.monotonic() < since + 5.0
             time.sleep(0.6)
             page.recv(timeout=5.0)
-        pages = [stack.enter_context(talk(desk)) for _ in range(server.MOST_CONNECTIONS)]
+        pages = [stack.enter_context(talk(desk.page.url)) for _ in range(server.MOST_CONNECTIONS)]
         for page in pages:
             page.recv(timeout=5.0)
         assert status_of(desk.page.url) == 503
@@ -172,7 +181,7 @@ def gone(line):
 
 def test_nonsense_ends_the_conversation(desk):
     for nonsense in ("{", "[]", '{"keys": 1}', "x" * 1000, b"\x00"):
-        with talk(desk) as line:
+        with talk(desk.page.url) as line:
             line.send(nonsense)
             with pytest.raises(ConnectionClosed):
                 drain(line)
@@ -183,9 +192,9 @@ def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk):
     def drives(line):
         return json.loads(line.recv(timeout=5.0)).get("drives", False)
 
-    with talk(desk) as watcher_to_be:
+    with talk(desk.page.url) as watcher_to_be:
         wait_for(lambda: drives(watcher_to_be))
-        with talk(desk) as other:
+        with talk(desk.page.url) as other:
             other.recv(timeout=5.0)
             assert not drives(other)
             watcher_to_be.close()
@@ -210,7 +219,7 @@ def test_losing_the_server_releases_the_keys_and_is_reported():
 
 class Commands(Listener):
     def __init__(self):
-        self.sent: list[Command] = []
+        self.sent = []
 
     def commanded(self, command):
         self.sent.append(command)
@@ -224,7 +233,7 @@ class Typist:
         self.lost = 0.0
 
     def type(self):
-        with talk(self.desk) as line:
+        with talk(self.desk.page.url) as line:
             drives_since = None
             while not self.lost:
                 phase = self.desk.instruments.reading()["phase"]
@@ -262,3 +271,148 @@ def test_losing_the_page_means_neutral_within_150_ms(desk, lose):
     neutral = min(command.time for command in commands.sent if command.time > driven[-1])
     late = max(0.0, float(trials[0].report.gaps.max()) - desk.robot.system.dt)
     assert neutral <= typist.lost + HOLD + late
+
+
+SECONDS = 2.0
+
+
+class Page(threading.Thread):
+    """Opens the page as a browser does, keeps what it is told, and holds two keys ``until`` then, given seconds."""
+
+    def __init__(self, url, until=None, *, interrupt=False):
+        super().__init__()
+        self.told, self.url, self.until, self.interrupt = [], url, until, interrupt
+        self.start()
+
+    def run(self):
+        with talk(self.url) as line, suppress(ConnectionClosed):
+            self.look(line)
+        if self.interrupt:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def look(self, line):
+        began = 0.0
+        while True:
+            reading = json.loads(line.recv(timeout=20.0))
+            self.told.append(reading)
+            if self.until is None or "phase" not in reading:
+                continue
+            say(line, FORWARD | LEFT if reading["phase"] in ("ready", "driving") else 0)
+            began = began or (time.monotonic() if reading["phase"] == "driving" else 0.0)
+            if began and self.until(time.monotonic() - began):
+                return
+
+
+@pytest.fixture
+def pages(monkeypatch):
+    """A function that says how the page is used once `drive --open` opens it; it returns the list of opened pages."""
+    found = []
+
+    def used(until=None, *, interrupt=False):
+        monkeypatch.setattr("webbrowser.open", lambda url: found.append(Page(url, until, interrupt=interrupt)))
+        return found
+
+    return used
+
+
+def test_what_is_driven_becomes_a_data_set_that_inspect_reads(call):
+    process = subprocess.Popen(
+        [*COMMAND, "drive", "--out", "mine"],
+        cwd=call.folder,
+        env={**os.environ, "COLUMNS": "80", "TERM": "dumb"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        found = re.search(r"http://\S+", process.stdout.readline())
+        assert found, process.communicate()
+        Page(found[0], lambda seconds: seconds > SECONDS).join()
+        process.send_signal(signal.SIGINT)
+        output, errors = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == Reason.SIGINT.exit_code, errors
+    assert "data set stored in mine" in output
+    dataset = Dataset.read(call.folder / "mine")
+    assert 0.5 * SECONDS < dataset.duration < SECONDS + 2.0
+    assert dataset.system.control_names == ("drive", "steer")
+    assert dataset.episodes[0].states[:, 0].max() > 1.0
+    assert dataset.episodes[0].states[-1, 2] > 1.0
+    assert (call.folder / "mine" / "journal" / "trial-1.rcj").is_file()
+    inspected = json.loads(call("inspect", "mine", "--json").stdout)
+    assert inspected["episodes"][0]["name"] == "trial-1"
+
+
+def test_a_model_is_recorded_in_the_same_way(call, run_copy, pages):
+    pages(lambda seconds: seconds > SECONDS, interrupt=True)
+    done = call("drive", "--model", "linear", "--run", "out", "--out", "felt", "--open")
+    assert done.code == Reason.SIGINT.exit_code, done.stderr
+    assert done.stdout.startswith("Drive linear at http://127.0.0.1:")
+    episode = Dataset.read(call.folder / "felt").episodes[0]
+    assert {tuple(control) for control in episode.controls} >= {(1.0, 1.0)}
+    assert np.ptp(episode.states[:, 0]) > 0.1
+    assert read_journal(call.folder / "felt/journal/trial-1.rcj").limits.speed == np.inf
+
+
+@pytest.mark.nightly
+def test_whole_trials_become_a_row_of_the_matrix(call, pages):
+    (call.folder / "runs/a/models").mkdir(parents=True)
+    pages(lambda seconds: False)
+    done = call("drive", "--run", "runs/a", "--name", "human", "--trials", "1", "--open")
+    assert done.code == 0, done.stderr
+    ((measured,), _) = load_measured(call.folder / "runs/a")
+    assert (measured.cell.champion, measured.cell.column) == ("human", "emulated_car driven")
+    assert f"trial 1: {measured.cell.fitness[0]:g} waypoints" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("robot", "task"),
+    [("pendulum", "track_reference(horizon=10)"), ("emulated_car", "point_to_point(horizon=10)")],
+)
+def test_who_opens_the_page_of_a_controller_sees_every_trial(robot, task, pages, call):
+    store_champion(robot, task, call.folder)
+    opened = pages()
+    done = call("drive", "--robot", robot, "--controller", "mine", "--trials", "2", "--open")
+    assert done.code == 0, done.stderr
+    assert "Watch it at http://127.0.0.1:" in done.stdout
+    (page,) = opened
+    page.join(10.0)
+    setting, scenery, *readings = page.told
+    assert setting["setting"]["robot"] == robot
+    assert scenery.keys() == {"scenery"}
+    steps = {(reading["trial"], reading["step"]) for reading in readings if reading.get("phase") == "controlled"}
+    assert {1, 2} <= {trial for trial, _ in steps}
+    assert len(steps) > 12
+    assert readings[-1]["phase"] == "finished"
+    assert len(readings[-1]["scores"]) == 2
+
+
+def trial(number, fitness):
+    system = make_robot("emulated_car").system
+    task = PointToPoint().bind(system)
+    state = task.begin(np.array([number], dtype=np.uint64))
+    trajectory = Trajectory(np.zeros((3, 3)), np.zeros((2, 2)), system.dt, np.zeros((3, 3)), f"trial-{number}")
+    report = LoopReport(Reason.PILOT, "", np.zeros(2), np.zeros(1))
+    return HandTrial(number, f"trial-{number}", number, fitness, trajectory, state, report, GateLimits())
+
+
+def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path):
+    robot = ModelledRobot("linear", make_robot("emulated_car").dynamics)
+    driven = Driven(robot, "linear", tmp_path, on_robot=False)
+    add_row(driven, tmp_path, "humFc", [trial(1, None)])
+    assert load_measured(tmp_path) == ((), ())
+    add_row(driven, tmp_path, "humFc", [trial(1, 7.0), trial(2, None), trial(3, 9.0)])
+    ((measured,), _) = load_measured(tmp_path)
+    assert measured.cell.fitness.tolist() == [7.0, 9.0]
+    assert (measured.cell.champion, measured.cell.column, measured.cell.unit) == ("humFc", "linear", "waypoints")
+    assert (measured.on_robot, measured.physical, measured.champion.against) == (False, False, ())
+    assert len(measured.cell.traces) == 2
+    assert measured.cell.traces[0].waypoints.shape == (1, 2)
+
+
+def test_a_page_that_cannot_be_served_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "uvicorn", None)
+    with pytest.raises(MissingExtra, match=r"driving by hand needs the package 'uvicorn'.*sysid-evo\[drive\]"):
+        check_page()

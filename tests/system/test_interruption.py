@@ -1,18 +1,249 @@
-"""A study that is killed, interrupted, or computed on a cluster: the same as one that is left alone."""
+"""Ctrl-C and other signals: a clear sentence, nothing half-written, and the run goes on afterwards."""
 
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import dataclass, field
 
 import pyarrow.parquet as pq
 import pytest
 
-from tests.fixtures.commands import run_here
+from sysid_evo.data import Dataset
+from sysid_evo.evolution import MuPlusLambda
+from sysid_evo.registry import strategies
+from tests.fixtures.commands import COMMAND, SMALL, run_here
 from tests.fixtures.dask_cluster import LIMIT, Processes
+
+FAMILIES = """
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from sysid_evo import DynamicsModel, register_model
+
+
+class Unfinished(DynamicsModel):
+    def fit(self, dataset, *, rng, progress=None):
+        self.half_ = np.zeros(3)
+        progress(1, 2)
+        if not Path("second").exists():
+            self.stop()
+        return self
+
+    def next_state(self, carry, control):
+        return carry
+
+
+@register_model("interrupted")
+class Interrupted(Unfinished):
+    def stop(self):
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
+        signal.raise_signal(signal.SIGINT)
+
+
+@register_model("waiting")
+class Waiting(Unfinished):
+    def stop(self):
+        Path("waits").write_text(str(os.getpid()))
+        time.sleep(60.0)
+"""
+ROBOTS = """
+import time
+
+from hardware.emulation.cars import emulated_car
+from hardware.emulation.sensed_robot import Equations, SensedRobot
+from hardware.emulation.tracked_robots import EmulatedConnection
+from sysid_evo import Channel, System, register_robot
+
+
+class Slow(EmulatedConnection):
+    def measure(self, timeout):
+        time.sleep(0.001)
+        return super().measure(timeout)
+
+
+@register_robot("slow_car")
+def slow_car():
+    robot = emulated_car()
+    robot.connect = lambda *, seed=None: Slow(robot.name, robot.physics, seed=seed)
+    return robot
+
+
+class Stuck(Equations):
+    system = System(["x"], [Channel("u", low=-1.0, high=1.0)], dt=0.05)
+    steps = 0
+
+    def rates_of_change(self, states, controls):
+        Stuck.steps += 1
+        if Stuck.steps > 200:
+            open("stuck", "w").close()
+        while Stuck.steps > 200:
+            pass
+        return controls - states
+
+
+@register_robot("stuck")
+def stuck():
+    return SensedRobot("stuck", Stuck())
+"""
+PRESSED_EARLY = """
+import sys
+from sysid_evo.__main__ import main
+
+class Pressed:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Pressed())
+main()
+"""
+INTERRUPTIBLE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+"""Put before a command: a job in the background ignores Ctrl-C."""
+
+
+def start(folder, *arguments, plugin, code):
+    """Write a plugin and start ``sysid-evo`` with it in a group of processes of its own."""
+    (folder / "mine.py").write_text(plugin)
+    command = [sys.executable, "-c", code, *map(str, arguments), "--plugin", "mine.py"]
+    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb"}
+    return subprocess.Popen(
+        command, cwd=folder, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def wait_until(condition, running, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert running.poll() is None, running.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_an_interrupted_fit_is_said_leaves_nothing_and_is_made_good_by_the_same_command(call, stored_data):
+    (call.folder / "mine.py").write_text(FAMILIES)
+    command = ("fit", stored_data, "--plugin", "mine.py", "--models", "linear,interrupted", "--out", "out")
+    stopped = call(*command)
+    assert stopped.code == 130
+    assert "interrupted: fit interrupted. Nothing unfinished is kept; go on with --out out" in stopped.stderr
+    assert "Traceback" not in stopped.stderr
+    kept = sorted(file.name for file in (call.folder / "out" / "models").iterdir())
+    assert [name.partition("-")[0] for name in kept] == ["linear", "linear"]
+    (call.folder / "second").touch()
+    again = call(*command)
+    assert again.code == 0, again.stderr
+    assert "kept" in again.stderr
+    assert len(list((call.folder / "out" / "models").glob("interrupted-*.json"))) == 1
+
+
+def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_on(call, stored_data):
+    command = ("fit", stored_data, "--models", "waiting,linear", "--jobs", "2", "--out", "out")
+    process = start(call.folder, *command, plugin=FAMILIES, code=INTERRUPTIBLE + COMMAND[-1])
+    said = ""
+    while "fit linear" not in said or not (call.folder / "waits").exists():
+        line = process.stderr.readline()
+        assert line, said
+        said += line
+    os.killpg(process.pid, signal.SIGINT)
+    said += process.communicate(timeout=60.0)[1]
+    assert process.returncode == 130
+    assert "interrupted: fit waiting" in said
+    assert "Nothing unfinished is kept; go on with --out out" in said
+    assert "Traceback" not in said
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((call.folder / "waits").read_text()), 0)
+    (call.folder / "second").touch()
+    again = call(*command, "--plugin", "mine.py", "--jobs", "1")
+    assert again.code == 0, again.stderr
+    assert re.search("[23] of 6 cells are done already", again.stderr), "those of linear, judged or not yet"
+    assert len(list((call.folder / "out" / "models").glob("waiting-*.json"))) == 1
+
+
+def test_ctrl_c_while_the_program_is_being_imported_is_no_traceback():
+    ended = subprocess.run([sys.executable, "-c", PRESSED_EARLY], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("record", "--robot", "stuck", "--out", "none"),
+        pytest.param(("robots", "check", "stuck"), marks=pytest.mark.nightly),
+    ],
+)
+def test_a_signal_ends_a_command_whose_robot_does_not_answer(command, tmp_path):
+    running = start(tmp_path, *command, plugin=ROBOTS, code=COMMAND[-1])
+    wait_until((tmp_path / "stuck").exists, running)
+    running.send_signal(signal.SIGTERM)
+    said = running.communicate(timeout=60.0)[1]
+    assert running.returncode == 143, said
+    assert "no answer within 1 s of the signal" in " ".join(said.split())
+
+
+def test_an_interrupted_recording_is_kept_and_the_exit_code_says_so(tmp_path):
+    command = ("record", "--robot", "slow_car", "--minutes", "2", "--out", "car")
+    recording = start(tmp_path, *command, plugin=ROBOTS, code=COMMAND[-1])
+    wait_until(lambda: len(list((tmp_path / "car" / "journal").glob("*.rcj"))) == 2, recording)
+    recording.send_signal(signal.SIGINT)
+    said = recording.communicate(timeout=60.0)[1]
+    assert recording.returncode == 130, said
+    assert "the recording was cut short: interrupted" in said
+    assert "loops-forward" in Dataset.load(tmp_path / "car").names
+
+
+@dataclass
+class Diary:
+    """Which generations were asked, and the one in which Ctrl-C is pressed."""
+
+    asked: list[int] = field(default_factory=list)
+    pressed_in: int | None = None
+
+
+def test_an_interrupted_evolution_is_kept_and_the_same_command_goes_on_to_the_same_champion(
+    call, stored_data, register
+):
+    diary = Diary()
+
+    class Stopped(MuPlusLambda):
+        def __init__(self, *, n_parameters: int, seed: int) -> None:
+            super().__init__(n_parameters=n_parameters, seed=seed, parents=4, children=4)
+
+        def ask(self):
+            diary.asked.append(self.generation)
+            if self.generation == diary.pressed_in:
+                signal.raise_signal(signal.SIGINT)
+            return super().ask()
+
+    register(strategies, "stopped", Stopped)
+    budget = (*SMALL, "--generations", "6", "--strategy", "stopped", "--recipe", "plain")
+    assert call("fit", stored_data, "--models", "linear", "--out", "out").code == 0
+    diary.pressed_in = 3
+    stopped = call("evolve", "--run", "out", "--against", "linear", *budget)
+    assert stopped.code == 130
+    assert stopped.says(
+        "interrupted: evolve linear. The 3 of 6 generations that are done are kept; go on with --run out"
+    )
+    champions = call.folder / "out" / "controllers"
+    assert [file.suffix for file in champions.iterdir()] == [".checkpoint"]
+    assert call("runs", "clean", "out").stdout.startswith("0 files")
+    diary.pressed_in = None
+    assert call("evolve", "--run", "out", "--against", "linear", *budget).code == 0
+    assert diary.asked == [0, 1, 2, 3, 3, 4, 5]
+    assert sorted(file.suffix for file in champions.iterdir()) == [".json", ".safetensors"]
+    (model,) = (call.folder / "out" / "models").glob("linear-*.json")
+    (call.folder / "another").mkdir()
+    assert call("evolve", "--run", "another", "--against", model, *budget).code == 0
+    (one,), (other,) = ((call.folder / run / "controllers").glob("*.safetensors") for run in ("out", "another"))
+    assert one.read_bytes() == other.read_bytes()
+
 
 STUDY = """
 title = "Small"
@@ -34,20 +265,14 @@ strategy = "mu_plus_lambda(children=5)"
 robot = ["emulated_car", "emulated_car(seed=1)"]
 seed = [0]
 """
-COMMAND = ("study", "small.toml", "--jobs", "1")
-PRESSABLE = """
-import signal
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
-from sysid_evo.__main__ import main
-main()
-"""
+SMALL_STUDY = ("study", "small.toml", "--jobs", "1")
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The folder of the study that nothing disturbs."""
     folder = placed(tmp_path_factory.mktemp("whole"))
-    done = run_here(*COMMAND, cwd=folder)
+    done = run_here(*SMALL_STUDY, cwd=folder)
     assert done.returncode == 0, done.stderr
     return results_of(folder)
 
@@ -85,7 +310,7 @@ def found_in(study):
 
 def stopped_after(cells, folder, number):
     """Start the command in a process of its own and send it the signal as soon as so many cells are done."""
-    command = [sys.executable, "-c", PRESSABLE, *COMMAND]
+    command = [sys.executable, "-c", INTERRUPTIBLE + COMMAND[-1], *SMALL_STUDY]
     with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
         deadline = time.monotonic() + LIMIT
         while finished(results_of(folder)).total() < cells and process.poll() is None:
@@ -102,7 +327,7 @@ def test_a_study_that_is_killed_goes_on_to_the_same_tables_and_computes_nothing_
         assert stopped_after(round(share * cells), tmp_path, signal.SIGKILL).returncode == -signal.SIGKILL
         assert share * cells - 1 < len(finished(study)) < cells
         assert not (study / "study.json").exists()
-    last = run_here(*COMMAND, cwd=tmp_path)
+    last = run_here(*SMALL_STUDY, cwd=tmp_path)
     assert last.returncode == 0, last.stderr
     assert finished(study) == finished(whole)
     assert set(finished(study).values()) == {1}
@@ -117,7 +342,7 @@ def test_ctrl_c_ends_a_study_with_how_to_go_on(tmp_path, whole):
     assert re.search(r"interrupted: \S.*; go on with --out runs/small", said)
     assert "Traceback" not in said
     assert not [*study.rglob("*.tmp"), *study.rglob("*.json.*")]
-    again = run_here(*COMMAND, "--out", "runs/small", cwd=tmp_path)
+    again = run_here(*SMALL_STUDY, "--out", "runs/small", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert finished(study) == finished(whole)
     assert found_in(study) == found_in(whole)
@@ -128,7 +353,7 @@ def test_a_study_on_a_cluster_has_the_tables_of_one_process(tmp_path, whole):
     cluster = Processes(tmp_path / "dask")
     try:
         cluster.start(2)
-        done = run_here(*COMMAND[:2], "--scheduler", str(cluster.file), cwd=placed(tmp_path))
+        done = run_here(*SMALL_STUDY[:2], "--scheduler", str(cluster.file), cwd=placed(tmp_path))
     finally:
         cluster.stop()
     assert done.returncode == 0, done.stderr

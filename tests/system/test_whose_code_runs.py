@@ -1,11 +1,8 @@
 """The table of SECURITY.md, line by line: whose Python runs because of which file, and when."""
 
-from __future__ import annotations
-
 import py_compile
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +13,7 @@ from evaluation.transfer.matrix import person
 from sysid_evo import load_plugin
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
-from tests.fixtures.commands import forgetting, run_here
+from tests.fixtures.commands import COMMAND, SMALL, Caller, forgetting, run_here
 
 PLUGIN = '''
 """A task of somebody's, which leaves a trace when it runs."""
@@ -32,30 +29,31 @@ with Path(os.environ["RAN"]).open("a") as trace:
 class Stand(PointToPoint):
     """Like point to point."""
 '''
-SMALL = (
-    "--models", "linear,near=nearest_neighbour", "--task", "stand(horizon=20)", "--generations", "1", "--trials", "1",
-    "--runs", "1", "--recipe", "plain", "--controller", "linear", "--strategy", "mu_plus_lambda(parents=2, children=2)",
+STAND = (
+    *SMALL, "--models", "linear,near=nearest_neighbour", "--task", "stand(horizon=20)", "--recipe", "plain",
+    "--controller", "linear",
 )  # fmt: skip
+PLANNED = ("compare", "--config", "run", "--dry-run")
 
 
 @pytest.fixture(scope="module")
-def made(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(stored_data, tmp_path_factory):
     """A folder with a plugin, a run that used it, a study and a configuration that name it."""
     folder = tmp_path_factory.mktemp("theirs")
     (folder / "stand.py").write_text(PLUGIN)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAN", str(folder / "ran"))
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
-        done = run_here("compare", "--data", logs, "--plugin", "stand.py", *SMALL, "--out", "run", cwd=folder)
+        done = run_here("compare", "--data", stored_data, "--plugin", "stand.py", *STAND, "--out", "run", cwd=folder)
     assert done.returncode == 0, done.stderr
-    (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\ndata = ["{logs}"]\n')
+    (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\ndata = ["{stored_data}"]\n')
     study = '[experiment]\nplugins = ["stand.py"]\nmodels = ["linear"]\nminutes = 0.5\nonly = "prediction"\n'
     (folder / "study.toml").write_text(f"{study}[grid]\nseed = [0, 1]\n")
     return folder
 
 
 @pytest.fixture
-def theirs(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def theirs(made, tmp_path, monkeypatch):
     """A copy of all that, on a machine where the plugin has never run."""
     shutil.copytree(made, tmp_path / "theirs", ignore=shutil.ignore_patterns("state", "ran"))
     file = tmp_path / "theirs" / "run" / "experiment.toml"
@@ -63,6 +61,11 @@ def theirs(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("RAN", str(tmp_path / "theirs" / "ran"))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return tmp_path / "theirs"
+
+
+@pytest.fixture
+def there(theirs, capsys):
+    return Caller(theirs, capsys)
 
 
 @pytest.mark.parametrize(
@@ -77,58 +80,55 @@ def theirs(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("study", "study.toml", "--dry-run"),
     ],
 )
-def test_a_file_that_names_a_plugin_runs_none_that_has_not_run_here(command: tuple[str, ...], theirs: Path) -> None:
-    refused = run_here(*command, cwd=theirs)
-    said = "".join(refused.stderr.split())  # a long path is broken over lines
-    assert refused.returncode == 2
-    assert f"namestheplugin{theirs}/stand.py,whichhasnotrunhereyet" in said
-    assert "add--plugin" in said
+def test_a_file_that_names_a_plugin_runs_none_that_has_not_run_here(command, there, theirs):
+    refused = there(*command)
+    assert refused.code == 2
+    assert refused.says(f"names the plugin {theirs}/stand.py, which has not run here yet")
+    assert refused.says("add --plugin")
     assert not (theirs / "ran").exists()
 
 
-def test_what_is_given_runs_and_is_trusted_until_it_changes(theirs: Path) -> None:
-    assert run_here("report", "run", "--plugin", "stand.py", cwd=theirs).returncode == 0
+def test_what_is_given_runs_and_is_trusted_until_it_changes(there, theirs):
+    assert there(*PLANNED, "--plugin", "stand.py").code == 0
     for command in (
         ("report", "run"),
-        ("compare", "--config", "run", "--dry-run"),
+        PLANNED,
         ("study", "study.toml", "--dry-run"),
     ):
-        done = run_here(*command, cwd=theirs)
-        assert done.returncode == 0, done.stderr
+        done = there(*command)
+        assert done.code == 0, done.stderr
     before = (theirs / "ran").read_text()
     with (theirs / "stand.py").open("a") as file:
         file.write("# changed\n")
-    refused = run_here("report", "run", cwd=theirs)
-    assert "has changed since it ran here" in " ".join(refused.stderr.split())
+    refused = there("report", "run")
+    assert refused.says("has changed since it ran here")
     assert (theirs / "ran").read_text() == before
     shutil.copy(theirs / "stand.py", theirs / "run")  # elsewhere it may be something else: it reads files beside it
     file = theirs / "run" / "experiment.toml"
     file.write_text(file.read_text().replace("stand.py", "run/stand.py"))
-    assert "has not run here yet" in " ".join(run_here("report", "run", cwd=theirs).stderr.split())
+    assert there(*PLANNED).says("has not run here yet")
 
 
-def test_bytecode_beside_a_trusted_plugin_is_not_run(theirs: Path) -> None:
+def test_bytecode_beside_a_trusted_plugin_is_not_run(there, theirs):
     plugin = theirs / "stand.py"
     source = plugin.read_text()
-    assert run_here("report", "run", "--plugin", "stand.py", cwd=theirs).returncode == 0
+    assert there(*PLANNED, "--plugin", "stand.py").code == 0
     plugin.write_text(source + "\nraise SystemExit('bytecode')\n")
     py_compile.compile(str(plugin), invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH)
     plugin.write_text(source)
-    assert run_here("report", "run", cwd=theirs).returncode == 0
+    assert there(*PLANNED).code == 0
 
 
 @pytest.mark.filterwarnings("default::sysid_evo.errors.PluginWarning")
-def test_a_plugin_that_stands_elsewhere_now_is_given_where_it_is(theirs: Path) -> None:
+def test_a_plugin_that_stands_elsewhere_now_is_given_where_it_is(there, theirs):
     (theirs / "stand.py").rename(theirs / "run" / "stand.py")
-    assert "which is not there" in " ".join(run_here("report", "run", cwd=theirs).stderr.split())
-    done = run_here("report", "run", "--plugin", "run/stand.py", cwd=theirs)
-    assert done.returncode == 0, done.stderr
-    assert "which has the same name, is used for it" in " ".join(done.stderr.split())
+    assert there("report", "run").says("which is not there")
+    done = there(*PLANNED, "--plugin", "run/stand.py")
+    assert done.code == 0, done.stderr
+    assert done.says("which has the same name, is used for it")
 
 
-def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(
-    theirs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(there, theirs, monkeypatch):
     monkeypatch.chdir(theirs)
     Experiment.read("run")
     study = Study.read("study.toml")
@@ -144,21 +144,18 @@ def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(
         assert plan_study(study).points
 
 
-def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it(theirs: Path) -> None:
+def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it(there, theirs):
     command = ("export", "run/controllers/linear", "--to", "python", "--out", "law.py")
-    refused = run_here(*command, cwd=theirs)
-    said = " ".join(refused.stderr.split())
-    assert refused.returncode == 2
-    assert "no task is called 'stand'" in said
-    assert "--plugin FILE" in said
+    refused = there(*command)
+    assert refused.code == 2
+    assert refused.says("no task is called 'stand'")
+    assert refused.says("--plugin FILE")
     assert not (theirs / "ran").exists()
-    done = run_here(*command, "--plugin", "stand.py", cwd=theirs)
-    assert done.returncode == 0, done.stderr
+    done = there(*command, "--plugin", "stand.py")
+    assert done.code == 0, done.stderr
 
 
-def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(
-    theirs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(there, theirs, capsys):
     driven = Cell("anna", "linear", np.array([5.0]), unit="waypoints")
     add_measured(theirs / "run", MeasuredResult(person("anna"), driven, on_robot=False))
     assert "its report is not updated" in " ".join(capsys.readouterr().err.split())
@@ -166,7 +163,7 @@ def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(
     assert not (theirs / "ran").exists()
 
 
-def test_names_in_models_and_files_of_robots_import_nothing(theirs: Path) -> None:
+def test_names_in_models_and_files_of_robots_import_nothing(there, theirs):
     (theirs / "evil.py").write_text((theirs / "stand.py").read_text())
     (theirs / "evil.toml").write_text('driver = "evil:Car"\n')
     (model,) = (theirs / "run" / "models").glob("linear-*.json")
@@ -179,34 +176,34 @@ def test_names_in_models_and_files_of_robots_import_nothing(theirs: Path) -> Non
         (("robots", "check", "evil.py:Car"), "expected NAME(parameter=value, ...)"),
         (("fit", "run", "--models", "evil.Model"), "expected NAME(parameter=value, ...)"),
     ):
-        refused = run_here(*command, cwd=theirs)
-        assert refused.returncode == 2
-        assert said in " ".join(refused.stderr.split())
+        refused = there(*command)
+        assert refused.code == 2
+        assert refused.says(said)
     assert not (theirs / "ran").exists()
 
 
 def test_the_processes_of_a_command_run_its_plugins_where_nothing_can_be_remembered(
-    theirs: Path, logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    there, theirs, stored_data, monkeypatch
+):
     monkeypatch.setenv("XDG_STATE_HOME", "/proc")
     monkeypatch.setenv("SYSID_EVO_JOBS", "2")
     given = ("--plugin", "stand.py", "--only", "prediction", "--models", "linear,nearest_neighbour", "--out", "two")
-    done = run_here("compare", "--data", logs, *given, "--jobs", "2", cwd=theirs)
-    assert done.returncode == 0, done.stderr
+    done = there("compare", "--data", stored_data, *given, "--jobs", "2")
+    assert done.code == 0, done.stderr
     assert "cannot plan" not in done.stderr
     assert (theirs / "ran").read_text().count("ran") == 3
-    assert run_here("report", "two", cwd=theirs).returncode == 2
+    assert there("report", "two").code == 2
 
 
-def test_no_module_of_the_current_folder_is_imported(theirs: Path, logs: Path) -> None:
+def test_no_module_of_the_current_folder_is_imported(there, theirs, stored_data):
     trace = f'open({str(theirs / "ran")!r}, "a").write("ran")\n'
     for name in ("json.py", "numpy.py", "evil.py"):
         (theirs / name).write_text(trace)
     (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
-    refused = run_here("compare", "--config", "evil.toml", cwd=theirs)
-    assert "No module named 'evil'" in " ".join(refused.stderr.split())
-    command = ("fit", str(logs), "--models", "linear,nearest_neighbour", "--jobs", "2", "--out", "two")
-    main = "from sysid_evo.__main__ import main; main()"  # with -P, as the installed command
-    done = subprocess.run([sys.executable, "-P", "-c", main, *command], cwd=theirs, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr
+    refused = there("compare", "--config", "evil.toml")
+    assert refused.says("No module named 'evil'")
+    command = ("fit", str(stored_data), "--models", "linear,nearest_neighbour", "--jobs", "2", "--out", "two")
+    python, *main = COMMAND
+    done = subprocess.run([python, "-P", *main, *command], cwd=theirs, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr  # with -P, as the installed command
     assert not (theirs / "ran").exists()

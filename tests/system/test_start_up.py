@@ -1,7 +1,5 @@
 """The command line answers fast because it imports what is heavy only when it is needed."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -57,13 +55,13 @@ except SystemExit as ended:
 """
 
 
-def answer(source: str) -> tuple[str, list | dict]:
+def answer(source):
     """Return all that a fresh interpreter prints, and its last line."""
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
     return done.stdout, json.loads(done.stdout.splitlines()[-1])
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_nothing_heavy():
     printed, asked = answer(ASK_FOR_HELP)
     assert {"", "compare", "evolve", "fit", "models"} <= set(asked)
     assert printed.count("Usage: sysid-evo") == len(asked)
@@ -74,7 +72,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name: str) -> None:
+def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name):
     first, *_ = load(name).help.split("\n\n")
     assert summary(name, COMMANDS) == " ".join(first.split())
 
@@ -91,7 +89,7 @@ print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})), file
 """
 
 
-def test_families_are_listed_as_they_are_without_importing_one() -> None:
+def test_families_are_listed_as_they_are_without_importing_one():
     done = subprocess.run([sys.executable, "-c", MODELS_LIST], capture_output=True, text=True, check=True)
     assert not (HEAVY | {"numpy"}) & set(json.loads(done.stderr))
     rows = {row["name"]: row for row in json.loads(done.stdout)}
@@ -104,11 +102,11 @@ def test_families_are_listed_as_they_are_without_importing_one() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(models.names()))
-def test_what_a_family_requires_stands_in_its_own_class(name: str) -> None:
+def test_what_a_family_requires_stands_in_its_own_class(name):
     assert tuple(declared(models.module(name), name).get("requires") or ()) == models.get(name).requires
 
 
-def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_has_one() -> None:
+def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_has_one():
     named = Experiment.model_fields["preset"].default
     presets = {name: option for name in COMMANDS for option in load(name).params if option.name == "preset"}
     assert set(presets) == {"compare", "fit", "evolve", "exploit"}
@@ -118,7 +116,7 @@ def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_
     assert f"`compare` with the default preset, `{named}`" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
-def test_help_takes_less_than_half_a_second() -> None:
+def test_help_takes_less_than_half_a_second():
     taken = []
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -128,14 +126,14 @@ def test_help_takes_less_than_half_a_second() -> None:
     assert min(taken) < SECONDS
 
 
-def test_the_package_is_imported_lazily_and_every_public_name_is_there() -> None:
+def test_the_package_is_imported_lazily_and_every_public_name_is_there():
     _, (early, names) = answer(ASK_FOR_NAMES)
     assert not (HEAVY | {"numpy"}) & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
 
 
 @pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
-def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given: str | None, expected: str) -> None:
+def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given, expected):
     environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
     if given is not None:
         environment["OMP_NUM_THREADS"] = given
@@ -148,13 +146,13 @@ def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given
     assert done.stdout.split()[-1] == expected
 
 
-def test_a_mistake_is_told_without_what_only_the_work_needs() -> None:
+def test_a_mistake_is_told_without_what_only_the_work_needs():
     _, (code, imported) = answer(MAKE_A_MISTAKE)
     assert code == 2
     assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)
 
 
-def test_the_emulated_car_starts_without_what_only_models_and_kernels_need() -> None:
+def test_the_emulated_car_starts_without_what_only_models_and_kernels_need():
     _, imported = answer("import json, sys, tests.system.rig.__main__\nprint(json.dumps(sorted(sys.modules)))")
     assert not {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"} & set(imported)
 
@@ -175,7 +173,7 @@ print(json.dumps(sorted(sys.modules)))
 """
 
 
-def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path: Path) -> None:
+def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path):
     data = example_dataset().save(tmp_path / "car")
     command = [sys.executable, "-c", COMPUTE, str(tmp_path / "run"), str(data)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -194,6 +192,6 @@ def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_
     assert not heavy & set(imported)
 
 
-def test_a_process_that_waits_for_cells_has_imported_little() -> None:
+def test_a_process_that_waits_for_cells_has_imported_little():
     _, imported = answer("import json, sys, sysid_evo.plan.processes\nprint(json.dumps(sorted(sys.modules)))")
     assert not {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"} & set(imported)

@@ -1,9 +1,6 @@
 """Names from anybody's files reach a terminal as text: no control characters, no markup."""
 
-from __future__ import annotations
-
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,13 +28,13 @@ column = "u"
 """
 
 
-def unseen(*texts: str) -> set[str]:
+def unseen(*texts):
     """Return the characters of ``texts`` that must not be printed."""
     return {character for text in texts for character in text if ord(character) in UNSEEN}
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hostile(tmp_path_factory):
     """A folder with a log and a map whose name, headers and channels hold escapes."""
     folder = tmp_path_factory.mktemp("hostile")
     rng = np.random.default_rng(0)
@@ -68,10 +65,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ((EVIL,), 2, "owned"),
     ],
 )
-def test_no_command_prints_a_control_character(
-    command: tuple[str, ...], code: int, stays: str, logs: Path, tmp_path: Path
-) -> None:
-    done = run_here(*(str(tmp_path / "data") if word == "data" else word for word in command), cwd=logs)
+def test_no_command_prints_a_control_character(command, code, stays, hostile, tmp_path):
+    done = run_here(*(str(tmp_path / "data") if word == "data" else word for word in command), cwd=hostile)
     assert done.returncode == code, done.stderr
     said = done.stdout + done.stderr
     assert "".join(stays.split()) in "".join(said.split())
@@ -81,7 +76,6 @@ def test_no_command_prints_a_control_character(
 DEEP = "[" * 3000 + "]" * 3000
 
 
-@pytest.mark.parametrize("value", [DEEP, "{a=" * 30 + "1" + "}" * 30, "1" * 4301, f'"{"x" * 2**20}"'])
 @pytest.mark.parametrize(
     "command",
     [
@@ -91,35 +85,31 @@ DEEP = "[" * 3000 + "]" * 3000
         ("study", "odd.toml"),
     ],
 )
-def test_a_file_that_is_nested_or_long_without_end_is_refused_in_a_sentence(
-    command: tuple[str, ...], value: str, tmp_path: Path
-) -> None:
-    (tmp_path / "log.csv").write_text("t,x\n0,1\n1,2\n")
-    (tmp_path / "odd.toml").write_text(f'driver = "emulated_car"\nname = {value}\n')
-    done = run_here(*command, cwd=tmp_path)
-    said = " ".join(done.stderr.split())
-    assert done.returncode == 2
-    assert "odd.toml" in said
-    assert any(part in said for part in ("expected at most", "4300 digits"))
-    assert len(said) < 500
+def test_a_file_that_is_nested_or_long_without_end_is_refused_in_a_sentence(command, call):
+    (call.folder / "log.csv").write_text("t,x\n0,1\n1,2\n")
+    for value in (DEEP, "{a=" * 30 + "1" + "}" * 30, "1" * 4301, f'"{"x" * 2**20}"'):
+        (call.folder / "odd.toml").write_text(f'driver = "emulated_car"\nname = {value}\n')
+        ended = call(*command)
+        assert ended.code == 2
+        assert ended.says("odd.toml")
+        assert ended.says("expected at most") or ended.says("4300 digits")
+        assert len(" ".join(ended.stderr.split())) < 500
 
 
-def test_json_that_is_nested_without_end_counts_as_damaged(tmp_path: Path) -> None:
+def test_json_that_is_nested_without_end_counts_as_damaged(call):
     places = ("data/dataset.json", "run/report.json", "run/experiment.toml", "run/results/measured/x.json")
     for place in places:
-        (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / place).write_text("" if place.endswith("toml") else DEEP)
+        (call.folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (call.folder / place).write_text("" if place.endswith("toml") else DEEP)
     for command in (("inspect", "data"), ("runs", "diff", "run", "run")):
-        done = run_here(*command, cwd=tmp_path)
-        assert done.returncode == 2
-        assert "not a readable" in " ".join(done.stderr.split())
-    _, (remark,) = load_measured(tmp_path / "run")
+        ended = call(*command)
+        assert ended.code == 2
+        assert ended.says("not a readable")
+    _, (remark,) = load_measured(call.folder / "run")
     assert "x.json is damaged and left out" in remark
 
 
-def test_bars_show_titles_and_remarks_as_text(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bars_show_titles_and_remarks_as_text(monkeypatch, capsys):
     written = io.StringIO()
     for module in (console, progress):
         monkeypatch.setattr(module, "err", Printer(file=written, force_terminal=True, width=200))

@@ -1,11 +1,7 @@
 """Which options of a command are refused together, over all pairs; what a command may replace."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
+from functools import cache
 
 import pytest
 
@@ -15,7 +11,6 @@ from sysid_evo.cli.app import COMMANDS, REFUSED, CheckedCommand, load, typed
 from sysid_evo.cli.console import as_option
 from sysid_evo.errors import InvalidArgument, refuse_meaningless
 from sysid_evo.testing import example_dataset
-from tests.fixtures.commands import Caller
 
 ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": ["logs"], "adapt": ["m"],
              "tune": ["linear"], "exploit": ["m"], "transfer": ["c"], "export": ["c"], "report": ["run"]}  # fmt: skip
@@ -45,7 +40,7 @@ ALONE = {"compare": {"columns": "data"}, "drive": {"watch": "controller"}}
 COMMANDS_WITH_OPTIONS = [name for name in COMMANDS if isinstance(load(name), CheckedCommand)]
 
 
-def options_of(command: str) -> dict[str, list[str]]:
+def options_of(command):
     """Return every option of a command as it is typed with a value, by its name."""
     found = {}
     for option in load(command).params:
@@ -55,31 +50,37 @@ def options_of(command: str) -> dict[str, list[str]]:
     return found
 
 
-def refused(command: str, typing: list[str]) -> str:
-    """Return why the command refuses what is typed because one option makes another one meaningless; else ""."""
-    asked = load(command).make_context(command, [*typing, *ARGUMENTS.get(command, [])])
-    given = typed(asked)
+@cache
+def given(command, name=""):
+    """Return the setting that one option makes of a command, "" for what the command needs anyway."""
+    option = options_of(command).get(name, [])
+    asked = typed(load(command).make_context(command, [*NEEDED.get(command, []), *option, *ARGUMENTS.get(command, [])]))
+    return {key: value for key, value in asked.items() if not name or key == name.replace("-", "_")}
+
+
+def refused(command, *names):
+    """Return why the command refuses these options because one makes another one meaningless; else ""."""
+    settings = {key: value for name in ("", *names) for key, value in given(command, name).items()}
     try:
-        refuse_meaningless(REFUSED.get(command, ()), given, given, as_option)
+        refuse_meaningless(REFUSED.get(command, ()), settings, settings, as_option)
         if command == "compare":
-            refuse_meaningless(MEANINGLESS, given, given, as_option)
+            refuse_meaningless(MEANINGLESS, settings, settings, as_option)
     except InvalidArgument as error:
         return str(error)
     return ""
 
 
-def pairs(command: str) -> Iterator[tuple[str, str, str]]:
+def pairs(command):
     """Yield every pair of options of a command, and why it is refused, "" if it is not; with what either needs."""
-    options = options_of(command)
-    for one, other in itertools.combinations(options, 2):
-        further = [word for name in (one, other) for word in options[ALONE.get(command, {}).get(name, name)]]
-        why = refused(command, [*NEEDED.get(command, []), *further, *options[one], *options[other]])
+    for one, other in itertools.combinations(options_of(command), 2):
+        further = (ALONE.get(command, {}).get(name, name) for name in (one, other))
+        why = refused(command, *further, one, other)
         named = {word.strip(":;,") for word in why.split()}
         yield one, other, why if {f"--{one}", f"--{other}"} <= named else ""  # else it is of what one of them needs
 
 
 @pytest.mark.parametrize("command", COMMANDS_WITH_OPTIONS)
-def test_options_are_refused_together_where_one_makes_the_other_meaningless_and_nowhere_else(command: str) -> None:
+def test_options_are_refused_together_where_one_makes_the_other_meaningless_and_nowhere_else(command):
     expected = {frozenset(pair) for pair in TOGETHER.get(command, set())}
     found = {frozenset((one, other)): why for one, other, why in pairs(command) if why}
     for one, other in (sorted(pair) for pair in set(found) ^ expected):
@@ -89,17 +90,9 @@ def test_options_are_refused_together_where_one_makes_the_other_meaningless_and_
 @pytest.mark.parametrize(("command", "option", "needs"), [
     (command, option, needs) for command, rows in ALONE.items() for option, needs in rows.items()
 ])  # fmt: skip
-def test_an_option_that_needs_another_is_refused_without_it(command: str, option: str, needs: str) -> None:
-    options = options_of(command)
-    assert f"--{option} has no effect without --{needs}: " in refused(command, options[option])
-    assert not refused(command, [*options[option], *options[needs]])
-
-
-def test_the_command_itself_refuses_before_it_does_anything(call: Caller) -> None:
-    ended = call("record", "--out", "new", "--minutes", "2", "--manoeuvre", "step")
-    assert ended.code == 2
-    assert ended.says("--minutes has no effect with --manoeuvre: its manoeuvres have lengths of their own")
-    assert not list(call.folder.iterdir())
+def test_an_option_that_needs_another_is_refused_without_it(command, option, needs):
+    assert f"--{option} has no effect without --{needs}: " in refused(command, option)
+    assert not refused(command, option, needs)
 
 
 @pytest.mark.parametrize(
@@ -113,22 +106,20 @@ def test_the_command_itself_refuses_before_it_does_anything(call: Caller) -> Non
         ({"recipe": "plain", "polish": 20}, ("polish", "recipe = 'plain'")),
     ],
 )
-def test_the_plan_refuses_settings_from_python_and_names_both(
-    settings: dict[str, Any], both: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_the_plan_refuses_settings_from_python_and_names_both(settings, both, tmp_path):
     with pytest.raises(InvalidArgument, match="has no effect with") as told:
         compare(example_dataset(), out=tmp_path / "run", models=["linear"], **settings)
     assert all(name in str(told.value) for name in both)
     assert not (tmp_path / "run").exists()
 
 
-def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call: Caller, logs: Path) -> None:
+def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call, stored_data):
     (call.folder / "whole.toml").write_text('models = ["linear"]\ntask = "point_to_point(horizon=40)"\n')
-    planned = call("compare", "--config", "whole.toml", "--data", logs, "--only", "prediction", "--dry-run")
+    planned = call("compare", "--config", "whole.toml", "--data", stored_data, "--only", "prediction", "--dry-run")
     assert planned.code == 0, planned.stderr
     assert "evolve" not in planned.stdout
     (call.folder / "part.toml").write_text('only = "prediction"\n')
-    ended = call("compare", "--config", "part.toml", "--data", logs, "--task", "point_to_point")
+    ended = call("compare", "--config", "part.toml", "--data", stored_data, "--task", "point_to_point")
     assert ended.code == 2
     assert ended.says("--task has no effect with --only prediction")
     (call.folder / "both.toml").write_text('only = "prediction"\nminutes = 2\nruns = 3\n')
@@ -145,7 +136,11 @@ controls = { torque = { column = "torque", low = -1, high = 1 } }
 """
 
 
-def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else(call: Caller, logs: Path) -> None:
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else(call):
     folder = call.folder
     (folder / "log.csv").write_text(LOG)
     (folder / "map.toml").write_text(MAP)
@@ -153,13 +148,13 @@ def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else
     first = call(*command)
     assert first.code == 0, first.stderr
     example_dataset(episodes=1).save(folder / "data")
-    kept = {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    kept = contents(folder / "data")
     again = call(*command)
     assert again.code == 2
     assert again.says("but data holds a data set; --overwrite replaces it")
-    assert kept == {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    assert contents(folder / "data") == kept
     assert call(*command, "--overwrite").code == 0
-    assert kept != {path: path.read_bytes() for path in (folder / "data").iterdir()}
+    assert contents(folder / "data") != kept
     Experiment().write(folder / "run" / "experiment.toml")
     for further in ((), ("--overwrite",)):
         ended = call(*command[:-1], "run", *further)
