@@ -14,12 +14,21 @@ from evaluation.experiment import Experiment
 from sysid_evo.cli.app import COMMANDS, load, summary
 from sysid_evo.registry import models
 from sysid_evo.registry.plugins import declared
-from sysid_evo.testing import example_dataset
+from tests.fixtures.commands import COMMAND
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
 SECONDS = 0.5
 """Processor time in which help is there; the clock of a busy machine says nothing."""
 
+WATCHED = """
+import atexit, json, os, sys
+
+def told():
+    with open(os.environ["TOLD"], "w") as file:
+        json.dump([sorted(sys.modules), os.environ["OMP_NUM_THREADS"]], file)
+
+atexit.register(told)
+"""
 ASK_FOR_HELP = """
 import json, sys
 from sysid_evo.cli.app import COMMANDS, main
@@ -33,7 +42,6 @@ def ask(*arguments):
 
 print(json.dumps({"": ask(), **{command: ask(command) for command in sorted(COMMANDS)}}))
 """
-
 ASK_FOR_NAMES = """
 import json, sys
 import sysid_evo
@@ -42,23 +50,41 @@ for name in sysid_evo.__all__:
     getattr(sysid_evo, name)
 print(json.dumps([early, sysid_evo.__all__]))
 """
-
-
-MAKE_A_MISTAKE = """
+COMPUTE = """
 import json, sys
-from sysid_evo.__main__ import main
-sys.argv = ["sysid-evo", "compare", "--models", "linaer"]
-try:
-    main()
-except SystemExit as ended:
-    print(json.dumps([ended.code, sorted(sys.modules)]))
+from evaluation.experiment import Experiment
+from evaluation.planning import plan_comparison
+from sysid_evo.data import Dataset
+from sysid_evo.plan import Store, execute, processes as working
+settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
+                transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
+                strategy="mu_plus_lambda(children=4)", recipe="plain")
+comparison = plan_comparison(Experiment.of(settings), dataset=Dataset.load(sys.argv[2]))
+ended = execute(comparison.plan, Store(sys.argv[1]))
+assert not any(outcome.failed for outcome in ended.values())
+print(json.dumps(sorted(sys.modules)))
 """
 
 
-def answer(source):
+def answer(source, *arguments):
     """Return all that a fresh interpreter prints, and its last line."""
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", source, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return done.stdout, json.loads(done.stdout.splitlines()[-1])
+
+
+def watched(folder, *arguments, threads=None):
+    """Run ``sysid-evo`` in an empty folder; return how it ended, what it imported, and the threads of libraries."""
+    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "TOLD": str(folder / "told.json")}
+    environment.pop("OMP_NUM_THREADS", None)
+    if threads is not None:
+        environment["OMP_NUM_THREADS"] = threads
+    (folder / "empty").mkdir()
+    command = [sys.executable, "-c", WATCHED + COMMAND[-1], *arguments]
+    done = subprocess.run(
+        command, cwd=folder / "empty", env=environment, capture_output=True, text=True, timeout=240, check=False
+    )
+    return done, *json.loads((folder / "told.json").read_text())
 
 
 def test_help_imports_nothing_heavy():
@@ -77,21 +103,10 @@ def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name):
     assert summary(name, COMMANDS) == " ".join(first.split())
 
 
-MODELS_LIST = """
-import json, sys
-from sysid_evo.__main__ import main
-sys.argv = ["sysid-evo", "models", "list", "--json"]
-try:
-    main()
-except SystemExit:
-    pass
-print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})), file=sys.stderr)
-"""
-
-
-def test_families_are_listed_as_they_are_without_importing_one():
-    done = subprocess.run([sys.executable, "-c", MODELS_LIST], capture_output=True, text=True, check=True)
-    assert not (HEAVY | {"numpy"}) & set(json.loads(done.stderr))
+def test_families_are_listed_as_they_are_without_importing_one(tmp_path):
+    done, imported, threads = watched(tmp_path, "models", "list", "--json", threads="4")
+    assert not (HEAVY | {"numpy"}) & set(imported)
+    assert threads == "4"
     rows = {row["name"]: row for row in json.loads(done.stdout)}
     assert set(rows) == set(models.names())
     for name, family in models.load_all():
@@ -116,14 +131,28 @@ def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_
     assert f"`compare` with the default preset, `{named}`" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
-def test_help_takes_less_than_half_a_second():
-    taken = []
+def test_the_module_is_the_same_program_and_its_help_takes_less_than_half_a_second(call):
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-m", "sysid_evo", "--help"], capture_output=True, check=True)
+        done = subprocess.run([sys.executable, "-m", "sysid_evo", "--help"], capture_output=True, text=True, check=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    assert min(taken) < SECONDS
+        taken = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        if taken < SECONDS:  # another try where the machine is busy
+            break
+    assert taken < SECONDS
+    assert "Usage: python -m sysid_evo" in done.stdout
+    assert all(name in done.stdout for name in COMMANDS)
+    assert call("--version").stdout.startswith("sysid-evo ")
+
+
+def test_a_mistake_is_told_on_standard_error_alone_without_what_only_the_work_needs(tmp_path):
+    done, imported, threads = watched(tmp_path, "compare", "--models", "linaer")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert not done.stdout
+    assert not list((tmp_path / "empty").iterdir())
+    assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)
+    assert threads == "1"  # libraries work on one thread unless they are told otherwise
 
 
 def test_the_package_is_imported_lazily_and_every_public_name_is_there():
@@ -132,66 +161,25 @@ def test_the_package_is_imported_lazily_and_every_public_name_is_there():
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
 
 
-@pytest.mark.parametrize(("given", "expected"), [(None, "1"), ("4", "4")])
-def test_a_command_lets_libraries_work_on_one_thread_unless_told_otherwise(given, expected):
-    environment = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"}
-    if given is not None:
-        environment["OMP_NUM_THREADS"] = given
-    code = (
-        "import os, sys\nfrom sysid_evo.__main__ import main\nassert 'numpy' not in sys.modules\n"
-        "sys.argv = ['sysid-evo', '--version']\ntry:\n    main()\nexcept SystemExit:\n"
-        "    print(os.environ['OMP_NUM_THREADS'])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split()[-1] == expected
+@pytest.mark.parametrize(
+    ("module", "lacks"),
+    [
+        ("tests.system.rig.__main__", {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"}),
+        (
+            "sysid_evo.plan.processes",
+            {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"},
+        ),
+    ],
+    ids=["the emulated car", "a process that waits for cells"],
+)
+def test_what_starts_often_has_imported_little(module, lacks):
+    _, imported = answer(f"import json, sys, {module}\nprint(json.dumps(sorted(sys.modules)))")
+    assert module in imported
+    assert not lacks & set(imported)
 
 
-def test_a_mistake_is_told_without_what_only_the_work_needs():
-    _, (code, imported) = answer(MAKE_A_MISTAKE)
-    assert code == 2
-    assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)
-
-
-def test_the_emulated_car_starts_without_what_only_models_and_kernels_need():
-    _, imported = answer("import json, sys, tests.system.rig.__main__\nprint(json.dumps(sorted(sys.modules)))")
-    assert not {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"} & set(imported)
-
-
-COMPUTE = """
-import json, sys
-from evaluation.experiment import Experiment
-from evaluation.planning import plan_comparison
-from sysid_evo.data import Dataset
-from sysid_evo.plan import Store, execute, processes as working
-settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
-                transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
-                strategy="mu_plus_lambda(children=4)", recipe="plain")
-comparison = plan_comparison(Experiment.of(settings), dataset=Dataset.load(sys.argv[2]))
-ended = execute(comparison.plan, Store(sys.argv[1]))
-assert not any(outcome.failed for outcome in ended.values())
-print(json.dumps(sorted(sys.modules)))
-"""
-
-
-def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path):
-    data = example_dataset().save(tmp_path / "car")
-    command = [sys.executable, "-c", COMPUTE, str(tmp_path / "run"), str(data)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    imported = json.loads(done.stdout)
-    assert "numba" in imported
-    heavy = {
-        "torch",
-        "sklearn",
-        "matplotlib",
-        "scipy.stats",
-        "scipy.signal",
-        "scipy.optimize",
-        "pysindy",
-        "typer",
-    }
+def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path, stored_data):
+    _, imported = answer(COMPUTE, tmp_path / "run", stored_data)
+    assert {"model_zoo.linear", "sysid_evo.engine.rollout"} <= set(imported)
+    heavy = {"torch", "sklearn", "matplotlib", "scipy.stats", "scipy.signal", "scipy.optimize", "pysindy", "typer"}
     assert not heavy & set(imported)
-
-
-def test_a_process_that_waits_for_cells_has_imported_little():
-    _, imported = answer("import json, sys, sysid_evo.plan.processes\nprint(json.dumps(sorted(sys.modules)))")
-    assert not {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"} & set(imported)
