@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -17,8 +16,8 @@ from sysid_evo.registry.plugins import declared
 from tests.fixtures.commands import COMMAND
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
-SECONDS = 0.5
-"""Processor time in which help is there; the clock of a busy machine says nothing."""
+MOST_MODULES = 700
+"""Modules that help may import, so that it is there in half a second; the time on a busy machine says nothing."""
 
 WATCHED = """
 import atexit, json, os, sys
@@ -131,15 +130,10 @@ def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_
     assert f"`compare` with the default preset, `{named}`" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
-def test_the_module_is_the_same_program_and_its_help_takes_less_than_half_a_second(call):
-    for _ in range(3):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run([sys.executable, "-m", "sysid_evo", "--help"], capture_output=True, text=True, check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        taken = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        if taken < SECONDS:  # another try where the machine is busy
-            break
-    assert taken < SECONDS
+def test_the_module_is_the_same_program_and_imports_few_modules_for_its_help(call):
+    command = [sys.executable, "-X", "importtime", "-m", "sysid_evo", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stderr.count("import time:") < MOST_MODULES
     assert "Usage: python -m sysid_evo" in done.stdout
     assert all(name in done.stdout for name in COMMANDS)
     assert call("--version").stdout.startswith("sysid-evo ")
