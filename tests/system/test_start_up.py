@@ -16,7 +16,7 @@ from sysid_evo.registry.plugins import declared
 from tests.fixtures.commands import COMMAND
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
-MOST_MODULES = 700
+MOST_MODULES = 450
 """Modules that help may import, so that it is there in half a second; the time on a busy machine says nothing."""
 
 WATCHED = """
