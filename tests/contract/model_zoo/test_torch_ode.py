@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ def carries(model, dataset):
 
 def test_the_rates_of_a_linear_system_are_learned_to_eight_per_cent():
     """Of the usual rate, the root mean square over states that it did not learn from."""
-    learned, fresh = DRIVEN.data(seed=1, episodes=4), DRIVEN.data(seed=2)
+    learned, fresh = DRIVEN.recording(seed=1, episodes=4), DRIVEN.recording(seed=2)
     model = fitted(learned, hidden=[16], updates=300, horizon=2, learning_rate=1e-2)
     data = fresh.transitions()
     change = data.after - data.state
@@ -158,7 +159,7 @@ def test_the_gradient_of_a_flow_by_hand_is_that_of_torch_through_torchdiffeq(dat
     """Through free runs of five steps. torchdiffeq's rk4 is the 3/8 rule, so dt is short."""
     system = data.system.with_dt(0.01)
     dataset = Dataset.from_arrays(system, [e.states for e in data], [e.controls for e in data])
-    flow = Flow(dataset, (0, 1), hidden=[5, 4], rng=0)
+    flow = Flow(dataset, (0, 1), hidden=[5, 4], rng=np.random.default_rng(0))
     shots = Shots.of(dataset, 5, 1)
     samples = Batches([shots], 1).of([np.arange(0, 70, 7)], 5)
     weights = np.random.default_rng(1).standard_normal((5, 1, 10, 3)).astype(np.float32)
@@ -232,15 +233,12 @@ def flat_gradient(module):
 
 
 def test_torch_sees_what_numpy_sees_of_a_periodic_state():
-    system = SWING
     states = np.array([[0.3, 1.0], [7.0, -1.0]])
-    expected = Features(system, (0, 0))(states, np.empty((2, 0)))
-    np.testing.assert_allclose(seen(system, torch.from_numpy(states)).numpy(), expected)
+    expected = Features(SWING, (0, 0))(states, np.empty((2, 0)))
+    np.testing.assert_allclose(seen(SWING, torch.from_numpy(states)).numpy(), expected)
 
 
 def test_the_solvers_on_offer_are_those_of_torchdiffeq():
-    from typing import get_args, get_type_hints
-
     for solver in get_args(get_type_hints(TorchOde.__init__)["solver"]):
         after = odeint(lambda _, x: -x, torch.ones(1, dtype=torch.float64), torch.tensor([0.0, 0.1]), method=solver)
         assert abs(float(after[-1]) - np.exp(-0.1)) < (6e-3 if solver == "euler" else 1e-3)
