@@ -320,7 +320,8 @@ def far_recording(centre):
 
 
 @pytest.mark.parametrize(
-    "family", ["linear", "nearest_neighbour", pytest.param("linear_state_space", marks=pytest.mark.nightly)]
+    "family",
+    ["linear", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("nearest_neighbour", "linear_state_space"))],
 )
 @pytest.mark.parametrize("centre", [0.0, 500.0, 5e4, 5e6])
 def test_states_far_from_zero_for_how_much_they_change_take_the_precision_that_they_need(family, centre):

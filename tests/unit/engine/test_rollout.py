@@ -72,11 +72,14 @@ def test_a_rollout_equals_a_plain_scalar_loop(car):
     assert (run.survived == horizon).all()
 
 
-def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car):
+def drive(car, weights, seeds=SEEDS):
     task = PointToPoint(horizon=40, waypoint_radius=0.5)
+    return rollout(SluggishCar(car), RecurrentNetwork(), weights, task, seeds, record=True)
+
+
+def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car):
     weights = np.random.default_rng(8).standard_normal((5, 78))
-    every = rollout(SluggishCar(car), RecurrentNetwork(), weights, task, SEEDS, record=True)
-    some = rollout(SluggishCar(car), RecurrentNetwork(), weights[[3, 1]], task, SEEDS[[2, 0]], record=True)
+    every, again, some = drive(car, weights), drive(car, weights), drive(car, weights[[3, 1]], SEEDS[[2, 0]])
     assert every.fitness.shape == every.survived.shape == every.clipped.shape == (5, 3)
     for i, p in enumerate((3, 1)):
         for j, e in enumerate((2, 0)):
@@ -85,17 +88,14 @@ def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car)
             assert whole.name == f"candidate-{p}-trial-{e}"
             np.testing.assert_allclose(part.states, whole.states, rtol=1e-12, atol=1e-12)
             np.testing.assert_allclose(part.pose, whole.pose, rtol=1e-12, atol=1e-12)
-
-
-def test_the_same_seeds_give_the_same_numbers(car):
-    task = PointToPoint(horizon=40, waypoint_radius=0.5)
-    weights = np.random.default_rng(8).standard_normal((5, 78))
-    runner = DynamicsRunner(SluggishCar(car))
-    first, second = (runner.run(RecurrentNetwork(), weights, task, SEEDS, record=True) for _ in range(2))
-    np.testing.assert_array_equal(first.fitness, second.fitness)
-    for a, b in zip(first.trajectories, second.trajectories, strict=True):
+    np.testing.assert_array_equal(again.fitness, every.fitness)
+    for a, b in zip(again.trajectories, every.trajectories, strict=True):
         np.testing.assert_array_equal(a.states, b.states)
-    assert not runner.run(RecurrentNetwork(), weights, task, SEEDS).trajectories
+        moved = car.motion.move(a.pose[:-1], a.states[:-1], a.states[1:], car.dt, car.state_names)
+        np.testing.assert_allclose(a.pose[1:], moved, atol=1e-12)
+        np.testing.assert_array_equal(a.pose[0], [0.0, 0.0, 0.0])
+    given = RecurrentNetwork(), weights, PointToPoint(horizon=40), SEEDS
+    assert not DynamicsRunner(SluggishCar(car)).run(*given).trajectories
 
 
 def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder):
@@ -141,25 +141,23 @@ def test_trial_seeds_are_keyed_by_seed_generation_and_trial():
     assert len({*seeds, *others}) == 30
 
 
+def climb(dynamics, parameters, *heights, **ladder):
+    """Run constant climbs from these heights, recorded."""
+    given = dynamics, Constant(), np.array(parameters)[:, None], Ladder(**ladder), seeds_from(*heights)
+    return rollout(*given, record=True)
+
+
 def test_a_diverged_trial_scores_below_any_other_by_how_long_it_survived(ladder):
     """From height 2 at 0.5 a step: infinite on step 3 above 3.2, so that two steps survive of ten."""
-    parameters = np.array([[0.5], [0.0], [1.0]])
-    seeds = seeds_from(2, 0)
-    dynamics = Climber(ladder, breaks_above=3.2)
-    run = rollout(dynamics, Constant(), parameters, Ladder(horizon=10), seeds, record=True)
+    run = climb(Climber(ladder, breaks_above=3.2), [0.5, 0.0, 1.0], 2, 0, horizon=10)
     np.testing.assert_array_equal(run.survived, [[2, 6], [10, 10], [1, 3]])
     np.testing.assert_allclose(run.fitness, [[-0.8, -0.4], [10.0, 10.0], [-0.9, -0.7]])
-    assert np.isfinite(run.fitness).all()
-    first = run.trajectories[0]
-    np.testing.assert_array_equal(first.states[:, 0], [2.0, 2.5, 3.0])
-    np.testing.assert_array_equal(first.controls[:, 0], [0.5, 0.5])
+    np.testing.assert_array_equal(run.trajectories[0].states[:, 0], [2.0, 2.5, 3.0])
+    np.testing.assert_array_equal(run.trajectories[0].controls[:, 0], [0.5, 0.5])
 
 
 def test_a_trial_that_diverges_at_once_scores_least_and_leaves_no_trajectory(ladder):
-    seeds = seeds_from(9, 0)
-    run = rollout(
-        Climber(ladder, breaks_above=3.0), Constant(), np.array([[0.1]]), Ladder(horizon=4), seeds, record=True
-    )
+    run = climb(Climber(ladder, breaks_above=3.0), [0.1], 9, 0, horizon=4)
     np.testing.assert_allclose(run.fitness, [[-1.0, 4.0]])
     assert [t.name for t in run.trajectories] == ["candidate-0-trial-1"]
 
@@ -172,9 +170,7 @@ def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder, weight
 
 
 def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder):
-    dynamics = Climber(ladder, envelope=np.array([[-1.0], [1.2]]))
-    seeds = seeds_from(0)
-    run = rollout(dynamics, Constant(), np.array([[0.5], [0.1], [-1.0]]), Ladder(horizon=5), seeds, record=True)
+    run = climb(Climber(ladder, envelope=np.array([[-1.0], [1.2]])), [0.5, 0.1, -1.0], 0, horizon=5)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 1.0, 1.2, 1.2, 1.2])
     np.testing.assert_array_equal(run.clipped[:, 0], [3, 0, 4])
     np.testing.assert_array_equal(run.survived[:, 0], [5, 5, 5])
@@ -182,9 +178,8 @@ def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder)
 
 
 def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
-    seeds = seeds_from(0, 2)
-    run = rollout(Climber(ladder), Constant(), np.array([[0.5], [0.0]]), Ladder(horizon=8, top=3.2), seeds, record=True)
-    # from 0: 0.5 ... 3.5 on step 7; from 2: 2.5, 3.0, 3.5 on step 3
+    """From 0: 0.5 ... 3.5 on step 7; from 2: 2.5, 3.0, 3.5 on step 3."""
+    run = climb(Climber(ladder), [0.5, 0.0], 0, 2, horizon=8, top=3.2)
     np.testing.assert_array_equal(run.survived, [[7, 3], [8, 8]])
     np.testing.assert_array_equal(run.fitness, [[7, 3], [8, 8]])
     assert isinstance(run.task_state, LadderState)
@@ -194,26 +189,28 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
 
 
 def test_a_trial_that_is_over_is_clipped_no_more(ladder):
-    dynamics = Climber(ladder, envelope=np.array([[-1.0], [2.1]]))
-    seeds = seeds_from(0)
-    run = rollout(dynamics, Constant(), np.array([[0.5], [0.1]]), Ladder(horizon=8, top=1.7), seeds)
-    # 0.5 ends on 2.0 in step 4; four steps more would each be clipped
+    """0.5 ends on 2.0 in step 4; four steps more would each be clipped."""
+    run = climb(Climber(ladder, envelope=np.array([[-1.0], [2.1]])), [0.5, 0.1], 0, horizon=8, top=1.7)
     np.testing.assert_array_equal(run.survived[:, 0], [4, 8])
     np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
 
 
 def test_a_wall_alters_the_state_that_goes_on(ladder):
-    seeds = seeds_from(0)
-    run = rollout(Climber(ladder), Constant(), np.array([[0.5]]), Ladder(horizon=4, ceiling=0.8), seeds, record=True)
+    run = climb(Climber(ladder), [0.5], 0, horizon=4, ceiling=0.8)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 0.8, 0.8, 0.8])
     assert run.clipped[0, 0] == 0
 
 
 def test_a_lagged_model_starts_with_its_first_state_repeated_and_neutral_controls(ladder):
-    seeds = seeds_from(3)
-    run = rollout(Echo(ladder), Constant(), np.array([[1.0]]), Ladder(horizon=4), seeds, record=True)
-    # neutral is 0.25: 10 * 0.25 + 3 twice, then 10 * 1 + 3, then 10 * 1 + 5.5
+    """Neutral is 0.25: 10 * 0.25 + 3 twice, then 10 * 1 + 3, then 10 * 1 + 5.5."""
+    run = climb(Echo(ladder), [1.0], 3, horizon=4)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [3.0, 5.5, 5.5, 13.0, 15.5])
+
+
+def test_a_continuous_control_is_scaled_before_it_reaches_the_dynamics(ladder):
+    wide = dataclasses.replace(ladder, controls=(Channel("climb", "m", 0.0, 4.0),))
+    run = climb(Climber(wide), [-1.0, 0.0, 1.0], 0, horizon=1)
+    np.testing.assert_allclose([t.controls[0, 0] for t in run.trajectories], [0.0, 2.0, 4.0])
 
 
 @pytest.mark.parametrize("lags", [{}, {"state_lags": 2, "control_lags": 1}])
@@ -229,23 +226,6 @@ def test_a_recorded_rollout_is_the_free_run_under_its_controls(car_data, lags):
         np.testing.assert_allclose(trajectory.states[1:], again, rtol=1e-9, atol=1e-9)
 
 
-def test_recorded_poses_follow_from_the_recorded_states(car):
-    run = rollout(
-        SluggishCar(car),
-        RecurrentNetwork(),
-        np.random.default_rng(8).standard_normal((2, 78)),
-        PointToPoint(horizon=30),
-        SEEDS,
-        record=True,
-    )
-    for t in run.trajectories:
-        assert t.pose is not None
-        assert car.motion is not None
-        moved = car.motion.move(t.pose[:-1], t.states[:-1], t.states[1:], car.dt, car.state_names)
-        np.testing.assert_allclose(t.pose[1:], moved, atol=1e-12)
-        np.testing.assert_array_equal(t.pose[0], [0.0, 0.0, 0.0])
-
-
 def test_names_of_behaviours_stand_in_the_order_of_states_and_controls():
     system = make_robot("emulated_car").system
     names = behaviour_names(system)
@@ -256,24 +236,23 @@ def test_names_of_behaviours_stand_in_the_order_of_states_and_controls():
 
 def test_samples_of_behaviour_are_counted_by_hand(ladder):
     """Heights begin at 0, which is neutral, and at 3; samples are those of steps 0 and 5; 0.25 is no command."""
-    candidates = np.array([[1.0], [0.25], [-1.0]])
-    found = rollout(Climber(ladder), Constant(), candidates, Ladder(), seeds_from(0, 3))
     assert loops.EVERY == 5
-    climbs, stays, descends = found.behaviour
+    climbs, stays, descends = climb(Climber(ladder), [1.0, 0.25, -1.0], 0, 3).behaviour
     np.testing.assert_array_equal(climbs, [[0.5, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
     np.testing.assert_array_equal(stays[:, 2:], 0.0)
     np.testing.assert_array_equal(descends, [[0.0, 0.5, 0.0, 1.0], [0.5, 0.5, 0.0, 1.0]])
 
 
 def test_only_the_time_of_the_trial_counts_as_behaviour(ladder):
-    """From 0 up by one a step, a trial that ends above 6 has seven steps and two samples, at 0 and at 5."""
-    found = rollout(Climber(ladder), Constant(), np.array([[1.0]]), Ladder(top=6.5), seeds_from(0))
-    assert found.survived[0, 0] == 7
-    np.testing.assert_array_equal(found.behaviour[0, 0], [0.5, 0.0, 1.0, 0.0])
+    """From 0 up by one a step: above 6.5 a trial has seven steps and samples at 0 and 5, above 2.5 three and one."""
+    for top, steps, expected in ((6.5, 7, [0.5, 0.0, 1.0, 0.0]), (2.5, 3, [0.0, 0.0, 1.0, 0.0])):
+        found = climb(Climber(ladder), [1.0, 0.0], 0, top=top)  # the second goes on
+        assert found.survived[:, 0].tolist() == [steps, 10]
+        np.testing.assert_array_equal(found.behaviour[0, 0], expected)
 
 
 def test_a_trial_that_diverges_has_no_behaviour(ladder):
-    found = rollout(Climber(ladder, breaks_above=10.2), Constant(), np.array([[1.0]]), Ladder(), trial_seeds(1, 6))
+    found = climb(Climber(ladder, breaks_above=10.2), [1.0], *range(6))
     broken = found.fitness[0] < 0.0
     assert broken.any()
     np.testing.assert_array_equal(found.behaviour[0, broken], 0.0)
@@ -293,9 +272,3 @@ def test_wrong_arguments_are_refused_before_anything_runs(car, ladder):
         rollout(SluggishCar(car), RecurrentNetwork(), np.zeros((2, 78)), task, SEEDS[:0])
     with pytest.raises(IncompatibleTask, match="needs a planar body"):
         rollout(Climber(ladder), RecurrentNetwork(), np.zeros((2, 78)), task, SEEDS)
-
-
-def test_a_continuous_control_is_scaled_before_it_reaches_the_dynamics(ladder):
-    wide = dataclasses.replace(ladder, controls=(Channel("climb", "m", 0.0, 4.0),))
-    run = rollout(Climber(wide), Constant(), np.array([[-1.0], [0.0], [1.0]]), Ladder(horizon=1), SEEDS, record=True)
-    np.testing.assert_allclose([t.controls[0, 0] for t in run.trajectories[::3]], [0.0, 2.0, 4.0])
