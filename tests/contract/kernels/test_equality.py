@@ -59,6 +59,8 @@ FAMILIES = {
 }
 EXACT = ("k_neighbours", "gaussian_process")
 """Families whose kernels ask for double precision."""
+AT_NIGHT = ("torch_ode", "latent_ode", "average")
+"""Compiled by day in the tests of their own."""
 JUMPS = {"nearest_neighbour": 0.8}
 """The share of trajectories and steps that must agree where rounding decides between two neighbours."""
 
@@ -152,7 +154,9 @@ WAYPOINTS = PointToPoint(horizon=40, waypoint_radius=0.8)
 
 
 @FORMS
-@pytest.mark.parametrize("row", FAMILIES)
+@pytest.mark.parametrize(
+    "row", [pytest.param(row, marks=pytest.mark.nightly if row in AT_NIGHT else ()) for row in FAMILIES]
+)
 def test_a_family_drives_and_steps_as_in_numpy(row, engine, learn, throttle_car_data):
     model, share = learn(row), JUMPS.get(row, 1.0)
     fast, _ = agree(Given(model, RecurrentNetwork(), WAYPOINTS), engine, share=share)

@@ -121,7 +121,10 @@ def test_a_candidate_that_diverges_has_the_largest_error(precision):
     assert np.isfinite(error).tolist() == [False, True]
 
 
-@pytest.mark.parametrize("system", example_systems(), ids=lambda system: system.name)
+@pytest.mark.parametrize(
+    "system",
+    [pytest.param(system, marks=pytest.mark.nightly if at % 2 else ()) for at, system in enumerate(example_systems())],
+)
 def test_a_correction_corrects_as_its_terms_do(system, rng):
     model = ExampleDynamics(system)
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
@@ -141,7 +144,7 @@ CART = System(
 
 @pytest.mark.parametrize(
     "family",
-    ["narx", "sindy", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("sindy_discrete", "backprop27"))],
+    ["narx", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("sindy", "sindy_discrete", "backprop27"))],
 )
 def test_the_compiled_form_adds_the_change_of_a_sum_of_states_as_the_model_does(family, rng):
     """A cart with drag whose position adds up its speed, and ends at the limits of its channel."""
