@@ -347,11 +347,14 @@ TASKS = [
     ("balance(spread=0.4, horizon=40)", pendulum()),
     ("balance(horizon=40, effort=0.1)", pendulum()),
     ("upright(weight=0.1)", pendulum()),
-    ("braked", switched_car()),
+    pytest.param("braked", switched_car(), marks=pytest.mark.nightly),
     (Reward(worth, scalar=worth_of_one, lowest=-2.0, horizon=40), pendulum()),
-    (Reward(worth, scalar=worth_of_a_car, lowest=-2.0, horizon=40), switched_car()),
+    pytest.param(
+        Reward(worth, scalar=worth_of_a_car, lowest=-2.0, horizon=40), switched_car(), marks=pytest.mark.nightly
+    ),
 ]
-ENVIRONMENTS = ("Pendulum-v1", "CartPole-v1", "MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
+AT_NIGHT_TOO = ("MountainCar-v0", "MountainCarContinuous-v0", "Acrobot-v1")
+ENVIRONMENTS = ["Pendulum-v1", "CartPole-v1", *(pytest.param(one, marks=pytest.mark.nightly) for one in AT_NIGHT_TOO)]
 
 
 def bound(spec, system):
@@ -389,7 +392,7 @@ def test_the_reward_of_an_environment_scores_and_is_imagined_as_in_numpy(name, e
         Imagination(body, task, engine=one).scores(states, past, sequences, known) for one in (engine, "reference")
     )
     assert np.isclose(compiled, reference, rtol=1e-3, atol=1e-3).mean() > 0.99
-    assert np.ptp(reference) > 0.01
+    assert np.ptp(reference) > 0.01 or name == "MountainCar-v0"  # each step costs the same, the flag is far
 
 
 def imagined(task, body, engine, *, steps=25, done=2):
