@@ -46,7 +46,7 @@ def test_thirty_seconds_of_another_floor_take_at_least_two_fifths_of_the_error(b
 
 
 def test_where_nothing_has_changed_the_model_stays_what_it_is(base, training):
-    same = base.adapt(drive(FloorCar(), seconds=30.0, seed=5))
+    same = base.adapt(drive(FloorCar(), seconds=15.0, seed=5))
     windows = training.windows(20, stride=50, history=base.n_lags)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
     np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
@@ -66,14 +66,14 @@ def test_a_stored_adapted_model_holds_its_base_and_can_be_adapted_again(adapted,
     assert loaded.score(test) == adapted.score(test)
     assert loaded.fit_note == adapted.fit_note
     assert type(loaded.base_) is type(adapted.base_)
-    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=20.0, seed=8))
+    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=12.0, seed=8))
     assert again.score(back) > 0.8 * loaded.score(back)
 
 
-def test_a_stored_model_is_named_by_its_path(base, adapted, tmp_path):
-    path, there = save_model(base, tmp_path / "base"), drive(OTHER, seconds=30.0, seed=3)
+def test_a_stored_model_is_named_by_its_path(base, tmp_path):
+    path, there = save_model(base, tmp_path / "base"), drive(OTHER, seconds=8.0, seed=3)
     by_path = make_model("adapted", base=str(path)).fit(there, rng=0)
-    assert by_path.score(there) == adapted.score(there)
+    assert by_path.score(there) == base.adapt(there).score(there)
     with pytest.raises(InvalidArgument, match="there is nothing to adapt"):
         make_model("adapted", base=None).fit(there, rng=0)
 
@@ -96,7 +96,7 @@ def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_sa
 
 def test_the_envelope_covers_both_recordings(base, adapted):
     weak = make_model("linear").fit(drive(FloorCar(thrust=2.0), seconds=40.0, seed=1), rng=0)
-    wide = weak.adapt(drive(FloorCar(), seconds=20.0, seed=3))
+    wide = weak.adapt(drive(FloorCar(), seconds=12.0, seed=3))
     assert wide.coefficients_.any()
     assert wide.envelope_[1, 0] > weak.envelope_[1, 0]
     assert (wide.envelope_[0] <= weak.envelope_[0]).all()
