@@ -66,7 +66,7 @@ def test_a_stored_adapted_model_holds_its_base_and_can_be_adapted_again(adapted,
     assert loaded.score(test) == adapted.score(test)
     assert loaded.fit_note == adapted.fit_note
     assert type(loaded.base_) is type(adapted.base_)
-    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=12.0, seed=8))
+    back, again = drive(FloorCar(), seconds=20.0, seed=9), loaded.adapt(drive(FloorCar(), seconds=20.0, seed=8))
     assert again.score(back) > 0.8 * loaded.score(back)
 
 
