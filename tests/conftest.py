@@ -263,6 +263,13 @@ def run_copy(finished_run, tmp_path):
     return session.copy_run(finished_run, tmp_path / "out")
 
 
+@pytest.fixture
+def blank_figures(monkeypatch):
+    """Pages are written without drawing their figures, which takes most of the time of a report."""
+    blank = '<svg xmlns="http://www.w3.org/2000/svg" width="10pt" height="10pt" viewBox="0 0 10 10"></svg>'
+    monkeypatch.setattr("evaluation.report.render.svg.to_svg", lambda figure: blank)
+
+
 @pytest.fixture(scope="session")
 def failed_run(session_folder, finished_run):
     """The folder of a run of which one family failed and the robot is absent; `tests.fixtures.session.fail`."""

@@ -15,6 +15,7 @@ from sysid_evo.plan import Store, StoredCell
 from sysid_evo.testing import example_dataset
 from tests.fixtures.commands import SMALL, Caller
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 AGAIN = ("compare", "--config", "out", "--out", "out")
 BOTH = "linear,near=nearest_neighbour"
 PREDICTION = ("--only", "prediction")

@@ -12,6 +12,7 @@ from tests.fixtures.commands import SMALL, Caller, run_here
 from tests.fixtures.robots import store_champion
 from tests.fixtures.session import copy_run
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 UNSEEN = '''
 """A robot that no tracker sees, one that nothing answers for, and a simulator that falls asleep."""
 import time

@@ -15,6 +15,7 @@ from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
 from tests.fixtures.commands import COMMAND, SMALL, Caller, forgetting, run_here
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 PLUGIN = '''
 """A task of somebody's, which leaves a trace when it runs."""
 import os
