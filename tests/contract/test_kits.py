@@ -9,12 +9,20 @@ from hardware.testing import check_robot
 from sysid_evo.data import Dataset
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, IncompatibleTask, InvalidArgument, RegistrationError
 from sysid_evo.models import DynamicsModel, require_planar
-from sysid_evo.registry import make_robot, models, tasks
+from sysid_evo.registry import Spec, make_robot, models, tasks
+from sysid_evo.system import Channel, System
 from sysid_evo.tasks import SetPoint
 from sysid_evo.testing import check_controller, check_model, check_reader, check_strategy, check_task, run_checks
 from sysid_evo.testing import models as model_kit
 from sysid_evo.testing.contract import MADE
-from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
+from sysid_evo.testing.examples import (
+    ExampleDynamics,
+    bare_system,
+    continuous_car,
+    example_systems,
+    pendulum,
+    switched_car,
+)
 from sysid_evo.testing.template import PLUGINS
 from tests.fixtures import broken_controllers as of_controllers
 from tests.fixtures import broken_models as of_models
@@ -37,6 +45,31 @@ OPTIONS = {
     "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24},
 }
 """What a controller cannot do without."""
+TANK = System(
+    (Channel("level", "m", 0.0, 4.0), Channel("warmth", "K")),
+    (Channel("valve", low=0.0, high=2.0), Channel("heater", low=-1.0, high=1.0)),
+    dt=0.5,
+    name="tank",
+)
+OTHER_ARGUMENTS = [
+    ("strategy", "cma_es(population=4)", ()),
+    ("strategy", "mu_plus_lambda(reevaluate=false)", ()),
+    ("strategy", "niches(strategy=mu_plus_lambda(parents=5, children=5), slots=1)", ()),
+    ("controller", "feed_forward(hidden=[5, 3, 4])", ()),
+    ("controller", "linear(inputs=[waypoint_angle])", ()),
+    ("controller", "pid(loops={steer: [waypoint_angle, yaw_rate]})", ()),
+    ("controller", "pursuit(backward=true)", ()),
+    ("task", "set_point(spread=0.3, effort=0.2, still=2, horizon=40)", (TANK,)),
+    ("task", "set_point(channels=[warmth, level], low=[-2, 1], high=2, end=[1.5, 3], horizon=40)", (TANK,)),
+    ("task", "set_point(channels=[yaw_rate, forward_speed], low=-0.5, high=0.5, horizon=40)", (switched_car(),)),
+    ("task", "track_reference(kind=steps, channels=[angle, angular_speed], period=0.4, horizon=40)", (pendulum(),)),
+    ("task", "track_reference(channels=warmth, effort=0.3, horizon=40)", (TANK,)),
+    ("task", "track_reference(kind=random_walk, horizon=40)", (switched_car(),)),
+    ("task", "swing_up(effort=0.1, horizon=40)", (pendulum(),)),
+    ("task", "balance(spread=0.4, horizon=40)", (pendulum(),)),
+    ("task", "walled_track(collision=end, rays=1, width=0.4, horizon=40)", (switched_car(),)),
+    ("task", "walled_track(rays=7, view=4.0, bends=0.9, horizon=40)", (switched_car(),)),
+]
 REGISTERED = [(kind, name) for kind, kit in KITS.items() if kind != "model" for name in kit.registry.names()]
 SOUND = [(kind, one) for kind, (_, cases) in CASES.items() for one in cases.SOUND]
 BROKEN = [
@@ -72,6 +105,12 @@ def test_every_registered_plugin_keeps_its_contract(kind, name, tmp_path, monkey
     file = (of_readers.FILES[name](tmp_path),) if kind == "reader" else ()
     options = OPTIONS.get(name, {"horizon": 40} if kind == "task" else {})
     assert broken(KITS[kind].run_checks(name, *file, **options)) == {}
+
+
+@pytest.mark.parametrize(("kind", "spec", "given"), OTHER_ARGUMENTS)
+def test_with_other_arguments_a_plugin_keeps_its_contract_too(kind, spec, given):
+    parsed = Spec.parse(spec)
+    assert broken(KITS[kind].run_checks(parsed.name, *given, **parsed.parameters)) == {}
 
 
 @pytest.mark.parametrize(("kind", "plugin"), SOUND)

@@ -1,8 +1,9 @@
-"""Models in processes of their own: a fit that is killed loses nothing, and a stored model loads little."""
+"""Work in processes of its own: a fit or an evolution that is killed loses nothing, a stored model loads little."""
 
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from sysid_evo.artefacts import CheckpointFile, read_checkpoint
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from tests.fixtures.checkpoints import Stop, StopAfter
+from tests.fixtures.evolutions import SETTINGS, assert_same, evolved
 
 ROOT = Path(__file__).parents[2]
-PROGRAM = """
+FIT = """
 import sys
 import numpy as np
 from sysid_evo.models.base import make_model
@@ -26,6 +28,32 @@ model.checkpoint = AlwaysDue(sys.argv[1])
 told = lambda done, total, note="": print(done, flush=True)
 model.fit(example_dataset(), rng=np.random.default_rng(1), progress=told)
 """
+
+
+EVOLUTION = """
+import sys
+from dataclasses import replace
+from tests.fixtures.checkpoints import AlwaysDue
+from tests.fixtures.evolutions import SETTINGS, evolved
+
+told = lambda done, total, note="": print(done, flush=True)
+evolved(replace(SETTINGS, generations=60), AlwaysDue(sys.argv[1]), threads=int(sys.argv[2]), progress=told)
+"""
+
+
+def killed(program, path, *arguments, after):
+    """Run a program that prints each step it has done, kill it ``after`` that one, return the second and the last."""
+    command = [sys.executable, "-c", program, str(path), *arguments]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    told = [int(process.stdout.readline()) for _ in range(2)]
+    for line in process.stdout:
+        told.append(int(line))
+        if told[-1] >= after:
+            break
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL
+    return told[1], told[-1]
 
 
 def stopped(path, car_data):
@@ -40,21 +68,26 @@ def stopped(path, car_data):
 def test_a_fit_killed_at_random_moments_loses_nothing_that_was_saved(tmp_path, car_data):
     path, reached = tmp_path / "c", 0
     for updates in (60, 120):
-        command = [sys.executable, "-c", PROGRAM, str(path)]
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-        told = [int(process.stdout.readline()) for _ in range(2)]
-        assert told[1] >= reached
-        for line in process.stdout:
-            reached = int(line)
-            if reached >= updates:
-                break
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+        first, last = killed(FIT, path, after=updates)
+        assert first >= reached
+        reached = last
     assert int(read_checkpoint(path)[1]["updates"]) >= reached
     one, other = stopped(path, car_data), stopped(tmp_path / "straight", car_data)
     assert one.keys() == other.keys()
     for name, value in one.items():
         np.testing.assert_array_equal(value, other[name])
+
+
+def test_an_evolution_killed_at_random_moments_goes_on_to_the_same_champion(tmp_path):
+    """Every generation is saved, so that kills fall into saving, too."""
+    path, reached = tmp_path / "c", 0
+    for threads, after in (("1", 10), ("2", 90)):
+        first, last = killed(EVOLUTION, path, threads, after=after)
+        assert first >= reached
+        reached = last
+    settings, watched = replace(SETTINGS, generations=60), StopAfter(0)
+    assert_same(evolved(settings, CheckpointFile(path), threads=2, progress=watched), evolved(settings))
+    assert reached <= watched.told[0] < 120
 
 
 def test_stored_networks_step_without_what_takes_long_to_load(fitted, car_data, tmp_path):

@@ -1,11 +1,7 @@
 """The paper's strategy on functions whose answer is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import MuPlusLambda, evolve
@@ -45,8 +41,7 @@ def test_the_elite_are_the_best_of_parents_and_children_best_first():
 def test_without_reevaluation_the_best_never_gets_worse_however_noisy_the_fitness():
     rng = np.random.default_rng(0)
     strategy = MuPlusLambda(n_parameters=3, seed=1, parents=6, children=6, reevaluate=False)
-    kept: dict[bytes, float] = {}
-    best = []
+    kept, best = {}, []
     for generation in evolve(strategy, lambda p, _: sphere(p) + rng.standard_normal(len(p)), 40):
         kept.update({x.tobytes(): f for x, f in zip(generation.population, generation.fitness, strict=True)})
         elite = [kept[x.tobytes()] for x in strategy.elite]
@@ -92,11 +87,10 @@ def test_asking_twice_gives_the_same_population():
     np.testing.assert_array_equal(strategy.ask(), strategy.ask())
 
 
-@given(seed=st.integers(0, 2**32 - 1), told=st.integers(0, 1000))
-@settings(derandomize=True, deadline=None, database=None, max_examples=20)
-def test_a_mutation_depends_on_seed_generation_and_child_alone(seed, told):
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
+def test_a_mutation_depends_on_seed_generation_and_child_alone(seed):
     """Two runs with other starts, sizes and fitnesses add the same numbers to the bearers."""
-    rng = np.random.default_rng(told)
+    rng = np.random.default_rng(7)
     few = MuPlusLambda(n_parameters=3, seed=seed, parents=4, children=4, initial=np.array([5.0, 0.0, -5.0]))
     many = MuPlusLambda(n_parameters=3, seed=seed, parents=4, children=7, spread=0.0)
     for _ in range(3):
@@ -177,21 +171,6 @@ def test_the_loop_yields_what_was_asked_and_told():
         assert generation.summary == (fitness.max(), fitness.mean(), fitness.min())
         assert strategy.generation == generation.index + 1
     assert seen == [0, 1, 2]
-
-
-@pytest.mark.parametrize("reevaluate", [True, False])
-@pytest.mark.parametrize("generations", [0, 3])
-def test_a_restored_strategy_goes_on_as_the_one_it_was_taken_from(generations, reevaluate):
-    given = {"n_parameters": 3, "seed": 5, "parents": 4, "children": 6, "reevaluate": reevaluate}
-    strategy, other = MuPlusLambda(**given), MuPlusLambda(**given)
-    for _ in evolve(strategy, sphere, generations):
-        pass
-    taken = strategy.state
-    on = [generation.population for generation in evolve(strategy, sphere, 3)]
-    other.restore(taken)
-    for expected, generation in zip(on, evolve(other, sphere, 3), strict=True):
-        np.testing.assert_array_equal(generation.population, expected)
-    np.testing.assert_array_equal(other.elite, strategy.elite)
 
 
 def test_the_state_of_another_strategy_is_refused():

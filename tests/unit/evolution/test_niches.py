@@ -1,43 +1,18 @@
 """Islands in niches of behaviour."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Niches, Scores, evolve
 from sysid_evo.evolution.strategies.niches import Island, _known
-from sysid_evo.testing import check_strategy
-from sysid_evo.types import Array
-
-NAMES = ("speed above", "speed below", "drive above", "drive below", "steer above", "steer below")
-CONTROLS = ("drive", "steer")
-
-
-def described(population):
-    """A made-up behaviour: drives and moves by the sign of parameter 0, steers both ways alike."""
-    forwards = np.clip(0.5 + population[:, 0], 0.0, 1.0)
-    half = np.full(len(population), 0.5)
-    return np.stack([forwards, 1.0 - forwards, forwards, 1.0 - forwards, half, half], axis=1)
-
-
-def trap(population, _=0):
-    """A broad hill of height 5 at -2 (backwards), and a steep one of height 10 at +2 (forwards)."""
-    broad = 5.0 - 0.1 * ((population + 2.0) ** 2).sum(axis=1)
-    steep = 10.0 - ((population - 2.0) ** 2).sum(axis=1)
-    return Scores(np.maximum(broad, steep), described(population))
+from tests.fixtures.evolutions import CONTROLS, NAMES, described, trap
 
 
 def prepared(generations=100, **arguments):
-    strategy = Niches(n_parameters=3, seed=1, **{"strategy": "cma_es(population=20, sigma=2.0)", **arguments})  # type: ignore[arg-type]
+    strategy = Niches(n_parameters=3, seed=1, **{"strategy": "cma_es(population=20, sigma=2.0)", **arguments})
     strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=generations)
     return strategy
-
-
-def test_it_keeps_the_contract_without_and_with_descriptors():
-    check_strategy("niches")
-    check_strategy("niches", strategy="mu_plus_lambda(parents=5, children=5)", slots=1)
 
 
 def test_a_niche_finds_the_high_hill_beside_the_broad_one():
@@ -64,7 +39,7 @@ def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on():
 
 
 def test_an_island_ranks_what_leaves_its_niche_below_all_inside():
-    told: list[Array] = []
+    told = []
 
     class Listening:
         elite = np.zeros((1, 3))
@@ -72,7 +47,7 @@ def test_an_island_ranks_what_leaves_its_niche_below_all_inside():
         def tell(self, population, fitness):
             told.append(fitness)
 
-    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)  # type: ignore[arg-type]
+    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)
     fitness = np.array([1.0, 9.0, 8.0, -3.0])
     island.tell(np.arange(12.0).reshape(4, 3), fitness, np.zeros((4, 6)), np.array([0.0, 0.1, 0.4, 0.0]))
     assert list(np.argsort(-told[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
@@ -195,14 +170,15 @@ def test_a_state_of_another_plan_is_refused():
         prepared().restore({**state, "running": np.array([9.0])})
 
 
-def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_ends_the_same():
-    for before in (3, 20, 150, 330):
-        whole, first, second = (prepared(generations=400) for _ in range(3))
-        for _ in evolve(whole, trap, 340):
+def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_goes_on_the_same():
+    whole, places, states = prepared(generations=400), (3, 20, 150, 330), {}
+    for generation in evolve(whole, trap, 345):
+        states[generation.index + 1] = whole.state
+    for before in places:
+        restored = prepared(generations=400)
+        restored.restore(states[before])
+        for _ in evolve(restored, trap, before + 15, start=before):
             pass
-        for _ in evolve(first, trap, before):
-            pass
-        second.restore(first.state)
-        for _ in evolve(second, trap, 340 - before):
-            pass
-        np.testing.assert_array_equal(whole.elite, second.elite)
+        assert set(restored.state) == set(states[before + 15])
+        for name, value in states[before + 15].items():
+            np.testing.assert_array_equal(restored.state[name], value, err_msg=name)

@@ -7,7 +7,7 @@ import sys
 import time
 import warnings
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -41,7 +41,16 @@ class Drawn(DynamicsModel):
 
     limits: ClassVar[dict[str, Limit]] = {"share": above(0, at_most=1), "sizes": at_least(1)}
 
-    def __init__(self, *, share=0.5, sizes=None, way="plain", loud=False, state_lags=0, control_lags=0):
+    def __init__(  # annotated, since the types of the values are read from here
+        self,
+        *,
+        share: float = 0.5,
+        sizes: list[int] | None = None,
+        way: Literal["plain", "other"] = "plain",
+        loud: bool = False,
+        state_lags: int = 0,
+        control_lags: int = 0,
+    ) -> None:
         self.share = share
         self.sizes = sizes
         self.way = way

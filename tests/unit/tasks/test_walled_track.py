@@ -12,7 +12,6 @@ from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import WalledTrack
 from sysid_evo.tasks.track_geometry import draw_track, place_of, wall
-from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import ExampleDynamics, pendulum, switched_car
 
 SEEDS = trial_seeds(4, 20)
@@ -176,13 +175,6 @@ def test_a_collision_may_end_the_trial():
     ended, after = task.advance(at(trial, 0.0, -0.2, -math.pi / 2.0), state, state, control=IDLE)
     assert not ended.alive[0]
     assert after is state
-
-
-@pytest.mark.parametrize(
-    "parameters", [{}, {"collision": "end", "rays": 1, "width": 0.4}, {"rays": 7, "view": 4.0, "bends": 0.9}]
-)
-def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(parameters):
-    check_task("walled_track", switched_car(), horizon=150, **parameters)
 
 
 @pytest.mark.parametrize(

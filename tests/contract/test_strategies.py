@@ -1,18 +1,22 @@
-"""An archive of kinds of behaviour."""
+"""MAP-Elites, whose library takes seconds to load, and every strategy in an evolution that is stopped."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sysid_evo import extras
+from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.evolution import Scores, evolve
 from sysid_evo.evolution.strategies.map_elites import MapElites
-from sysid_evo.testing import check_strategy
-from tests.unit.evolution.test_niches import CONTROLS, NAMES, trap
+from sysid_evo.registry import strategies
+from tests.fixtures.checkpoints import Stop, StopAfter
+from tests.fixtures.evolutions import CONTROLS, NAMES, SETTINGS, assert_same, evolved, trap
 
 
 def made(**arguments):
-    strategy = MapElites(n_parameters=3, **{"seed": 1, "population": 20, **arguments})  # type: ignore[arg-type]
+    strategy = MapElites(n_parameters=3, **{"seed": 1, "population": 20, **arguments})
     strategy.prepare(behaviour_names=NAMES, control_names=CONTROLS, generations=100)
     return strategy
 
@@ -23,8 +27,13 @@ def shares(*leans):
     return np.array(rows)
 
 
-def test_it_keeps_the_contract():
-    check_strategy("map_elites")
+@pytest.mark.parametrize("strategy", strategies.names())
+def test_an_evolution_that_is_stopped_again_and_again_ends_the_same(strategy, tmp_path):
+    settings = replace(SETTINGS, generations=8, strategy=strategy)
+    for after in (1, 5, 11):
+        with pytest.raises(Stop):
+            evolved(settings, CheckpointFile(tmp_path / "c"), progress=StopAfter(after))
+    assert_same(evolved(settings, CheckpointFile(tmp_path / "c")), evolved(settings))
 
 
 def test_each_cell_keeps_its_best():
@@ -61,7 +70,7 @@ def test_the_best_are_asked_again_and_their_mean_counts():
     np.testing.assert_array_equal(asked[2:], lucky)
     strategy.tell(asked, np.array([-1.0, -1.0, 1.0]), shares((0.1, 0.1), (0.1, 0.1), (0.9, 0.9)))
     np.testing.assert_array_equal(strategy.elite[:2], [steady[0], lucky[0]])
-    assert strategy.state["scores"].tolist().count(5.0) == 1  # type: ignore[union-attr]
+    assert strategy.state["scores"].tolist().count(5.0) == 1
     strategy.tell(strategy.ask(), np.array([-1.0, -1.0, 6.0]), shares((0.1, 0.1), (0.1, 0.1), (-0.9, -0.9)))
     np.testing.assert_array_equal(strategy.ask()[2:], steady)
 
@@ -77,7 +86,7 @@ def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_th
         where = (0.9, 0.9) if place == 0 else (-0.9, -0.9)
         strategy.tell(asked, np.array([-1.0, -1.0, 4.0 - place]), shares((0.1, 0.1), (0.1, 0.1), where))
     np.testing.assert_array_equal(strategy.elite[:2], population)
-    assert sorted(strategy.state["scores"].tolist()) == [-1.0, 3.0, 4.0]  # type: ignore[union-attr]
+    assert sorted(strategy.state["scores"].tolist()) == [-1.0, 3.0, 4.0]
 
 
 def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both():
@@ -113,15 +122,12 @@ def test_a_search_that_goes_on_from_a_state_ends_the_same():
         scores = trap(population)
         return Scores(scores.fitness + np.random.default_rng(generation).normal(size=len(population)), scores.behaviour)
 
-    whole, first, second = made(), made(), made()
-    for strategy, generations in ((whole, 40), (first, 17)):
-        for _ in evolve(strategy, noisy, generations):
-            pass
-    second.restore(first.state)
-    for generation in range(17, 40):
-        population = second.ask()
-        scores = noisy(population, generation)
-        second.tell(population, scores.fitness, scores.behaviour)
+    whole, second = made(), made()
+    for generation in evolve(whole, noisy, 40):
+        if generation.index == 16:
+            second.restore(whole.state)
+    for _ in evolve(second, noisy, 40, start=17):
+        pass
     np.testing.assert_array_equal(whole.elite, second.elite)
     np.testing.assert_array_equal(whole.ask(), second.ask())
 
