@@ -124,12 +124,6 @@ def test_a_mistake_is_told_before_anything_is_written(arguments, reason, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-def test_a_name_in_use_is_exit_code_2(tmp_path):
-    done = run_here("plugin", "new", "linear", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "model 'linear' is taken by the module model_zoo.linear" in " ".join(done.stderr.split())
-
-
 def test_a_shipped_thing_is_checked_by_its_name_alone_with_parameters():
     done = CliRunner().invoke(app, ["check", "mu_plus_lambda(parents=5, children=5)"])
     assert done.exit_code == 0, done.output

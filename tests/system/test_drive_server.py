@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from evaluation.transfer import load_measured
-from hardware.connection import GateLimits, Listener
+from hardware.connection import GateLimits
 from hardware.driving import server
 from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments, Phase
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
@@ -36,6 +36,7 @@ from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.commands import COMMAND
+from tests.fixtures.loop import Diary
 from tests.fixtures.robots import store_champion
 
 EVERY = 0.025  # s
@@ -217,14 +218,6 @@ def test_losing_the_server_releases_the_keys_and_is_reported():
     desk.page.close()
 
 
-class Commands(Listener):
-    def __init__(self):
-        self.sent = []
-
-    def commanded(self, command):
-        self.sent.append(command)
-
-
 class Typist:
     """A page that drives forward, run by the session's own calls, until it is lost in some way."""
 
@@ -255,20 +248,20 @@ class Typist:
     ids=["the connection breaks", "the page is closed", "the page is silent", "the key is released"],
 )
 def test_losing_the_page_means_neutral_within_150_ms(desk, lose):
-    stops, commands = Stops(), Commands()
+    stops, diary = Stops(), Diary()
     typist = Typist(desk, stops, lose)
     thread = threading.Thread(target=typist.type)
     driving = HandDriving(
         desk.robot, desk.task, desk.keyboard, desk.instruments,
-        seed_of=lambda index: index, stops=stops, recorder=lambda *_: commands,
+        seed_of=lambda index: index, stops=stops, recorder=lambda *_: diary,
     )  # fmt: skip
     thread.start()
     trials = list(driving.trials())
     thread.join()
     assert [trial.fitness for trial in trials] == [None]
-    driven = [command.time for command in commands.sent if command.control.any()]
+    driven = [command.time for command in diary.commands if command.control.any()]
     assert typist.lost - 0.15 < driven[-1]
-    neutral = min(command.time for command in commands.sent if command.time > driven[-1])
+    neutral = min(command.time for command in diary.commands if command.time > driven[-1])
     late = max(0.0, float(trials[0].report.gaps.max()) - desk.robot.system.dt)
     assert neutral <= typist.lost + HOLD + late
 

@@ -1,7 +1,5 @@
 """The serial robot on a pseudo-terminal, with the compiled firmware at its other end."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading
@@ -15,7 +13,7 @@ import pytest
 
 from hardware.connection import Measurement
 from hardware.link.framing import FrameDecoder, encode
-from hardware.link.messages import HelloAcknowledgement, Message, State, unpack
+from hardware.link.messages import HelloAcknowledgement, State, unpack
 from hardware.link.port import SerialPort
 from hardware.link.serial_robot import SerialRobot
 from hardware.robot import Robot
@@ -33,15 +31,12 @@ class Remote:
     """A remote control on a pseudo-terminal: the core, its clock and its wire, in a thread."""
 
     def __init__(self):
-        self.core = FirmwareCore()
-        self.said: list[Message] = []
+        self.core, self.said = FirmwareCore(), []
         self._decoder = FrameDecoder()
-        self.deaf = threading.Event()
-        self.speak_version_3 = threading.Event()
+        self.deaf, self.speak_version_3, self._done = (threading.Event() for _ in range(3))
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
-        self._done = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -82,6 +77,12 @@ def remote():
     made = Remote()
     yield made
     made.unplug()
+
+
+@pytest.fixture
+def connection(remote):
+    with SerialRobot(port=remote.port).connect() as connection:
+        yield connection
 
 
 def until(condition, act):
@@ -135,21 +136,17 @@ class Listed(Tracker):
     def __init__(self, *, count=3):
         self.name, self.body = "listed", "car"
         self.frames = [Measurement(float(k), float(k), k, self.body, True, np.zeros(3)) for k in range(count)]
-        self.stream: Queue | None = None
 
     def open(self):
         self.stream = Queue(self.frames)
         return self.stream
 
 
-def test_robot_of_the_registry_keeps_the_contract():
+def test_robot_of_the_registry_keeps_the_contract_and_a_file_describes_another(tmp_path, register):
     robot = make_robot("serial")
     assert isinstance(robot, Robot)
     assert robot.system == CAR
     assert robot.dynamics is None
-
-
-def test_robot_is_described_by_a_file(tmp_path, register):
     register(trackers, "listed", Listed)
     file = tmp_path / "car.toml"
     file.write_text('driver = "serial"\nname = "red car"\nport = "/dev/car"\n[tracker]\ndriver = "listed"\ncount = 5\n')
@@ -206,48 +203,46 @@ def test_tracker_is_closed_if_the_robot_cannot_be_reached(tmp_path):
     assert tracker.stream.closed
 
 
-@pytest.mark.parametrize("control", [[np.nan, 0.0], [0.5, 0.0]])
-def test_illegal_control_is_refused_and_nothing_is_sent(remote, control):
-    with SerialRobot(port=remote.port).connect() as connection:
+def test_illegal_control_is_refused_and_nothing_is_sent(connection):
+    for control in ([np.nan, 0.0], [0.5, 0.0]):
         with pytest.raises(InvalidArgument, match="drive"):
             connection.send(np.array(control), valid_for=LIFE)
-        assert connection.counters["commands"] == 0
+    assert connection.counters["commands"] == 0
 
 
-def test_unplugged_port_is_a_lost_link_at_once_and_for_good(remote):
-    with SerialRobot(port=remote.port).connect() as connection:
-        until(lambda: remote.core.buttons == 1, lambda: drive(connection))
-        remote.unplug()
-        before = time.monotonic()
-        with pytest.raises(LinkLost, match="gone"):
-            connection.measure(5.0)
-        with pytest.raises(LinkLost, match="gone"):
-            connection.send(FORWARD, valid_for=LIFE)
+def test_unplugged_port_is_a_lost_link_at_once_and_for_good(remote, connection):
+    until(lambda: remote.core.buttons == 1, lambda: drive(connection))
+    remote.unplug()
+    before = time.monotonic()
+    with pytest.raises(LinkLost, match="gone"):
+        connection.measure(5.0)
+    with pytest.raises(LinkLost, match="gone"):
+        connection.send(FORWARD, valid_for=LIFE)
     assert time.monotonic() - before < 1.0
 
 
-def test_silent_robot_is_a_lost_link(remote):
-    with SerialRobot(port=remote.port).connect() as connection:
-        remote.deaf.set()
-        before = time.monotonic()
-        with pytest.raises(LinkLost, match="silent"):
-            until(lambda: False, lambda: drive(connection))
-        assert time.monotonic() - before < 1.0
+def test_silent_robot_is_a_lost_link(remote, connection):
+    remote.deaf.set()
+    before = time.monotonic()
+    with pytest.raises(LinkLost, match="silent"):
+        until(lambda: False, lambda: drive(connection))
+    assert time.monotonic() - before < 1.0
 
 
-def test_pause_of_the_host_trips_the_robot_and_is_told(remote):
-    with SerialRobot(port=remote.port).connect() as connection:
-        until(lambda: remote.core.buttons == 1, lambda: drive(connection))
-        time.sleep(0.4)
-        with pytest.raises(LinkLost, match=r"tripped.*longest pause between two was \d"):
-            connection.send(FORWARD, valid_for=LIFE)
+def test_pause_of_the_host_trips_the_robot_and_is_told(remote, connection):
+    until(lambda: remote.core.buttons == 1, lambda: drive(connection))
+    time.sleep(0.4)
+    with pytest.raises(LinkLost, match=r"tripped.*longest pause between two was \d"):
+        connection.send(FORWARD, valid_for=LIFE)
+    connection.close()
     with SerialRobot(port=remote.port).connect() as connection:
         assert remote.core.buttons == 0
         until(lambda: remote.core.buttons == 1, lambda: drive(connection))
 
 
+@pytest.mark.usefixtures("connection")
 def test_port_belongs_to_one_program(remote):
-    with SerialRobot(port=remote.port).connect(), pytest.raises(LinkLost, match="another program uses it"):
+    with pytest.raises(LinkLost, match="another program uses it"):
         SerialRobot(port=remote.port, patience=0.1).connect()
 
 
@@ -255,11 +250,9 @@ def test_robot_that_appears_while_connecting_is_found(remote, tmp_path):
     link = tmp_path / "by-id"
     timer = threading.Timer(0.3, lambda: link.symlink_to(remote.port))
     timer.start()
-    try:
-        with SerialRobot(port=str(link), patience=5.0).connect() as connection:
-            assert connection.acknowledgement.session != 0
-    finally:
-        timer.join()
+    with SerialRobot(port=str(link), patience=5.0).connect() as connection:
+        assert connection.acknowledgement.session != 0
+    timer.join()
 
 
 def test_device_that_does_not_answer_is_given_up(remote):

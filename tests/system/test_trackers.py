@@ -1,7 +1,5 @@
 """Trackers in a process of their own: what comes through, and how either side learns of the other's end."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -21,7 +19,7 @@ import pytest
 from hardware.connection import Measurement
 from hardware.trackers.process import RECORD, record_of
 from hardware.trackers.tracker import Axes
-from sysid_evo.errors import InvalidArgument, LinkLost, MissingExtra
+from sysid_evo.errors import LinkLost, MissingExtra
 from sysid_evo.registry import trackers
 from tests.fixtures.trackers import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker, read_all
 
@@ -153,11 +151,17 @@ def test_vrpn_server_that_is_not_there_gives_no_frames():
         assert stream.read(0.1) is None
 
 
-def test_wrong_arguments_are_refused():
-    with pytest.raises(InvalidArgument, match="up"):
-        trackers.make("vicon", body="car", up="x")
-    with pytest.raises(InvalidArgument, match="scale"):
-        trackers.make("natnet", body="car", scale=0.0)
+@pytest.mark.parametrize("speed", [4.0, pytest.param(1.0, marks=pytest.mark.nightly)])
+def test_replay_keeps_the_pace_of_the_log_and_ends(tmp_path, speed):
+    log = tmp_path / "log.csv"
+    log.write_text("t,x,y,heading,drive\n" + "".join(f"{1 + 0.01 * i},{i},0.5,-0.25,1\n" for i in range(20)))
+    with trackers.make("replay", body="car", path=str(log), speed=speed).open() as stream:
+        frames, last = read_all(stream)
+    assert [frame.pose[0] for frame in frames] == list(range(20))
+    assert np.diff([frame.source_time for frame in frames]) == pytest.approx(0.01 / speed)
+    assert frames[-1].arrival_time - frames[0].arrival_time >= 0.18 / speed
+    assert all(frame.arrival_time >= frame.source_time for frame in frames)
+    assert "ended" in last
 
 
 pytest.importorskip("natnet")
@@ -184,8 +188,7 @@ class MotiveServer:
         self.port = self.socket.getsockname()[1]
         self.client = None
         self.number = 0
-        self.garbage: list[bytes] = []
-        self.lost = range(0)
+        self.garbage, self.lost = [], range(0)
         self.stop = threading.Event()
         self.thread = threading.Thread(target=self.serve)
         self.thread.start()
@@ -256,8 +259,12 @@ def server(request):
     server.close()
 
 
+def watched(server, body="car"):
+    return trackers.make("natnet", body=body, command_port=server.port).open()
+
+
 def test_rigid_body_is_streamed_with_its_own_times(server):
-    with trackers.make("natnet", body="car", command_port=server.port).open() as stream:
+    with watched(server) as stream:
         frames = [stream.read(5.0) for _ in range(60)]
     numbers = np.array([frame.frame for frame in frames])
     assert np.all(np.diff(numbers) == 1)
@@ -271,7 +278,7 @@ def test_rigid_body_is_streamed_with_its_own_times(server):
 
 
 def test_body_that_is_lost_is_not_valid_and_garbage_is_survived(server):
-    with trackers.make("natnet", body="car", command_port=server.port).open() as stream:
+    with watched(server) as stream:
         first = stream.read(5.0).frame
         server.lost = range(first + 10, first + 15)
         frames = [stream.read(5.0) for _ in range(30)]
@@ -285,19 +292,12 @@ def test_body_that_is_lost_is_not_valid_and_garbage_is_survived(server):
 
 
 def test_what_others_send_is_no_frame(server):
-    with (
-        trackers.make("natnet", body="car", command_port=server.port).open() as stream,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
+    with watched(server) as stream, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.2", 0))
         assert stream.read(5.0).valid
         frames = []
         for _ in range(60):
-            for packet in (
-                server.packet(7, server.frame(place=100.0)),
-                server.packet(5, struct.pack("<I", 0)),
-                b"\x01",
-            ):
+            for packet in (server.packet(7, server.frame(place=100.0)), server.packet(5, bytes(4)), b"\x01"):
                 other.sendto(packet, server.client)
             frames.append(stream.read(1.0))
     assert all(frame.valid and frame.pose[0] == pytest.approx(0.5) for frame in frames)
@@ -306,7 +306,7 @@ def test_what_others_send_is_no_frame(server):
 
 def test_unknown_body_and_silent_server_are_a_lost_link(server):
     with pytest.raises(LinkLost, match="no rigid body is called 'cat'; the server has: truck, car"):
-        trackers.make("natnet", body="cat", command_port=server.port).open()
+        watched(server, "cat")
     with pytest.raises(LinkLost, match="no NatNet server answers"):
         trackers.make("natnet", body="car", command_port=1).open()
 

@@ -11,6 +11,7 @@ from hardware.robot import find_robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.tasks.task import make_task
+from tests.fixtures.loop import ManualClock
 from tests.fixtures.panels import SEEDS, simulated
 
 SWING_UP = "swing_up(horizon=30)", "pendulum"
@@ -56,24 +57,9 @@ def test_a_trial_played_back_ends_with_its_score_and_shows_what_the_task_wanted(
     assert bool(setting["traces"]) == (spec.split("(")[0] not in ("walled_track", "point_to_point"))
 
 
-class Watch:
-    """A clock that goes on while somebody sleeps, and then calls ``then``."""
-
-    def __init__(self, then=lambda now: None):
-        self.now = 0.0
-        self.then = then
-
-    def __call__(self):
-        return self.now
-
-    def sleep(self, seconds):
-        self.now += seconds
-        self.then(self.now)
-
-
 def test_trials_are_played_in_the_time_they_took_and_those_of_a_slow_process_faster():
     task, rollouts = simulated(*SWING_UP)
-    panel, watch = ControllerPanel("pendulum", task, "best"), Watch()
+    panel, watch = ControllerPanel("pendulum", task, "best"), ManualClock()
     shown = []
     panel.show = lambda moment: shown.append((watch.now, moment))
     play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stops=Stops(), clock=watch, sleep=watch.sleep)
@@ -88,7 +74,7 @@ def test_trials_are_played_in_the_time_they_took_and_those_of_a_slow_process_fas
 def test_a_stop_from_outside_ends_the_play():
     task, rollouts = simulated(*SWING_UP)
     stops, panel = Stops(), ControllerPanel("pendulum", task, "best")
-    watch = Watch(lambda now: stops.request(Reason.SIGINT) if now > 0.5 else None)
+    watch = ManualClock(lambda now: stops.request(Reason.SIGINT) if now > 100.5 else None)
     play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stops=stops, clock=watch, sleep=watch.sleep)
     assert panel.reading()["phase"] == CONTROLLED
     assert 8 <= panel.reading()["step"] <= 11

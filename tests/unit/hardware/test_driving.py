@@ -17,6 +17,7 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.driving import Hands
+from tests.fixtures.loop import ManualClock
 
 BEGIN = 1.5  # s at which the first key goes down
 SEED = 7
@@ -34,10 +35,14 @@ def forward(time):
     return FORWARD if time >= BEGIN else 0
 
 
+def moving(hands):
+    return [command for command in hands.commands if command.control.any()]
+
+
 def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated):
     hands = Hands(forward)
     pilot, report = drive(emulated, hands, PointToPoint(horizon=40))
-    driven = [command for command in hands.commands if command.control.any()]
+    driven = moving(hands)
     assert report.reason is Reason.PILOT
     assert len(driven) == 40
     assert driven[0].time == pytest.approx(BEGIN, abs=emulated.system.dt)
@@ -64,7 +69,7 @@ def test_a_silent_page_means_neutral_within_150_ms(emulated):
     for silent in BEGIN + 1.0 + 0.01 * np.arange(5):
         hands = Hands(lambda time, end=silent: None if time > end else forward(time))
         drive(emulated, hands, PointToPoint(horizon=60))
-        last_driven = max(command.time for command in hands.commands if command.control.any())
+        last_driven = moving(hands)[-1].time
         neutral = min(command.time for command in hands.commands if command.time > last_driven)
         assert last_driven > silent - emulated.system.dt
         assert neutral <= silent + 0.15 + 1e-9
@@ -73,15 +78,14 @@ def test_a_silent_page_means_neutral_within_150_ms(emulated):
 def test_a_released_key_means_neutral_in_the_next_sample(emulated):
     hands = Hands(lambda time: forward(time) if time < BEGIN + 0.52 else 0)
     drive(emulated, hands, PointToPoint(horizon=30))
-    last_driven = max(command.time for command in hands.commands if command.control.any())
-    assert last_driven < BEGIN + 0.52 + emulated.system.dt
+    assert moving(hands)[-1].time < BEGIN + 0.52 + emulated.system.dt
 
 
 @pytest.mark.parametrize("overdue", [0.0, 1.0])
 def test_a_key_that_is_down_from_the_start_drives_nothing(emulated, overdue):
     hands = Hands(lambda time: None if 2.0 < time < 2.0 + overdue else FORWARD)
     pilot, _ = drive(emulated, hands, PointToPoint(horizon=30), samples=100)
-    assert not any(command.control.any() for command in hands.commands)
+    assert not moving(hands)
     assert pilot.progress.phase is Phase.SETTLING
 
 
@@ -115,7 +119,7 @@ def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated):
 
 
 def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
-    begin, recorded = 5.0, Hands(lambda _: None)
+    begin, recorded = 3.0, Hands(lambda _: None)
     hands = Hands(lambda time: FORWARD if time >= begin else 0)
     drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: WhileDriving(pilot, lambda: recorded))
     assert recorded.frames[0].source_time == pytest.approx(begin - LEAD, abs=0.1)
@@ -163,16 +167,9 @@ def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated
     assert (reading["scores"], reading["message"], reading["control"]) == ([4.0], "the tracker lost the robot", None)
 
 
-class Clock:
-    time = 100.0
-
-    def __call__(self):
-        return self.time
-
-
 @pytest.fixture
 def clock():
-    return Clock()
+    return ManualClock()
 
 
 @pytest.fixture
@@ -180,15 +177,12 @@ def keyboard(clock):
     return Keyboard(life=0.1, clock=clock)
 
 
-def test_keys_hold_for_their_life_and_no_longer(keyboard, clock):
+def test_keys_hold_for_their_life_and_are_released_at_once(keyboard, clock):
     keyboard.press(FORWARD | LEFT)
-    clock.time += 0.099
+    clock.sleep(0.099)
     assert keyboard.keys == FORWARD | LEFT
-    clock.time += 0.002
+    clock.sleep(0.002)
     assert keyboard.keys == 0
-
-
-def test_released_keys_are_released_at_once(keyboard):
     keyboard.press(FORWARD)
     keyboard.release()
     assert keyboard.keys == 0
@@ -197,7 +191,7 @@ def test_released_keys_are_released_at_once(keyboard):
 def test_a_word_that_is_overdue_does_not_let_go(keyboard, clock):
     assert keyboard.let_go
     keyboard.press(FORWARD)
-    clock.time += 1.0
+    clock.sleep(1.0)
     assert not keyboard.keys
     assert not keyboard.let_go
     keyboard.release()
@@ -212,15 +206,9 @@ def test_a_loop_that_asks_once_a_sample_is_in_neutral_within_150_ms(car):
 
 @pytest.mark.parametrize(
     ("keys", "control"),
-    [
-        (0, (0, 0)),
-        (FORWARD, (1, 0)),
-        (BACKWARD, (-1, 0)),
-        (FORWARD | LEFT, (1, 1)),
-        (BACKWARD | RIGHT, (-1, -1)),
-        (FORWARD | BACKWARD | LEFT | RIGHT, (0, 0)),
-    ],
-)
+    [(0, (0, 0)), (FORWARD, (1, 0)), (BACKWARD, (-1, 0)), (FORWARD | LEFT, (1, 1)), (BACKWARD | RIGHT, (-1, -1)),
+     (FORWARD | BACKWARD | LEFT | RIGHT, (0, 0))],
+)  # fmt: skip
 def test_keys_drive_and_steer_the_car(car, keys, control):
     np.testing.assert_array_equal(control_of(keys, car), control)
 
@@ -238,16 +226,12 @@ def test_no_key_is_neutral_even_where_the_middle_of_a_control_is_not():
         control_of(FORWARD, unbounded)
 
 
-def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones():
-    way = Punctuality()
+def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones_whose_clock_drifts():
+    way, drifting = Punctuality(), Punctuality()
     assert all(way.on_time(stamp, stamp + 50.0) for stamp in (1.0, 1.1, 1.2))
     assert not way.on_time(1.3, 53.0)
     assert way.on_time(3.0, 53.02)
-
-
-def test_clocks_that_drift_apart_do_not_make_words_late():
-    way = Punctuality()
-    assert all(way.on_time(second, 7.0 + second * (1 + 2e-4)) for second in range(10_000))
+    assert all(drifting.on_time(second, 7.0 + second * (1 + 2e-4)) for second in range(10_000))
 
 
 def word(keys, clock, **more):

@@ -49,10 +49,9 @@ def test_noise_however_strong_does_not_move_a_standing_car(rng):
 
 
 def test_thrust_below_static_friction_does_not_move_the_car():
-    weak = CarParameters(thrust_forward=0.89, static_friction=0.9)
-    assert np.all(held(ToyCarDynamics(weak), started(ToyCarDynamics(weak)), 1.0, 0.0, 5.0)[:, :3] == 0.0)
-    able = replace(weak, thrust_forward=1.1)
-    assert held(ToyCarDynamics(able), started(ToyCarDynamics(able)), 1.0, 0.0, 5.0)[-1, 0] > 0.1
+    weak, able = (ToyCarDynamics(CarParameters(thrust_forward=f, static_friction=0.9)) for f in (0.89, 1.1))
+    assert np.all(held(weak, started(weak), 1.0, 0.0, 5.0)[:, :3] == 0.0)
+    assert held(able, started(able), 1.0, 0.0, 5.0)[-1, 0] > 0.1
 
 
 def test_coasting_stops_when_linear_drag_and_friction_say_so():
@@ -67,16 +66,13 @@ def test_coasting_stops_when_linear_drag_and_friction_say_so():
     assert np.all(path[round(stopped / FINE_DT) :] == 0.0)
 
 
-def test_top_speed_balances_thrust_against_back_emf_and_rolling(car):
-    p = car.parameters
-    for drive, thrust in ((1.0, p.thrust_forward), (-1.0, p.thrust_backward)):
-        expected = (thrust * (1.0 - p.sag) - p.rolling_resistance) / (p.back_emf + p.rolling_drag)
-        straight = ToyCarDynamics(replace(p, steer_offset=1e-9, linkage_play=1e-9))
-        assert held(straight, started(straight), drive, 0.0, 10.0)[-1, 0] == pytest.approx(drive * expected, rel=1e-3)
-
-
 @pytest.mark.parametrize("drive, speed", [(1.0, 2.0), (-1.0, 1.4)])
-def test_top_speed_is_that_of_the_calibration(car, drive, speed):
+def test_top_speed_balances_thrust_against_back_emf_and_rolling_and_is_that_of_the_calibration(car, drive, speed):
+    p = car.parameters
+    thrust = p.thrust_forward if drive > 0.0 else p.thrust_backward
+    expected = (thrust * (1.0 - p.sag) - p.rolling_resistance) / (p.back_emf + p.rolling_drag)
+    straight = ToyCarDynamics(replace(p, steer_offset=1e-9, linkage_play=1e-9))
+    assert held(straight, started(straight), drive, 0.0, 10.0)[-1, 0] == pytest.approx(drive * expected, rel=1e-3)
     assert held(car, started(car), drive, 0.0, 10.0)[-1, 0] == pytest.approx(drive * speed, rel=0.03)
 
 
@@ -113,7 +109,7 @@ def test_car_sliding_sideways_stops_no_faster_than_its_tyres_allow(car):
 
 
 def test_car_cannot_turn_on_the_spot(car, rng):
-    batch, steps = 200, 2000
+    batch, steps = 100, 1500
     carry = car.start(np.zeros((batch, 11, 3)), np.zeros((batch, 10, 2)), rng.standard_normal((batch, 3)))
     control = rng.integers(-1, 2, (batch, 2)).astype(float)
     states = np.empty((steps, batch, 3))
@@ -123,7 +119,7 @@ def test_car_cannot_turn_on_the_spot(car, rng):
         carry = car.step(carry, control, rng.standard_normal((batch, 2)))
         states[k] = carry[:, :3]
     slow = np.abs(states[..., 0]) < 0.1
-    assert slow.sum() > 10_000
+    assert slow.sum() > 5_000
     assert np.abs(states[..., 2][slow]).max() < 1.0
     assert np.abs(states[..., 1]).max() < 0.35
 
@@ -154,8 +150,7 @@ def test_thrust_after_a_reversal_waits_for_the_slack_to_close(car):
         carry[0, SLACK] = slack
         return int(np.argmax(held(car, carry, 1.0, 0.0, 1.0)[:, 0] > 0.0))
 
-    engaged, open_ = launch(1.0), launch(-1.0)
-    assert 2 * round(car.parameters.slack_time / FINE_DT) >= open_ - engaged >= 2
+    assert 2 * round(car.parameters.slack_time / FINE_DT) >= launch(-1.0) - launch(1.0) >= 2
 
 
 def test_thrust_takes_grip_from_the_rear_tyres(car):
@@ -231,10 +226,9 @@ def test_perturbed_cars_differ_and_stay_within_their_spread():
 
 
 def test_stiffest_car_within_the_spread_can_still_be_stepped():
-    nominal = CarParameters()
-    upper = ("front_grip", "rear_grip", "slip_gain", "front_axle", "rear_axle")
-    extreme = {name: 1.0 + _spread(name) for name in upper}
-    extreme |= {name: 1.0 - _spread(name) for name in ("mass", "yaw_inertia", "slip_floor")}
+    nominal, spread = CarParameters(), {item.name: item.metadata["spread"] for item in fields(CarParameters)}
+    extreme = {n: 1.0 + spread[n] for n in ("front_grip", "rear_grip", "slip_gain", "front_axle", "rear_axle")}
+    extreme |= {n: 1.0 - spread[n] for n in ("mass", "yaw_inertia", "slip_floor")}
     replace(nominal, **{name: getattr(nominal, name) * factor for name, factor in extreme.items()})
 
 
@@ -252,10 +246,6 @@ def test_stiffest_car_within_the_spread_can_still_be_stepped():
 def test_impossible_parameters_are_refused_by_name(change, message):
     with pytest.raises(InvalidArgument, match=message):
         CarParameters(**change)
-
-
-def _spread(name):
-    return next(item.metadata["spread"] for item in fields(CarParameters) if item.name == name)
 
 
 SECOND = 200  # fine steps
@@ -307,7 +297,7 @@ def test_a_session_is_free_and_a_jammed_recording_shows_a_standing_car(tmp_path)
 
 
 def test_more_than_half_of_a_recording_is_useless():
-    episodes = make_robot("awkward_car").record(seed=0, duration=60.0).dataset.episodes
+    episodes = make_robot("awkward_car").record(seed=0, duration=36.0).dataset.episodes
     standing = np.concatenate([np.abs(one.states[:, 0]) < 0.05 for one in episodes])
     assert 0.5 < standing.mean() < 0.8
 
@@ -319,18 +309,15 @@ def test_stuck_is_a_share():
         make_robot("awkward_car(stuck=-1)")
 
 
-def test_a_longer_lag_starts_later():
+def test_a_longer_lag_starts_later_and_a_seed_gives_another_car_without_reverse():
+    other = make_robot("awkward_car:3").physics.parameters
+    assert other.thrust_backward == 0.0
+    assert other.start_speed != AWKWARD.start_speed
     usual, later = (make_robot(name).physics.parameters for name in ("awkward_car", "awkward_car(start_lag=1.5)"))
     drive = np.ones(2 * SECOND)
     starts = [int(np.argmax(speeds(drive, parameters) > 0.0)) for parameters in (usual, later)]
     assert starts[0] == pytest.approx((0.05 + 0.5 * np.log(2.0)) * SECOND, abs=4)
     assert starts[1] == pytest.approx((0.05 + 1.5 * np.log(2.0)) * SECOND, abs=4)
-
-
-def test_a_seed_gives_another_car_without_reverse():
-    other = make_robot("awkward_car:3").physics.parameters
-    assert other.thrust_backward == 0.0
-    assert other.start_speed != AWKWARD.start_speed
 
 
 def test_coarse_step_equals_ten_fine_ones_exactly(rng):
@@ -355,6 +342,8 @@ def test_history_is_held_as_the_controls_are():
     assert (coarse.n_lags, coarse.n_noise, coarse.n_carry, coarse.system.dt) == (2, 2, 4, 0.02)
     carry = coarse.start(np.array([[[5.0], [6.0], [7.0]]]), np.array([[[0.1], [0.2]]]))
     assert carry[0].tolist() == [7.0, 0.1, 0.2, 0.2]
+    with pytest.raises(InvalidArgument, match="at least one fine step"):
+        HeldControl(fine, 0)
 
 
 def test_any_fine_dynamics_can_be_held(rng):
@@ -379,8 +368,3 @@ def test_latency_is_exactly_one_sample():
     carry = car.step(carry, np.zeros((3, 2)))
     assert carry[1, 0] < carry[0, 0]
     assert carry[2, 2] > carry[0, 2]
-
-
-def test_held_control_refuses_no_steps():
-    with pytest.raises(InvalidArgument, match="at least one fine step"):
-        HeldControl(ToyCarDynamics(), 0)

@@ -27,7 +27,7 @@ from sysid_evo.errors import (
     ShapeError,
 )
 from sysid_evo.motion import PlanarBody
-from sysid_evo.registry import make_robot, robots
+from sysid_evo.registry import robots
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.loop import FaultyRobot
@@ -49,7 +49,6 @@ class Parked(Robot):
         raise AssertionError("somebody connected to the robot")
 
 
-UNITS = (("forward_speed", "km/h"), ("lateral_speed", "m/s"), ("yaw_rate", "rad/s"))
 PENDULUM = System((Channel("angle", "rad"),), (Channel("torque", "N m", low=-1.0, high=1.0),), dt=0.05)
 MAST = System(
     (Channel("forward_speed"), Channel("yaw_rate"), Channel("roll", "rad")),
@@ -67,28 +66,19 @@ def test_a_car_may_be_driven_recorded_and_driven_by_hand(car, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_command_must_outlive_the_sampling_time(car):
-    check_recording(Parked(car.with_dt(SLOWEST)), None, duration=360.0)
-    for check in (
-        lambda robot: check_recording(robot, None, duration=360.0),
-        lambda robot: check_driving(robot, PointToPoint()),
-    ):
-        with pytest.raises(IncompatibleSystem, match=r"dt of at most 0\.1 s, got 0\.2 s.*valid for 0\.15 s"):
-            check(Parked(car.with_dt(0.2)))
-
-
 def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it_connects(car, tmp_path):
-    robot, task, stops = Parked(car.with_dt(0.2)), PointToPoint(), Stops()
-    keyboard = Keyboard(life=0.1)
+    robot, task, keyboard = Parked(car.with_dt(0.2)), PointToPoint(), Keyboard(life=0.1)
+    instruments = Instruments(robot, task, keyboard)
+    check_recording(Parked(car.with_dt(SLOWEST)), None, duration=360.0)
     for drive in (
+        lambda: check_recording(robot, None, duration=360.0),
+        lambda: check_driving(robot, task),
         lambda: record(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
         lambda: RobotRunner(robot).run(RecurrentNetwork(), np.zeros((1, 78)), task, np.zeros(1, dtype=np.uint64)),
         lambda: self_test(robot),
-        lambda: HandDriving(
-            robot, task, keyboard, Instruments(robot, task, keyboard), seed_of=lambda index: index, stops=stops
-        ),
+        lambda: HandDriving(robot, task, keyboard, instruments, seed_of=lambda index: index, stops=Stops()),
     ):
-        with pytest.raises(IncompatibleSystem, match="dt of at most"):
+        with pytest.raises(IncompatibleSystem, match=r"dt of at most 0\.1 s, got 0\.2 s.*valid for 0\.15 s"):
             drive()
 
 
@@ -112,16 +102,14 @@ def test_what_a_robot_cannot_do_is_said_before_it_moves(car, tmp_path):
             check()
 
 
-def test_a_task_that_does_not_fit_is_refused(car):
-    class Elsewhere(PointToPoint):
-        def bind(self, system):
-            raise IncompatibleTask("this task needs a beach")
+class Elsewhere(PointToPoint):
+    def bind(self, system):
+        raise IncompatibleTask("this task needs a beach")
 
+
+def test_a_task_that_does_not_fit_and_what_a_robot_itself_misses_are_refused(car):
     with pytest.raises(IncompatibleTask, match="beach"):
         check_driving(Parked(car), Elsewhere())
-
-
-def test_what_a_robot_itself_misses_is_refused_by_every_check(car):
     robot = Parked(car, LinkLost("port /dev/rcb: no such device; is the robot plugged in?"))
     for check in (
         lambda: check_driving(robot, PointToPoint()),
@@ -175,27 +163,10 @@ def test_a_robot_is_found_by_name_and_what_is_none_is_refused(register):
         find_robot("a_text")
 
 
-@pytest.fixture
-def robot():
-    return make_robot("emulated_car")
-
-
-def what_is_wrong(robot, **faults):
-    return {finding.what for finding in self_test(FaultyRobot(robot, **faults), seconds=1.0, seed=1) if not finding.ok}
-
-
-def test_sound_robot_has_nothing_wrong_and_is_closed(robot):
-    sound = FaultyRobot(robot)
-    findings = self_test(sound, seconds=1.0, seed=1)
-    assert all(finding.ok for finding in findings)
-    assert sound.connection is not None
-    assert sound.connection.closed
-    assert not sound.connection.driven, "nothing but neutral was sent"
-
-
 @pytest.mark.parametrize(
     ("faults", "wrong"),
     [
+        ({}, set()),
         ({"moved": (0.5, (0.05, 0.0, 0.0))}, {"tracker", "loop"}),
         ({"lost": (0.3, 0.5)}, {"tracker"}),
         ({"lost": (-1.0, 99.0)}, {"tracker", "loop"}),
@@ -204,5 +175,8 @@ def test_sound_robot_has_nothing_wrong_and_is_closed(robot):
         ({"slow": {0.5: 30}}, {"loop"}),
     ],
 )
-def test_each_fault_is_found_where_it_is(robot, faults, wrong):
-    assert what_is_wrong(robot, **faults) == wrong
+def test_each_fault_is_found_where_it_is_and_the_robot_closed_without_having_been_driven(emulated, faults, wrong):
+    robot = FaultyRobot(emulated, **faults)
+    assert {finding.what for finding in self_test(robot, seconds=1.0, seed=1) if not finding.ok} == wrong
+    assert robot.connection.closed
+    assert not robot.connection.driven, "nothing but neutral was sent"

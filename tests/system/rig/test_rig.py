@@ -1,0 +1,301 @@
+"""The rig itself: faults on the wire, its journal, its car, its tracker's datagrams, its serial port."""
+
+import json
+import math
+import os
+import select
+import socket
+import tty
+
+import numpy as np
+import pytest
+
+from hardware.connection import Measurement
+from hardware.emulation.cars import emulated_car
+from hardware.trackers.udp import parse_message
+from sysid_evo.errors import InvalidArgument, InvalidData
+from tests.system.rig.faults import KINDS, Fault, FaultSchedule
+from tests.system.rig.journal import Entry, JournalReader, JournalWriter, buttons_at, opened_after, read_journal
+from tests.system.rig.moving_car import MOST_BEHIND, MovingCar
+from tests.system.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
+from tests.system.rig.pseudo_port import PseudoPort
+from tests.system.rig.wire import Wire
+
+DATA = bytes(range(1, 256)) * 20
+FORWARD = np.array([1.0, 0.0])
+
+
+def wire_with(*faults, seed=5):
+    return Wire(FaultSchedule(faults, start=100.0), np.random.default_rng(seed))
+
+
+def through(wire, data=DATA):
+    wire.push(data, 100.0)
+    return wire.pull(100.0)
+
+
+def test_a_window_repeats_and_ends():
+    schedule = FaultSchedule([Fault(kind="unplug", at=2.0, every=10.0, duration=1.0)], start=100.0)
+    opened = [t for t in np.arange(100.0, 130.0, 0.5) if any(schedule.active("unplug", t))]
+    assert opened == [102.0, 102.5, 112.0, 112.5, 122.0, 122.5]
+    assert [schedule.windows("unplug", t) for t in (101.9, 102.0, 111.9, 112.0)] == [0, 1, 1, 2]
+
+
+def test_the_next_change_is_the_next_edge_of_any_window():
+    schedule = FaultSchedule([Fault(kind="unplug", at=2.0, every=10.0, duration=1.0), Fault(kind="reset", at=4.0)], 0.0)
+    assert [schedule.next_change(t) for t in (0.0, 2.0, 3.5, 4.0, 12.0, 12.5)] == [2.0, 3.0, 4.0, 12.0, 13.0, 13.0]
+    assert FaultSchedule([], 0.0).next_change(1.0) == math.inf
+
+
+def test_a_fault_told_later_counts_from_then():
+    schedule = FaultSchedule([], start=100.0)
+    schedule.add(Fault(kind="silence", at=1.0, duration=2.0), now=150.0)
+    assert [any(schedule.active("silence", t)) for t in (150.0, 151.5, 153.5)] == [False, True, False]
+
+
+def test_a_fault_of_every_kind_can_be_made_and_comes_back_when_it_is_written():
+    seconds = {"delay": 0.1}
+    made = [Fault(kind=kind, at=1.0, duration=2.0, every=4.0, seconds=seconds.get(kind, 0.0)) for kind in KINDS]
+    assert [Fault(**json.loads(fault.to_json())) for fault in made] == made
+
+
+@pytest.mark.parametrize(
+    "entries",
+    [
+        {"kind": "gremlin"},
+        {"kind": "drop", "probability": 1.5},
+        {"kind": "drop", "at": -1.0},
+        {"kind": "unplug", "duration": 2.0, "every": 1.0},
+        {"kind": "unplug", "probability": 0.5},
+        {"kind": "delay"},
+        {"kind": "drop", "seconds": 1.0},
+    ],
+)
+def test_senseless_faults_are_refused(entries):
+    with pytest.raises(InvalidArgument, match="fault"):
+        Fault(**entries)
+
+
+@pytest.mark.parametrize(("kind", "share"), [(None, 1.0), ("flip", 1.0), ("drop", 0.9), ("duplicate", 1.1)])
+def test_as_many_bytes_are_hit_as_asked_for_and_the_same_seed_hits_the_same(kind, share):
+    faults = [Fault(kind=kind, probability=0.1)] if kind else []
+    arrived, spread = through(wire_with(*faults)), 5.0 * math.sqrt(0.09 * len(DATA))
+    assert len(arrived) == pytest.approx(share * len(DATA), abs=0 if share == 1.0 else spread)
+    hit = sum(a != b for a, b in zip(arrived, DATA, strict=False))
+    if kind == "flip":
+        assert hit == pytest.approx(0.1 * len(DATA), abs=spread)
+    assert (arrived == DATA) == (kind is None)
+    assert (arrived != through(wire_with(*faults, seed=6))) == (kind is not None)
+    assert arrived == through(wire_with(*faults))
+
+
+def test_delayed_bytes_keep_their_order():
+    wire = wire_with(Fault(kind="delay", probability=0.1, seconds=0.5))
+    early = through(wire)
+    assert early == DATA[: len(early)]
+    assert 0 < len(early) < len(DATA)
+    assert wire.due == pytest.approx(100.5)
+    assert early + wire.pull(100.5) == DATA
+
+
+def test_a_stall_holds_everything_back_until_it_ends():
+    wire = wire_with(Fault(kind="stall", at=1.0, duration=2.0))
+    wire.push(b"before", 100.5)
+    wire.push(b"within", 101.5)
+    assert wire.pull(102.9) == b"before"
+    assert wire.pull(103.0) == b"within"
+
+
+PRESSES = [Entry(1.0, "buttons", 1), Entry(2.0, "buttons", 5), Entry(3.0, "buttons", 0), Entry(3.5, "out", "00")]
+
+
+def test_a_journal_comes_back_in_order_and_a_reader_follows_it(tmp_path):
+    path = tmp_path / "journal"
+    writer, reader = JournalWriter(path), JournalReader(path)
+    for count, entry in enumerate(PRESSES):
+        assert reader.update() == PRESSES[:count]
+        writer.note(entry.time, entry.event, entry.value)
+    assert reader.update() == reader.update() == read_journal(path) == PRESSES
+    writer.close()
+
+
+def test_a_line_that_is_being_written_is_left_out_and_another_file_refused(tmp_path):
+    path = tmp_path / "journal"
+    path.write_text('{"time": 1.0, "event": "plug", "value": null}\n{"time": 2.')
+    assert [entry.time for entry in read_journal(path)] == [1.0]
+    path.write_text("hello\n")
+    with pytest.raises(InvalidData, match="expected JSON lines"):
+        read_journal(path)
+
+
+def test_buttons_are_found_for_any_time_and_when_they_open_for_good():
+    assert [buttons_at(PRESSES, time) for time in (0.5, 1.0, 2.5, 9.0)] == [0, 1, 5, 0]
+    assert [opened_after(PRESSES, time) for time in (0.5, 2.5, 4.0)] == [3.0, 3.0, 4.0]
+    assert opened_after([*PRESSES, Entry(5.0, "buttons", 2)], 4.0) is None
+    assert opened_after(PRESSES[:2], 1.5) is None
+
+
+def test_in_real_time_it_is_the_car_of_simulated_time():
+    moving, simulated = MovingCar(emulated_car(), seed=3, start=50.0), emulated_car().connect(seed=3)
+    simulated.send(FORWARD, valid_for=100.0)
+    for now in 50.0 + 0.005 * np.arange(200):
+        for frame in moving.move(now + 1e-6, FORWARD):
+            expected = simulated.measure(1.0)
+            np.testing.assert_array_equal(frame.pose, expected.pose)
+            assert frame.source_time == pytest.approx(50.0 + expected.source_time)
+            assert frame.arrival_time == pytest.approx(50.0 + expected.arrival_time)
+    assert moving.frames == 200
+
+
+def test_missed_steps_are_caught_up_and_a_process_that_slept_goes_on_from_now():
+    moving = MovingCar(emulated_car(), seed=3, start=50.0)
+    assert len(list(moving.move(50.5001, FORWARD))) == 101
+    assert moving.lateness == pytest.approx(0.5001)
+    assert moving.due == pytest.approx(50.505)
+    slept = MovingCar(emulated_car(), seed=3, start=50.0)
+    list(slept.move(50.0, FORWARD))
+    frames = list(slept.move(50.0 + 100.0 * MOST_BEHIND, FORWARD))
+    assert len(frames) <= 2
+    assert frames[-1].source_time == pytest.approx(50.0 + 100.0 * MOST_BEHIND, abs=0.006)
+    assert slept.given_up == pytest.approx(100.0 * MOST_BEHIND / 0.005, abs=2)
+
+
+POSES = np.array([[0.01 * k, 0.02 * k, 0.1 * k] for k in range(5)])
+
+
+@pytest.fixture
+def stream_to():
+    """Makes the emulated tracker, which begins at 10 s; its datagrams are read by ``receive`` beside it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.setblocking(False)
+
+        def make(*faults):
+            return PoseStream(receiver.getsockname(), "car", FaultSchedule(faults, 10.0), np.random.default_rng(1))
+
+        def receive():
+            """Return what has come; on this machine a datagram is there once it is sent."""
+            messages = []
+            while True:
+                try:
+                    messages.append(parse_message(receiver.recv(4096)))
+                except BlockingIOError:
+                    return messages
+
+        make.receive = receive
+        yield make
+
+
+@pytest.fixture
+def sent(stream_to):
+    """Streams five frames 5 ms apart."""
+
+    def send(*faults):
+        stream = stream_to(*faults)
+        for k, pose in enumerate(POSES):
+            time = 10.0 + 0.005 * k
+            stream.add(Measurement(time, time + 0.004, k, "anything", True, pose))
+        stream.send(11.0)
+        stream.close()
+        return stream_to.receive()
+
+    return send
+
+
+def test_frames_arrive_as_they_were_taken(sent):
+    messages = sent()
+    assert [message.frame for message in messages] == [0, 1, 2, 3, 4]
+    assert [message.time for message in messages] == pytest.approx([10.0, 10.005, 10.01, 10.015, 10.02])
+    assert {message.body for message in messages} == {"car"}
+    np.testing.assert_array_equal([message.pose for message in messages], POSES)
+
+
+def test_a_frame_is_sent_when_it_is_due(stream_to):
+    stream = stream_to()
+    stream.add(Measurement(10.0, 10.004, 0, "car", True, POSES[0]))
+    assert stream.due == 10.004
+    stream.send(10.003)
+    assert stream_to.receive() == []
+    stream.send(10.004)
+    assert [message.frame for message in stream_to.receive()] == [0]
+    assert stream.due == math.inf
+    stream.close()
+
+
+def test_a_dropout_says_that_the_body_is_lost_and_silence_sends_nothing(sent):
+    assert [m.valid for m in sent(Fault(kind="dropout", at=0.004, duration=0.01))] == [True, False, False, True, True]
+    assert [m.frame for m in sent(Fault(kind="silence", at=0.004, duration=0.01))] == [0, 3, 4]
+
+
+def test_a_frozen_pose_keeps_coming_with_new_times(sent):
+    messages = sent(Fault(kind="frozen", at=0.004, duration=0.01))
+    np.testing.assert_array_equal([m.pose for m in messages], POSES[[0, 0, 0, 3, 4]])
+    assert [m.frame for m in messages] == [0, 1, 2, 3, 4]
+
+
+def test_swapped_bodies_bear_each_other_s_names(sent):
+    messages = sent(Fault(kind="identity_swap", at=0.018, duration=1.0))
+    assert [(m.frame, m.body) for m in messages[3:]] == [(3, "car"), (4, OTHER_BODY), (4, "car")]
+    np.testing.assert_array_equal(messages[4].pose, POSES[4])
+    np.testing.assert_array_equal(messages[5].pose, OTHER_POSE)
+
+
+def test_a_flip_of_yaw_turns_the_heading_by_half_a_turn(sent):
+    messages = sent(Fault(kind="yaw_flip"))
+    turned = [math.remainder(m.pose[2] - pose[2], 2.0 * math.pi) for m, pose in zip(messages, POSES, strict=True)]
+    np.testing.assert_allclose(np.abs(turned), math.pi)
+    np.testing.assert_array_equal([m.pose[:2] for m in messages], POSES[:, :2])
+
+
+EVERY_BYTE = bytes(range(256))
+
+
+@pytest.fixture
+def port(tmp_path):
+    port = PseudoPort(tmp_path / "port")
+    port.plug()
+    yield port
+    port.unplug()
+
+
+def host(port):
+    """Open the port as a host does."""
+    end = os.open(port.link, os.O_RDWR | os.O_NOCTTY)
+    tty.setraw(end)
+    return end
+
+
+def test_every_byte_passes_unchanged_both_ways(port):
+    end = host(port)
+    os.write(end, EVERY_BYTE)
+    select.select([port.fileno()], [], [], 5.0)
+    assert port.read() == EVERY_BYTE
+    assert port.read() == b""
+    port.write(EVERY_BYTE)
+    assert os.read(end, 4096) == EVERY_BYTE
+    os.close(end)
+
+
+def test_hosts_come_and_go_and_nobody_waits_for_one_that_does_not_read(port):
+    for _ in range(3):
+        os.close(host(port))
+        assert port.read() == b""
+    for _ in range(100):
+        port.write(EVERY_BYTE)
+
+
+def test_a_pulled_plug_ends_the_host_s_session_and_comes_back_under_the_same_name(port):
+    end = host(port)
+    port.unplug()
+    assert not port.link.exists()
+    assert os.read(end, 1) == b""
+    with pytest.raises(OSError, match="error"):
+        os.write(end, b"x")
+    assert port.read() == b""
+    port.write(b"x")
+    port.plug()
+    again = host(port)
+    port.write(b"back")
+    assert os.read(again, 4) == b"back"
+    os.close(end)
+    os.close(again)
