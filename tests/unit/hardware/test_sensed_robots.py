@@ -99,11 +99,11 @@ def test_only_the_angle_is_measured_in_whole_steps_and_the_speed_estimated_from_
         assert np.abs(step - 0.5 * (episode.states[1:, 1] + episode.states[:-1, 1])).max() < 0.6
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_recording_begins_where_it_is_let_go_repeats_and_ends_when_it_is_stopped(name):
+@pytest.mark.parametrize("name, duration", [("pendulum", 10.0), ("cart_pole", 10.0), ("thermal", 20.0)])
+def test_a_recording_begins_where_it_is_let_go_and_repeats(name, duration):
     robot = find_robot(name)
     assert isinstance(robot, SensedRobot)
-    first, again, other = (robot.record(seed=seed, duration=10.0).dataset for seed in (3, 3, 4))
+    first, again, other = (robot.record(seed=seed, duration=duration).dataset for seed in (3, 3, 4))
     assert first.fingerprint == again.fingerprint != other.fingerprint
     assert first.system == robot.system
     assert len({round(float(episode.states[0, -1]), 2) for episode in first}) > 3
