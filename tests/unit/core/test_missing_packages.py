@@ -1,9 +1,6 @@
 """What to install for a module that is missing."""
 
-from __future__ import annotations
-
 from importlib.metadata import distribution
-from typing import Any
 
 import pytest
 
@@ -23,22 +20,18 @@ from sysid_evo.extras import extra_of, missing_extra
         ("torch", "neural"),
         ("pysindy", "sindy"),
         ("ribs.archives", "evolution"),
+        ("numpy", None),
+        ("sklearn", None),
+        ("no_such_module", None),
+        ("json", None),
     ],
 )
 def test_the_extra_of_a_module_is_found_also_where_the_package_has_another_name(module, extra):
     assert extra_of(module) == extra
 
 
-@pytest.mark.parametrize("module", ["numpy", "sklearn", "no_such_module", "json"])
-def test_a_module_that_is_always_there_or_never_belongs_to_no_extra(module):
-    assert extra_of(module) is None
-
-
-def test_a_distribution_that_is_not_installed_has_no_extras():
+def test_the_distribution_may_be_given_by_name_or_as_itself():
     assert extra_of("pysindy", "no-such-distribution") is None
-
-
-def test_a_distribution_may_be_given_as_itself():
     assert extra_of("serial", distribution("sysid-evo")) == "hardware"
     assert str(missing_extra("it", "serial", distribution("sysid-evo"))).endswith('pip install "sysid-evo[hardware]"')
 
@@ -56,6 +49,5 @@ def test_a_distribution_of_a_package_that_reads_metadata_in_its_own_way_is_one_t
         name = "foreign"
         requires = ("pyserial; extra == 'link'",)
 
-    foreign: Any = Foreign()
-    assert extra_of("serial", foreign) == "link"
-    assert "foreign[link]" in str(missing_extra("a robot", "serial", foreign))
+    assert extra_of("serial", Foreign()) == "link"
+    assert "foreign[link]" in str(missing_extra("a robot", "serial", Foreign()))

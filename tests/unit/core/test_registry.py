@@ -84,41 +84,67 @@ def write(tmp_path):
         yield write
 
 
-def test_a_decorated_class_is_found_and_made_with_its_parameters(things):
+def test_a_registered_thing_is_found_under_one_name_until_it_is_forgotten(things):
     @things.register("box")
     class Box:
         def __init__(self, *, size):
             self.size = size
 
+    things.register("box")(Box)
     assert things.get("box") is Box
     assert things.make("box", size=3).size == 3
     assert things.names() == ("box",)
     assert dict(things.loaded) == {"box": Box}
+    with pytest.raises(RegistrationError, match=r"'box' is registered twice: by .*Box and by .*Crate"):
+
+        @things.register("box")
+        class Crate:
+            pass
+
+    assert things.get("box") is Box
+    things.forget("box")
+    things.forget("crate")  # is not there
+    assert things.names() == ()
+    things.register("box")(lambda **parameters: parameters)
+    assert things.make("box(a=1)") == {"a": 1}, "a factory that takes any parameter is not second-guessed"
 
 
 def test_an_entry_point_is_imported_only_when_asked_for(things, installed):
     assert things.names() == ("good",)
+    assert things.module("good") == "good_module"
     assert "good_module" not in sys.modules
     assert not things.loaded
     assert things.make("good", size=5).size == 5
     assert "good_module" in sys.modules
 
 
-def test_an_entry_point_of_another_name_than_its_decorator_is_an_error(things, install):
+OPTIONAL = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
+REQUIRES = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *OPTIONAL))
+
+
+@pytest.mark.parametrize(
+    ("source", "requires", "error", "reason"),
+    [
+        ("", "", RegistrationError, "but the module registers nothing"),
+        (GOOD, "", RegistrationError, r"it = 'a_module' should register 'it', .* registers 'good'\. Use the same name"),
+        ("1 / 0", "", PluginError, r"thing 'it' \(a_module\) cannot be imported: ZeroDivisionError"),
+        ("import no_such_package", "", PluginError, r"'it'.*No module named 'no_such_package'"),
+        (
+            "import no_such_package.x",
+            REQUIRES,
+            MissingExtra,
+            r"'no_such_package'.*pip .*made-up\[deep\]\"",
+        ),
+    ],
+)
+def test_a_module_without_what_its_entry_point_names_is_told(source, requires, error, reason, things, install):
     other = "@things.register('other')\ndef make():\n    return None\n"
-    install({"better": "good_module", "other": "other_module"}, {"good_module": GOOD, "other_module": other})
+    install({"it": "a_module", "other": "other_module"}, {"a_module": source, "other_module": other}, requires)
     things.get("other")
-    for _ in range(2):  # the second time the module is loaded already
-        with pytest.raises(
-            RegistrationError, match=r"better = 'good_module' should register 'better', .* registers 'good'\. Use"
-        ):
-            things.get("better")
-
-
-def test_a_module_that_registers_nothing_is_an_error(things, install):
-    install({"good": "empty_module"}, {"empty_module": ""})
-    with pytest.raises(RegistrationError, match="but the module registers nothing"):
-        things.get("good")
+    for _ in range(2):  # the second time the module may be loaded already
+        with pytest.raises(error, match=reason) as raised:
+            things.get("it")
+        assert isinstance(raised.value, MissingExtra) == (error is MissingExtra)
 
 
 def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(things, install):
@@ -128,25 +154,6 @@ def test_one_broken_plugin_is_one_warning_and_the_rest_goes_on(things, install):
     assert list(found) == ["good"]
     assert len(caught) == 1
     assert "thing 'bad' left out: " in str(caught[0].message)
-    reason = r"thing 'bad' \(bad_module\) cannot be imported: ZeroDivisionError"
-    with pytest.raises(PluginError, match=reason) as raised:
-        things.get("bad")
-    assert not isinstance(raised.value, MissingExtra)
-
-
-def test_a_missing_optional_package_names_the_extra_that_brings_it(things, install):
-    optional = ('no-such-package>=2; extra == "all"', 'other; extra == "all"', 'no-such-package>=2; extra == "deep"')
-    requires = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *optional))
-    install({"deep": "deep_module"}, {"deep_module": "import no_such_package.layers\n"}, requires)
-    with pytest.raises(MissingExtra, match=r"needs the package 'no_such_package'.*pip install \"made-up\[deep\]\""):
-        things.get("deep")
-
-
-def test_a_missing_package_that_no_extra_brings_is_a_broken_plugin(things, install):
-    install({"deep": "deep_module"}, {"deep_module": "import no_such_package\n"})
-    with pytest.raises(PluginError, match=r"'deep'.*No module named 'no_such_package'") as raised:
-        things.get("deep")
-    assert not isinstance(raised.value, MissingExtra)
 
 
 def test_two_packages_that_bring_one_name_are_an_error_that_names_both(things, install):
@@ -163,29 +170,6 @@ def test_an_unknown_name_is_answered_with_the_nearest_known_one():
     assert "linear" in str(raised.value)
     with pytest.raises(UnknownName, match=r"no thing is called 'x'\. Known: none\."):
         Registry("thing", GROUP).get("x")
-
-
-def test_a_name_cannot_be_taken_twice(things):
-    @things.register("box")
-    class Box:
-        pass
-
-    things.register("box")(Box)
-    with pytest.raises(RegistrationError, match=r"'box' is registered twice: by .*Box and by .*Crate"):
-
-        @things.register("box")
-        class Crate:
-            pass
-
-    assert things.get("box") is Box
-
-
-def test_a_forgotten_name_is_free_and_one_that_is_not_there_is_no_error(boxes):
-    boxes.forget("box")
-    boxes.forget("crate")
-    assert boxes.names() == ()
-    boxes.register("box")(dict)
-    assert boxes.get("box") is dict
 
 
 def test_a_plugin_file_registers_what_it_holds_once(write):
@@ -232,52 +216,38 @@ def test_a_robot_may_be_named_with_a_seed(register):
         make_robot("made_down:3")
 
 
-def test_a_robot_may_be_described_by_a_file(register, tmp_path):
-    register(robots, "made_up", lambda *, port, tracker: ("robot", port, tracker))
-    file = tmp_path / "mine.toml"
-    file.write_text('driver = "made_up"\nport = "/dev/x"\n[tracker]\ndriver = "udp"\n')
-    assert make_robot(str(file)) == ("robot", "/dev/x", {"driver": "udp"})
+def test_a_thing_is_made_from_its_spec_and_a_wrong_or_lacking_parameter_is_named(boxes):
+    box = boxes.make("mine=box(size=3, colour=red)", seed=7)
+    assert (box.size, box.colour, box.seed) == (3, "red", 7)
+    with pytest.raises(InvalidArgument, match=r"thing 'box' has no parameter 'sise'\. Did you mean 'size'\? It takes"):
+        boxes.check("box(sise=3)")
+    with pytest.raises(InvalidArgument, match=r"It takes size \(1\), colour\.$"):
+        boxes.check("box(weight=3)")
+    with pytest.raises(InvalidArgument, match=r"thing 'box' needs colour: box\(colour=\.\.\.\)"):
+        boxes.check("box(size=3)")
+    assert boxes.check("box(colour=red)").parameters == {"colour": "red"}, "the seed is handed over"
 
 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        ('driver = "made_up"\nport = "/dev/x"\n[tracker]\ndriver = "udp"\n', None),
         (None, "no such file"),
         ("driver = ", "is not TOML"),
         ("port = 1", "expected driver"),
         ('driver = "made_up"\ncolour = 1', "has no parameter 'colour'"),
     ],
 )
-def test_a_robot_file_that_cannot_be_used_says_why(register, tmp_path, text, complaint):
-    register(robots, "made_up", lambda *, port="": port)
+def test_a_robot_may_be_described_by_a_file_or_it_is_said_why_not(register, tmp_path, text, complaint):
+    register(robots, "made_up", lambda *, port="", tracker=None: ("robot", port, tracker))
     file = tmp_path / "mine.toml"
     if text is not None:
         file.write_text(text)
-    with pytest.raises(InvalidArgument, match=f"mine.toml.*{complaint}"):
-        make_robot(str(file))
-
-
-def test_a_thing_is_made_from_the_text_of_its_spec(boxes):
-    box = boxes.make("mine=box(size=3, colour=red)", seed=7)
-    assert (box.size, box.colour, box.seed) == (3, "red", 7)
-
-
-def test_a_wrong_parameter_names_the_right_ones(boxes):
-    with pytest.raises(InvalidArgument, match=r"thing 'box' has no parameter 'sise'\. Did you mean 'size'\? It takes"):
-        boxes.check("box(sise=3)")
-    with pytest.raises(InvalidArgument, match=r"It takes size \(1\), colour\.$"):
-        boxes.check("box(weight=3)")
-
-
-def test_a_parameter_that_is_lacking_is_named_and_one_that_is_handed_over_is_not(boxes):
-    with pytest.raises(InvalidArgument, match=r"thing 'box' needs colour: box\(colour=\.\.\.\)"):
-        boxes.check("box(size=3)")
-    assert boxes.check("box(colour=red)").parameters == {"colour": "red"}
-
-
-def test_a_factory_that_takes_any_parameter_is_not_second_guessed(things):
-    things.register("any")(lambda **parameters: parameters)
-    assert things.make("any(a=1)") == {"a": 1}
+    if complaint is None:
+        assert make_robot(str(file)) == ("robot", "/dev/x", {"driver": "udp"})
+    else:
+        with pytest.raises(InvalidArgument, match=f"mine.toml.*{complaint}"):
+            make_robot(str(file))
 
 
 def test_a_plugin_cannot_take_a_name_that_an_entry_point_has(things, installed):
@@ -310,11 +280,6 @@ def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(things, insta
     assert 'pip install "made-up[deep]"' in str(error)
     things.register("here")(type("Here", (), {"requires": ("json",)}))
     assert things.lacking("here") is None
-
-
-def test_the_module_behind_a_name_is_known_without_importing_it(things, installed):
-    assert things.module("good") == "good_module"
-    assert "good_module" not in sys.modules
 
 
 def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(write):

@@ -22,23 +22,34 @@ def system_of(*controls):
     return System(STATE, controls, dt=0.05)
 
 
-def test_three_levels_switch_at_minus_and_plus_three_tenths(car):
-    below, above = np.nextafter(-0.3, -1.0), np.nextafter(0.3, 1.0)
-    raw = np.array([-1.0, below, -0.3, -0.1, 0.0, 0.3, above, 1.0])
-    drive = car.actuate(np.stack([raw, raw], axis=1))
-    np.testing.assert_array_equal(drive[:, 0], [-1, -1, 0, 0, 0, 0, 1, 1])
-    np.testing.assert_array_equal(drive[:, 0], drive[:, 1])
-
-
-def test_two_levels_switch_at_zero():
-    system = system_of(Channel("gate", levels=(2.0, 5.0), neutral=2.0))
-    np.testing.assert_array_equal(system.actuate(np.array([[-0.01], [0.01]])), [[2.0], [5.0]])
-
-
-def test_five_levels_switch_at_equal_parts_drawn_together():
-    system = system_of(Channel("gear", levels=(-2.0, -1.0, 0.0, 1.0, 2.0)))
-    raw = np.array([-0.55, -0.53, -0.19, -0.17, 0.17, 0.19, 0.53, 0.55])[:, None]
-    np.testing.assert_array_equal(system.actuate(raw)[:, 0], [-2, -1, -1, 0, 0, 1, 1, 2])
+@pytest.mark.parametrize(
+    ("control", "raw", "expected"),
+    [
+        (Channel("gate", levels=(2.0, 5.0), neutral=2.0), [-0.01, 0.01], [2, 5]),
+        (
+            Channel("drive", levels=(-1.0, 0.0, 1.0)),
+            [-1.0, np.nextafter(-0.3, -1.0), -0.3, -0.1, 0.0, 0.3, np.nextafter(0.3, 1.0), 1.0],
+            [-1, -1, 0, 0, 0, 0, 1, 1],
+        ),
+        (
+            Channel("gear", levels=(-2.0, -1.0, 0.0, 1.0, 2.0)),
+            [-0.55, -0.53, -0.19, -0.17, 0.17, 0.19, 0.53, 0.55],
+            [-2, -1, -1, 0, 0, 1, 1, 2],
+        ),
+        (Channel("throttle", low=0.0, high=0.8), [-1.0, 0.0, 0.5, 1.0, 7.0], [0.0, 0.4, 0.6, 0.8, 0.8]),
+        (Channel("steer", low=-0.4, high=0.4), [-1.0, 0.0, 0.5, 1.0, -7.0], [-0.4, 0.0, 0.2, 0.4, -0.4]),
+    ],
+    ids=lambda given: getattr(given, "name", None),
+)
+def test_a_switch_has_equal_parts_drawn_together_and_a_continuous_control_saturates(control, raw, expected):
+    """Two levels switch at 0, three at -0.3 and 0.3; whatever other controls there are."""
+    raw = np.array(raw)[:, None]
+    kept = raw.copy()
+    np.testing.assert_allclose(system_of(control).actuate(raw)[:, 0], expected, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(raw, kept)
+    beside = system_of(Channel("other", levels=(0.0, 1.0)), control).actuate(np.stack([raw, raw], axis=-1))
+    assert beside.shape == (len(raw), 1, 2)
+    np.testing.assert_allclose(beside[:, 0, 1], expected, rtol=0, atol=1e-15)
 
 
 @given(raw=st.floats(-2.0, 2.0), levels=st.integers(1, 4).map(lambda half: 2 * half + 1))
@@ -49,26 +60,9 @@ def test_an_odd_switch_treats_both_signs_alike(raw, levels):
     assert system.actuate(np.array([-raw])) == -system.actuate(np.array([raw]))
 
 
-def test_a_continuous_control_scales_to_its_limits_and_saturates():
-    system = system_of(Channel("throttle", low=0.0, high=0.8), Channel("steer", low=-0.4, high=0.4))
-    raw = np.array([[-1.0, -1.0], [0.0, 0.0], [0.5, 0.5], [1.0, 1.0], [7.0, -7.0]])
-    expected = [[0.0, -0.4], [0.4, 0.0], [0.6, 0.2], [0.8, 0.4], [0.8, -0.4]]
-    np.testing.assert_allclose(system.actuate(raw), expected, rtol=0, atol=1e-15)
-
-
-def test_actuate_keeps_leading_axes_and_its_argument(car):
-    raw = np.linspace(-1, 1, 24).reshape(3, 4, 2)
-    kept = raw.copy()
-    assert car.actuate(raw).shape == (3, 4, 2)
-    np.testing.assert_array_equal(raw, kept)
-
-
-def test_a_control_without_limits_cannot_be_actuated():
+def test_what_cannot_be_actuated_is_refused(car):
     with pytest.raises(InvalidSystem, match=r"'force' has no finite limits.*give low and high, or levels"):
         system_of(Channel("force", "N")).actuate(np.zeros((1, 1)))
-
-
-def test_actuate_says_how_many_outputs_it_expects(car):
     with pytest.raises(ShapeError, match=r"raw: expected 2 values on the last axis, got shape \(4, 3\)"):
         car.actuate(np.zeros((4, 3)))
 
@@ -89,24 +83,18 @@ def test_a_system_survives_json_with_absent_limits(car):
         assert back.to_dict() == system.to_dict()
 
 
-def test_levels_are_the_limits_of_a_discrete_channel():
-    channel = Channel("gear", levels=(-2, 0, 3))
-    assert (channel.low, channel.high, channel.bounded) == (-2.0, 3.0, True)
+def test_limits_and_neutral_values_follow_from_what_is_given():
+    """Levels are limits; neutral is 0 or the limit nearest to it."""
+    gear = Channel("gear", levels=(-2, 0, 3))
+    assert (gear.low, gear.high, gear.bounded) == (-2.0, 3.0, True)
     assert not Channel("x", low=0.0).bounded
-
-
-def test_neutral_values_stand_in_the_order_of_the_channels():
-    system = System((Channel("a", neutral=1.0), Channel("b", neutral=-2.0)), (Channel("c", neutral=0.5),), dt=0.1)
-    np.testing.assert_array_equal(system.neutral_state, [1.0, -2.0])
-    np.testing.assert_array_equal(system.neutral_control, [0.5])
-    assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
-
-
-def test_the_neutral_value_is_0_or_the_limit_nearest_to_it():
     neutral = [Channel("x", low=low, high=high).neutral for low, high in ((-1, 1), (6, 8.4), (-5, -2), (-np.inf, 3))]
     assert neutral == [0.0, 6.0, -2.0, 0.0]
     assert Channel("gear", levels=(2.0, 5.0)).neutral == 2.0
     assert Channel("x", low=6.0, high=8.0, neutral=7.0).neutral == 7.0
+    system = System((Channel("a", neutral=1.0), Channel("b", neutral=-2.0)), (Channel("c", neutral=0.5),), dt=0.1)
+    assert (system.neutral_state.tolist(), system.neutral_control.tolist()) == ([1.0, -2.0], [0.5])
+    assert (system.nx, system.nu, system.n_pose) == (2, 1, 0)
 
 
 def test_names_stand_for_channels_without_unit_and_limits():
@@ -161,11 +149,6 @@ def test_a_channel_that_contradicts_itself_is_refused(arguments, message):
 def test_a_system_that_contradicts_itself_is_refused(arguments, message):
     with pytest.raises(InvalidSystem, match=message):
         System(**{"states": STATE, "controls": (Channel("u"),), "dt": 0.05, **arguments})
-
-
-def test_an_unknown_motion_is_refused(car):
-    with pytest.raises(InvalidSystem, match="expected one of planar_body, got 'balloon'"):
-        System.from_dict({**car.to_dict(), "motion": {"kind": "balloon"}})
 
 
 def test_systems_differ_in_words_where_it_matters_to_a_controller(car):
