@@ -192,21 +192,6 @@ def test_start_takes_the_oldest_command_for_one_held_long(car):
     assert np.array_equal(short[3:BODY], long[3:BODY])
 
 
-def test_step_is_pure_and_each_row_is_its_own(car, rng):
-    batch = 50
-    carry = car.start(rng.normal(0, 1, (batch, 11, 3)), np.zeros((batch, 10, 2)), rng.standard_normal((batch, 3)))
-    control = rng.integers(-1, 2, (batch, 2)).astype(float)
-    noise = rng.standard_normal((batch, 2))
-    for _ in range(30):
-        copies = carry.copy(), control.copy(), noise.copy()
-        after = car.step(carry, control, noise)
-        assert all(np.array_equal(a, b) for a, b in zip((carry, control, noise), copies, strict=True))
-        alone = np.concatenate([car.step(carry[i : i + 1], control[i : i + 1], noise[i : i + 1]) for i in range(batch)])
-        assert np.array_equal(after, alone)
-        assert np.array_equal(after, car.step(np.ascontiguousarray(carry), control, noise))
-        carry = after
-
-
 def test_perturbed_cars_differ_and_stay_within_their_spread():
     nominal = CarParameters()
     cars = [nominal.perturbed(seed) for seed in range(200)]

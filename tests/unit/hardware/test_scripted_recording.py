@@ -18,7 +18,7 @@ from sysid_evo.data.columns import load_columns
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.preparation import prepare
 from sysid_evo.data.readers import CsvReader
-from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
+from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import make_robot
 
 
@@ -205,7 +205,6 @@ def test_registered_robot_gives_a_data_set(car):
     assert dataset.system == car
     assert dataset.names == tuple(log.name for log in logs)
     assert dataset.duration == pytest.approx(18.0, abs=6.0)
-    assert dataset.fingerprint == make_robot("emulated_car:1").record(seed=3, duration=18.0).dataset.fingerprint
 
 
 def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):
@@ -219,12 +218,6 @@ def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded
     pose = np.stack([table.columns[name] for name in ("x", "y", "heading")], axis=1)
     assert pose == pytest.approx(log.pose, abs=1e-8)
     assert np.array_equal(np.stack([table.columns[name] for name in ("drive", "steer")], axis=1), log.controls)
-
-
-def test_second_recording_in_the_same_folder_is_refused(robot, rng, tmp_path):
-    record(robot, [short(rng)], tmp_path, seed=1)
-    with pytest.raises(InvalidArgument, match="a recording is there already"):
-        record(robot, [short(rng)], tmp_path, seed=1)
 
 
 def test_journals_are_read_as_logs(robot, rng, tmp_path):
