@@ -1,7 +1,5 @@
 """Advice after a fit: a planted fault is called, a recording without it is not, and the list is short."""
 
-from __future__ import annotations
-
 import functools
 import json
 from dataclasses import replace
@@ -9,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice import MOST, Evidence, ModelAdvice, advice_from_json, advice_to_json, advise_model
+from evaluation.advice import MOST, Evidence, advice_from_json, advice_to_json, advise_model
 from evaluation.advice.advise import LOOKS
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
@@ -37,37 +35,34 @@ def visiting(where, visited):
     return Evidence(where.name, where.model, where.training, where.test, Steps.of(visited.system, visited.episodes))
 
 
-def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of():
+@pytest.mark.parametrize(("recordings", "most"), [(3, 0), pytest.param(8, 1, marks=pytest.mark.nightly)])
+def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of(recordings, most):
     more = 0
-    for seed in range(8):
+    for seed in range(recordings):
         remarks = [remark for look in LOOKS if (remark := look(evidence(NONE, seed))) is not None]
         assert remarks[0].topic == "noise"
         more += len(remarks) - 1
-    assert more <= 1
+    assert more <= most
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.05])
 def test_the_noise_is_estimated_to_a_tenth(noise):
     where = evidence(noise=noise)
     found = estimate_noise(where)
-    assert found is not None
     assert found.floor == pytest.approx(float(np.mean(noise / where.std)), rel=0.1)
     assert found.n == pytest.approx(found.floor, rel=0.1)
 
 
 def test_a_model_whose_form_is_wrong_is_told_so_and_not_that_little_is_left():
     remark = noise_floor(evidence(Fault(bend=1.5)))
-    assert remark is not None
     assert remark.topic == "form"
     assert "a plain regression on the same inputs explains 4" in remark.sentence
     found = estimate_noise(evidence(Fault(bend=1.5)))
-    assert found is not None
     assert found.n > 1.5 * found.floor
 
 
 def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time():
     remark = late_controls(evidence(Fault(late=6)))
-    assert remark is not None
     assert "Controls act up to 300 ms later" in remark.sentence
     assert "of speed" in remark.sentence
     assert "control_lags=6" in remark.sentence
@@ -80,10 +75,8 @@ def test_a_control_that_acts_later_than_the_model_knows_is_named_with_its_time()
 
 def test_a_push_that_nobody_measures_is_a_hidden_state_and_noisy_measurements_are_none():
     unseen, noisy = (hidden_state(evidence(fault)) for fault in (Fault(drift=0.03), Fault(measured=0.03)))
-    assert unseen is not None
     assert unseen.topic == "hidden state"
     assert "leaves of speed one step ahead is not white (correlation +0.4" in unseen.sentence
-    assert noisy is not None
     assert noisy.topic == "noisy states"
     assert "state_lags=2" in noisy.sentence
     assert hidden_state(evidence(Fault(late=6))) is None
@@ -91,7 +84,6 @@ def test_a_push_that_nobody_measures_is_a_hidden_state_and_noisy_measurements_ar
 
 def test_a_day_with_less_grip_is_named_and_other_driving_on_the_same_machine_is_not():
     remark = shift(evidence(Fault(grip=0.4)))
-    assert remark is not None
     assert remark.sentence.startswith("day 3 behaves unlike the other recordings: ")
     assert remark.weight > 0.15
     gentle = drive(Fault(push=0.3), 3, episodes=1)
@@ -115,7 +107,6 @@ def test_one_recording_alone_differs_from_no_other():
 def test_where_controllers_go_and_the_data_do_not_is_named():
     slow = evidence(Fault(push=0.5))
     remark = missing_excitation(visiting(slow, drive(seed=5)))
-    assert remark is not None
     assert remark.sentence.startswith("Controllers spend 2")
     assert "of their time with push " in remark.sentence
     assert missing_excitation(visiting(evidence(), drive(seed=5))) is None
@@ -131,7 +122,6 @@ def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it():
     seen = Dataset.from_arrays(system, [e.states for e in data], never_both)
     asked = Dataset.from_arrays(system, [e.states for e in data], [np.ones_like(u) for u in never_both])
     gap = largest_gap(Steps.of(system, seen.episodes), Steps.of(system, asked.episodes))
-    assert gap is not None
     assert gap.words == "push at 1 and steer at 1"
 
 
@@ -144,7 +134,6 @@ def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers():
         kept.append((episode.states, controls))
     careful = Dataset.from_arrays(data.system, [x for x, _ in kept], [u for _, u in kept])
     remark = missing_excitation(Evidence("linear", make_model("linear").fit(careful), careful))
-    assert remark is not None
     assert remark.sentence.startswith("steer above ")
     assert " was hardly tried with speed above " in remark.sentence
 
@@ -153,7 +142,6 @@ def test_a_test_part_that_lies_elsewhere_is_named():
     gentle, wild = drive(Fault(push=0.4)), drive(seed=5)
     model = make_model("linear").fit(gentle)
     remark = other_states(Evidence("linear", model, gentle, wild))
-    assert remark is not None
     assert "of the test part has push " in remark.sentence
     assert other_states(evidence()) is None
 
@@ -162,7 +150,6 @@ def test_controllers_that_go_where_no_test_is_made_are_named():
     wild, gentle = drive(seed=5), drive(Fault(push=0.4))
     where = visiting(Evidence("linear", make_model("linear").fit(wild), wild, gentle), drive(seed=6))
     remark = other_states(where)
-    assert remark is not None
     assert "its errors say nothing of what models do there" in remark.sentence
 
 
@@ -171,21 +158,18 @@ def test_two_channels_make_a_place_where_each_alone_was_visited():
     corner = (seen.before[:, 0] > 0.1) & (seen.control[:, 1] > 0.0)
     apart = Steps(seen.system, seen.before[~corner], seen.control[~corner], seen.after[~corner])
     gap = largest_gap(apart, asked)
-    assert gap is not None
     assert {region.channel for region in gap.place} == {"speed", "steer"}
     assert largest_gap(seen, asked) is None
 
 
 def test_a_command_without_effect_in_one_region_is_named():
     remark = dead_command(evidence(Fault(dead=True)))
-    assert remark is not None
     assert remark.sentence.startswith("steer has no effect on turn with speed below -0.")
     assert dead_command(evidence(Fault(bend=0.5))) is None
 
 
 def test_a_region_where_the_error_is_larger_is_named():
     remark = weak_region(evidence(Fault(loud=4.0)))
-    assert remark is not None
     assert "linear is worst with speed above 0.3" in remark.sentence
 
 
@@ -199,12 +183,10 @@ def few(lags):
 def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():
     where, training = few(20)
     remark = overfit(where)
-    assert remark is not None
     assert " times that in the training part" in remark.sentence
     half = where.model.unfitted().fit(halved(drive(episodes=1, steps=400)))
     more = Evidence("linear", where.model.unfitted().fit(drive(episodes=1, steps=400)), training, where.test)
     remark = too_few_data(more, half)
-    assert remark is not None
     assert remark.figures["half"] > 1.05 * remark.figures["all"]
 
 
@@ -234,7 +216,6 @@ def test_the_most_important_comes_first_and_there_are_five_at_most():
 def test_the_form_of_a_model_that_is_nearly_right_does_not_limit_it():
     where = evidence(Fault(bend=0.1), noise=1e-4)
     remark = noise_floor(where)
-    assert remark is not None
     assert remark.topic == "form"
     assert where.test_windows.n(where.std) < 0.05
     topics = [remark.topic for remark in advise_model(where.model, where.training, where.test).remarks]
@@ -272,7 +253,7 @@ def test_advice_is_the_same_every_time_and_comes_back_from_json():
     where = evidence(Fault(late=6))
     once, again = (advise_model(where.model, where.training, where.test) for _ in range(2))
     assert once == again
-    stored: ModelAdvice = advice_from_json(json.loads(json.dumps(advice_to_json(once), allow_nan=False)))
+    stored = advice_from_json(json.loads(json.dumps(advice_to_json(once), allow_nan=False)))
     assert stored == once
 
 

@@ -172,8 +172,6 @@ def test_controllers_are_described_on_the_robot_and_where_they_were_evolved():
     found = manners(recorded())
     assert [(one.controller, one.column) for one in found] == [("c", "a"), ("c", "car")]
     words, table = manner_sheet(found, "car"), behaviour_sheet(found, "car")
-    assert words is not None
-    assert table is not None
     assert words.rows[0][0] == "c"
     assert words.rows[0][1].startswith("On the robot: drives backwards 100 %")
     assert table.columns[:4] == ("controller", "on", "speed\nm/s", "backwards")

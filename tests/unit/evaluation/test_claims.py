@@ -34,7 +34,6 @@ def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng
 def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng, trials):
     cell = Cell("c", "a", rng.normal(size=trials))
     claimed = summarise(matrix_of(cell)).controller("c").claimed
-    assert claimed is not None
     assert claimed.value == cell.mean
     assert claimed.standard_error == pytest.approx(cell.standard_error, rel=0.08)
 
@@ -44,8 +43,6 @@ def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution():
     cells = (Cell("c", "a", here), Cell("c", "b", there))
     least = fitness_on(champion("c", ("a", "b")), ("a", "b"), matrix_of(*cells, against=("a", "b")))
     mean = fitness_on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"), matrix_of(*cells, against=("a", "b")))
-    assert least is not None
-    assert mean is not None
     assert least[0] == mean[0] == 2.5
     # the mean of both models hardly changes with the trials that are drawn; the lower of the two does
     assert least[1:].mean() < 2.0
@@ -62,7 +59,6 @@ def test_a_claim_needs_every_model_that_it_is_about():
 def test_models_with_different_trials_are_joined_over_the_trials_of_both():
     cells = (Cell("c", "a", np.array([1.0, 3.0, 50.0])), Cell("c", "b", np.array([4.0, 6.0])))
     drawn = fitness_on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"), matrix_of(*cells))
-    assert drawn is not None
     assert drawn[0] == 3.5
 
 

@@ -1,7 +1,5 @@
 """Credibility: how much each model counts, and the median that follows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -196,7 +194,6 @@ def test_a_model_is_forecast_by_the_controllers_that_were_evolved_in_it_alone():
     (only,) = model_forecasts(made, found).values()
     assert (only.model, only.controllers, only.claimed) == ("poor", ("poor",), 20.0)
     assert (only.value, only.low, only.high) == (found["poor"].value, found["poor"].low, found["poor"].high)
-    assert only.kept is not None
     assert only.kept[0] == pytest.approx(found["poor"].value / 20.0)
 
 
@@ -221,7 +218,7 @@ def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
 
 
 DATA = GivenData(example_dataset(), Split())
-MEASURED: dict[str, dict[int, float] | None] = {}
+MEASURED = {}
 
 
 def column(label, family, errors=None):
@@ -252,7 +249,7 @@ def nowhere(cell):
 
 
 def names(*columns):
-    work = Work(measured, no_progress, Path("unused"), Path("unused"), nowhere)  # type: ignore[arg-type]  # predictions only
+    work = Work(measured, no_progress, Path("unused"), Path("unused"), nowhere)
     return tuple(one.label for one in believed(columns, work))
 
 

@@ -44,14 +44,12 @@ def driven(row, column, *fitness, physical=True):
 
 def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures():
     matrix = with_measured(computed(), [driven(ROWS[0], "car", 4.0, 6.0)])
-    assert matrix is not None
     assert (matrix.robot, matrix.columns, matrix.models) == ("car", ("a", "b", "c", "car"), ("a", "b", "c"))
     assert matrix.cell("b", "car").reason == NOT_RUN
     assert matrix.failures() == ()
     summary = summarise(matrix)
-    assert summary.controller("a").achieved is not None
-    assert summary.controller("a").achieved.value == 5.0  # type: ignore[union-attr]
-    assert summary.controller("a").reality_gap.value == pytest.approx(2.0)  # type: ignore[union-attr]
+    assert summary.controller("a").achieved.value == 5.0
+    assert summary.controller("a").reality_gap.value == pytest.approx(2.0)
     assert summary.controller("b").achieved is None
 
 
@@ -59,7 +57,6 @@ def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either(
     matrix = with_measured(
         computed("emulated"), [driven(ROWS[0], "car", 4.0), driven(ROWS[0], "emulated driven", 8.0, physical=False)]
     )
-    assert matrix is not None
     assert matrix.robot == "car"
     assert matrix.other_robots == ("emulated", "emulated driven")
     assert matrix.models == ("a", "b", "c")
@@ -68,7 +65,6 @@ def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either(
 
 def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the_run():
     matrix = with_measured(computed("emulated"), [driven(ROWS[0], "emulated driven", 8.0, physical=False)])
-    assert matrix is not None
     assert (matrix.robot, matrix.other_robots) == ("emulated", ("emulated driven",))
 
 
@@ -76,11 +72,10 @@ def test_person_is_a_row_that_claims_nothing_and_is_never_chosen():
     human = person("anna")
     cells = [MeasuredResult(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
     matrix = with_measured(computed(), [*cells, driven(human, "car", 70.0), driven(ROWS[1], "car", 2.0)])
-    assert matrix is not None
     assert matrix.rows == ("a", "b", "anna")
     summary = summarise(matrix)
     assert summary.controller("anna").claimed is None
-    assert summary.controller("anna").achieved.value == 70.0  # type: ignore[union-attr]
+    assert summary.controller("anna").achieved.value == 70.0
     named = replace(matrix, champions=tuple(replace(one, system=SYSTEM) for one in matrix.champions if one.against))
     assert summary_of(named).pick in ("a", "b")
     assert summary.best_on["car"] == "b"
@@ -89,7 +84,6 @@ def test_person_is_a_row_that_claims_nothing_and_is_never_chosen():
 
 def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is():
     alone = with_measured(None, [driven(ROWS[0], "car", 4.0)])
-    assert alone is not None
     assert (alone.rows, alone.columns, alone.robot) == (("a",), ("car",), "car")
     assert with_measured(None, []) is None
     matrix = computed()
@@ -115,7 +109,6 @@ def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path):
     save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
     save_measured(tmp_path, driven(ROWS[0], "truck", 9.0))
     matrix = with_measured(computed(), load_measured(tmp_path)[0])
-    assert matrix is not None
     assert matrix.columns == ("a", "b", "c", "car", "truck")
     assert [matrix.cell("a", column).mean for column in ("car", "truck")] == [4.0, 9.0]
 

@@ -22,7 +22,7 @@ from sysid_evo.testing.examples import pendulum
 from sysid_evo.validation.bootstrap import BlockErrors, interval
 from tests.fixtures.known_models import SYSTEM, Known, LosesGrip, Remembering, Sliding, Weak, fitted, noisy, recording
 
-STEPS, SEEDS = 400, 200
+STEPS = 400
 
 
 def held(rng, steps=STEPS):
@@ -38,9 +38,9 @@ def filtered(noise, share):
     return coloured
 
 
-def called_coloured(loud, share=0.0):
+def called_coloured(draws, loud, share=0.0):
     rng, found = np.random.default_rng(4), []
-    for _ in range(SEEDS):
+    for _ in range(draws):
         noise = filtered(rng.standard_normal((STEPS, 1)), share)
         controls = held(rng)
         noise = noise * np.where(np.abs(controls) > 0.7, 4.0, 1.0) if loud else noise
@@ -49,12 +49,13 @@ def called_coloured(loud, share=0.0):
 
 
 @pytest.mark.parametrize("loud", [False, True], ids=["equally loud", "louder under strong controls"])
-def test_white_noise_is_called_white_nineteen_times_of_twenty(loud):
-    assert 0.01 <= called_coloured(loud) <= 0.09
+@pytest.mark.parametrize(("draws", "most"), [(100, 0.1), pytest.param(200, 0.09, marks=pytest.mark.nightly)])
+def test_white_noise_is_called_white_nineteen_times_of_twenty(draws, most, loud):
+    assert 0.01 <= called_coloured(draws, loud) <= most
 
 
 def test_noise_that_remembers_a_third_of_itself_is_never_called_white():
-    assert called_coloured(False, 0.33) > 0.95
+    assert called_coloured(100, False, 0.33) > 0.95
 
 
 def test_the_autocorrelation_is_that_of_theory():
@@ -138,7 +139,6 @@ def assessed(model, test):
 def test_the_region_where_a_model_fails_is_named_with_its_size():
     row = assessed(LosesGrip(), noisy(2, 4)).model("model")
     worst = worst_region(row.regions)
-    assert worst is not None
     assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
     assert worst.ratio > 1.3
     assert worst.words.startswith(f"with forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
@@ -146,10 +146,10 @@ def test_the_region_where_a_model_fails_is_named_with_its_size():
     assert worst.share == pytest.approx(0.2, abs=0.02)
 
 
-def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region():
-    data = [noisy(seed, 1) for seed in range(15)]
-    found = [worst_region(assessed(Known(), test).model("model").regions) for test in data]
-    assert sum(one is not None for one in found) <= 1
+@pytest.mark.parametrize(("draws", "most"), [(5, 0), pytest.param(15, 1, marks=pytest.mark.nightly)])
+def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region(draws, most):
+    found = [worst_region(assessed(Known(), noisy(seed, 1)).model("model").regions) for seed in range(draws)]
+    assert sum(one is not None for one in found) <= most
 
 
 def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutral():
@@ -200,7 +200,6 @@ def test_the_interval_of_the_curve_is_that_of_the_scores():
     row = assessed(Weak(), noisy(3)).model("model")
     assert row.curve_interval.shape == (2, 20)
     for score in row.at:
-        assert score.horizon is not None
         assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.interval)
     assert (row.curve_interval[0] < row.curve).all()
     assert (row.curve < row.curve_interval[1]).all()
@@ -221,8 +220,6 @@ def test_what_is_stored_comes_back(tmp_path):
     row = assessed(Sliding(), noisy(4)).model("model")
     save_prediction(row, tmp_path / "row")
     again = load_prediction(tmp_path / "row")
-    assert again.residuals is not None
-    assert row.residuals is not None
     for name in ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p"):
         np.testing.assert_array_equal(getattr(again.residuals, name), getattr(row.residuals, name))
     assert again.residuals.samples == row.residuals.samples
