@@ -1,7 +1,5 @@
 """Incremental evolution: stages end when the fitness is there, and what comes after meets the harder task."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,8 @@ from sysid_evo.evolution import (
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
-from tests.unit.evolution.test_checkpoints import Stop, StopAfter, assert_same
+from tests.fixtures.checkpoints import Stop, StopAfter
+from tests.fixtures.evolutions import assert_same
 
 SETTINGS = ControllerEvolution(
     generations=6,
@@ -40,6 +39,22 @@ SETTINGS = ControllerEvolution(
 def runners(car_data):
     names = ("linear", "nearest_neighbour")
     return {name: DynamicsRunner(make_model(name).fit(car_data, rng=0)) for name in names}
+
+
+@pytest.fixture(scope="module")
+def evolved(runners, car_data):
+    """A function that evolves in both models, or in those that are given."""
+
+    def evolve(settings=SETTINGS, models=runners, **options):
+        return evolve_controller("c", models, car_data.system, settings, seed=3, **options)
+
+    return evolve
+
+
+@pytest.fixture(scope="module")
+def whole(evolved):
+    """The champion of an evolution that nothing stopped."""
+    return evolved()
 
 
 def scored(*fitness):
@@ -94,21 +109,23 @@ def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easie
     assert (np.asarray(strategy.state["parents_fitness"]) < 1.1).all()
 
 
-def test_the_stages_of_a_controller_meet_their_own_task_and_models(runners, car_data, monkeypatch):
-    met: list[tuple[str, int, float]] = []
-    run = DynamicsRunner.run
+@pytest.fixture
+def noted(monkeypatch):
+    """Every run of the test: its family, candidates and task."""
+    runs, run = [], DynamicsRunner.run
 
-    def noted(self, *given, record=False):
-        met.append((type(self.dynamics).__name__, given[2].horizon, given[2].waypoint_radius))
+    def noting(self, *given, record=False):
+        runs.append((type(self.dynamics).__name__, len(given[1]), given[2]))
         return run(self, *given, record=record)
 
-    monkeypatch.setattr(DynamicsRunner, "run", noted)
-    notes: list[str] = []
+    monkeypatch.setattr(DynamicsRunner, "run", noting)
+    return runs
 
-    def progress(done, total, note=""):
-        notes.append(note)
 
-    evolve_controller("c", runners, car_data.system, SETTINGS, seed=3, progress=progress)
+def test_the_stages_of_a_controller_meet_their_own_task_and_models(evolved, noted):
+    notes = []
+    evolved(progress=lambda done, total, note="": notes.append(note))
+    met = [(family, task.horizon, task.waypoint_radius) for family, _, task in noted]
     families = ("Linear", "NearestNeighbour")
     second = sum("stage 2 of 3" in note for note in notes)
     tasks = [(30, 0.5)] * second + [(40, 0.3)] * (4 - second + 1)  # the last is that of the finalists
@@ -119,37 +136,24 @@ def test_the_stages_of_a_controller_meet_their_own_task_and_models(runners, car_
     assert ["linear" in note for note in notes] == [False] * 2 + [True] * 4
 
 
-def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, car_data, monkeypatch):
-    asked: list[int] = []
-    run = DynamicsRunner.run
-
-    def noted(self, *given, record=False):
-        asked.append(len(given[1]))
-        return run(self, *given, record=record)
-
-    monkeypatch.setattr(DynamicsRunner, "run", noted)
+def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, evolved, noted):
     strategy = "mu_plus_lambda(parents=4, children=3, reevaluate=false)"
     settings = replace(SETTINGS, generations=5, strategy=strategy, schedule=(Stage(at_most=3),))
-    evolve_controller("c", {"linear": runners["linear"]}, car_data.system, settings, seed=3)
-    assert asked == [7, 3, 3, 7, 3, 4]  # at last the finalists
+    evolved(settings, {"linear": runners["linear"]})
+    assert [asked for _, asked, _ in noted] == [7, 3, 3, 7, 3, 4]  # at last the finalists
 
 
-@pytest.mark.parametrize("after", range(1, 7))
-def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, runners, car_data, tmp_path):
-    def evolved(progress, checkpoint):
-        return evolve_controller(
-            "c", runners, car_data.system, SETTINGS, seed=3, progress=progress, checkpoint=checkpoint
-        )
-
+@pytest.mark.parametrize("after", [1, 3, 6, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 4, 5))])
+def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, evolved, whole, tmp_path):
     with pytest.raises(Stop):
-        evolved(StopAfter(after), CheckpointFile(tmp_path / "c"))
-    assert_same(evolved(None, CheckpointFile(tmp_path / "c")), evolved(None, None))
+        evolved(checkpoint=CheckpointFile(tmp_path / "c"), progress=StopAfter(after))
+    assert_same(evolved(checkpoint=CheckpointFile(tmp_path / "c")), whole)
 
 
-def test_a_stage_that_never_ends_is_said(runners, car_data):
+def test_a_stage_that_never_ends_is_said(evolved):
     unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
     with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the task itself was never evolved"):
-        evolve_controller("c", runners, car_data.system, unreachable, seed=3)
+        evolved(unreachable)
 
 
 def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
@@ -202,17 +206,12 @@ def test_an_easier_stage_does_not_end_a_search():
     assert not schedule.exhausted
 
 
-def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, car_data, tmp_path, monkeypatch):
+def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, evolved, tmp_path, monkeypatch):
     monkeypatch.setattr(PointToPoint, "most", 0.0)  # whatever anybody does is all there is
-    settings = replace(SETTINGS, generations=40, runs=2, schedule=())
-
-    def evolved(progress, checkpoint):
-        return evolve_controller(
-            "c", runners, car_data.system, settings, seed=3, progress=progress, checkpoint=checkpoint
-        )
-
-    champion = evolved(None, None)
+    settings = replace(SETTINGS, generations=40, runs=2, schedule=(), task="point_to_point(horizon=5)")
+    given = settings, {"linear": runners["linear"]}
+    champion = evolved(*given)
     assert len(champion.history) == 20
     with pytest.raises(Stop):
-        evolved(StopAfter(20), CheckpointFile(tmp_path / "c"))
-    assert_same(evolved(None, CheckpointFile(tmp_path / "c")), champion)
+        evolved(*given, checkpoint=CheckpointFile(tmp_path / "c"), progress=StopAfter(20))
+    assert_same(evolved(*given, checkpoint=CheckpointFile(tmp_path / "c")), champion)
