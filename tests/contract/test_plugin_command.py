@@ -156,3 +156,23 @@ def test_names_lists_the_kinds_first_and_takes_their_plural(tmp_path):
     assert "sigma" in one.stdout
     assert "`" not in run_here("names", "model", cwd=tmp_path).stdout
     assert {row["kind"] for row in json.loads(run_here("names", "--json", cwd=tmp_path).stdout)} == set(KINDS)
+
+
+def test_a_reward_in_a_file_of_its_own_has_a_name_on_the_command_line(tmp_path):
+    (tmp_path / "warm.py").write_text(
+        "from sysid_evo import register_reward\n\n\n"
+        '@register_reward("warm", lowest=-100.0)\n'
+        "def warm(temperature, heater, wanted=50.0):\n"
+        '    """As warm as is wanted, and little heating."""\n'
+        "    return -abs(temperature - wanted) - heater\n"
+    )
+    listed = run_here("names", "task", "--plugin", "warm.py", "--json", cwd=tmp_path)
+    (row,) = [row for row in json.loads(listed.stdout) if row["name"] == "warm"]
+    assert row["summary"] == "As warm as is wanted, and little heating."
+    assert row["parameters"] == "horizon=300, wanted=50.0"
+    done = run_here(
+        "evolve", "--plugin", "warm.py", "--against", "thermal", "--task", "warm(wanted=40, horizon=20)",
+        "--controller", "linear", "--generations", "2", "--trials", "2", "--strategy", "mu_plus_lambda(children=5)",
+        "--run", ".", cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

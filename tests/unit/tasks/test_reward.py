@@ -1,17 +1,16 @@
-"""A task of one function, by hand and in both forms."""
-
-from __future__ import annotations
+"""A task of one function, of arrays or of one sample by the names of states and controls: computed, named, refused."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
+from sysid_evo import register_reward
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import tasks
 from sysid_evo.tasks import Reward
+from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum, switched_car
 
@@ -30,9 +29,39 @@ def worth_of_a_car(x, u):
     return math.cos(x[0]) - 0.5 * u[0] ** 2 + 0.1 * x[2]
 
 
+def upright(torque, angle, weight=0.5):
+    """The angle up, with little torque."""
+    return -math.cos(angle) - weight * torque**2
+
+
+def fast(angular_speed):
+    return abs(angular_speed) > 2.5
+
+
+def braked(forward_speed, steer, drive):
+    return forward_speed - 0.1 * steer * drive
+
+
+def rooted(angle):
+    return math.sqrt(angle) + 1.0 / angle
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    start = {"angle": (-1.0, 1.0), "angular_speed": (0.0, 2.0)}
+    register_reward("swung", lowest=-2.0, horizon=60, ended=fast, start=start)(upright)
+    register_reward("swung_in_python", lowest=-2.0, horizon=60, ended=fast, start=start, compiled=False)(upright)
+    register_reward("braked", lowest=-2.0, horizon=40)(braked)
+    register_reward("rooted", lowest=-3.0, horizon=1)(rooted)
+    register_reward("odd", lowest=0.0, start={"torque": (0.0, 1.0)})(rooted)
+    yield
+    for name in ("swung", "swung_in_python", "braked", "rooted", "odd"):
+        tasks.forget(name)
+
+
 def test_fitness_is_the_mean_reward_of_the_states_in_which_controls_are_given():
     task = Reward(worth, lowest=-9.0, horizon=2).bind(pendulum())
-    trial: Any = task.begin(SEEDS[:1])
+    trial = task.begin(SEEDS[:1])
     states = np.array([[[0.0, 1.0]], [[math.pi, 0.0]], [[0.0, 0.0]]])
     for k, control in enumerate((1.0, 2.0)):
         trial, _ = task.advance(trial, states[k], states[k + 1], control=np.array([[control]]))
@@ -58,15 +87,70 @@ def test_a_trial_begins_where_start_says_and_is_over_where_ended_says():
     assert Reward(worth, scalar=worth_of_one, ended=lambda states: states[:, 1] > 1.5).bind(pendulum()).kernel() is None
 
 
-@pytest.mark.parametrize(("system", "scalar"), [(pendulum(), worth_of_one), (switched_car(), worth_of_a_car)])
-def test_the_contract_is_kept_and_the_compiled_form_is_the_reference(system, scalar, register):
-    register(tasks, "made_up_reward", lambda: Reward(worth, scalar=scalar, lowest=-2.0, horizon=80))
-    check_task("made_up_reward", system)
+def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters():
+    states, controls = np.array([[0.3, 9.0], [2.0, -9.0]]), np.array([[1.0], [-2.0]])
+    for weight in (0.5, 0.1):
+        task = make_task(f"swung(weight={weight})" if weight != 0.5 else "swung").bind(pendulum())
+        np.testing.assert_allclose(task.worth(states, controls), -np.cos(states[:, 0]) - weight * controls[:, 0] ** 2)
+    with pytest.raises(InvalidArgument, match=r"no parameter 'wight'. Did you mean 'weight'\?"):
+        make_task("swung(wight=1)")
+    with pytest.raises(InvalidArgument, match="weight: expected a finite number, got 'much'"):
+        make_task("swung(weight=much)")
 
 
-def test_a_reward_that_fits_nothing_is_refused():
-    with pytest.raises(IncompatibleTask, match="needs the state 'height'; the states are angle, angular_speed"):
-        Reward(worth, states=("height",)).bind(pendulum())
+@pytest.mark.parametrize(
+    ("name", "system", "compiled"),
+    [
+        ("swung", pendulum(), True), ("swung_in_python", pendulum(), False), ("braked", switched_car(), True),
+        (Reward(worth, scalar=worth_of_one, lowest=-2.0, horizon=40), pendulum(), True),
+        (Reward(worth, scalar=worth_of_a_car, lowest=-2.0, horizon=40), switched_car(), True),
+    ],
+)  # fmt: skip
+def test_the_contract_is_kept_and_there_is_a_compiled_form_unless_it_is_not_wanted(name, system, compiled, register):
+    if isinstance(name, Reward):
+        register(tasks, "made_up_reward", lambda task=name: task)
+        name = "made_up_reward"
+    check_task(name, system)
+    assert (make_task(name).bind(system).kernel() is not None) == compiled
+
+
+def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says():
+    task = make_task("swung").bind(pendulum())
+    trials = task.begin(trial_seeds(1, 50))
+    assert np.all(np.abs(trials.state[:, 0]) <= 1.0)
+    assert trials.state[:, 1].min() < 0.4 < 1.6 < trials.state[:, 1].max() <= 2.0
+    after = np.array([[0.0, 2.4], [0.0, -2.6]])
+    state = task.begin(trial_seeds(1, 2))
+    moved, _ = task.advance(state, state.state, after, control=np.zeros((2, 1)))
+    assert moved.alive.tolist() == [True, False]
+
+
+def test_what_cannot_be_computed_counts_as_the_lowest():
+    task = make_task("rooted").bind(pendulum())
+    np.testing.assert_array_equal(
+        np.isnan(task.worth(np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]), np.zeros((3, 1)))), [True, True, False]
+    )
+    before = np.array([[-1.0, 0.0]])
+    trial, _ = task.advance(task.begin(trial_seeds(1, 1)), before, before, control=np.zeros((1, 1)))
+    assert task.fitness(trial)[0] == -3.0
+
+
+def test_what_fits_no_system_or_no_function_is_refused():
+    for made, system, reason in (
+        (make_task("swung"), switched_car(), r"swung needs 'torque' as a state, a control or .*forward_speed"),
+        (make_task("odd"), pendulum(), "odd needs 'torque' as a state; states: angle, angular_speed"),
+        (
+            Reward(worth, states=("height",)),
+            pendulum(),
+            "needs the state 'height'; the states are angle, angular_speed",
+        ),
+    ):
+        with pytest.raises(IncompatibleTask, match=reason):
+            made.bind(system)
+    with pytest.raises(InvalidArgument, match="each by its name, and none called horizon; got states"):
+        register_reward("wrong", lowest=0.0)(lambda *states: 0.0)
+    with pytest.raises(InvalidArgument, match="got horizon"):
+        register_reward("wrong", lowest=0.0)(lambda horizon: 0.0)
     with pytest.raises(InvalidArgument, match="finite lowest"):
         Reward(worth, lowest=-np.inf)
     task = Reward(lambda states, controls: states).bind(pendulum())
