@@ -38,6 +38,7 @@ from sysid_evo.tasks import PointToPoint
 from tests.fixtures.commands import COMMAND
 from tests.fixtures.loop import Diary
 from tests.fixtures.robots import store_champion
+from tests.fixtures.waiting import wait_until
 
 EVERY = 0.025  # s
 
@@ -84,13 +85,6 @@ def say(line, keys):
 def drain(line):
     while True:
         line.recv(timeout=5.0)
-
-
-def wait_for(condition, timeout=10.0):
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def test_the_page_and_its_files_are_there_for_who_knows_the_address(desk):
@@ -166,7 +160,7 @@ def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypat
             page.recv(timeout=5.0)
         assert status_of(desk.page.url) == 503
         pages[0].close()
-        wait_for(lambda: status_of(desk.page.url) == 200)
+        wait_until(lambda: status_of(desk.page.url) == 200)
 
 
 def gone(line):
@@ -194,12 +188,12 @@ def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk):
         return json.loads(line.recv(timeout=5.0)).get("drives", False)
 
     with talk(desk.page.url) as watcher_to_be:
-        wait_for(lambda: drives(watcher_to_be))
+        wait_until(lambda: drives(watcher_to_be))
         with talk(desk.page.url) as other:
             other.recv(timeout=5.0)
             assert not drives(other)
             watcher_to_be.close()
-            wait_for(lambda: drives(other))
+            wait_until(lambda: drives(other))
 
 
 def test_a_port_that_is_taken_is_told_in_a_sentence(desk):
@@ -212,7 +206,7 @@ def test_losing_the_server_releases_the_keys_and_is_reported():
     desk = Desk()
     desk.keyboard.press(FORWARD)
     desk.page._server.should_exit = True
-    wait_for(lambda: bool(desk.deaths))
+    wait_until(lambda: bool(desk.deaths))
     assert desk.keyboard.keys == 0
     assert "server" in desk.deaths[0]
     desk.page.close()

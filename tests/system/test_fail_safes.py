@@ -26,6 +26,7 @@ from tests.benchmarks.robot.cutting import cut
 from tests.benchmarks.robot.killing import kill
 from tests.benchmarks.robot.stopping import stop
 from tests.benchmarks.robot.suspending import suspend
+from tests.fixtures.waiting import is_running, wait_until
 from tests.system.rig.bare_host import PATIENCE, BareHost
 from tests.system.rig.board import EXTERNAL
 from tests.system.rig.faults import Fault
@@ -122,21 +123,6 @@ def test_a_pulled_plug_is_a_lost_link():
             [connection.measure(0.05) for _ in range(2000)]  # ten seconds of frames
         with pytest.raises(LinkLost, match="gone"):
             connection.send(FORWARD, valid_for=0.15)
-
-
-def wait_until(condition):
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.01)
-
-
-def is_running(pid):
-    """Whether the process exists and is no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 NONCES = itertools.count(1)

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,20 +21,7 @@ from hardware.trackers.tracker import Axes
 from sysid_evo.errors import LinkLost, MissingExtra
 from sysid_evo.registry import trackers
 from tests.fixtures.trackers import MissingTracker, MockTracker, PolledMockTracker, ScriptedTracker, read_all
-
-
-def alive(pid):
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
-
-
-def ends(pid):
-    deadline = time.monotonic() + 2.0
-    while alive(pid) and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return not alive(pid)
+from tests.fixtures.waiting import is_running, wait_until
 
 
 def test_frames_come_through_as_they_were_made():
@@ -86,7 +72,7 @@ def test_killed_process_is_a_lost_link_and_closing_ends_one_that_hangs():
     stream = ScriptedTracker(script="hang", count=3).open()
     stream.close()
     stream.close()
-    assert ends(stream.pid)
+    wait_until(lambda: not is_running(stream.pid), 2.0)
     with pytest.raises(LinkLost, match="closed"):
         stream.read(0.0)
 
@@ -101,10 +87,10 @@ def test_process_ends_with_the_one_that_opened_it_even_while_it_hangs_inside_a_l
     opener = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     pids = [int(pid) for pid in opener.stdout.readline().split()]
     time.sleep(0.3)
-    assert list(map(alive, pids)) == [True, True]
+    assert list(map(is_running, pids)) == [True, True]
     opener.kill()
     opener.communicate()
-    assert all(map(ends, pids))
+    wait_until(lambda: not any(map(is_running, pids)), 2.0)
 
 
 def test_reader_that_stalls_gets_whole_frames_and_no_more_than_the_pipe_holds():

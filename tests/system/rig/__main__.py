@@ -42,14 +42,11 @@ def main() -> None:
         port = PseudoPort(options.port or Path(folder) / "port")
         journal = JournalWriter(options.journal)
         open_things.callback(journal.close)
-        wire, tracker = (
-            np.random.default_rng(s) for s in np.random.SeedSequence(options.seed, spawn_key=(1,)).spawn(2)
-        )
         start = time.monotonic()
         faults = FaultSchedule([Fault(**json.loads(entry)) for entry in options.fault], start)
-        poses = PoseStream(options.tracker, options.body, faults, tracker)
+        poses = PoseStream(options.tracker, options.body, faults)
         open_things.callback(poses.close)
-        board = Board(port, faults, journal, wire)
+        board = Board(port, faults, journal, np.random.default_rng(options.seed))
         car = MovingCar(emulated_car(seed=options.car), seed=options.seed, start=start)
         port.plug()
         open_things.callback(port.unplug)
@@ -63,7 +60,7 @@ def main() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.system.rig", description=__doc__)
-    parser.add_argument("--seed", type=int, default=None, help="of all noise and chances; drawn without it")
+    parser.add_argument("--seed", type=int, default=None, help="of all noise and damage; drawn without it")
     parser.add_argument("--car", type=int, default=None, help="seed of another car of the kind")
     parser.add_argument("--body", default="car", help="name under which the tracker sees the car")
     parser.add_argument("--tracker", type=_address, default=None, metavar="HOST:PORT", help="where frames are sent")

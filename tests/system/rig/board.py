@@ -22,15 +22,11 @@ class Board:
     """Gives the firmware its bytes and the time, and the host its answers.
 
     ``buttons`` are those closed, bits as in a command. ``journal`` gets everything that happens, at
-    the time it happens. ``rng`` decides which bytes the faults hit.
+    the time it happens. ``rng`` decides how bytes are damaged.
     """
 
     def __init__(
-        self,
-        port: PseudoPort,
-        faults: FaultSchedule,
-        journal: JournalWriter,
-        rng: np.random.Generator,
+        self, port: PseudoPort, faults: FaultSchedule, journal: JournalWriter, rng: np.random.Generator
     ) -> None:
         self.buttons = 0
         self._port = port
@@ -49,7 +45,7 @@ class Board:
 
     def switch(self, now: float) -> None:
         """Unplug, plug in or reset, as the faults say at ``now``."""
-        unplugged = any(self._faults.active("unplug", now))
+        unplugged = self._faults.active("unplug", now)
         if unplugged and self._port.plugged:
             self._port.unplug()
             self._inward.clear()
@@ -58,7 +54,7 @@ class Board:
         elif not unplugged and not self._port.plugged:
             self._port.plug()
             self._journal.note(time.monotonic(), "plug")
-        resets = self._faults.windows("reset", now)
+        resets = self._faults.begun("reset", now)
         if resets > self._resets:
             self._resets = resets
             self._restart()
@@ -77,7 +73,7 @@ class Board:
         self._core.tick(self._clock())
         self._note_buttons()
         answer = self._core.transmit()
-        if any(self._faults.active("version", now)):
+        if self._faults.active("version", now):
             answer = _next_version(answer)
         self._outward.push(answer, now)
         leaving = self._outward.pull(now)

@@ -27,18 +27,12 @@ def format_message(message: FrameMessage) -> bytes:
 
 
 class PoseStream:
-    """Sends each frame of ``body`` to ``address`` when it is due.
+    """Sends each frame of ``body`` to ``address`` when it is due; without an address nothing is sent."""
 
-    ``rng`` decides which frames the faults hit; without an address nothing is sent.
-    """
-
-    def __init__(
-        self, address: tuple[str, int] | None, body: str, faults: FaultSchedule, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, address: tuple[str, int] | None, body: str, faults: FaultSchedule) -> None:
         self._address = address
         self._body = body
         self._faults = faults
-        self._rng = rng
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._waiting: deque[tuple[float, bytes]] = deque()
@@ -52,17 +46,17 @@ class PoseStream:
     def add(self, frame: Measurement) -> None:
         """Take in a true frame, taken at its ``source_time``, and let the faults of that time act on it."""
         now, pose, valid = frame.source_time, frame.pose, frame.valid
-        if not any(self._faults.active("frozen", now)):
+        if not self._faults.active("frozen", now):
             self._frozen = pose
         elif self._frozen is not None:
             pose = self._frozen
-        if self._hit("yaw_flip", now):
+        if self._faults.active("yaw_flip", now):
             pose = np.array([pose[0], pose[1], math.remainder(pose[2] + math.pi, 2.0 * math.pi)])
-        if self._hit("dropout", now):
+        if self._faults.active("dropout", now):
             valid = False
-        if self._hit("silence", now):
+        if self._faults.active("silence", now):
             return
-        if any(self._faults.active("identity_swap", now)):
+        if self._faults.active("identity_swap", now):
             self._queue(frame, OTHER_BODY, pose, valid)
             self._queue(frame, self._body, np.array(OTHER_POSE), True)
         else:
@@ -82,6 +76,3 @@ class PoseStream:
     def _queue(self, frame: Measurement, body: str, pose: Array, valid: bool) -> None:
         message = FrameMessage(frame.source_time, frame.frame, body, valid, pose)
         self._waiting.append((frame.arrival_time, format_message(message)))
-
-    def _hit(self, kind: str, now: float) -> bool:
-        return any(f.probability >= 1.0 or self._rng.random() < f.probability for f in self._faults.active(kind, now))

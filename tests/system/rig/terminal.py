@@ -32,12 +32,8 @@ class Terminal:
         faults: FaultSchedule,
         journal: JournalWriter,
     ) -> None:
-        self._port = port
-        self._board = board
-        self._car = car
-        self._poses = poses
-        self._faults = faults
-        self._journal = journal
+        self._port, self._board, self._car, self._poses = port, board, car, poses
+        self._faults, self._journal = faults, journal
 
     def run(self, host: int) -> None:
         """Run until the descriptor ``host`` closes or the parent dies.

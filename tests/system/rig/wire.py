@@ -11,7 +11,7 @@ from tests.system.rig.faults import FaultSchedule
 
 
 class Wire:
-    """Bytes under way from one end to the other. ``rng`` decides which of them are hit."""
+    """Bytes under way from one end to the other. ``rng`` decides how they are damaged."""
 
     def __init__(self, faults: FaultSchedule, rng: np.random.Generator) -> None:
         self._faults = faults
@@ -21,15 +21,9 @@ class Wire:
     def push(self, data: bytes, now: float) -> None:
         """Send ``data`` at time ``now`` (s)."""
         for byte in data:
-            if self._hit("drop", now):
-                continue
-            due = now + sum(f.seconds for f in self._faults.active("delay", now) if self._happens(f.probability))
-            due = max(due, self._faults.end("stall", now), self._under_way[-1][0] if self._under_way else now)
-            if self._hit("flip", now):
-                byte ^= int(self._rng.integers(1, 256))
-            self._under_way.append((due, byte))
-            if self._hit("duplicate", now):
-                self._under_way.append((due, byte))
+            due = max(now, self._faults.end("stall", now), self._under_way[-1][0] if self._under_way else now)
+            damage = int(self._rng.integers(1, 256)) if self._faults.active("flip", now) else 0
+            self._under_way.append((due, byte ^ damage))
 
     def pull(self, now: float) -> bytes:
         """Return the bytes that have arrived by ``now``."""
@@ -46,9 +40,3 @@ class Wire:
     def due(self) -> float:
         """When the next byte arrives; inf if none is under way."""
         return self._under_way[0][0] if self._under_way else math.inf
-
-    def _hit(self, kind: str, now: float) -> bool:
-        return any(self._happens(fault.probability) for fault in self._faults.active(kind, now))
-
-    def _happens(self, probability: float) -> bool:
-        return probability >= 1.0 or bool(self._rng.random() < probability)

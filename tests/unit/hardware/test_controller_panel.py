@@ -11,8 +11,8 @@ from hardware.robot import find_robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.tasks.task import make_task
-from tests.fixtures.loop import ManualClock
 from tests.fixtures.panels import SEEDS, simulated
+from tests.fixtures.robots import ManualClock
 
 SWING_UP = "swing_up(horizon=30)", "pendulum"
 CASES = [
@@ -74,7 +74,7 @@ def test_trials_are_played_in_the_time_they_took_and_those_of_a_slow_process_fas
 def test_a_stop_from_outside_ends_the_play():
     task, rollouts = simulated(*SWING_UP)
     stops, panel = Stops(), ControllerPanel("pendulum", task, "best")
-    watch = ManualClock(lambda now: stops.request(Reason.SIGINT) if now > 100.5 else None)
+    watch = ManualClock(then=lambda now: stops.request(Reason.SIGINT) if now > 0.5 else None)
     play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stops=stops, clock=watch, sleep=watch.sleep)
     assert panel.reading()["phase"] == CONTROLLED
     assert 8 <= panel.reading()["step"] <= 11

@@ -17,7 +17,7 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.driving import Hands
-from tests.fixtures.loop import ManualClock
+from tests.fixtures.robots import ManualClock
 
 BEGIN = 1.5  # s at which the first key goes down
 SEED = 7
@@ -128,11 +128,10 @@ def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
 
 
 def test_without_a_key_nothing_is_recorded(emulated):
-    def refuse():
-        raise AssertionError("nothing was driven")
+    def watch(pilot):
+        return WhileDriving(pilot, lambda: pytest.fail("nothing was driven"))
 
-    task = PointToPoint(horizon=20)
-    pilot, _ = drive(emulated, Hands(lambda _: 0), task, lambda pilot: WhileDriving(pilot, refuse), samples=60)
+    pilot, _ = drive(emulated, Hands(lambda _: 0), PointToPoint(horizon=20), watch, samples=60)
     assert pilot.progress.phase is Phase.READY
 
 

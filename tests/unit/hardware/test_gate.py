@@ -50,12 +50,7 @@ def test_driving_is_accepted_as_one_track_and_a_dropout_of_100_ms_breaks_it_not(
 
 @pytest.mark.parametrize(
     "by, reason",
-    [
-        ([0.3, 0, 0], "jumped"),
-        ([0.1, 0, 0], "too fast"),
-        ([0, 0, math.pi], "flipped"),
-        ([0, 0, 0.3], "turned too fast"),
-    ],
+    [([0.3, 0, 0], "jumped"), ([0.1, 0, 0], "too fast"), ([0, 0, 3.14], "flipped"), ([0, 0, 0.3], "turned too fast")],
 )
 def test_frames_off_the_track_are_dropped_and_the_track_goes_on(gate, by, reason):
     frames = drive(100)

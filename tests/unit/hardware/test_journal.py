@@ -61,18 +61,14 @@ def test_everything_comes_back_in_the_order_it_was_told(path):
     assert (journal.system, journal.closed, journal.torn, journal.notes) == (CAR, True, 0, ())
     assert journal.header["robot"] == "toy"
     assert [frame.frame for frame in journal.frames] == list(range(40))
-    first, told = journal.frames[7], measurement(7)
-    assert (first.source_time, first.arrival_time, first.body, first.valid) == (
-        told.source_time, told.arrival_time, "car", True,
-    )  # fmt: skip
-    assert np.array_equal(first.pose, told.pose)
+    assert repr(journal.frames[7]) == repr(measurement(7))
+    assert np.array_equal(journal.frames[7].pose, measurement(7).pose)
     assert [timed.command.tick for timed in journal.commands] == [0, 1, 2, 3]
     assert np.array_equal(journal.commands[0].command.control, [1.0, -1.0])
     status = journal.statuses[2]
     assert (status.state, dict(status.counters), status.robot_time) == ("driving", {"crc": 2, "late": 7}, 105.1)
-    assert [type(event).__name__ for event in journal.events[:4]] == [
-        "Measurement", "TimedCommand", "RobotStatus", "Measurement",
-    ]  # fmt: skip
+    kinds = [type(event).__name__ for event in journal.events[:4]]
+    assert kinds == ["Measurement", "TimedCommand", "RobotStatus", "Measurement"]
 
 
 def test_commands_carry_the_time_on_the_robots_clock(path):
@@ -205,26 +201,26 @@ def test_events_that_cannot_be_packed_are_counted_not_raised(path):
     assert read_journal(path).frames[-1].body == "ü" * 127
 
 
-def test_commands_are_in_force_for_150_ms_at_most(path):
-    with Recorder(path, CAR, robot="toy") as recorder:
+def driven(path, frames, **options):
+    """Record a frame, a command and further frames; return the journal."""
+    with Recorder(path, CAR, robot="toy", **options) as recorder:
         recorder.measured(measurement(0))
         recorder.commanded(GO)
-        for number in range(1, 61):
-            recorder.measured(measurement(number))
-    log = raw_log(read_journal(path))
+        for frame in frames:
+            recorder.measured(frame)
+    return read_journal(path)
+
+
+def test_commands_are_in_force_for_150_ms_at_most(path):
+    log = raw_log(driven(path, map(measurement, range(1, 61))))
     assert np.flatnonzero(log.controls[:, 0] == 0.0)[0] == 31
     assert log.pose[:, 0] == pytest.approx(0.005 * np.arange(61))
 
 
 def test_break_of_the_track_leaves_a_hole_that_no_preparation_bridges(path):
-    with Recorder(path, CAR, robot="toy") as recorder:
-        recorder.measured(measurement(0))
-        recorder.commanded(GO)
-        for number in range(1, 61):
-            told = measurement(number)
-            frozen = 10 <= number < 21
-            recorder.measured(replace(told, pose=np.array([0.05, -2.0, 0.5])) if frozen else told)
-    log = raw_log(read_journal(path))
+    frames = [measurement(number) for number in range(1, 61)]
+    frames[9:20] = [replace(frame, pose=np.array([0.05, -2.0, 0.5])) for frame in frames[9:20]]
+    log = raw_log(driven(path, frames))
     (hole,) = np.flatnonzero(np.diff(log.time) > 0.006)
     assert log.time[hole] == pytest.approx(0.005 * 19)
     assert np.diff(log.time)[hole] == pytest.approx(0.03)
@@ -232,14 +228,11 @@ def test_break_of_the_track_leaves_a_hole_that_no_preparation_bridges(path):
 
 def test_journal_keeps_the_limits_of_its_gate(path):
     limits = GateLimits(speed=math.inf, jump=math.inf, turn=2.0, frozen=None)
-    with Recorder(path, CAR, robot="toy", limits=limits) as recorder:
-        recorder.measured(measurement(0))
-        recorder.commanded(GO)
-        recorder.measured(measurement(900))
-    assert read_journal(path).limits == limits
-    assert len(raw_log(read_journal(path)).time) == 2
+    journal = driven(path, [measurement(900)], limits=limits)
+    assert journal.limits == limits
+    assert len(raw_log(journal).time) == 2
     with pytest.raises(InvalidData, match="at least two frames"):
-        raw_log(read_journal(path), GateLimits())
+        raw_log(journal, GateLimits())
 
 
 def test_journal_without_a_run_is_refused_as_a_log(path):
@@ -259,9 +252,8 @@ def test_replay_at_speed_0_gives_frames_when_asked_with_the_times_of_the_log(tmp
 
 
 def test_replay_of_a_journal_gives_its_frames(car, tmp_path):
-    told = [
-        Measurement(t, t + 0.004, n, "car", n != 2, np.array([t, 0, 0])) for n, t in enumerate((1.0, 1.1, 1.2, 1.3))
-    ]
+    times = enumerate((1.0, 1.1, 1.2, 1.3))
+    told = [Measurement(t, t + 0.004, n, "car", n != 2, np.array([t, 0, 0])) for n, t in times]
     with Recorder(tmp_path / "run.rcj", car, robot="toy") as recorder:
         for frame in told:
             recorder.measured(frame)
