@@ -1,10 +1,7 @@
 """Which cells a change of an experiment changes: a result is found by all that it depends on, and no more."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,21 +13,20 @@ from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison, unsettled
 from evaluation.transfer import Cell, person
 from evaluation.transfer.matrix import MeasuredResult
+from model_zoo.linear import Linear
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.plan import cell as plan_cell
-from sysid_evo.registry import Registry, load_plugin, models
 from sysid_evo.registry import aggregates as aggregate_registry
 from sysid_evo.registry import controllers as controller_registry
+from sysid_evo.registry import load_plugin, models
 from sysid_evo.registry import strategies as strategy_registry
 from sysid_evo.registry import tasks as task_registry
 from sysid_evo.testing import example_dataset
-from tests.unit.evaluation.test_comparison import FailsInFit
 
-BASE: dict[str, Any] = {
+BASE = {
     "models": ("linear", "near=nearest_neighbour"),
     "ensembles": ("linear+near",),
     "robot": "emulated_car",
@@ -258,7 +254,7 @@ def plugin(tmp_path):
     load_plugin(path)
     yield path
     del sys.modules["sysid_evo_plugin_theirs"]
-    kinds: list[Registry[Any]] = [models, task_registry, controller_registry, strategy_registry, aggregate_registry]
+    kinds = [models, task_registry, controller_registry, strategy_registry, aggregate_registry]
     for registry in kinds:
         for name in [name for name in registry.loaded if name.startswith("their_")]:
             registry.forget(name)
@@ -282,47 +278,9 @@ def test_another_source_of_a_plugin_is_another_result(plugin, change, expected):
     assert changed(planned(), planned()) == set()  # what is shipped does not change with it
 
 
-def test_a_result_is_found_again_under_another_label_and_carries_it(tmp_path):
-    small = {**BASE, "robot": None, "generations": 1, "ensembles": ()}
-    first = plan_comparison(Experiment.of({**small, "models": ("old=linear",)}), dataset=example_dataset())
-    execute(first.plan, Store(tmp_path))
-    second = plan_comparison(Experiment.of({**small, "models": ("new=linear",)}), dataset=example_dataset())
-    assert changed(first, second) == ASSESS
-    store = Store(tmp_path)
-    assert second.matrix is not None
-    matrix = second.matrix.of(store.outcome)
-    assert matrix is not None
-    assert (matrix.rows, matrix.columns) == (("new",), ("new",))
-    assert matrix.champions[0].against == ("new",)
-    assert matrix.cell("new", "new").trials == 3
-    assert store.outcome(second.predictions["new"]).value.name == "new"
-
-
-def test_two_labels_of_one_model_are_two_rows_of_equal_numbers(tmp_path):
-    small = {**BASE, "robot": None, "generations": 1, "ensembles": ()}
-    both = plan_comparison(Experiment.of({**small, "models": ("a=linear", "b=linear")}), dataset=example_dataset())
-    store = Store(tmp_path)
-    execute(both.plan, store)
-    assert both.matrix is not None
-    matrix = both.matrix.of(store.outcome)
-    assert matrix is not None
-    assert (matrix.rows, matrix.columns) == (("a", "b"), ("a", "b"))
-    np.testing.assert_array_equal(matrix.cell("a", "a").fitness, matrix.cell("b", "a").fitness)
-
-
-def test_claims_are_measured_with_the_delay_of_evolution(tmp_path):
-    small = {**BASE, "robot": None, "ensembles": (), "models": ("linear",), "task": "point_to_point(horizon=200)",
-             "generations": 5}  # fmt: skip
-    late = plan_comparison(Experiment.of({**small, "estimator_delay": 0.2}), dataset=example_dataset())
-    store = Store(tmp_path)
-    execute(late.plan, store)
-    assert late.matrix is not None
-    (run,) = late.matrix.runs
-    assert run.delay == 0.2
-    prompt = replace(run, delay=0.0)
-    execute(Plan.of([prompt]), store)
-    with_delay, without = store.load(run), store.load(prompt)
-    assert not np.array_equal(with_delay.traces[0].trajectory.states, without.traces[0].trajectory.states)
+def test_another_label_of_a_model_changes_the_assessment_alone():
+    old, new = (planned(models=(f"{name}=linear",), ensembles=(), robot=None) for name in ("old", "new"))
+    assert changed(old, new) == ASSESS
 
 
 def test_a_champion_is_refused_on_another_system():
@@ -365,7 +323,7 @@ def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_fil
 
 
 def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_named(register, monkeypatch):
-    class Lacking(FailsInFit):
+    class Lacking(Linear):
         """A family that needs a package which is not there."""
 
         requires = ("no_such_package",)

@@ -1,77 +1,184 @@
-"""A comparison that leaves whole conditions out: errors within and across them, side by side."""
-
-from __future__ import annotations
-
-from dataclasses import replace
-from typing import Any
+"""What a comparison plans, leaves out with a reason, and refuses before any work."""
 
 import numpy as np
 import pytest
 
+from evaluation.cells.controllers import EvolveCell, HandWrittenCell
 from evaluation.cells.data import Split, whole_episodes
-from evaluation.experiment import Experiment
+from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import plan_comparison
-from evaluation.report import brief, to_json
 from evaluation.running import compare
+from hardware.robot import Robot
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry import models
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, UnknownName
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
+from sysid_evo.registry import Spec, models, robots
 from sysid_evo.system import Channel, System
+from sysid_evo.testing import ExampleDynamics, example_dataset
+from sysid_evo.testing.examples import pendulum, switched_car
 from tests.fixtures.known_models import recording
-from tests.fixtures.systems import FloorCar, drive
+
+SHORT = {
+    "generations": 2, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 2, "held_back": 0.3,
+    "ensembles": (), "task": "point_to_point(horizon=60)", "strategy": "mu_plus_lambda(children=5)",
+}  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def floors():
-    """Two drives on a floor that grips and two on one that does not."""
-    pieces = [
-        replace(drive(car, seconds=20.0, seed=seed).episodes[0], condition=condition)
-        for seed, (car, condition) in enumerate(
-            [(FloorCar(), "grip"), (FloorCar(1.5, 2.0), "ice"), (FloorCar(), "grip"), (FloorCar(1.5, 2.0), "ice")]
-        )
-    ]
-    return Dataset(FloorCar().system, tuple(pieces))
+class MadeUpRobot(Robot):
+    """A robot that is emulated by a linear system."""
+
+    name, made_like = "made_up_robot", staticmethod(switched_car)
+
+    def __init__(self):
+        self.system = self.made_like()
+        self.dynamics = ExampleDynamics(self.system)
+
+    def connect(self, *, seed=None):
+        raise AssertionError("a plan connects to nothing")
 
 
-def test_a_condition_left_out_is_predicted_worse_than_one_learned_from(floors, tmp_path):
-    report = compare(floors, out=tmp_path / "run", models=["linear"], only="prediction", leave_out="condition", jobs=1)
-    grip, ice = report.conditions["linear"]
-    assert (grip.condition, ice.condition, grip.horizon) == ("grip", "ice", 20)
-    for found in (grip, ice):
-        assert found.within is not None
-        assert found.across is not None
-        assert found.across > 1.05 * found.within
-    assert to_json(report)["conditions"]["linear"][0]["condition"] == "grip"
-    assert "Error N within and across conditions" in (tmp_path / "run" / "report.html").read_text()
-    assert len(brief(report)) == len(brief(replace(report, conditions={}))) + 3
-    again = compare(floors, out=tmp_path / "run", models=["linear"], only="prediction", leave_out="condition", jobs=1)
-    assert again.conditions == report.conditions
+class Swinging(MadeUpRobot):
+    """A robot that is no car."""
+
+    made_like = staticmethod(pendulum)
 
 
-def test_other_conditions_of_the_same_numbers_are_other_data(floors, tmp_path):
-    settings = {"models": ["linear"], "only": "prediction", "leave_out": "condition", "jobs": 1}
-    renamed = floors.with_episodes([replace(e, condition=f"the {e.condition}") for e in floors])
-    compare(floors, out=tmp_path / "run", **settings)
-    report = compare(renamed, out=tmp_path / "run", **settings)
-    assert [found.condition for found in report.conditions["linear"]] == ["the grip", "the ice"]
+@pytest.fixture(autouse=True)
+def _made_up_things(register):
+    register(robots, "made_up_robot", MadeUpRobot)
+    register(robots, "swinging", Swinging)
 
 
-def test_without_several_conditions_it_is_refused_before_any_work(floors, tmp_path):
-    plain = floors.with_episodes([replace(e, condition="") for e in floors])
-    with pytest.raises(InvalidArgument, match=r"leave_out: expected recordings of two or more conditions, got 1"):
-        compare(plain, out=tmp_path / "run", models=["linear"], only="prediction", leave_out="condition")
+SWING = System(
+    (Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")),
+    (Channel("torque", "N m", -1.0, 1.0),),
+    0.05,
+)
+
+
+def swings(lengths):
+    rng = np.random.default_rng(0)
+    states = [np.cumsum(rng.standard_normal((length + 1, 2)), axis=0) for length in lengths]
+    return Dataset.from_arrays(SWING, states, [rng.uniform(-1.0, 1.0, length) for length in lengths])
+
+
+def planned(*names, **changes):
+    asked = Experiment.of(meaningful({**SHORT, "models": names}, changes))
+    return plan_comparison(asked, dataset=example_dataset())
+
+
+def test_a_model_inside_a_controller_is_needed_by_it_and_its_label_is_no_part_of_a_result():
+    fit = planned("linear").fits["linear"]
+    cells = [HandWrittenCell(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}) for n in "ab"]
+    assert cells[0].needs == (fit,)
+    assert cells[0].digest == cells[1].digest
+
+
+def noises_met(**changes):
+    """Return the noise of every evolution of a comparison with a yardstick, by the label of what it is evolved on."""
+    plan = planned("linear", robot="made_up_robot", yardstick=True, **changes).plan
+    return {cell.name: cell.settings.noise for cell in plan if isinstance(cell, EvolveCell)}
+
+
+def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_asked_for():
+    target = "set_point(channels=yaw_rate, low=-1, high=1)"
+    assert noises_met(task=target) == {"linear": "envelope(process=0.02)", "made_up_robot": ""}
+    assert set(noises_met(task=target, noise="none").values()) == {""}
+    assert set(noises_met(task=target, noise="envelope(sensor=0.1)").values()) == {"envelope(sensor=0.1)"}
+    assert set(noises_met().values()) == {""}
+
+
+def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path):
+    file = save_model(make_model("linear").fit(example_dataset(), rng=0), tmp_path / "body")
+    spec = Spec("predictive", {"model": str(file)})
+    cells = [HandWrittenCell(spec, Spec("point_to_point"), switched_car()) for _ in range(3)]
+    first, same = (cell.inputs() for cell in cells[:2])
+    assert len(first["files"]) == 2
+    file.write_text(file.read_text() + " ")
+    assert first == same != cells[2].inputs()
+
+
+def test_an_ensemble_in_two_orders_is_one():
+    comparison = planned("linear", "near=nearest_neighbour", ensembles=("near+linear", "linear+near", "near + linear"))
+    assert comparison.experiment.ensembles == ("near+linear",)
+    assert len([cell for cell in comparison.plan.of_kind("evolve") if len(cell.members) > 1]) == 1
+
+
+@pytest.mark.parametrize(("count", "title"), [(7, "a, b, c, d, e, f, g"), (8, "8 models")])
+def test_a_report_is_called_after_its_models_if_they_are_few(count, title):
+    comparison = planned(*(f"{label}=linear" for label in "abcdefgh"[:count]), only="prediction")
+    assert comparison.title.endswith(f": {title}")
 
 
 @pytest.mark.parametrize(
-    ("id", "by_hand", "rows"),
+    ("changes", "error", "message"),
+    [
+        ({"ensembles": ("linear+parametrised",)}, InvalidArgument, "names parametrised, but the models are linear"),
+        ({"ensembles": ("linear",)}, InvalidArgument, "expected two or more models joined by +"),
+        ({"ensembles": ("linear+linear",)}, InvalidArgument, "names a model twice"),
+        ({"models": ("linear", "linear")}, InvalidArgument, "'linear' is given 2 times"),
+        ({"models": ()}, InvalidArgument, "expected at least one family"),
+        ({"models": ("linear(rigde=1)",)}, InvalidArgument, "has no parameter 'rigde'. Did you mean 'ridge'?"),
+        ({"task": "point_to_point(horizon=0)"}, InvalidArgument, "horizon"),
+        ({"strategy": "mu_plus_lambda(parents=0)"}, InvalidArgument, "parents"),
+        ({"controller": "recurrent(hidden=0)"}, InvalidArgument, "hidden"),
+        ({"aggregate": "min(share=0.2)"}, InvalidArgument, "'min' has no parameter 'share'"),
+        ({"by_hand": ("recurrent",)}, InvalidArgument, "'recurrent' must be evolved before it can drive"),
+        ({"by_hand": ("predictive(model=liner)",)}, UnknownName, "the models compared are linear"),
+        ({"by_hand": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
+        ({"by_hand": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' is given 2 times"),
+        ({"by_hand": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
+        ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "by_hand has no effect with only = 'fit'"),
+        ({"yardstick": True}, InvalidArgument, "name the emulated robot"),
+        ({"yardstick": True, "only": "prediction", "robot": "made_up_robot"}, InvalidArgument, "only = 'prediction'"),
+        ({"robot": "swinging"}, IncompatibleSystem, "robot 'swinging' is not the one in the recordings"),
+        ({"robot": "made_up_robot(seed=1)"}, InvalidArgument, "'made_up_robot' has no parameter 'seed'"),
+        ({"test": ("episode-7",)}, InvalidArgument, "episode-7"),
+        ({"held_back": 0.0}, InvalidArgument, "held_back: expected a share above 0"),
+    ],
+)
+def test_a_mistake_is_found_by_the_plan_and_nothing_is_written(tmp_path, changes, error, message):
+    with pytest.raises(error) as told:
+        compare(example_dataset(), out=tmp_path / "run", **meaningful({**SHORT, "models": ("linear",)}, changes))
+    assert message in str(told.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_task_that_does_not_fit_the_system_is_found_by_the_plan():
+    with pytest.raises(IncompatibleSystem.__mro__[1], match="motion"):
+        plan_comparison(Experiment.of({**SHORT, "models": ("linear",)}), dataset=swings([200]))
+
+
+def test_a_setting_that_there_is_not_is_told_with_the_one_that_is_meant():
+    with pytest.raises(InvalidArgument, match=r"genrations is no setting of an experiment; did you mean generations\?"):
+        Experiment.of({"genrations": 3})
+    with pytest.raises(InvalidArgument, match="preset: expected 'quick', 'standard' or 'paper', got 'slow'"):
+        Experiment.of({"preset": "slow"})
+
+
+def test_an_experiment_comes_back_from_its_file(tmp_path):
+    settled = planned("near2=nearest_neighbour(state_lags=2)", "linear", ensembles=("near2+linear",)).experiment
+    settled.write(tmp_path / "experiment.toml")
+    assert Experiment.of(Experiment.read(tmp_path)) == settled
+    assert settled.runs == 1  # what was left open is named
+
+
+def test_conditions_are_left_out_of_recordings_of_several_alone():
+    with pytest.raises(InvalidArgument, match=r"leave_out: expected recordings of two or more conditions, got 1"):
+        planned("linear", only="prediction", leave_out="condition")
+
+
+@pytest.mark.parametrize(
+    ("name", "by_hand", "rows"),
     [
         ("Pendulum-v1", (), ["linear", "rest"]),
         ("Pendulum-v1", ("still=constant",), ["linear", "still"]),
         ("CartPole-v1", (), ["linear", "rest"]),
     ],
 )
-def test_controls_at_rest_are_a_row_where_they_may_bring_something(id, by_hand, rows):  # noqa: A002  # as Gymnasium calls it
-    task, robot = f'environment(id="{id}")', f'gymnasium(id="{id}")'
+def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, by_hand, rows):
+    task, robot = f'environment(id="{name}")', f'gymnasium(id="{name}")'
     planned = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), by_hand=by_hand))
     assert planned.matrix is not None
     assert [champion.name for champion in planned.matrix.champions] == rows
@@ -95,19 +202,6 @@ def test_controls_at_rest_are_a_row_without_a_robot():
     assert [champion.name for champion in without_robot.matrix.champions] == ["linear", "rest"]
 
 
-SWING = System(
-    (Channel("angle", "rad", period=2.0 * np.pi), Channel("speed", "rad/s")),
-    (Channel("torque", "N m", -1.0, 1.0),),
-    0.05,
-)
-
-
-def swings(lengths):
-    rng = np.random.default_rng(0)
-    states = [np.cumsum(rng.standard_normal((length + 1, 2)), axis=0) for length in lengths]
-    return Dataset.from_arrays(SWING, states, [rng.uniform(-1.0, 1.0, length) for length in lengths])
-
-
 def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there():
     plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
     assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
@@ -124,9 +218,8 @@ def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later():
     names = [name for name in models.names() if getattr(models.get(name), "periodic", False)]
     assert {"nearest_neighbour", "k_neighbours", "sindy", "narx", "mlp_ensemble", "gaussian_process"} <= set(names)
     assert "linear" not in names
-    quick: dict[str, dict[str, Any]] = {name: models.get(name).presets.get("quick", {}) for name in names}
-    for name in ("nearest_neighbour", "sindy_discrete", "narx", "backprop27"):
-        model = models.make(name, **quick[name]).fit(data)
+    for name in ("nearest_neighbour", "narx", "backprop27"):
+        model = models.make(name, **models.get(name).presets.get("quick", {})).fit(data)
         lags, control, turn = model.n_lags, np.array([[0.5]]), np.array([[2.0 * np.pi, 0.0]])
         states = np.tile([[0.4, 1.0]], (1, lags + 1, 1))
         begun, later = (model.start(some, np.zeros((1, lags, 1))) for some in (states, states + turn))

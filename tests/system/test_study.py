@@ -1,63 +1,44 @@
-"""A real study of two emulated cars and two seeds, from its file to its page."""
-
-from __future__ import annotations
+"""A real study of two emulated cars and two seeds, from its file to its page, and what disturbs it."""
 
 import json
-from typing import Any
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from evaluation.running import run_study, write_study
-from evaluation.study import Study, StudyResults, controller_figures, gather, plan_study
+from evaluation.study import Study, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Again, Observer, Store, execute
-
-TINY: dict[str, Any] = {
-    "title": "Tiny",
-    "experiment": {
-        "models": ["linear", "nearest_neighbour"],
-        "minutes": 0.5,
-        "generations": 2,
-        "polish": 1,
-        "trials": 2,
-        "selection_trials": 2,
-        "transfer_trials": 3,
-        "traces": 0,
-        "yardstick": False,
-        "task": "point_to_point(horizon=60)",
-        "strategy": "mu_plus_lambda(children=5)",
-    },
-    "grid": {"robot": ["emulated_car", "emulated_car(seed=1)"], "seed": "0..1"},
-}
+from tests.fixtures.commands import COMMAND, run_here
+from tests.fixtures.session import STUDY
+from tests.fixtures.studies import finished, found_in
 
 
 class Computed(Observer):
     """Remembers which cells were computed."""
 
     def __init__(self):
-        self.titles: list[str] = []
+        self.titles = []
 
     def start(self, cell):
         self.titles.append(cell.title)
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory):
-    """The folder of a finished study."""
-    path = tmp_path_factory.mktemp("study") / "tiny"
-    run_study(TINY, out=path, jobs=1)
-    return path
-
-
-@pytest.fixture(scope="session")
 def planned():
-    return plan_study(Study.of(TINY))
+    return plan_study(Study.of(STUDY))
 
 
-def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder, planned):
-    results = gather(planned, folder)
+def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_folder, planned):
+    results = gather(planned, study_folder)
     assert len(results.finished) == 4
     for point in results.points:
         own = [row for row in results.controllers if row.point == point.name]
@@ -68,8 +49,8 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(folder
         assert best.chosen
 
 
-def test_errors_of_models_are_those_that_were_measured(folder, planned):
-    results, store, (point, comparison) = gather(planned, folder), Store(folder), planned.points[1]
+def test_errors_of_models_are_those_that_were_measured(study_folder, planned):
+    results, store, (point, comparison) = gather(planned, study_folder), Store(study_folder), planned.points[1]
     rows = {row.model: row for row in results.models if row.point == point.name}
     for name in rows:
         found = store.load(comparison.predictions[name]).at
@@ -84,27 +65,26 @@ def test_errors_of_models_are_those_that_were_measured(folder, planned):
     assert {own[name].aggregate for name in both} == {"min"}
 
 
-def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(folder, planned):
-    results = gather(planned, folder)
+def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(study_folder, planned):
+    results = gather(planned, study_folder)
     for where in {point.where for point in results.points}:
         names = {point.name for point in results.points if point.where == where}
         own = [row for row in results.controllers if row.point in names]
         assert {row.yardstick for row in own} == {max(row.achieved or 0.0 for row in own)}
 
 
-def test_a_finished_study_computes_nothing_again(folder):
+def test_a_finished_study_computes_nothing_again(study_folder, tmp_path):
+    shutil.copytree(study_folder, tmp_path / "study")
     seen = Computed()
-    results = run_study(TINY, out=folder, observer=seen)
+    results = run_study(STUDY, out=tmp_path / "study", observer=seen)
     assert seen.titles == []
     assert not results.failures
 
 
-def test_a_point_that_is_added_computes_only_what_is_new(folder, tmp_path):
-    import shutil
-
-    more = {**TINY, "grid": {**TINY["grid"], "aggregate": ["min", "mean"], "robot": ["emulated_car"], "seed": "0..0"}}
+def test_a_point_that_is_added_computes_only_what_is_new(study_folder, tmp_path):
+    more = {**STUDY, "grid": {**STUDY["grid"], "aggregate": ["min", "mean"], "robot": ["emulated_car"], "seed": "0..0"}}
     more["grid"]["seed"] = [0]
-    shutil.copytree(folder, tmp_path / "more")
+    shutil.copytree(study_folder, tmp_path / "more")
     seen = Computed()
     execute(plan_study(Study.of(more)).plan, Store(tmp_path / "more"), observer=seen)
     assert seen.titles
@@ -119,10 +99,8 @@ def test_a_study_without_results_says_what_is_missing(planned, tmp_path):
     assert "4 of 4 points are not finished" in (tmp_path / "study.md").read_text()
 
 
-def test_a_study_that_is_half_done_shows_what_is_there(folder, planned, tmp_path):
-    import shutil
-
-    shutil.copytree(folder, tmp_path / "half")
+def test_a_study_that_is_half_done_shows_what_is_there(study_folder, planned, tmp_path):
+    shutil.copytree(study_folder, tmp_path / "half")
     last = planned.comparisons[-1].plan
     for cell in last:
         if cell.kind in ("run", "exploit", "advise"):
@@ -142,14 +120,14 @@ def test_the_same_plan_is_made_again_from_its_settings(planned, tmp_path):
 
 
 def test_a_cell_is_named_by_what_the_points_that_need_it_share():
-    both = plan_study(Study.of({**TINY, "grid": {"seed": [0, 1], "aggregate": ["min", "mean"]}}))
+    both = plan_study(Study.of({**STUDY, "grid": {"seed": [0, 1], "aggregate": ["min", "mean"]}}))
     titles = {f"{both.where(cell)}{cell.title}" for cell in both.plan}
     assert "seed 1: fit linear" in titles
     assert "seed 0, aggregate mean: polish the best" in titles
 
 
 def test_failing_cells_are_rows_with_reasons(tmp_path):
-    settings = {"models": ["linear", "bad=nearest_neighbour(state_lags=2000)"], "minutes": 0.5, "only": "prediction"}
+    settings = {"models": ["linear", "bad=nearest_neighbour(state_lags=2000)"], "minutes": 0.3, "only": "prediction"}
     results = run_study({"experiment": settings, "grid": {"seed": [0, 1]}}, out=tmp_path / "failing", jobs=1)
     failed = [row for row in results.models if row.reason]
     assert [row.model for row in failed] == ["bad", "bad"]
@@ -162,10 +140,8 @@ def test_failing_cells_are_rows_with_reasons(tmp_path):
     assert "Failures" in (tmp_path / "failing" / "study.html").read_text()
 
 
-def test_parquet_holds_every_row_with_the_meaning_of_its_columns(folder, planned):
-    import pyarrow.parquet as pq
-
-    results: StudyResults = gather(planned, folder)
+def test_parquet_holds_every_row_with_the_meaning_of_its_columns(study_folder, planned):
+    results = gather(planned, study_folder)
     rows = {
         "points": results.points,
         "models": results.models,
@@ -173,20 +149,20 @@ def test_parquet_holds_every_row_with_the_meaning_of_its_columns(folder, planned
         "cells": results.times,
     }
     for name, expected in rows.items():
-        table = pq.read_table(folder / f"{name}.parquet")
+        table = pq.read_table(study_folder / f"{name}.parquet")
         assert table.num_rows == len(expected)
         assert all(field.metadata and field.metadata[b"description"] for field in table.schema)
-    frame = pd.read_parquet(folder / "controllers.parquet")
+    frame = pd.read_parquet(study_folder / "controllers.parquet")
     assert frame["share"].max() == 1.0
     assert set(frame["axis_seed"]) == {"0", "1"}
-    assert {"n_20", "n_20_low", "n_20_high"} <= set(pd.read_parquet(folder / "models.parquet"))
+    assert {"n_20", "n_20_low", "n_20_high"} <= set(pd.read_parquet(study_folder / "models.parquet"))
 
 
-def test_the_document_is_strict_json_and_markdown_has_all_tables(folder):
-    document = json.loads((folder / "study.json").read_text())
+def test_the_document_is_strict_json_and_markdown_has_all_tables(study_folder):
+    document = json.loads((study_folder / "study.json").read_text())
     assert document["schema"] == "sysid-evo/study/1"
     assert len(document["points"]) == 4
-    text = (folder / "study.md").read_text()
+    text = (study_folder / "study.md").read_text()
     for title in ("In short", "Controllers", "Prediction", "Exploitability", "Forecasts", "Time", "Points"):
         assert f"# {title}" in text
     assert "too few for an interval" in text
@@ -195,3 +171,40 @@ def test_the_document_is_strict_json_and_markdown_has_all_tables(folder):
 def test_a_physical_robot_is_no_point_of_a_study():
     with pytest.raises(InvalidArgument, match="a physical robot, which a study does not drive"):
         plan_study(Study.of({"grid": {"robot": ["serial(port=nowhere)"], "seed": [0]}}))
+
+
+INTERRUPTIBLE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+"""Put before a command: a job in the background ignores Ctrl-C."""
+
+
+def stopped_after(cells, folder, number):
+    """Start the command in a process of its own and send it the signal as soon as so many cells are done."""
+    command = [sys.executable, "-c", INTERRUPTIBLE + COMMAND[-1], "study", "tiny.toml"]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        deadline = time.monotonic() + 150.0
+        while finished(folder / "runs" / "tiny").total() < cells and process.poll() is None:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=150.0)
+    return process.returncode, " ".join(said.split())
+
+
+def test_a_study_that_is_killed_and_interrupted_goes_on_to_the_same_tables_and_computes_nothing_twice(
+    tmp_path, study_folder
+):
+    Study.of(STUDY).write(tmp_path / "tiny.toml")
+    cells, study = len(finished(study_folder)), tmp_path / "runs" / "tiny"
+    assert stopped_after(round(0.25 * cells), tmp_path, signal.SIGKILL)[0] == -signal.SIGKILL
+    assert 0.25 * cells - 1 < len(finished(study)) < cells
+    code, said = stopped_after(round(0.6 * cells), tmp_path, signal.SIGINT)
+    assert code == 130
+    assert re.search(r"interrupted: \S.*; go on with --out runs/tiny", said)
+    assert "Traceback" not in said
+    assert 0.6 * cells - 1 < len(finished(study)) < cells
+    assert not [*study.rglob("*.tmp"), *study.rglob("*.json.*"), *study.glob("study.json")]
+    last = run_here("study", "tiny.toml", "--out", "runs/tiny", cwd=tmp_path)
+    assert last.returncode == 0, last.stderr
+    assert finished(study) == finished(study_folder)
+    assert set(finished(study).values()) == {1}
+    assert found_in(study) == found_in(study_folder)
