@@ -1,11 +1,8 @@
 """What is computed does not depend on the number of threads of linear algebra, and that is as before afterwards."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +16,8 @@ from sysid_evo.models.storage import save_model
 from sysid_evo.processors import _LinearAlgebra, one_blas_thread
 from sysid_evo.testing import example_dataset
 
-NETWORK: dict[str, Any] = {"hidden": [24], "one_step_updates": 30, "updates": 4, "horizon": 5, "state_lags": 1}
-FAMILIES: dict[str, dict[str, Any]] = {
+NETWORK = {"hidden": [24], "one_step_updates": 30, "updates": 4, "horizon": 5, "state_lags": 1}
+FAMILIES = {
     "linear": {"state_lags": 3, "control_lags": 3},
     "nearest_neighbour": {},
     "k_neighbours": {},
@@ -75,14 +72,9 @@ def test_a_model_is_the_same_for_any_number_of_threads(family, recording, tmp_pa
 
 def test_a_champion_is_the_same_for_any_number_of_threads(recording):
     settings = ControllerEvolution(
-        generations=24,
-        trials=2,
-        runs=1,
+        generations=24, trials=2, runs=1, selection_trials=3, strategy="cma_es", task="point_to_point(horizon=50)",
         controller="recurrent(hidden=15)",  # 330 parameters; C of fewer than 240 came out the same on four threads
-        strategy="cma_es",
-        task="point_to_point(horizon=50)",
-        selection_trials=3,
-    )
+    )  # fmt: skip
     model = make_model("linear").fit(recording, rng=0)
     found = []
     for count in (1, 4):

@@ -11,7 +11,7 @@ from sysid_evo.controllers import FeedForward, LinearFeedback, Pid, Pursuit, Rec
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks import PointToPoint, SetPoint, Task, TaskState
+from sysid_evo.tasks import PointToPoint, SetPoint, TaskState
 from sysid_evo.testing.examples import continuous_car, pendulum, switched_car
 from tests.fixtures.by_hand import network_by_hand
 
@@ -190,11 +190,6 @@ def test_outputs_made_from_controls_beyond_the_limits_are_the_nearest_legal_ones
     assert continuous_car().raw_of(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
 
 
-def test_a_task_is_what_every_controller_can_be_bound_to():
-    task: Task = PointToPoint().bind(switched_car())
-    assert make_controller("recurrent").bind_to(task).n_parameters == 78
-
-
 @pytest.mark.parametrize("hidden, inputs, outputs", [(6, 5, 2), (1, 3, 1), (4, 1, 3)])
 def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden, inputs, outputs):
     rng = np.random.default_rng(4)
@@ -214,26 +209,7 @@ def test_every_candidate_in_every_trial_equals_the_scalar_loop(hidden, inputs, o
 
 def test_the_network_of_the_paper_has_78_weights():
     assert RecurrentNetwork(hidden=6).bind(5, 2).n_parameters == 78
-
-
-def test_a_candidate_acts_the_same_whoever_else_is_there():
-    rng = np.random.default_rng(5)
-    network = RecurrentNetwork().bind(5, 2)
-    parameters = rng.standard_normal((7, 78))
-    memory, observation = rng.standard_normal((7, 4, 6)), rng.standard_normal((7, 4, 5))
-    raw, after = network.act(parameters, memory, View(observation, observation, TRIALS))
-    for p in range(7):
-        one = slice(p, p + 1)
-        alone = network.act(parameters[one], memory[one], View(observation[one], observation[one], TRIALS))
-        np.testing.assert_array_equal(alone[0], raw[one])
-        np.testing.assert_array_equal(alone[1], after[one])
-
-
-def test_binding_leaves_the_network_itself_unbound():
-    network = RecurrentNetwork(hidden=3)
-    assert network.bind(5, 2).n_parameters == 30
-    assert network.bind(4, 1).n_parameters == 24
-    assert not hasattr(network, "n_parameters")
+    assert make_controller("recurrent").bind_to(PointToPoint().bind(switched_car())).n_parameters == 78
 
 
 def test_wrong_numbers_of_units_and_weights_are_refused():

@@ -1,7 +1,5 @@
 """Choosing among finalists by models of other families, and polishing the chosen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,7 +78,7 @@ SETTINGS = ControllerEvolution(
 
 def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest():
     start = champion("start", finalist(0.0, 9.0, "left"), finalist(-30.0, 1.0, "far"))
-    told: list[tuple[int, int]] = []
+    told = []
     better = polish(
         "better", start, {"a": Hill(0.0), "b": Hill(2.0)}, SETTINGS,
         seed=3, starts=1, generations=60, progress=lambda done, total, _="": told.append((done, total)),

@@ -5,7 +5,6 @@ import pytest
 
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.evolution import MuPlusLambda, evolve
-from sysid_evo.evolution.strategies.strategy import make_strategy
 
 
 def sphere(population, _=0):
@@ -65,14 +64,11 @@ def test_with_reevaluation_a_lucky_draw_does_not_last():
 def test_parents_are_asked_again_only_with_reevaluation():
     for reevaluate, sizes in ((True, [8, 8, 8]), (False, [8, 5, 5])):
         strategy = MuPlusLambda(n_parameters=4, seed=1, parents=3, children=5, reevaluate=reevaluate)
-        asked = []
-        for _ in sizes:
+        for size in sizes:
             population = strategy.ask()
-            asked.append(len(population))
-            assert population.shape[1] == 4
+            assert population.shape == (size, 4)
             strategy.tell(population, sphere(population))
             assert strategy.elite.shape == (3, 4)
-        assert asked == sizes
 
 
 def test_parents_stand_first_and_bear_children_in_turn():
@@ -127,17 +123,6 @@ def test_the_newest_survive_among_equals():
         children = kept.ask()
         kept.tell(children, np.zeros(len(children)))
         np.testing.assert_array_equal(np.sort(kept.elite, axis=0), np.sort(children[-3:], axis=0))
-
-
-def test_the_same_seed_runs_the_same_way_and_another_one_another():
-    ends = []
-    for seed in (1, 1, 2):
-        strategy = make_strategy("mu_plus_lambda", n_parameters=4, seed=seed, parents=5, children=5)
-        for _ in evolve(strategy, sphere, 5):
-            pass
-        ends.append(strategy.elite)
-    np.testing.assert_array_equal(ends[0], ends[1])
-    assert not np.isin(ends[2], ends[0]).any()
 
 
 def test_a_nan_is_no_fitness():

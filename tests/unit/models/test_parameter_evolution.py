@@ -1,7 +1,5 @@
 """Fitting a model's parameters by evolution on its multi-step error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import final_error
 from sysid_evo.system import Channel, System
-from sysid_evo.types import Array
 
 SYSTEM = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 TRUTH = np.array([0.8, 0.5])
@@ -41,25 +38,19 @@ def recorded():
 @pytest.mark.parametrize("seed", [1, 2])
 def test_two_known_parameters_are_found_from_far_away(recorded, seed):
     """Fifty children of deviation 0.1 in two dimensions leave a distance of about 0.1 / sqrt(50 g) after g visits."""
-    told: list[int] = []
+    told = []
     found = ModelEvolution(generations=60, windows=40, horizon=5).run(
-        linear,
-        recorded,
-        initial=np.array([-0.5, -0.5]),
-        spread=0.1,
-        rng=np.random.default_rng(seed),
+        linear, recorded, initial=np.array([-0.5, -0.5]), spread=0.1, rng=np.random.default_rng(seed),
         progress=lambda done, total: told.append(done),
-    )
+    )  # fmt: skip
     np.testing.assert_allclose(found, TRUTH, atol=0.01)
     assert told == list(range(1, 61))
 
 
 def test_the_same_generator_finds_the_same_parameters(recorded):
     search = ModelEvolution(generations=5, windows=10, horizon=5, parents=5, children=5)
-    found = [
-        search.run(linear, recorded, initial=np.zeros(2), spread=0.5, rng=np.random.default_rng(seed))
-        for seed in (1, 1, 2)
-    ]
+    given = {"initial": np.zeros(2), "spread": 0.5}
+    found = [search.run(linear, recorded, rng=np.random.default_rng(seed), **given) for seed in (1, 1, 2)]
     np.testing.assert_array_equal(found[0], found[1])
     assert not np.isin(found[2], found[0]).any()
 
@@ -76,7 +67,7 @@ def test_the_error_is_that_of_the_last_state_after_the_horizon(recorded):
 
 
 def test_every_candidate_of_a_generation_meets_the_same_windows_and_the_next_one_others(recorded):
-    met: list[Array] = []
+    met = []
 
     def watched(parameters, state, control):
         assert (state == state[:1]).all()
@@ -112,18 +103,15 @@ def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weigh
     kept, start = np.array([0.9, 0.3]), np.random.default_rng(3).standard_normal((80, 2)) * [1.0, 1e-3]
     data = Dataset.from_arrays(system, list(np.stack([start, start * kept], axis=1)), [np.zeros((1, 0))] * 80)
     best = ModelEvolution(generations=40, windows=80, horizon=1, weights=weights).run(
-        lambda population, state, control: population[:, :, None] * state,
-        data,
-        initial=np.array([0.5]),
-        spread=0.1,
-        rng=np.random.default_rng(1),
-    )
+        lambda population, state, control: population[:, :, None] * state, data,
+        initial=np.array([0.5]), spread=0.1, rng=np.random.default_rng(1),
+    )  # fmt: skip
     np.testing.assert_allclose(best, [found], atol=0.05)
 
 
 @pytest.mark.parametrize("horizon", [1, 7])
 def test_the_search_looks_as_far_ahead_as_it_is_told(horizon, recorded):
-    seen: list[int] = []
+    seen = []
 
     def watched(parameters, state, control):
         seen.append(len(parameters))

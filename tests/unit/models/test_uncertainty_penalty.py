@@ -10,12 +10,7 @@ from sysid_evo.data.support import Support, recorded_pairs
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
-from sysid_evo.models import (
-    Cautious,
-    DelayedEstimate,
-    Doubt,
-    Supported,
-)
+from sysid_evo.models import Cautious, DelayedEstimate, Doubt, Supported
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import cautions
@@ -98,9 +93,7 @@ def test_by_default_models_may_disagree_as_much_as_they_do_in_the_training_data(
 
 def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst():
     support = line(np.linspace(-1.0, 1.0, 50))
-    runner = DynamicsRunner(
-        Supported(Climber(LINE, breaks_above=8.0), support, weight=5.0, every=1), engine="reference"
-    )
+    runner = DynamicsRunner(Supported(Climber(LINE, breaks_above=8.0), support, weight=5.0, every=1))
     controls, seeds = np.array([[0.0], [-0.5], [-1.0], [1.0]]), trial_seeds(0, 2)
     plain = runner.run(Constant(), controls, Ladder(), seeds)
     less = Discounted(runner, most=5.0).run(Constant(), controls, Ladder(), seeds)
@@ -117,20 +110,17 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
     assert Doubt(outside=1.0).about(robot) is robot
     forgetful = make_model("linear").fit(example_dataset(), rng=0)
     del forgetful.pairs_
-    with pytest.raises(InvalidArgument, match="fit it again"):
-        Doubt(outside=1.0).about(forgetful)
-    with pytest.raises(InvalidArgument, match="training data"):
-        Supported(robot)
-    with pytest.raises(InvalidArgument, match="training data"):
-        Cautious(robot, [robot])
-    with pytest.raises(InvalidArgument, match="other model"):
-        Cautious(robot, [])
-    with pytest.raises(IncompatibleSystem, match="systems differ"):
-        Cautious(robot, [models()[0]])
-    with pytest.raises(InvalidArgument, match="late"):
-        Cautious(robot, [DelayedEstimate(robot, 0.1)])
-    with pytest.raises(InvalidData, match="two or more"):
-        line(np.zeros(1))
+    for made, error, reason in (
+        (lambda: Doubt(outside=1.0).about(forgetful), InvalidArgument, "fit it again"),
+        (lambda: Supported(robot), InvalidArgument, "training data"),
+        (lambda: Cautious(robot, [robot]), InvalidArgument, "training data"),
+        (lambda: Cautious(robot, []), InvalidArgument, "other model"),
+        (lambda: Cautious(robot, [models()[0]]), IncompatibleSystem, "systems differ"),
+        (lambda: Cautious(robot, [DelayedEstimate(robot, 0.1)]), InvalidArgument, "late"),
+        (lambda: line(np.zeros(1)), InvalidData, "two or more"),
+    ):
+        with pytest.raises(error, match=reason):
+            made()
 
 
 def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused():
