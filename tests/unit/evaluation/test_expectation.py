@@ -10,13 +10,8 @@ from evaluation.report import to_json
 from evaluation.report.render.terminal import WIDTH, to_rich
 from evaluation.report.sections.controllers import standing_sheet
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import (
-    Cell,
-    Figures,
-    TransferMatrix,
-    standings,
-    summarise,
-)
+from evaluation.transfer import Cell, Figures, TransferMatrix, standings, summarise
+from evaluation.transfer.summary import ControllerScores
 from tests.fixtures import reports as made_up
 from tests.fixtures.reports import champion
 
@@ -57,6 +52,23 @@ def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted():
 def test_shares_are_measured_from_controls_at_rest():
     found = standings(made_up.matrix(FITNESS, robot="car", against={"hand": ()}), "hand")
     assert found["a"].kept.value == pytest.approx((9.0 - 7.0) / (12.0 - 7.0))
+
+
+def test_a_claim_that_is_that_of_controls_at_rest_has_no_share():
+    fitness = {"a": {"a": 7.0, "car": 9.0}, "hand": {"a": 6.0, "car": 7.0}}
+    made = made_up.matrix(fitness, robot="car", against={"hand": ()})
+    assert standings(made)["a"].kept.value == pytest.approx(9.0 / 7.0)
+    assert standings(made, "hand")["a"].kept is None
+
+
+def test_estimates_are_shown_with_the_intervals_of_the_scores_where_there_are_some():
+    for robot, elsewhere in (("car", "achieved"), (None, "others")):
+        one = summarise(made_up.matrix(FITNESS, robot=robot, against={"hand": ()})).controller("a")
+        assert (one.shown["claimed"], one.shown[elsewhere]) == (one.standing.claimed, one.standing.achieved)
+        assert one.standing.claimed != one.claimed
+        assert one.standing.achieved != one.elsewhere
+        plain = replace(one, standing=ControllerScores())
+        assert (plain.shown["claimed"], plain.shown[elsewhere]) == (one.claimed, one.elsewhere)
 
 
 def test_intervals_are_over_trials_and_say_so():

@@ -11,25 +11,23 @@ from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
-from tests.fixtures.known_models import (
-    SYSTEM,
-    Broken,
-    Exploding,
-    Known,
-    Remembering,
-    Stopped,
-    Undefined,
-    Weak,
-    fitted,
-    recording,
-)
+from tests.fixtures import known_models as models
+from tests.fixtures.known_models import SYSTEM, Known, Weak, fitted, recording
 
 PROTOCOL = PredictionProtocol(resamples=200)
 
 
+def assessed(test, **compared):
+    """Return the prediction of models by name on ``test``."""
+    return assess_prediction(
+        {name: fitted(model) for name, model in compared.items()}, recording(), test, protocol=PROTOCOL
+    )
+
+
 def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run():
-    test = recording(2, seed=9)
-    row = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL).model("known")
+    prediction = assessed(recording(2, seed=9), known=Known())
+    assert prediction.names == (PERSISTENCE, "known")
+    row = prediction.model("known")
     assert [score.horizon for score in row.at] == [1, 10, 20, 60]
     for score in (*row.at, row.free_run):
         assert score.n < 1e-12
@@ -39,14 +37,9 @@ def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run():
     assert row.divergence.share == 0.0
 
 
-def test_persistence_is_the_first_row():
-    prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1), protocol=PROTOCOL)
-    assert prediction.names == (PERSISTENCE, "known")
-
-
 def test_the_error_counts_at_the_horizon_where_the_body_moves():
     test = recording(1, steps=200, standstill=60)
-    row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
+    row = assessed(test).model(PERSISTENCE)
     states, moving = test.episodes[0].states, test.moving[0]
     assert not moving.all()
     starts = [k for k in range(5, 200 - 60 + 1, 4) if moving[k]]
@@ -56,28 +49,26 @@ def test_the_error_counts_at_the_horizon_where_the_body_moves():
         assert score.samples == len(errors)
         np.testing.assert_allclose(score.rmse, np.sqrt((errors**2).mean(axis=0)))
         np.testing.assert_allclose(score.nrmse, score.rmse / states[moving].std(axis=0))
-        np.testing.assert_allclose(
-            score.relative_percent, 100 * score.rmse / np.sqrt((states[moving] ** 2).mean(axis=0))
-        )
+        rms = np.sqrt((states[moving] ** 2).mean(axis=0))
+        np.testing.assert_allclose(score.relative_percent, 100 * score.rmse / rms)
 
 
 def test_the_free_run_starts_once_and_is_scored_to_the_end():
     test = recording(1, steps=120)
-    row = assess_prediction({}, recording(), test, protocol=PROTOCOL).model(PERSISTENCE)
+    row = assessed(test).model(PERSISTENCE)
     states = test.episodes[0].states
     assert row.free_run.samples == 115
     np.testing.assert_allclose(row.free_run.rmse, np.sqrt(((states[5] - states[6:]) ** 2).mean(axis=0)))
 
 
 def test_the_curve_passes_through_the_scores():
-    row = assess_prediction({}, recording(), recording(2, seed=3), protocol=PROTOCOL).model(PERSISTENCE)
+    row = assessed(recording(2, seed=3)).model(PERSISTENCE)
     for score in row.at:
         assert row.curve[score.horizon - 1] == pytest.approx(score.n)
 
 
 def test_identical_models_have_no_significant_difference():
-    models = {"one": fitted(Weak()), "two": fitted(Weak())}
-    prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
+    prediction = assessed(recording(2, seed=5), one=Weak(), two=Weak())
     for horizon in prediction.horizons:
         difference = prediction.compare("one", "two", horizon)
         assert difference.difference == 0.0
@@ -85,8 +76,7 @@ def test_identical_models_have_no_significant_difference():
 
 
 def test_a_better_model_is_significantly_better():
-    models = {"weak": fitted(Weak()), "known": fitted(Known())}
-    prediction = assess_prediction(models, recording(), recording(2, seed=5), protocol=PROTOCOL)
+    prediction = assessed(recording(2, seed=5), weak=Weak(), known=Known())
     difference = prediction.compare("weak", "known", 20)
     assert difference.difference > 0
     assert difference.verdict == "known better than weak"
@@ -94,10 +84,9 @@ def test_a_better_model_is_significantly_better():
 
 
 def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
-    training, test = recording(), recording(1, seed=5)
-    prediction = assess_prediction({"exploding": fitted(Exploding(), training)}, training, test, protocol=PROTOCOL)
+    prediction = assessed(recording(1, seed=5), exploding=models.Exploding())
     row, cases = prediction.model("exploding"), prediction.cases
-    envelope = fitted(Exploding(), training).envelope
+    envelope = fitted(models.Exploding()).envelope
     limit = np.minimum(cases.guard[1], np.minimum(envelope[1], -envelope[0]))
     steps = np.log2(limit / np.abs(cases.free_runs[0].past_states[-1])).min()
     assert row.divergence.free_run_times[0] == pytest.approx(np.ceil(steps) * 0.05, abs=0.051)
@@ -106,23 +95,21 @@ def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
 
 
 def test_a_model_that_is_not_a_number_is_scored_at_the_guard():
-    prediction = assess_prediction({"undefined": fitted(Undefined())}, recording(), recording(1), protocol=PROTOCOL)
-    row = prediction.model("undefined")
+    row = assessed(recording(1), undefined=models.Undefined()).model("undefined")
     assert row.divergence.share == 1.0
     assert row.divergence.median_time == pytest.approx(0.05)
     assert all(np.isfinite(score.n) for score in row.at)
 
 
 def test_horizons_longer_than_every_episode_are_left_out_with_a_note():
-    test = recording(2, steps=30)
-    prediction = assess_prediction({"known": fitted(Known())}, recording(), test, protocol=PROTOCOL)
+    prediction = assessed(recording(2, steps=30), known=Known())
     assert prediction.cases.horizons == (1, 10, 20)
     assert any("horizon 60 left out" in note for note in prediction.cases.notes)
     assert prediction.model("known").curve.shape == (20,)
 
 
 def test_an_episode_too_short_for_anything_leaves_only_notes():
-    prediction = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5), protocol=PROTOCOL)
+    prediction = assessed(recording(1, steps=5), known=Known())
     assert prediction.horizons == ()
     assert prediction.model("known").at == ()
     assert prediction.model("known").free_run is None
@@ -130,8 +117,7 @@ def test_an_episode_too_short_for_anything_leaves_only_notes():
 
 
 def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
-    models = {"broken": fitted(Broken()), "known": fitted(Known())}
-    prediction = assess_prediction(models, recording(), recording(1), protocol=PROTOCOL)
+    prediction = assessed(recording(1), broken=models.Broken(), known=Known())
     reason = prediction.model("broken").reason
     assert reason.startswith("RuntimeError: the network is not there (known_models.py, line ")
     assert prediction.compare("broken", "known", 1) is None
@@ -140,11 +126,11 @@ def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
 
 def test_ctrl_c_while_a_model_predicts_ends_the_assessment():
     with pytest.raises(KeyboardInterrupt):
-        assess_prediction({"stopped": fitted(Stopped())}, recording(), recording(1), protocol=PROTOCOL)
+        assessed(recording(1), stopped=models.Stopped())
 
 
 def test_a_model_that_wants_more_history_gets_it_padded_and_says_so():
-    row = assess_prediction({"long": fitted(Remembering())}, recording(), recording(1), protocol=PROTOCOL).model("long")
+    row = assessed(recording(1), long=models.Remembering()).model("long")
     assert row.at[0].n < 1e-12
     assert "padded" in row.notes[0]
 
@@ -153,7 +139,7 @@ def test_a_constant_channel_is_left_out_of_n_with_a_note():
     states = recording(1).episodes[0].states.copy()
     states[:, 1] = 0.0
     test = Dataset.from_arrays(SYSTEM, [states], [recording(1).episodes[0].controls])
-    prediction = assess_prediction({"weak": fitted(Weak())}, recording(), test, protocol=PROTOCOL)
+    prediction = assessed(test, weak=Weak())
     assert any("lateral_speed is constant" in note for note in prediction.cases.notes)
     assert np.isfinite(prediction.model("weak").at[0].n)
 
@@ -196,15 +182,18 @@ class TurnedRound(DynamicsModel):
 
 
 def spinning(steps=200):
-    rate = 2.0 + 0.0 * np.arange(steps + 1)
-    return Dataset.from_arrays(
-        PENDULUM, [np.stack([3.0 + np.cumsum(0.05 * rate), rate], axis=1)], [np.zeros((steps, 1))]
-    )
+    rate = np.full(steps + 1, 2.0)
+    angle = 3.0 + np.cumsum(0.05 * rate)
+    return Dataset.from_arrays(PENDULUM, [np.stack([angle, rate], axis=1)], [np.zeros((steps, 1))])
+
+
+def turned_round():
+    model = TurnedRound().fit(spinning(), rng=np.random.default_rng(0))
+    return assess_prediction({"turned": model}, spinning(), spinning(), protocol=OF_ANGLES)
 
 
 def test_a_prediction_that_is_a_whole_turn_away_is_right():
-    model = TurnedRound().fit(spinning(), rng=np.random.default_rng(0))
-    row = assess_prediction({"turned": model}, spinning(), spinning(), protocol=OF_ANGLES).model("turned")
+    row = turned_round().model("turned")
     for score in (*row.at, row.free_run):
         assert score.rmse[0] < 1e-9
     assert row.curve.max() < 1e-9
@@ -226,7 +215,7 @@ def test_the_spread_of_an_angle_does_not_grow_with_its_turns():
 
 def test_states_a_turn_apart_are_equally_far_outside_the_data():
     rng = np.random.default_rng(0)
-    states = np.stack([rng.uniform(-1.0, 1.0, 301), rng.uniform(-1.0, 1.0, 301)], axis=1)
+    states = rng.uniform(-1.0, 1.0, (301, 2))
     support = training_support(Dataset.from_arrays(PENDULUM, [states], [np.zeros((300, 1))]))
     here, there = (
         Steps.of(PENDULUM, [Trajectory(states + turns * np.array([TURN, 0.0]), np.zeros((300, 1)), 0.05)])
@@ -237,12 +226,9 @@ def test_states_a_turn_apart_are_equally_far_outside_the_data():
 
 
 def test_the_line_of_an_angle_breaks_where_it_jumps():
-    model = TurnedRound().fit(spinning(), rng=np.random.default_rng(0))
-    prediction = assess_prediction({"turned": model}, spinning(), spinning(), protocol=OF_ANGLES)
-    ax = plot_free_run(prediction, 0, seconds=(0.0, 10.0))
-    for line in ax.lines[:1]:
-        values = np.asarray(line.get_ydata(), dtype=float)
-        assert np.isnan(values).any()
-        assert np.nanmax(np.abs(values)) <= np.pi + 1e-9
-        assert np.nanmax(np.abs(np.diff(values))) < 1.0
+    ax = plot_free_run(turned_round(), 0, seconds=(0.0, 10.0))
+    values = np.asarray(ax.lines[0].get_ydata(), dtype=float)
+    assert np.isnan(values).any()
+    assert np.nanmax(np.abs(values)) <= np.pi + 1e-9
+    assert np.nanmax(np.abs(np.diff(values))) < 1.0
     plt.close(ax.figure)
