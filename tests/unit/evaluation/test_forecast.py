@@ -26,34 +26,28 @@ from sysid_evo.plan import Work
 from sysid_evo.testing import example_dataset
 from tests.fixtures.reports import evolved, matrix
 
-NONE_OWN = np.zeros(2, dtype=bool)
-HALF_OWN = Rule(power=2.0, own=0.5)
+INF, NAN = float("inf"), float("nan")
 
 
-def test_a_model_with_twice_the_error_counts_a_quarter():
-    np.testing.assert_allclose(credibilities([0.1, 0.2], NONE_OWN, rule=HALF_OWN), [0.8, 0.2])
-
-
-def test_a_model_of_the_controllers_own_family_counts_half():
-    np.testing.assert_allclose(credibilities([0.1, 0.1], np.array([True, False]), rule=HALF_OWN), [1 / 3, 2 / 3])
-
-
-def test_a_model_whose_error_is_not_known_counts_as_much_as_the_best():
-    weights = credibilities([0.1, None, 0.2], np.zeros(3, dtype=bool), rule=HALF_OWN)
-    assert weights[0] == weights[1] == pytest.approx(4 * weights[2])
-
-
-def test_without_any_error_all_count_alike():
-    np.testing.assert_array_equal(credibilities([None, None], NONE_OWN, rule=HALF_OWN), [0.5, 0.5])
-
-
-def test_a_model_whose_error_is_no_number_does_not_count():
-    np.testing.assert_array_equal(credibilities([float("inf"), 0.1], NONE_OWN, rule=HALF_OWN), [0.0, 1.0])
-    np.testing.assert_array_equal(credibilities([float("nan"), float("inf")], NONE_OWN, rule=HALF_OWN), [0.5, 0.5])
-
-
-def test_errors_next_to_nothing_are_told_apart_no_more():
-    np.testing.assert_array_equal(credibilities([0.0, 1e-9], NONE_OWN, rule=HALF_OWN), [0.5, 0.5])
+@pytest.mark.parametrize(
+    ("errors", "own", "weights"),
+    [
+        ([0.1, 0.2], [], [0.8, 0.2]),
+        ([0.1, 0.1], [0], [1 / 3, 2 / 3]),
+        ([0.1, None, 0.2], [], [4 / 9, 4 / 9, 1 / 9]),
+        ([None, None], [], [0.5, 0.5]),
+        ([INF, 0.1], [], [0.0, 1.0]),
+        ([NAN, INF], [], [0.5, 0.5]),
+        ([0.0, 1e-9], [], [0.5, 0.5]),
+    ],
+    ids=[
+        "twice the error, a quarter", "of the own family, half", "not known, as much as the best", "none known",
+        "no number, nothing", "no number anywhere", "next to nothing, no more told apart",
+    ],
+)  # fmt: skip
+def test_models_count_by_their_errors(errors, own, weights):
+    is_own = np.isin(np.arange(len(errors)), own)
+    np.testing.assert_allclose(credibilities(errors, is_own, rule=Rule(power=2.0, own=0.5)), weights, rtol=1e-12)
 
 
 def test_of_equal_weights_the_median_is_the_usual_one():
@@ -113,31 +107,30 @@ def test_a_forecast_is_in_the_units_of_the_task_and_moves_with_its_zero():
     np.testing.assert_allclose(scaled, 5.0 * plain - 300.0)
 
 
-def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree():
-    def width(*means):
-        trials = [mean + np.tile([-1.0, 1.0], 10) for mean in means]
-        _, low, high = forecast_of(trials, [0.1] * len(means), [False] * len(means))
-        return high - low
+def foretold(trials, **keywords):
+    """Return the forecast from trials in models that predict equally well."""
+    return forecast_of(trials, [0.1] * len(trials), [False] * len(trials), **keywords)
 
-    assert width(8.0, 10.0, 12.0) > 2.0 * width(9.9, 10.0, 10.1)
-    assert width(10.0, 10.0, 10.0, 10.0) == pytest.approx(width(10.0, 10.0))  # all meet the same trials
+
+def width(*means, luck=(0.0,)):
+    _, low, high = foretold([mean + np.array(luck) for mean in means])
+    return high - low
+
+
+def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree():
+    luck = [-1.0, 1.0] * 10
+    assert width(8.0, 10.0, 12.0, luck=luck) > 2.0 * width(9.9, 10.0, 10.1, luck=luck)
+    assert width(*[10.0] * 4, luck=luck) == pytest.approx(width(10.0, 10.0, luck=luck))  # all meet the same trials
 
 
 def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their_number():
-    def width(*means):
-        _, low, high = forecast_of([np.full(3, mean) for mean in means], [0.1] * len(means), [False] * len(means))
-        return high - low
-
     assert width(9.0, 9.0, 11.0, 11.0) == pytest.approx(width(9.0, 11.0) / 2.0**0.25)
 
 
 def test_the_interval_falls_with_the_root_of_the_number_of_trials():
-    def width(each):
-        _, low, high = forecast_of([np.array([9.0, 11.0] * each)] * 2, [0.1] * 2, [False] * 2)
-        return high - low
-
-    assert width(1) == pytest.approx((RULE.high - RULE.low) / np.sqrt(2.0))
-    assert width(4) == pytest.approx(width(1) / 2.0)
+    one, four = (width(10.0, 10.0, luck=[-1.0, 1.0] * each) for each in (1, 4))
+    assert one == pytest.approx((RULE.high - RULE.low) / np.sqrt(2.0))
+    assert four == pytest.approx(one / 2.0)
 
 
 def test_a_forecast_by_another_rule_believes_models_by_that_rule():
@@ -149,22 +142,17 @@ def test_a_forecast_by_another_rule_believes_models_by_that_rule():
 
 
 def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration():
-    rng, missed = np.random.default_rng(1), []
-    for _ in range(2000):
-        truth = rng.normal(10.0, 3.0)
-        means = truth + rng.normal(0.0, 1.0, size=4)
-        value, low, high = forecast_of(
-            [np.full(2, mean) for mean in means], [0.1] * 4, [False] * 4, rule=Rule(low=-1.0, high=1.0)
-        )
-        missed.append((truth - value) / (high - value))
+    def drawn(seed, rule):
+        rng = np.random.default_rng(seed)
+        for _ in range(2000):
+            truth = rng.normal(10.0, 3.0)
+            trials = [np.full(2, mean) for mean in truth + rng.normal(0.0, 1.0, size=4)]
+            yield truth, *foretold(trials, rule=rule)
+
+    missed = [(truth - value) / (high - value) for truth, value, _, high in drawn(1, Rule(low=-1.0, high=1.0))]
     low, high = np.quantile(missed, [0.05, 0.95])
-    fresh, held = np.random.default_rng(2), 0
-    for _ in range(2000):
-        truth = fresh.normal(10.0, 3.0)
-        trials = [np.full(2, mean) for mean in truth + fresh.normal(0.0, 1.0, size=4)]
-        _, lowest, highest = forecast_of(trials, [0.1] * 4, [False] * 4, rule=Rule(low=low, high=high))
-        held += lowest <= truth <= highest
-    assert 0.88 < held / 2000 < 0.92
+    held = [lowest <= truth <= highest for truth, _, lowest, highest in drawn(2, Rule(low=low, high=high))]
+    assert 0.88 < np.mean(held) < 0.92
 
 
 def test_what_is_achieved_is_held_against_the_interval_and_its_own_error():
@@ -178,13 +166,10 @@ def test_what_is_achieved_is_held_against_the_interval_and_its_own_error():
 
 def test_the_trials_of_a_controller_become_one_by_the_rule_of_its_evolution():
     cells = [Cell("c", column, np.array([1.0, 2.0, 30.0]), unit="m") for column in ("a", "b")]
-    champion = replace(evolved("c", ("a",)), aggregate="cvar(share=0.3)")
-    made = TransferMatrix.of([champion], ("a", "b"), cells)
-    assert (
-        forecasts(made, {})["c"].value
-        < 2.0
-        < forecasts(replace(made, champions=(evolved("c", ("a",)),)), {})["c"].value
-    )
+    usual = evolved("c", ("a",))
+    cautious = TransferMatrix.of([replace(usual, aggregate="cvar(share=0.3)")], ("a", "b"), cells)
+    hopeful = replace(cautious, champions=(usual,))
+    assert forecasts(cautious, {})["c"].value < 2.0 < forecasts(hopeful, {})["c"].value
 
 
 def test_a_model_is_forecast_by_the_controllers_that_were_evolved_in_it_alone():
@@ -218,69 +203,48 @@ def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
 
 
 DATA = GivenData(example_dataset(), Split())
-MEASURED = {}
 
 
-def column(label, family, errors=None):
-    MEASURED[label] = errors
-    return Plant(label, family, prediction=PredictCell(label, family, DATA))
+def names(*columns):
+    """Return which of these columns are believed: (label, family, error by horizon) of each model, and plants."""
+    measured, plants = {}, []
+    for column in columns:
+        if not isinstance(column, Plant):
+            label, family, measured[label] = column
+            column = Plant(label, family, prediction=PredictCell(label, family, DATA))
+        plants.append(column)
+
+    def prediction_of(cell):
+        errors = measured[cell.label]
+        scores = tuple(score(*one) for one in (errors or {}).items())
+        return None if errors is None else ModelPrediction(cell.label, cell.family, scores)
+
+    work = Work(prediction_of, lambda done, total, note="": None, Path("unused"), Path("unused"), nowhere)
+    return tuple(one.label for one in believed(plants, work))
 
 
-def measured(cell):
-    errors = MEASURED[cell.label]
-    if errors is None:
-        return None
-    kinds = ("rmse", "error_std", "relative_percent", "nrmse")
-    scores = (
-        ErrorScore(
-            horizon, 10, interval=Interval(n, n), resampled_n=np.array([n]), **{kind: np.full(3, n) for kind in kinds}
-        )
-        for horizon, n in errors.items()
-    )
-    return ModelPrediction(cell.label, cell.family, tuple(scores))
-
-
-def no_progress(done, total, note=""):
-    pass
+def score(horizon, n):
+    return ErrorScore(horizon, 10, *[np.full(3, n)] * 4, Interval(n, n), np.array([n]))
 
 
 def nowhere(cell):
     raise AssertionError(f"nobody asks where {cell.title} stands")
 
 
-def names(*columns):
-    work = Work(measured, no_progress, Path("unused"), Path("unused"), nowhere)
-    return tuple(one.label for one in believed(columns, work))
+UNMEASURED = [Plant("car", "car"), ("failed", "failed", None)]
 
 
-def test_a_model_is_believed_whose_error_at_one_second_is_near_that_of_the_best():
-    good, near, far = (column(f"{n}", f"{n}", {1: 1.0 - n, 20: n, 60: 1.0}) for n in (0.10, 0.149, 0.151))
-    assert names(far, near, good) == ("0.149", "0.1")
-
-
-def test_where_it_was_not_measured_at_one_second_the_longest_horizon_counts():
-    assert names(
-        column("a", "a", {1: 0.9, 10: 0.1}), column("b", "b", {1: 0.1, 10: 0.1}), column("c", "c", {10: 0.9})
-    ) == (
-        "a",
-        "b",
-    )
-
-
-def test_the_best_of_two_families_are_believed_so_that_one_can_judge_the_other():
-    first, again = column("first", "narx", {20: 0.1}), column("again", "narx", {20: 0.12})
-    second, third = column("second", "linear", {20: 0.4}), column("third", "sindy", {20: 0.5})
-    assert names(first, again, second, third) == ("first", "again", "second")
-
-
-def test_a_robot_and_what_was_not_measured_are_believed():
-    robot, failed = Plant("car", "car"), column("failed", "failed")
-    assert names(robot, failed) == ("car", "failed")
-    assert names(
-        robot, failed, column("a", "a", {20: 0.1}), column("b", "b", {20: 0.2}), column("c", "c", {20: 0.3})
-    ) == (
-        "car",
-        "failed",
-        "a",
-        "b",
-    )
+@pytest.mark.parametrize(
+    ("columns", "found"),
+    [
+        # near the best at one second; at the longest horizon where one second was not measured
+        ([(str(n), str(n), {1: 1.0 - n, 20: n, 60: 1.0}) for n in (0.151, 0.149, 0.1)], ("0.149", "0.1")),
+        ([("a", "a", {1: 0.9, 10: 0.1}), ("b", "b", {1: 0.1, 10: 0.1}), ("c", "c", {10: 0.9})], ("a", "b")),
+        # the best of two families, so that one can judge the other
+        ([("a", "x", {20: 0.1}), ("b", "x", {20: 0.12}), ("c", "y", {20: 0.4}), ("d", "z", {20: 0.5})], tuple("abc")),
+        (UNMEASURED, ("car", "failed")),
+        ([*UNMEASURED, *((n, n, {20: e}) for n, e in zip("abc", (1, 2, 3), strict=True))], ("car", "failed", "a", "b")),
+    ],
+)
+def test_models_near_the_best_are_believed_and_what_was_not_measured(columns, found):
+    assert names(*columns) == found

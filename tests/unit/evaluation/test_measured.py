@@ -20,16 +20,13 @@ from evaluation.transfer.summary import summary_of
 from sysid_evo.evolution import Champion
 from tests.fixtures.known_models import SYSTEM
 
-
-def champion(name):
-    return Champion(name, np.array([0.1, 1 / 3]), (name,), "min", 3, np.ones((2, 3)), estimator_delay=0.02)
+ROWS = tuple(
+    Champion(name, np.array([0.1, 1 / 3]), (name,), "min", 3, np.ones((2, 3)), estimator_delay=0.02) for name in "ab"
+)
 
 
 def cell(row, column, *fitness):
     return Cell(row, column, np.array(fitness), unit="waypoints", engine="robot")
-
-
-ROWS = (champion("a"), champion("b"))
 
 
 def computed(robot=None):
@@ -54,17 +51,13 @@ def test_driven_robot_becomes_the_achieved_column_and_gaps_are_no_failures():
 
 
 def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either():
-    matrix = with_measured(
-        computed("emulated"), [driven(ROWS[0], "car", 4.0), driven(ROWS[0], "emulated driven", 8.0, physical=False)]
-    )
-    assert matrix.robot == "car"
-    assert matrix.other_robots == ("emulated", "emulated driven")
+    emulated = driven(ROWS[0], "emulated driven", 8.0, physical=False)
+    matrix = with_measured(computed("emulated"), [driven(ROWS[0], "car", 4.0), emulated])
+    assert (matrix.robot, matrix.other_robots) == ("car", ("emulated", "emulated driven"))
     assert matrix.models == ("a", "b", "c")
     assert matrix.columns[-1] == "car"
-
-
-def test_emulated_robot_that_is_driven_does_not_take_the_place_of_the_one_of_the_run():
-    matrix = with_measured(computed("emulated"), [driven(ROWS[0], "emulated driven", 8.0, physical=False)])
+    # one that is driven does not take the place of the one of the run
+    matrix = with_measured(computed("emulated"), [emulated])
     assert (matrix.robot, matrix.other_robots) == ("emulated", ("emulated driven",))
 
 
@@ -86,8 +79,7 @@ def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is():
     alone = with_measured(None, [driven(ROWS[0], "car", 4.0)])
     assert (alone.rows, alone.columns, alone.robot) == (("a",), ("car",), "car")
     assert with_measured(None, []) is None
-    matrix = computed()
-    assert with_measured(matrix, []) is matrix
+    assert with_measured(matrix := computed(), []) is matrix
 
 
 def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path):

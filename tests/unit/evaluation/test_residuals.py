@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from evaluation.prediction import (
     Interval,
@@ -18,6 +19,7 @@ from evaluation.prediction import (
 from evaluation.prediction.regions import candidate_regions
 from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS
 from evaluation.prediction.scores import load_prediction, save_prediction
+from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.validation.bootstrap import BlockErrors, interval
 from tests.fixtures.known_models import SYSTEM, Known, LosesGrip, Remembering, Sliding, Weak, fitted, noisy, recording
@@ -32,10 +34,11 @@ def held(rng, steps=STEPS):
 
 def filtered(noise, share):
     """Return noise of which every sample keeps a ``share`` of the one before."""
-    coloured = noise.copy()
-    for k in range(1, len(noise)):
-        coloured[k] += share * coloured[k - 1]
-    return coloured
+    return lfilter([1.0], [1.0, -share], noise, axis=0)
+
+
+def analysed(errors, controls):
+    return analyse(StepErrors(errors, errors, controls))
 
 
 def called_coloured(draws, loud, share=0.0):
@@ -44,7 +47,7 @@ def called_coloured(draws, loud, share=0.0):
         noise = filtered(rng.standard_normal((STEPS, 1)), share)
         controls = held(rng)
         noise = noise * np.where(np.abs(controls) > 0.7, 4.0, 1.0) if loud else noise
-        found.append(not analyse(StepErrors(noise, noise, controls)).white[0])
+        found.append(not analysed(noise, controls).white[0])
     return float(np.mean(found))
 
 
@@ -60,7 +63,7 @@ def test_noise_that_remembers_a_third_of_itself_is_never_called_white():
 
 def test_the_autocorrelation_is_that_of_theory():
     noise = filtered(np.random.default_rng(0).standard_normal((20_000, 1)), 0.5)
-    found = analyse(StepErrors(noise, noise, noise))
+    found = analysed(noise, noise)
     np.testing.assert_allclose(found.autocorrelation[:4, 0], 0.5 ** np.arange(1, 5), atol=0.03)
     assert found.largest_lag(0) == 1
     np.testing.assert_allclose(found.band[-1, 0], 1.96 / np.sqrt(20_000), rtol=0.2)
@@ -71,7 +74,7 @@ def test_a_control_that_acts_later_than_the_model_knows_is_found_with_its_lag():
     controls = rng.uniform(-1.0, 1.0, (1200, 2))
     errors = rng.standard_normal((1200, 1))
     errors[6:, 0] += 0.8 * controls[:-6, 1]
-    found = analyse(StepErrors(errors, errors, controls))
+    found = analysed(errors, controls)
     assert found.control_lag(1, 0) == 6
     assert found.cross_p[1, 0] < 0.001
     assert found.cross_p[0, 0] > 0.05
@@ -82,7 +85,7 @@ def test_a_driver_who_reacts_to_noise_is_no_missing_control():
     rng = np.random.default_rng(2)
     errors = rng.standard_normal((STEPS, 1))
     controls = np.concatenate([np.zeros((2, 1)), errors[:-2]]) + 0.1 * rng.standard_normal((STEPS, 1))
-    found = analyse(StepErrors(errors, errors, controls))
+    found = analysed(errors, controls)
     assert abs(found.cross_at(-2)[0, 0]) > 0.9
     assert found.cross_p[0, 0] > 0.05
 
@@ -91,7 +94,7 @@ def test_an_unrelated_control_is_rarely_taken_for_a_missing_one_although_both_ch
     rng, found = np.random.default_rng(3), []
     for _ in range(100):
         errors = filtered(rng.standard_normal((800, 1)), 0.6)
-        found.append(analyse(StepErrors(errors, errors, held(rng, 800))).cross_p[0, 0] < 0.05)
+        found.append(analysed(errors, held(rng, 800)).cross_p[0, 0] < 0.05)
     assert np.mean(found) <= 0.09
 
 
@@ -116,7 +119,7 @@ def test_steps_without_motion_and_without_the_history_that_a_model_wants_are_lef
 
 def test_of_a_long_recording_pieces_are_looked_at():
     rng = np.random.default_rng(0)
-    data = type(recording(1)).from_arrays(SYSTEM, rng.uniform(-1, 1, (50_001, 3)), rng.uniform(-1, 1, (50_000, 2)))
+    data = Dataset.from_arrays(SYSTEM, rng.uniform(-1, 1, (50_001, 3)), rng.uniform(-1, 1, (50_000, 2)))
     scored = step_errors(fitted(Known(), data), data).scored
     assert scored.sum() == MOST_STEPS
     assert scored[-2000 - LAGS - 1 :].sum() == 2000
@@ -133,11 +136,11 @@ PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
 
 
 def assessed(model, test):
-    return assess_prediction({"model": fitted(model)}, recording(), test, protocol=PROTOCOL)
+    return assess_prediction({"model": fitted(model)}, recording(), test, protocol=PROTOCOL).model("model")
 
 
 def test_the_region_where_a_model_fails_is_named_with_its_size():
-    row = assessed(LosesGrip(), noisy(2, 4)).model("model")
+    row = assessed(LosesGrip(), noisy(2, 4))
     worst = worst_region(row.regions)
     assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
     assert worst.ratio > 1.3
@@ -148,40 +151,41 @@ def test_the_region_where_a_model_fails_is_named_with_its_size():
 
 @pytest.mark.parametrize(("draws", "most"), [(5, 0), pytest.param(15, 1, marks=pytest.mark.nightly)])
 def test_a_model_that_is_equally_wrong_everywhere_rarely_has_a_worst_region(draws, most):
-    found = [worst_region(assessed(Known(), noisy(seed, 1)).model("model").regions) for seed in range(draws)]
+    found = [worst_region(assessed(Known(), noisy(seed, 1)).regions) for seed in range(draws)]
     assert sum(one is not None for one in found) <= most
 
 
+def regions(states, controls):
+    return {region.words: (region, inside) for region, inside in candidate_regions(pendulum(), states, controls)}
+
+
 def test_regions_are_cut_by_value_where_there_are_few_and_on_both_sides_of_neutral():
-    system = pendulum()
     rng = np.random.default_rng(0)
     states = np.column_stack([rng.uniform(-9.0, 9.0, 500), rng.uniform(2.0, 3.0, 500)])
     controls = rng.choice([-2.0, 0.0, 2.0], (500, 1))
-    found = {region.words: inside for region, inside in candidate_regions(system, states, controls)}
+    found = regions(states, controls)
     at = [words for words in found if words.startswith("torque")]
     assert at == ["torque at -2 N m", "torque at 0 N m", "torque at 2 N m"]
     (beyond,) = [words for words in found if "|angle| above" in words]
-    assert found[beyond].mean() == pytest.approx(0.2, abs=0.01)
+    assert found[beyond][1].mean() == pytest.approx(0.2, abs=0.01)
     assert not any("|angular_speed|" in words for words in found)
-    assert found["torque at 2 N m"].sum() == (controls == 2.0).sum()
+    assert found["torque at 2 N m"][1].sum() == (controls == 2.0).sum()
     assert Region("tilt", "rad", "beyond", 0.5, 1.0).words == "|tilt - 1| above 0.5 rad"
 
 
 def test_no_region_is_beyond_the_end_of_its_channel():
-    system = pendulum()
-    torque = system.controls[0]
-    rng = np.random.default_rng(0)
+    torque, rng = pendulum().controls[0], np.random.default_rng(0)
     controls = np.clip(rng.normal(0.0, 3.0, (500, 1)), torque.low, torque.high)
-    found = [region for region, _ in candidate_regions(system, rng.uniform(-1.0, 1.0, (500, 2)), controls)]
-    ends = [region.words for region in found if region.channel == "torque"]
+    found = regions(rng.uniform(-1.0, 1.0, (500, 2)), controls)
+    ends = [words for words, (region, _) in found.items() if region.channel == "torque"]
     assert ends == ["torque at -2 N m", "torque at 2 N m", "|torque| at 2 N m"]
-    assert sum(region.end for region in found) == 3
+    assert sum(region.end for region, _ in found.values()) == 3
 
 
 def test_each_episode_has_its_own_error():
     easy, hard = recording(1, seed=5), noisy(6, 1)
     test = easy.with_episodes([easy.episodes[0], replace(hard.episodes[0], name="hard")])
-    row = assessed(Known(), test).model("model")
+    row = assessed(Known(), test)
     assert [episode.name for episode in row.episodes] == ["episode-0", "hard"]
     assert row.episodes[0].n.max() < 1e-9
     assert row.episodes[1].n.min() > 0.05
@@ -189,7 +193,7 @@ def test_each_episode_has_its_own_error():
 
 def test_the_fit_is_that_of_matlab():
     test = recording(1, seed=5)
-    row = assessed(Weak(), test).model("model")
+    row = assessed(Weak(), test)
     measured = test.episodes[0].states[6:]
     off = np.linalg.norm(measured - row.free_states[0], axis=0)
     of_the_mean = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
@@ -197,7 +201,7 @@ def test_the_fit_is_that_of_matlab():
 
 
 def test_the_interval_of_the_curve_is_that_of_the_scores():
-    row = assessed(Weak(), noisy(3)).model("model")
+    row = assessed(Weak(), noisy(3))
     assert row.curve_interval.shape == (2, 20)
     for score in row.at:
         assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.interval)
@@ -208,16 +212,14 @@ def test_the_interval_of_the_curve_is_that_of_the_scores():
 def test_two_equally_good_models_have_no_significant_difference_nineteen_times_of_twenty():
     rng, blocks, found = np.random.default_rng(7), np.repeat(np.arange(40), 15), []
     for seed in range(100):
-        drawn = [
-            BlockErrors.of(np.repeat(rng.normal(size=(40, 1)), 15, axis=0), blocks).resampled_n(np.ones(1), 300, seed)
-            for _ in range(2)
-        ]
-        found.append(interval(drawn[0] - drawn[1], 0.95).spans(0.0))
+        errors = (np.repeat(rng.normal(size=(40, 1)), 15, axis=0) for _ in range(2))
+        one, other = (BlockErrors.of(each, blocks).resampled_n(np.ones(1), 300, seed) for each in errors)
+        found.append(interval(one - other, 0.95).spans(0.0))
     assert 0.87 <= np.mean(found) <= 0.99
 
 
 def test_what_is_stored_comes_back(tmp_path):
-    row = assessed(Sliding(), noisy(4)).model("model")
+    row = assessed(Sliding(), noisy(4))
     save_prediction(row, tmp_path / "row")
     again = load_prediction(tmp_path / "row")
     for name in ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p"):

@@ -70,9 +70,7 @@ def test_ctrl_c_while_a_controller_runs_is_no_failed_cell():
 
 
 def test_trials_that_diverge_are_counted():
-    cell = run_cell(
-        champion("c", ("undefined",)), "undefined", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5)
-    )
+    cell = run_cell(champion("c", ("u",)), "u", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5))
     assert cell.diverged_share == 1.0
     assert cell.mean < 0.0
 
@@ -117,28 +115,32 @@ def test_rank_correlations_are_spearmans():
     assert other.controllers == 5
 
 
+def summary_of_means(rows, champions, **keywords):
+    """Return the summary of controllers whose trials all gave these means."""
+    cells = [Cell(name, column, np.full(2, v)) for name, row in rows.items() for column, v in row.items()]
+    columns = tuple(dict.fromkeys(cell.column for cell in cells))
+    return summarise(TransferMatrix.of(champions, columns, cells, **keywords))
+
+
 def test_a_model_of_the_same_family_is_no_judge():
-    cells = [Cell("c", column, np.full(2, value)) for column, value in (("a-1", 9.0), ("a-2", 8.0), ("b-1", 3.0))]
     families = {"a-1": "a", "a-2": "a", "b-1": "b"}
-    matrix = TransferMatrix.of([champion("c", ("a-1",))], ("a-1", "a-2", "b-1"), cells, families=families)
-    summary = summarise(matrix).controller("c")
+    rows = {"c": {"a-1": 9.0, "a-2": 8.0, "b-1": 3.0}}
+    summary = summary_of_means(rows, [champion("c", ("a-1",))], families=families).controller("c")
     assert summary.judges == ("b-1",)
     assert summary.others.value == pytest.approx(5.5)
 
 
 def test_a_controller_evolved_on_the_robot_is_in_no_correlation():
-    cells = [Cell(name, column, np.full(2, 5.0)) for name in ("cheat", "c") for column in ("a", "b", "car")]
-    champions = [champion("cheat", ("car",)), champion("c", ("a",))]
-    summary = summarise(TransferMatrix.of(champions, ("car", "a", "b"), cells, robot="car"))
+    rows = {name: {"car": 5.0, "a": 5.0, "b": 5.0} for name in ("cheat", "c")}
+    summary = summary_of_means(rows, [champion("cheat", ("car",)), champion("c", ("a",))], robot="car")
     assert summary.controller("cheat").on_robot
     assert [correlation.controllers for correlation in summary.correlations] == [1, 1]
 
 
 def test_the_aggregate_of_the_evolution_makes_the_claim():
-    cells = [Cell(name, column, np.full(2, v)) for name in ("low", "mid") for column, v in (("a", 2.0), ("b", 6.0))]
-    champions = [champion("low", ("a", "b")), champion("mid", ("a", "b"), aggregate="mean")]
-    summary = summarise(TransferMatrix.of(champions, ("a", "b"), cells))
-    assert [c.claimed.value for c in summary.controllers if c.claimed] == [2.0, 4.0]
+    rows = {name: {"a": 2.0, "b": 6.0} for name in ("low", "mid")}
+    summary = summary_of_means(rows, [champion("low", ("a", "b")), champion("mid", ("a", "b"), aggregate="mean")])
+    assert [c.claimed.value for c in summary.controllers] == [2.0, 4.0]
     assert all(c.others is None and c.exploitation_gap is None for c in summary.controllers)
     assert summary.pick is None
     assert summary.correlations == ()
