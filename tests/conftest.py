@@ -264,10 +264,12 @@ def run_copy(finished_run, tmp_path):
 
 
 @pytest.fixture
-def blank_figures(monkeypatch):
-    """Pages are written without drawing their figures, which takes most of the time of a report."""
-    blank = '<svg xmlns="http://www.w3.org/2000/svg" width="10pt" height="10pt" viewBox="0 0 10 10"></svg>'
-    monkeypatch.setattr("evaluation.report.render.svg.to_svg", lambda figure: blank)
+def blank_figures():
+    """Pages and files are written without drawing their figures, which takes most of the time of a report."""
+    from tests.fixtures.session import without_figures
+
+    with without_figures():
+        yield
 
 
 @pytest.fixture(scope="session")

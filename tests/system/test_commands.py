@@ -11,9 +11,9 @@ from evaluation.study.planning import seconds_about
 from sysid_evo.data import Dataset
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
-from sysid_evo.testing import example_dataset
 from tests.fixtures.systems import FloorCar, drive
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 MAP = """
 name = "test car"
 dt = 0.05
@@ -141,7 +141,7 @@ def test_models_list_names_every_family_as_table_and_as_json(call):
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
 
 
-def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, finished_run):
+def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, finished_run, monkeypatch):
     family = call("models", "show", "parametrised")
     assert family.code == 0, family.stderr
     assert "generations" in family.stdout
@@ -151,6 +151,7 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, fini
     assert card["family"] == "linear"
     assert card["timings"]["fit_seconds"] >= 0
     assert "million_steps_per_second" not in card["timings"]
+    monkeypatch.setattr("sysid_evo.cli.models.SPEED_ROLLOUTS", 10)
     measured = json.loads(call("models", "show", stored, "--speed", "--json").stdout)
     assert measured["timings"]["million_steps_per_second"] > 0
     assert measured["timings"]["engine"]
@@ -204,10 +205,10 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
     assert blocks["fit anew"] < 3  # it is no better in the first
 
 
-def test_a_network_that_is_trained_further_fits_eighty_columns(fitted, call):
-    save_model(fitted["mlp_ensemble"], call.folder / "network")
-    example_dataset(episodes=1).save(call.folder / "same")
-    done = call("adapt", "network", "--data", "same", "--out", "there")
+def test_a_model_that_is_trained_further_fits_eighty_columns(call, floors, monkeypatch):
+    monkeypatch.setattr("model_zoo.linear.Linear.trained_further", lambda self, data, updates, *, rng: self)
+    save_model(make_model("linear").fit(Dataset.load(floors / "old"), rng=0), call.folder / "learner")
+    done = call("adapt", "learner", "--data", floors / "same", "--out", "there")
     assert done.code == 0, done.stderr
     lines = done.stdout.splitlines()
     assert max(map(len, lines)) <= 80

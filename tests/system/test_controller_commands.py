@@ -8,6 +8,7 @@ import pytest
 from sysid_evo.evolution.champion import load_champion
 from tests.fixtures.commands import SMALL, Caller, run_here
 
+pytestmark = pytest.mark.usefixtures("blank_figures")
 TASK = "point_to_point(horizon=40)"
 STRATEGY = ("--trials", "2", "--strategy", "mu_plus_lambda(parents=2, children=2)")
 SEARCH = ("--generations", "2", *STRATEGY, "--task", TASK, "--controller", "recurrent(hidden=2)")

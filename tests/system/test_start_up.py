@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,111 +12,142 @@ from evaluation.experiment import Experiment
 from sysid_evo.cli.app import COMMANDS, load, summary
 from sysid_evo.registry import models
 from sysid_evo.registry.plugins import declared
-from tests.fixtures.commands import COMMAND
 
 HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
 MOST_MODULES = 450
 """Modules that help may import, so that it is there in half a second; the time on a busy machine says nothing."""
 
-WATCHED = """
-import atexit, json, os, sys
+ASKED = """
+import contextlib, io, json, os, sys
+from sysid_evo.__main__ import main
+from sysid_evo.cli.app import COMMANDS
 
-def told():
-    with open(os.environ["TOLD"], "w") as file:
-        json.dump([sorted(sys.modules), os.environ["OMP_NUM_THREADS"]], file)
+def ask(*arguments, **environment):
+    os.environ.pop("OMP_NUM_THREADS", None)
+    os.environ.update(environment)
+    sys.argv = ["sysid-evo", *arguments]
+    out, wrong = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(wrong):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    return [code, out.getvalue(), wrong.getvalue(), sorted(sys.modules), os.environ["OMP_NUM_THREADS"]]
 
-atexit.register(told)
+listed = ask("models", "list", "--json", OMP_NUM_THREADS="4")
+helped = {command: ask(*command.split(), "--help") for command in ("", *sorted(COMMANDS))}
+print(json.dumps([listed, helped, ask("compare", "--models", "linaer")]))
 """
-ASK_FOR_HELP = """
-import json, sys
-from sysid_evo.cli.app import COMMANDS, main
+"""Answers of one process; what it imports for one is there for the next, so they are in the order of what they may."""
+CORE = [f"sysid_evo.{name}" for name in ("models", "tasks", "controllers", "engine", "evolution", "testing")]
+STAGES = """
+import importlib, json, sys
 
-def ask(*arguments):
-    sys.argv = ["sysid-evo", *arguments, "--help"]
-    try:
-        main()
-    except SystemExit as end:
-        return [end.code, sorted({name.partition(".")[0] for name in sys.modules})]
+def lists(*names):
+    for name in names:
+        importlib.import_module(name)
+    told.append(sorted(sys.modules))
 
-print(json.dumps({"": ask(), **{command: ask(command) for command in sorted(COMMANDS)}}))
-"""
-ASK_FOR_NAMES = """
-import json, sys
-import sysid_evo
-early = sorted({name.partition(".")[0] for name in sys.modules})
-for name in sysid_evo.__all__:
-    getattr(sysid_evo, name)
-print(json.dumps([early, sysid_evo.__all__]))
-"""
-COMPUTE = """
-import json, sys
+told = []
+lists("sysid_evo")
+lists("sysid_evo.plan.processes")
+lists("tests.system.rig.__main__")
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from sysid_evo.data import Dataset
-from sysid_evo.plan import Store, execute, processes as working
+from sysid_evo.plan import Store, execute
 settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
                 transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
                 strategy="mu_plus_lambda(children=4)", recipe="plain")
 comparison = plan_comparison(Experiment.of(settings), dataset=Dataset.load(sys.argv[2]))
 ended = execute(comparison.plan, Store(sys.argv[1]))
 assert not any(outcome.failed for outcome in ended.values())
-print(json.dumps(sorted(sys.modules)))
+lists()
+lists(*sys.argv[3:])
+import sysid_evo
+for name in sysid_evo.__all__:
+    getattr(sysid_evo, name)
+print(json.dumps([*told, sysid_evo.__all__]))
+"""
+"""Each stage has what those before it have imported, too: they are in the order of what they may import."""
+SILENT = """
+import sys
+
+import gymnasium
+
+gymnasium.make("Pendulum-v1")  # the spaces of an environment are known once it is made; its code is read here
+from sysid_evo.registry import robots, trackers
+
+tracker = {"driver": "udp", "body": "car", "port": 5005}
+made = {
+    "awkward_car": {"seed": 3, "stuck": 0.5},
+    "emulated_car": {"seed": 3}, "cart_pole": {"seed": 3}, "pendulum": {"seed": 3}, "thermal": {"seed": 3},
+    "gymnasium": {"id": "Pendulum-v1"},
+    "serial": {"port": "/dev/nowhere", "tracker": tracker, "gate": {"speed": 8.0}},
+    "natnet": {"body": "car"}, "replay": {"body": "car", "path": "no such log"}, "udp": {"body": "car", "port": 5005},
+    "vicon": {"body": "car"}, "vrpn": {"body": "car"},
+}
+factories = {name: registry.get(name) for registry in (robots, trackers) for name in registry.names()}
+assert made.keys() == factories.keys(), factories
+touched = []
+watched = ("open", "os.listdir", "os.scandir", "socket.", "subprocess.", "os.fork", "os.posix_spawn", "pty.")
+sys.addaudithook(lambda event, values: event.startswith(watched) and touched.append((event, *map(str, values))))
+for name, factory in factories.items():
+    factory(**made[name])
+    assert not touched, (name, touched)
+sys.modules.update(dict.fromkeys(("serial", "cobs")))
+robot = robots.make("serial", port="/dev/null")
+for attempt in (robot.check, robot.connect):
+    try:
+        attempt()
+    except ImportError as error:
+        print(error)
 """
 
 
-def answer(source, *arguments):
-    """Return all that a fresh interpreter prints, and its last line."""
+def answer(source, *arguments, cwd=None):
+    """Return the last line of what a fresh interpreter prints."""
     command = [sys.executable, "-c", source, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return done.stdout, json.loads(done.stdout.splitlines()[-1])
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=cwd)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
-def watched(folder, *arguments, threads=None):
-    """Run ``sysid-evo`` in an empty folder; return how it ended, what it imported, and the threads of libraries."""
-    environment = {**os.environ, "COLUMNS": "80", "TERM": "dumb", "TOLD": str(folder / "told.json")}
-    environment.pop("OMP_NUM_THREADS", None)
-    if threads is not None:
-        environment["OMP_NUM_THREADS"] = threads
-    (folder / "empty").mkdir()
-    command = [sys.executable, "-c", WATCHED + COMMAND[-1], *arguments]
-    done = subprocess.run(
-        command, cwd=folder / "empty", env=environment, capture_output=True, text=True, timeout=240, check=False
-    )
-    return done, *json.loads((folder / "told.json").read_text())
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    """Exit code, output, errors, imported modules and threads of libraries, of each of `ASKED`; nothing is written."""
+    folder = tmp_path_factory.mktemp("empty")
+    told = answer(ASKED, cwd=folder)
+    assert not list(folder.iterdir())
+    return told
 
 
-def test_help_imports_nothing_heavy():
-    printed, asked = answer(ASK_FOR_HELP)
-    assert {"", "compare", "evolve", "fit", "models"} <= set(asked)
-    assert printed.count("Usage: sysid-evo") == len(asked)
-    for command, (code, imported) in asked.items():
+def test_help_imports_nothing_heavy(asked):
+    assert {"", "compare", "evolve", "fit", "models"} <= set(asked[1])
+    for command, (code, out, _, imported, _) in asked[1].items():
         assert code == 0, command
+        assert out.count("Usage: sysid-evo") == 1
         assert not HEAVY & set(imported), command
         assert "typer" in imported
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own(name):
-    first, *_ = load(name).help.split("\n\n")
-    assert summary(name, COMMANDS) == " ".join(first.split())
+def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own():
+    for name in COMMANDS:
+        first, *_ = load(name).help.split("\n\n")
+        assert summary(name, COMMANDS) == " ".join(first.split()), name
 
 
-def test_families_are_listed_as_they_are_without_importing_one(tmp_path):
-    done, imported, threads = watched(tmp_path, "models", "list", "--json", threads="4")
+def test_families_are_listed_as_they_are_without_importing_one(asked):
+    _, out, _, imported, threads = asked[0]
     assert not (HEAVY | {"numpy"}) & set(imported)
     assert threads == "4"
-    rows = {row["name"]: row for row in json.loads(done.stdout)}
+    rows = {row["name"]: row for row in json.loads(out)}
     assert set(rows) == set(models.names())
     for name, family in models.load_all():
         missing = [module for module in family.requires if importlib.util.find_spec(module) is None]
+        assert tuple(declared(models.module(name), name).get("requires") or ()) == family.requires, name
         assert rows[name]["knowledge"] == family.knowledge, f"{name}: state its knowledge in the class itself"
         assert (rows[name]["lacking"] is None) == (not missing), f"{name}: state requires in the class itself"
         assert rows[name]["summary"] == (family.__doc__ or "").partition("\n")[0].replace("`", "")
-
-
-@pytest.mark.parametrize("name", sorted(models.names()))
-def test_what_a_family_requires_stands_in_its_own_class(name):
-    assert tuple(declared(models.module(name), name).get("requires") or ()) == models.get(name).requires
 
 
 def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_has_one():
@@ -139,41 +169,53 @@ def test_the_module_is_the_same_program_and_imports_few_modules_for_its_help(cal
     assert call("--version").stdout.startswith("sysid-evo ")
 
 
-def test_a_mistake_is_told_on_standard_error_alone_without_what_only_the_work_needs(tmp_path):
-    done, imported, threads = watched(tmp_path, "compare", "--models", "linaer")
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert not done.stdout
-    assert not list((tmp_path / "empty").iterdir())
+def test_a_mistake_is_told_on_standard_error_alone_without_what_only_the_work_needs(asked):
+    code, out, wrong, imported, threads = asked[2]
+    assert (code, out) == (2, "")
+    assert "no model is called 'linaer'" in wrong
+    assert "Traceback" not in wrong
     assert not {"matplotlib", "numba", "torch", "control", "pysindy"} & set(imported)
     assert threads == "1"  # libraries work on one thread unless they are told otherwise
 
 
-def test_the_package_is_imported_lazily_and_every_public_name_is_there():
-    _, (early, names) = answer(ASK_FOR_NAMES)
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory, stored_data):
+    """What one process has imported after each of `STAGES`, and the public names of the package."""
+    return answer(STAGES, tmp_path_factory.mktemp("stages") / "run", stored_data, *CORE, "model_zoo")
+
+
+def test_the_package_is_imported_lazily_and_every_public_name_is_there(stages):
+    early, *_, names = stages
     assert not (HEAVY | {"numpy"}) & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
 
 
+COMPILER = {"numba", "llvmlite", "torch"}
+COSTLY = {"sklearn", "scipy.stats", "scipy.signal", "scipy.optimize", "torch", "matplotlib", "pysindy", "typer"}
+
+
 @pytest.mark.parametrize(
-    ("module", "lacks"),
+    ("stage", "has", "lacks"),
     [
-        ("tests.system.rig.__main__", {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"}),
         (
-            "sysid_evo.plan.processes",
+            1,
+            {"sysid_evo.plan.processes"},
             {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"},
         ),
+        (2, {"tests.system.rig.__main__"}, {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"}),
+        (3, {"model_zoo.linear", "sysid_evo.engine.rollout"}, COSTLY),
+        (4, {*CORE, "model_zoo"}, COMPILER),
     ],
-    ids=["the emulated car", "a process that waits for cells"],
+    ids=["a process that waits for cells", "the emulated car", "a comparison of simple models", "what can be compiled"],
 )
-def test_what_starts_often_has_imported_little(module, lacks):
-    _, imported = answer(f"import json, sys, {module}\nprint(json.dumps(sorted(sys.modules)))")
-    assert module in imported
-    assert not lacks & set(imported)
+def test_what_starts_often_and_what_needs_no_heavy_library_has_imported_little(stage, has, lacks, stages):
+    imported = set(stages[stage])
+    assert has <= imported
+    assert not lacks & imported
 
 
-def test_models_that_need_no_heavy_library_are_fitted_driven_and_judged_without_any(tmp_path, stored_data):
-    _, imported = answer(COMPUTE, tmp_path / "run", stored_data)
-    assert {"model_zoo.linear", "sysid_evo.engine.rollout"} <= set(imported)
-    heavy = {"torch", "sklearn", "matplotlib", "scipy.stats", "scipy.signal", "scipy.optimize", "pysindy", "typer"}
-    assert not heavy & set(imported)
+def test_making_a_robot_or_tracker_opens_nothing_and_without_its_packages_it_says_what_to_install(tmp_path):
+    done = subprocess.run([sys.executable, "-c", SILENT], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    advice = 'which is not installed. Install it with: pip install "sysid-evo[hardware]"'
+    assert done.stdout.splitlines() == 2 * [f"robot 'serial' needs the package 'cobs', {advice}"]

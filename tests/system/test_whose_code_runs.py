@@ -2,7 +2,6 @@
 
 import py_compile
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from evaluation.transfer.matrix import person
 from sysid_evo import load_plugin
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
-from tests.fixtures.commands import COMMAND, SMALL, Caller, forgetting, run_here
+from tests.fixtures.commands import SMALL, Caller, forgetting, run_here
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
 PLUGIN = '''
@@ -183,28 +182,18 @@ def test_names_in_models_and_files_of_robots_import_nothing(there, theirs):
     assert not (theirs / "ran").exists()
 
 
-def test_the_processes_of_a_command_run_its_plugins_where_nothing_can_be_remembered(
+def test_processes_run_the_plugins_of_their_command_nothing_of_the_current_folder_and_need_not_remember(
     there, theirs, stored_data, monkeypatch
 ):
     monkeypatch.setenv("XDG_STATE_HOME", "/proc")
-    monkeypatch.setenv("SYSID_EVO_JOBS", "2")
-    given = ("--plugin", "stand.py", "--only", "prediction", "--models", "linear,nearest_neighbour", "--out", "two")
+    for name in ("json.py", "numpy.py", "evil.py"):
+        (theirs / name).write_text(f'open({str(theirs / "evil")!r}, "a").write("ran")\n')
+    (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
+    assert there("compare", "--config", "evil.toml").says("No module named 'evil'")
+    given = ("--plugin", "stand.py", "--only", "fit", "--models", "linear,nearest_neighbour", "--out", "two")
     done = there("compare", "--data", stored_data, *given, "--jobs", "2")
     assert done.code == 0, done.stderr
     assert "cannot plan" not in done.stderr
     assert (theirs / "ran").read_text().count("ran") == 3
+    assert not (theirs / "evil").exists()
     assert there("report", "two").code == 2
-
-
-def test_no_module_of_the_current_folder_is_imported(there, theirs, stored_data):
-    trace = f'open({str(theirs / "ran")!r}, "a").write("ran")\n'
-    for name in ("json.py", "numpy.py", "evil.py"):
-        (theirs / name).write_text(trace)
-    (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
-    refused = there("compare", "--config", "evil.toml")
-    assert refused.says("No module named 'evil'")
-    command = ("fit", str(stored_data), "--models", "linear,nearest_neighbour", "--jobs", "2", "--out", "two")
-    python, *main = COMMAND
-    done = subprocess.run([python, "-P", *main, *command], cwd=theirs, capture_output=True, check=False)
-    assert done.returncode == 0, done.stderr  # with -P, as the installed command
-    assert not (theirs / "ran").exists()
