@@ -105,6 +105,7 @@ main()
 """
 INTERRUPTIBLE = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
 """Put before a command: a job in the background ignores Ctrl-C."""
+LIMIT = 60.0  # s, for what a process is to say
 
 
 @contextmanager
