@@ -7,18 +7,20 @@ import signal
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from hardware.connection import Connection
 from hardware.control_loop import ControlLoop, before_others
 from hardware.emulation.simulated_robot import PacedRobot, in_real_time
 from hardware.emulation.tracked_robots import TRACKER_DELAY
 from hardware.run_report import ROBOT, SIGNALS, Reason, Stops
 from sysid_evo.cli import console
 from sysid_evo.errors import LinkLost
-from tests.fixtures.loop import Paced, Script
+from tests.fixtures.loop import Script
 
 PERIOD = 0.005
 
@@ -85,6 +87,39 @@ def test_a_robot_on_the_hosts_clock_stays_as_it_is(emulated):
 
 FORWARD = np.array([1.0, 0.0])
 PROMPT = 0.05  # s
+
+
+class Paced(Connection):
+    """Another's connection in simulated time, whose frames come when they are due on the host's clock.
+
+    ``sent`` holds the time and the control of every command, ``closed`` when it was first closed.
+    """
+
+    def __init__(self, connection):
+        self.connection, self.began = connection, time.monotonic()
+        self.sent, self.closed = [], None
+
+    @property
+    def time(self):
+        return time.monotonic()
+
+    def send(self, control, *, valid_for):
+        self.sent.append((time.monotonic(), control))
+        self.connection.send(control, valid_for=valid_for)
+
+    def measure(self, timeout):
+        due = self.began + self.connection.time + PERIOD
+        wait = due - time.monotonic()
+        if wait > timeout:
+            time.sleep(timeout)
+            return None
+        time.sleep(max(0.0, wait))
+        frame = self.connection.measure(PERIOD)
+        return None if frame is None else replace(frame, source_time=due, arrival_time=due)
+
+    def close(self):
+        self.closed = self.closed or time.monotonic()
+        self.connection.close()
 
 
 def run_until(emulated, stops, act):

@@ -14,13 +14,29 @@ from hardware.estimator import StateEstimate
 from hardware.run_report import Reason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint
-from tests.fixtures.driving import Hands
+from tests.fixtures.loop import Diary
 from tests.fixtures.robots import ManualClock
 
 BEGIN = 1.5  # s at which the first key goes down
 SEED = 7
+
+
+class Hands(Diary):
+    """Holds keys by the time of the session: ``keys_at`` gives them, or None once the page is silent."""
+
+    def __init__(self, keys_at):
+        super().__init__()
+        self.time, self._keys_at = 0.0, keys_at
+        self.keyboard = Keyboard(life=key_life(make_robot("emulated_car").system), clock=lambda: self.time)
+
+    def measured(self, measurement):
+        super().measured(measurement)
+        self.time = measurement.source_time
+        if (keys := self._keys_at(self.time)) is not None:
+            self.keyboard.press(keys)
 
 
 def drive(robot, hands, task, *others, samples=None):
@@ -122,8 +138,8 @@ def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
     begin, recorded = 3.0, Hands(lambda _: None)
     hands = Hands(lambda time: FORWARD if time >= begin else 0)
     drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: WhileDriving(pilot, lambda: recorded))
-    assert recorded.frames[0].source_time == pytest.approx(begin - LEAD, abs=0.1)
-    assert recorded.frames == hands.frames[-len(recorded.frames) :]
+    assert recorded.measurements[0].source_time == pytest.approx(begin - LEAD, abs=0.1)
+    assert recorded.measurements == hands.measurements[-len(recorded.measurements) :]
     assert [c.time for c in recorded.commands] == [c.time for c in hands.commands[-len(recorded.commands) :]]
 
 
