@@ -127,33 +127,27 @@ def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec, reason):
 
 
 @pytest.mark.parametrize(
-    "spec, reason",
+    "made, reason",
     [
-        ("feed_forward(hidden=[])", "expected hidden >= 1"),
-        ("feed_forward(hidden=[3, 0])", "expected hidden >= 1"),
-        ("linear(inputs=[a, a])", "expected different inputs"),
-        ("pid(time=0)", "expected time > 0 s, got 0"),
-        ("pid(loops=steer)", "expected loops such as"),
-        ("pid(scales={a: -1})", "expected scales > 0, got a -1"),
-        ("pursuit(look=0)", "expected look, acceleration, gain > 0"),
+        (lambda: make_controller("feed_forward(hidden=[])"), "expected hidden >= 1"),
+        (lambda: make_controller("feed_forward(hidden=[3, 0])"), "expected hidden >= 1"),
+        (lambda: make_controller("linear(inputs=[a, a])"), "expected different inputs"),
+        (lambda: make_controller("pid(time=0)"), "expected time > 0 s, got 0"),
+        (lambda: make_controller("pid(loops=steer)"), "expected loops such as"),
+        (lambda: make_controller("pid(scales={a: -1})"), "expected scales > 0, got a -1"),
+        (lambda: make_controller("pursuit(look=0)"), "expected look, acceleration, gain > 0"),
+        (lambda: RecurrentNetwork(hidden=0), "expected at least one hidden unit, got 0"),
+        (lambda: Pid().bind(5, 2), r"Pid goes by the names of a task's channels: use bind_to\(task\)"),
     ],
 )
-def test_wrong_arguments_are_refused_when_they_are_given(spec, reason):
+def test_wrong_arguments_are_refused_when_they_are_given(made, reason):
     with pytest.raises(InvalidArgument, match=reason):
-        make_controller(spec)
-
-
-def test_a_controller_that_goes_by_names_says_so_when_it_gets_numbers():
-    with pytest.raises(InvalidArgument, match=r"Pid goes by the names of a task's channels: use bind_to\(task\)"):
-        Pid().bind(5, 2)
+        made()
 
 
 def test_a_constant_controller_with_zeros_keeps_every_control_at_rest():
-    system = System(
-        (Channel("speed"),),
-        (Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))),
-        0.1,
-    )
+    controls = Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))
+    system = System((Channel("speed"),), controls, 0.1)
     law = make_controller("constant").bind_to(make_task("set_point(channels=speed)").bind(system))
     assert law.hand_written
     raw = outputs(law, [0.0, 0.0], np.zeros((2, 3)))
@@ -178,13 +172,10 @@ def test_pursuit_leaves_other_controls_neutral():
     assert car.actuate(raw)[0, 2] == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize("system", [switched_car(), continuous_car()])
-def test_outputs_made_from_controls_give_these_controls(system):
+def test_outputs_made_from_controls_give_these_controls_or_the_nearest_legal_ones():
     legal = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
-    np.testing.assert_array_equal(system.actuate(system.raw_of(legal)), legal)
-
-
-def test_outputs_made_from_controls_beyond_the_limits_are_the_nearest_legal_ones():
+    for system in (switched_car(), continuous_car()):
+        np.testing.assert_array_equal(system.actuate(system.raw_of(legal)), legal)
     found = switched_car().raw_of(np.array([0.6, -7.0]))
     np.testing.assert_array_equal(switched_car().actuate(found), [1.0, -1.0])
     assert continuous_car().raw_of(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
@@ -212,9 +203,7 @@ def test_the_network_of_the_paper_has_78_weights():
     assert make_controller("recurrent").bind_to(PointToPoint().bind(switched_car())).n_parameters == 78
 
 
-def test_wrong_numbers_of_units_and_weights_are_refused():
-    with pytest.raises(InvalidArgument, match="expected at least one hidden unit, got 0"):
-        RecurrentNetwork(hidden=0)
+def test_a_wrong_number_of_weights_is_refused():
     network = RecurrentNetwork().bind(5, 2)
     view = View(np.zeros((1, 1, 5)), np.zeros((1, 1, 3)), TRIALS)
     with pytest.raises(ShapeError, match=r"parameters: expected shape \(any, 78\), got \(1, 77\)"):

@@ -20,7 +20,7 @@ from sysid_evo.models import DynamicsModel, family_name, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
-from sysid_evo.testing.examples import example_dataset, switched_car
+from sysid_evo.testing.examples import switched_car
 
 CHAMPION = Champion(
     name="mm1",
@@ -146,55 +146,36 @@ def test_the_manifest_says_what_made_the_file(stored):
     assert sorted(path.name for path in stored.parent.iterdir()) == ["model.json", "model.safetensors"]
 
 
-def cut(path, suffix, end):
-    target = path.with_suffix(suffix)
-    target.write_bytes(target.read_bytes()[:end])
-
-
-def flip(path):
-    target = path.with_suffix(".safetensors")
-    content = bytearray(target.read_bytes())
-    content[-1] ^= 1
-    target.write_bytes(content)
-
-
-def exchange(path):
-    """Give it the tensors of another model of its family."""
-    other = path.with_name("other")
-    save_model(make_model("linear").fit(example_dataset(), rng=0), other)
-    shutil.copy(other.with_suffix(".safetensors"), path.with_suffix(".safetensors"))
-
-
 @pytest.mark.parametrize(
-    ("damage", "reason"),
+    ("suffix", "damaged", "reason"),
     [
+        (".json", lambda _: None, r"model\.json: expected one half of a stored model, found no such file"),
+        (".safetensors", lambda _: None, r"model\.safetensors: expected one half of a stored model, found no such"),
         (
-            lambda path: path.with_suffix(".json").unlink(),
-            r"model\.json: expected one half of a stored model, found no such file",
+            ".safetensors",
+            lambda old: old[:-1],
+            "model.safetensors: its SHA-256 is not the one in model.json: damaged",
         ),
-        (
-            lambda path: path.with_suffix(".safetensors").unlink(),
-            r"model\.safetensors: expected one half of a stored model, found no such file",
-        ),
-        (
-            lambda path: cut(path, ".safetensors", -1),
-            r"model.safetensors: its SHA-256 is not the one in model.json: damaged",
-        ),
-        (
-            lambda path: cut(path, ".json", -20),
-            r"model.json: not a manifest of schema sysid-evo/artefact/3: the file: Invalid",
-        ),
-        (flip, r"model.safetensors: its SHA-256"),
-        (exchange, "or not its partner"),
-        (
-            lambda path: path.with_suffix(".json").write_bytes(b" " * (4 * 2**20 + 1)),  # it is not even read
-            "a manifest has at most 4194304 bytes, this is larger",
-        ),
+        (".json", lambda old: old[:-20], "model.json: not a manifest of schema sysid-evo/artefact/3: the file: Inv"),
+        (".safetensors", lambda old: old[:-1] + bytes([old[-1] ^ 1]), "model.safetensors: its SHA-256"),
+        (".json", lambda _: b" " * (4 * 2**20 + 1), "a manifest has at most 4194304 bytes, this is larger"),
     ],
 )
-def test_a_damaged_file_is_refused(stored, damage, reason):
-    damage(stored)
+def test_a_damaged_half_or_none_is_refused(stored, suffix, damaged, reason):
+    file = stored.with_suffix(suffix)
+    content = damaged(file.read_bytes())
+    if content is None:
+        file.unlink()
+    else:
+        file.write_bytes(content)
     with pytest.raises(ArtefactError, match=reason):
+        load_model(stored)
+
+
+def test_the_tensors_of_another_artefact_are_refused(stored, car_data):
+    save_model(make_model("linear").fit(car_data, rng=0), stored.with_name("other"))
+    shutil.copy(stored.with_name("other.safetensors"), stored.with_suffix(".safetensors"))
+    with pytest.raises(ArtefactError, match="or not its partner"):
         load_model(stored)
 
 
@@ -218,18 +199,12 @@ def test_a_pickle_in_disguise_is_never_unpickled(stored, tmp_path):
     [
         (lambda m: m.update(surprise=1), "surprise: Extra inputs are not permitted"),
         (lambda m: m.pop("sha256"), "sha256: Field required"),
-        (
-            lambda m: m.update(schema_="sysid-evo/artefact/1"),
-            "schema_: .*another version of this library wrote it: fit or evolve again",
-        ),
+        (lambda m: m.update(schema_="sysid-evo/artefact/1"), "schema_: .*another version of this .*: fit or evolve ag"),
         (lambda m: m.update(seed="3"), "seed: Input should be a valid integer"),
         (lambda m: m["parameters"].update(ridge=float("nan")), "parameters: .*expected finite numbers, got nan"),
         (lambda m: m["learned"].update(a_=[{"b": float("inf")}]), "learned: .*expected finite numbers, got inf"),
         (lambda m: m["system"].update(dt=float("nan")), "system: .*expected finite numbers, got nan"),
-        (
-            lambda m: m["tensors"].pop("intercept_"),
-            r"model.safetensors: expected the tensors \{.*\}, got \{.*intercept_",
-        ),
+        (lambda m: m["tensors"].pop("intercept_"), r"safetensors: expected the tensors \{.*\}, got \{.*intercept_"),
         (lambda m: m.update(kind="controller"), "expected a stored model, got a controller"),
         (lambda m: m["parameters"].update(colour="red"), "not a stored linear: UnknownParameter: .*'colour'"),
         (lambda m: m["system"].pop("dt"), "not a stored linear: KeyError: 'dt'"),
@@ -242,7 +217,7 @@ def test_a_pickle_in_disguise_is_never_unpickled(stored, tmp_path):
         (lambda m: m["learned"].update(system_=1), "'system_' cannot be the name of something learned"),
         (
             lambda m: m.update(name="lineal", module="their_zoo"),
-            r"needs the model family 'lineal', which the module 'their_zoo'.*--plugin.*linear",
+            "family 'lineal', .* 'their_zoo'.*--plugin.*linear",
         ),
     ],
 )

@@ -77,26 +77,21 @@ def recording(gain=0.8, names=("one", "two", "three")):
 DATA = recording()
 
 
-def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0():
+def test_fit_takes_a_seed_a_generator_or_nothing_which_is_seed_0_and_no_other_thing():
     gains = [Drawn().fit(DATA, rng=rng).gain_ for rng in (None, 0, np.random.default_rng(0), np.int64(0), 1)]
     assert gains[0] == gains[1] == gains[2] == gains[3] != gains[4]
     assert Drawn().fit(DATA).gain_ == gains[0]
     taken = ["self", "dataset", "rng", "progress", "t", "u", "feature_names"]
     assert list(inspect.signature(Drawn.fit).parameters) == taken
-
-
-@pytest.mark.parametrize("rng", [-1, 0.5, "seed", True])
-def test_a_seed_that_is_none_is_refused(rng):
-    with pytest.raises(InvalidArgument, match=r"rng: expected a seed \(a whole number >= 0\), a Generator or None"):
-        Drawn().fit(DATA, rng=rng)
+    for rng in (-1, 0.5, "seed", True):
+        with pytest.raises(InvalidArgument, match=r"rng: expected a seed \(a whole number >= 0\), a Generator or None"):
+            Drawn().fit(DATA, rng=rng)
 
 
 def test_progress_true_draws_a_bar_on_standard_error(capsys):
     Drawn().fit(DATA, progress=True)
     out, err = capsys.readouterr()
-    assert out == ""
-    assert "fit Drawn" in err
-    assert "1 of 1" in err
+    assert (out, "fit Drawn" in err, "1 of 1" in err) == ("", True, True)
     Drawn().fit(DATA, progress=False)
     assert capsys.readouterr().err == ""
 
@@ -104,10 +99,7 @@ def test_progress_true_draws_a_bar_on_standard_error(capsys):
 @pytest.mark.parametrize(
     ("given", "hint"),
     [
-        (
-            pd.DataFrame({"a": [1.0]}),
-            r"got a DataFrame: make one of a table with Dataset\.from_pandas\(system, table\)",
-        ),
+        (pd.DataFrame({"a": [1.0]}), r"got a DataFrame: make one of a table with Dataset\.from_pandas\(system, tab"),
         (np.zeros((3, 2)), r"got a ndarray: make one of arrays with Dataset\.from_arrays\(system, states, controls\)"),
         ([np.zeros((3, 2))], r"got a list: make one of arrays with Dataset\.from_arrays"),
         (list(DATA), r"got a list: make a data set of episodes with Dataset\(system, episodes\)"),
@@ -165,8 +157,7 @@ def test_a_wrong_parameter_is_refused_where_it_is_given(parameters, message):
 
 
 def test_whole_numbers_and_numbers_of_numpy_are_numbers():
-    model = clone(Drawn(share=1, sizes=[3, 4], state_lags=np.int64(2)))
-    assert model.get_params()["state_lags"] == 2
+    assert clone(Drawn(share=1, sizes=[3, 4], state_lags=np.int64(2))).get_params()["state_lags"] == 2
 
 
 def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch):
@@ -241,6 +232,9 @@ def test_a_short_history_is_padded_with_its_first_state_and_neutral_controls():
 def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments, message):
     with pytest.raises(ShapeError, match=message):
         Drawn().fit(DATA).simulate(*arguments)
+
+
+def test_a_plain_run_needs_controls_and_states_enough_to_start():
     with pytest.raises(InvalidArgument, match="expected a state and controls, or a Trajectory; got no controls"):
         Drawn().fit(DATA).simulate([0.0, 0.0])
     short = Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.1, name="short")
@@ -248,12 +242,13 @@ def test_a_plain_run_names_the_array_of_the_wrong_shape(arguments, message):
         Drawn(control_lags=2).fit(DATA).simulate(short)
 
 
-@pytest.mark.parametrize("habit", [((0.1 * np.arange(5), np.zeros((5, 1))), {}), ((), {"t": 0.1, "u": np.zeros(5)})])
-def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_library(habit):
+def test_the_way_in_which_pysindy_simulates_is_answered_with_that_of_this_library():
     """Times would else be taken for the controls before the run."""
-    arguments, keywords = habit
-    with pytest.raises(InvalidArgument, match=r"expected simulate\(x0, u\) with one row of u for each step of 0.1 s"):
-        Drawn().fit(DATA).simulate([0.0, 0.0], *arguments, **keywords)
+    for arguments, keywords in (((0.1 * np.arange(5), np.zeros((5, 1))), {}), ((), {"t": 0.1, "u": np.zeros(5)})):
+        with pytest.raises(
+            InvalidArgument, match=r"expected simulate\(x0, u\) with one row of u for each step of 0.1 s"
+        ):
+            Drawn().fit(DATA).simulate([0.0, 0.0], *arguments, **keywords)
 
 
 @pytest.mark.parametrize("name", ["linear", "nearest_neighbour", "gaussian_process"])
@@ -270,10 +265,8 @@ def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learn
 def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing():
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
-    with pytest.warns(
-        DataWarning,
-        match="Linear learns from 8 steps, too few for 5 states and controls: expected at least 15",
-    ):
+    few = "Linear learns from 8 steps, too few for 5 states and controls: expected at least 15"
+    with pytest.warns(DataWarning, match=few):
         make_model("linear").fit(data.with_episodes([episode[:8]]))
     still = data.with_episodes([replace(episode, states=np.full_like(episode.states, 0.3))])
     with pytest.warns(DataWarning, match="Linear learns nothing: no state changes in the recording"):
@@ -283,8 +276,7 @@ def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_err
 
 def test_columns_are_numbered_and_the_step_is_that_of_the_times():
     data = from_samples(X, TIMES, U)
-    assert data.system.state_names == ("x0", "x1")
-    assert data.system.control_names == ("u0",)
+    assert (data.system.state_names, data.system.control_names) == (("x0", "x1"), ("u0",))
     assert data.system.dt == pytest.approx(0.05)
     np.testing.assert_array_equal(data.episodes[0].states, X)
     np.testing.assert_array_equal(data.episodes[0].controls, U[:-1])
@@ -314,14 +306,10 @@ def test_names_may_be_given_as_to_pysindy():
         model.fit(from_samples(x, 0.05, u), feature_names=["decay", "swing", "push"])
 
 
-@pytest.mark.parametrize("u", [None, [U, U[:9, 0]]])
-def test_a_list_holds_one_array_for_each_trajectory(u):
-    data = from_samples([X, X[:9]], [TIMES, TIMES[:9]], u)
-    assert [len(episode) for episode in data] == [20, 8]
-    assert data.system.nu == (0 if u is None else 1)
-
-
-def test_a_list_of_numbers_is_one_flat_state():
+def test_a_list_holds_one_array_for_each_trajectory_or_the_numbers_of_one_flat_state():
+    for u, nu in ((None, 0), ([U, U[:9, 0]], 1)):
+        data = from_samples([X, X[:9]], [TIMES, TIMES[:9]], u)
+        assert ([len(episode) for episode in data], data.system.nu) == ([20, 8], nu)
     assert from_samples([0.0, 1.0, 3.0], np.float32(0.5)).episodes[0].states.tolist() == [[0.0], [1.0], [3.0]]
 
 
