@@ -220,8 +220,7 @@ def connected(remote):
 
 def test_pins_are_low_outputs_and_the_watchdog_runs_before_anything_else(remote):
     remote.run(20e-6)
-    assert remote.directions & 0xF0 == 0xF0
-    assert remote.port & 0xF0 == 0
+    assert (remote.directions & 0xF0, remote.port & 0xF0) == (0xF0, 0)
     assert remote.watchdog & WATCHDOG_ENABLED
 
 

@@ -101,8 +101,7 @@ def drive(connection):
 def assert_stopped(remote):
     """Wait until the buttons open, and see that a STOP did it and not the deadman."""
     until(lambda: remote.said[-1].state == State.WAITING, lambda: time.sleep(0.002))
-    assert remote.core.buttons == 0
-    assert remote.said[-1].trips == 0
+    assert (remote.core.buttons, remote.said[-1].trips) == (0, 0)
 
 
 class Queue(TrackerStream):

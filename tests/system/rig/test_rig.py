@@ -63,9 +63,7 @@ def test_a_stall_holds_everything_back_until_it_ends():
     wire = Wire(FaultSchedule([Fault(kind="stall", at=1.0, duration=2.0)], start=100.0), np.random.default_rng(5))
     wire.push(b"before", 100.5)
     wire.push(b"within", 101.5)
-    assert wire.pull(102.9) == b"before"
-    assert wire.due == 103.0
-    assert wire.pull(103.0) == b"within"
+    assert (wire.pull(102.9), wire.due, wire.pull(103.0)) == (b"before", 103.0, b"within")
 
 
 PRESSES = [Entry(1.0, "buttons", 1), Entry(2.0, "buttons", 5), Entry(3.0, "buttons", 0), Entry(3.5, "out", "00")]
@@ -111,8 +109,7 @@ def test_in_real_time_it_is_the_car_of_simulated_time():
 
 def test_missed_steps_are_caught_up_and_a_process_that_slept_goes_on_from_now():
     moving = MovingCar(emulated_car(), seed=3, start=50.0)
-    assert len(list(moving.move(50.5001, FORWARD))) == 101
-    assert moving.lateness == pytest.approx(0.5001)
+    assert (len(list(moving.move(50.5001, FORWARD))), moving.lateness) == (101, pytest.approx(0.5001))
     assert moving.due == pytest.approx(50.505)
     slept = MovingCar(emulated_car(), seed=3, start=50.0)
     list(slept.move(50.0, FORWARD))

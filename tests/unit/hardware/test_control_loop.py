@@ -47,8 +47,7 @@ def test_pilot_is_asked_once_a_sample_and_its_control_drives(drive):
         assert link.pose[0] > 1.0
         assert np.array_equal(link.control, [0.0, 0.0])
     assert report.reason is Reason.SAMPLES
-    assert drive.script.ticks == list(range(40))
-    assert report.ticks == 40
+    assert (drive.script.ticks, report.ticks) == (list(range(40)), 40)
     assert np.allclose(report.gaps, 0.05)
     assert np.allclose(report.lateness, 0.0, atol=1e-9)
     assert (report.skipped, report.stale, report.drift) == (0, 0, 0.0)

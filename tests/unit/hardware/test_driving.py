@@ -60,8 +60,7 @@ def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated
     pilot, report = drive(emulated, hands, PointToPoint(horizon=40))
     driven = moving(hands)
     assert report.reason is Reason.PILOT
-    assert len(driven) == 40
-    assert driven[0].time == pytest.approx(BEGIN, abs=emulated.system.dt)
+    assert (len(driven), driven[0].time) == (40, pytest.approx(BEGIN, abs=emulated.system.dt))
     assert not hands.commands[-1].control.any()
     assert pilot.progress.phase is Phase.FINISHED
     assert pilot.progress.steps == 40

@@ -98,8 +98,7 @@ def test_frozen_pose_is_seen_while_driving_only_and_ends_the_track(gate):
     gate = PoseGate("car")
     seen = verdicts(gate, frames[:50] + frozen + frames[80:])
     assert [one.accepted for one in seen[50:80]] == [True] * 9 + [False] * 21
-    assert seen[79].reason == "frozen"
-    assert [one.broke for one in seen[80:82]] == [True, False]
+    assert (seen[79].reason, [one.broke for one in seen[80:82]]) == ("frozen", [True, False])
     unlimited = PoseGate("car", GateLimits(frozen=None))
     assert all(one.accepted for one in verdicts(unlimited, frames[:50] + frozen))
 

@@ -59,8 +59,7 @@ def test_everything_comes_back_in_the_order_it_was_told(path):
     recorder.close()
     journal = read_journal(path)
     assert (journal.system, journal.closed, journal.torn, journal.notes) == (CAR, True, 0, ())
-    assert journal.header["robot"] == "toy"
-    assert [frame.frame for frame in journal.frames] == list(range(40))
+    assert (journal.header["robot"], [frame.frame for frame in journal.frames]) == ("toy", list(range(40)))
     assert repr(journal.frames[7]) == repr(measurement(7))
     assert np.array_equal(journal.frames[7].pose, measurement(7).pose)
     assert [timed.command.tick for timed in journal.commands] == [0, 1, 2, 3]

@@ -129,8 +129,7 @@ def test_the_losses_of_coasting_add_up_to_those_of_the_car(said):
     car = CarParameters()
     expected = car.rolling_resistance + car.coasting_drag + car.rolling_drag
     found = said["rolling resistance forward"].value + said["drag forward"].value
-    assert found == pytest.approx(expected, rel=0.1)
-    assert said["drag forward"].unit == "1/s"
+    assert (found, said["drag forward"].unit) == (pytest.approx(expected, rel=0.1), "1/s")
 
 
 def test_a_first_order_system_shows_its_time_constant_and_its_steady_value():
@@ -142,8 +141,7 @@ def test_a_first_order_system_shows_its_time_constant_and_its_steady_value():
         state.append(state[-1] + (3.0 * power - state[-1]) * -np.expm1(-0.1 / 0.7))
     found = measured(Dataset.from_arrays(system, [np.array(state)], [step.controls], names=[step.name]))
     assert [one.name for one in found] == ["steady heat", "time constant of heat"]
-    assert found[0].value == pytest.approx(6.0, rel=0.01)
-    assert found[1].value == pytest.approx(0.7, abs=0.03)
+    assert (found[0].value, found[1].value) == (pytest.approx(6.0, rel=0.01), pytest.approx(0.7, abs=0.03))
     assert str(found[0]).startswith("steady heat: 6 +- ")
 
 

@@ -80,8 +80,7 @@ def test_rollouts_hold_every_trial_with_its_trajectory(emulated):
     assert (ran.engine, ran.missing) == ("robot", ())
     assert [t.name for t in ran.trajectories] == [f"candidate-0-trial-{i}" for i in range(3)]
     for trajectory in ran.trajectories:
-        assert trajectory.states.shape == (61, 3)
-        assert trajectory.controls.shape == (60, 2)
+        assert (trajectory.states.shape, trajectory.controls.shape) == ((61, 3), (60, 2))
         assert way(trajectory) > 1.0
 
 
@@ -128,8 +127,7 @@ def test_trial_cut_short_by_a_fault_is_missing_with_the_reason_and_those_before_
     faulty = FaultyRobot(emulated, lost=(1.0 + 40 * 0.05 + 2.5, 99.0))
     ran, report = drive(faulty, 40, 4)
     assert report.reason is Reason.TRACKER_LOST
-    assert ran.fitness.shape == (1, 1)
-    assert len(ran.missing) == 3
+    assert (ran.fitness.shape, len(ran.missing)) == ((1, 1), 3)
     assert "tracker lost" in ran.missing[0]
     assert faulty.connection.closed
 
@@ -138,8 +136,7 @@ def test_controller_output_that_is_not_a_number_stops_the_robot_and_is_not_score
     diary = Diary()
     ran, report = drive(emulated, 60, 2, parameters=[[np.nan]], listeners=[diary])
     assert report.reason is Reason.NOT_FINITE
-    assert ran.fitness.shape == (1, 0)
-    assert len(ran.missing) == 2
+    assert (ran.fitness.shape, len(ran.missing)) == ((1, 0), 2)
     assert not any(command.control.any() for command in diary.commands)
 
 
