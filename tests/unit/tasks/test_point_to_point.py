@@ -174,9 +174,9 @@ def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car):
     assert kept.passed.dtype == old.passed.dtype
 
 
-def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car):
+def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car, ladder):
     task = PointToPoint(horizon=50, waypoint_radius=0.4, arena_radius=2.0).bind(car)
-    began = task.begin(np.array([3, 8], dtype=np.uint64)).tile(2)
+    began = task.begin(seeds_of(3, 8)).tile(2)
     state = dataclasses.replace(began, passed=np.array([0, 2, 1, 4]))
     scenes = [task.scene(state, trial) for trial in range(4)]
     assert [len(scene.markers) for scene in scenes] == [1, 3, 2, 5]
@@ -185,10 +185,7 @@ def test_the_scene_of_a_trial_is_what_was_passed_and_the_next_waypoint(car):
     for trial, scene in enumerate(scenes):
         np.testing.assert_array_equal(scene.next_marker, state.waypoint[trial])
         assert (scene.radius, scene.extent) == (0.4, 2.0)
-
-
-def test_a_task_without_places_has_an_empty_scene(ladder):
-    task = Ladder().bind(ladder)
-    scene = task.scene(task.begin(np.array([1], dtype=np.uint64)), 0)
+    task = Ladder().bind(ladder)  # without places
+    scene = task.scene(task.begin(seeds_of(1)), 0)
     assert scene.markers.shape == (0, 2)
     assert scene.next_marker is None

@@ -181,11 +181,8 @@ def test_a_collision_may_end_the_trial():
     "wrong",
     [{"width": 0.1}, {"width": 2.0}, {"bends": 1.5}, {"collision": "bounce"}, {"rays": 0}, {"reach": 0.0}, {"view": 7}],
 )
-def test_sizes_that_make_no_track_are_refused(wrong):
+def test_sizes_that_make_no_track_and_systems_that_do_not_drive_are_refused(wrong):
     with pytest.raises(InvalidArgument, match="walled_track: expected"):
         WalledTrack(**wrong)
-
-
-def test_a_system_that_does_not_drive_is_refused():
     with pytest.raises(IncompatibleTask, match="needs a planar body"):
         WalledTrack().bind(pendulum())
