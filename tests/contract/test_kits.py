@@ -10,7 +10,6 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, IncompatibleTask, InvalidArgument, RegistrationError
 from sysid_evo.models import DynamicsModel, require_planar
 from sysid_evo.registry import Spec, make_robot, models, tasks
-from sysid_evo.system import Channel, System
 from sysid_evo.tasks import SetPoint
 from sysid_evo.testing import check_controller, check_model, check_reader, check_strategy, check_task, run_checks
 from sysid_evo.testing import models as model_kit
@@ -31,6 +30,7 @@ from tests.fixtures import broken_robots as of_robots
 from tests.fixtures import broken_strategies as of_strategies
 from tests.fixtures import broken_tasks as of_tasks
 from tests.fixtures.kits import KITS, broken, failing, sentence
+from tests.fixtures.systems import TANK
 
 CASES = {
     "model": (check_model, of_models),
@@ -45,12 +45,6 @@ OPTIONS = {
     "predictive": {"model": ExampleDynamics(continuous_car()), "horizon": 6, "samples": 24},
 }
 """What a controller cannot do without."""
-TANK = System(
-    (Channel("level", "m", 0.0, 4.0), Channel("warmth", "K")),
-    (Channel("valve", low=0.0, high=2.0), Channel("heater", low=-1.0, high=1.0)),
-    dt=0.5,
-    name="tank",
-)
 OTHER_ARGUMENTS = [
     ("strategy", "cma_es(population=4)", ()),
     ("strategy", "mu_plus_lambda(reevaluate=false)", ()),

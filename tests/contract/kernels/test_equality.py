@@ -18,13 +18,12 @@ from sysid_evo.models import Cautious, DelayedEstimate, NoisySensors, Perturbed,
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
-from sysid_evo.system import Channel, System
 from sysid_evo.tasks import PointToPoint, Reward
 from sysid_evo.testing import run_checks
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_dataset, pendulum, switched_car
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
 from tests.fixtures.lanes import step_between_guards
-from tests.fixtures.systems import SMALL_SYSTEMS
+from tests.fixtures.systems import SMALL_SYSTEMS, TANK
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # of how long a fit may take
 SEEDS = trial_seeds(3, 3)
@@ -281,14 +280,6 @@ def test_a_controller_drives_a_car_with_switches_as_in_numpy(spec, engine):
 def test_a_regulator_holds_a_pole_as_in_numpy(engine):
     pole = make_robot("cart_pole").dynamics
     agree(Given(pole, make_controller("lqr(model=cart_pole)"), make_task("balance(horizon=40)")), engine)
-
-
-TANK = System(
-    (Channel("level", "m", 0.0, 4.0), Channel("warmth", "K")),
-    (Channel("valve", low=0.0, high=2.0), Channel("heater", low=-1.0, high=1.0)),
-    dt=0.5,
-    name="tank",
-)
 
 
 def worth(states, controls):

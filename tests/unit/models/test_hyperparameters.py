@@ -63,21 +63,15 @@ def test_declared_names_are_the_keywords_of_the_constructor_those_of_bases_too()
         Wider(3)
 
 
-@pytest.mark.parametrize("family", [Declared, Wider, Plain])
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
+def test_values_and_names_are_checked_as_those_of_a_constructor_written_out():
+    for parameters, message in (
         ({"degree": 0}, "degree: expected a whole number >= 1, got 0"),
         ({"degree": "two"}, "degree: expected a whole number >= 1, got 'two'"),
         ({"form": "even"}, "form: expected one of 'plain', 'odd', got 'even'"),
-    ],
-)
-def test_values_are_checked_as_those_of_a_constructor_written_out(family, parameters, message):
-    with pytest.raises(InvalidArgument, match=message):
-        family(**parameters)
-
-
-def test_a_wrong_name_is_answered_with_the_right_ones():
+    ):
+        for family in (Declared, Wider, Plain):
+            with pytest.raises(InvalidArgument, match=message):
+                family(**parameters)
     with pytest.raises(UnknownParameter, match=r"no parameter 'ridgee'. Did you mean 'ridge'\? It has: degree, form"):
         Wider(ridgee=1.0)
 

@@ -8,15 +8,11 @@ import pytest
 
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.system import Channel, System
 from sysid_evo.tasks import Balance, SetPoint, SwingUp, TrackReference
 from sysid_evo.testing.examples import bare_system, pendulum
+from tests.fixtures.systems import TANK
 
 SEEDS = trial_seeds(5, 6)
-TANK = System(
-    (Channel("level", "m", 0.0, 4.0), Channel("warmth", "K")),
-    (Channel("valve", low=0.0, high=2.0), Channel("heater", low=-1.0, high=1.0)), dt=0.5, name="tank",
-)  # fmt: skip
 IDLE = np.zeros((1, 2))
 
 

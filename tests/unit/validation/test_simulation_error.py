@@ -11,29 +11,23 @@ SWAPPED = np.array([[2.0], [2.0]])
 SHIFTED = np.array([[3.0], [5.0]])
 
 
-def test_rmse_is_the_root_of_the_mean_square():
-    assert measures.rmse(TRUE, SWAPPED) == pytest.approx([1.0])
-    assert measures.rmse(TRUE, SHIFTED) == pytest.approx([2.0])
-
-
-def test_a_constant_error_has_no_standard_deviation():
-    assert measures.error_std(TRUE, SHIFTED) == pytest.approx([0.0])
-    assert measures.error_std(TRUE, SWAPPED) == pytest.approx([1.0])
-
-
-def test_relative_error_is_of_the_rms_of_the_signal():
-    assert measures.relative_percent(TRUE, SWAPPED) == pytest.approx([100.0 / np.sqrt(5.0)])
-    assert measures.relative_percent(TRUE, SWAPPED, rms=[4.0]) == pytest.approx([25.0])
-
-
-def test_nrmse_is_of_the_standard_deviation_of_the_truth():
-    assert measures.nrmse(TRUE, SWAPPED) == pytest.approx([1.0])
-    assert measures.nrmse(TRUE, SHIFTED, std=[8.0]) == pytest.approx([0.25])
-
-
-def test_predicting_the_mean_fits_zero_per_cent_and_the_truth_a_hundred():
-    assert measures.fit_percent(TRUE, SWAPPED) == pytest.approx([0.0])
-    assert measures.fit_percent(TRUE, TRUE) == pytest.approx([100.0])
+@pytest.mark.parametrize(
+    ("measure", "predicted", "given", "expected"),
+    [
+        ("rmse", SWAPPED, {}, 1.0),
+        ("rmse", SHIFTED, {}, 2.0),
+        ("error_std", SHIFTED, {}, 0.0),  # a constant error has none
+        ("error_std", SWAPPED, {}, 1.0),
+        ("relative_percent", SWAPPED, {}, 100.0 / np.sqrt(5.0)),  # of the rms of the signal
+        ("relative_percent", SWAPPED, {"rms": [4.0]}, 25.0),
+        ("nrmse", SWAPPED, {}, 1.0),  # of the standard deviation of the truth
+        ("nrmse", SHIFTED, {"std": [8.0]}, 0.25),
+        ("fit_percent", SWAPPED, {}, 0.0),  # as predicting the mean does
+        ("fit_percent", TRUE, {}, 100.0),
+    ],
+)
+def test_a_measure_is_what_is_worked_out_by_hand(measure, predicted, given, expected):
+    assert getattr(measures, measure)(TRUE, predicted, **given) == pytest.approx([expected])
 
 
 def test_a_constant_channel_has_no_nrmse_and_is_left_out_of_the_mean():
