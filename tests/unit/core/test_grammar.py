@@ -23,6 +23,13 @@ def test_what_is_written_is_read_again(name, parameters, label):
     assert (read.name, read.parameters, read.label) == (name, parameters, label)
 
 
+def test_a_text_is_written_without_quotes_where_it_is_a_name_and_no_value():
+    spec = Spec("thing", {"a": "word", "b": "two words", "c": "true", "d": True, "e": "in", "f": None, "g": [1, "x"]})
+    assert spec.text == "thing(a=word, b='two words', c='true', d=true, e='in', f=none, g=[1, x])"
+    assert str(Spec("thing", {}, "label")) == "label=thing"
+    assert str(Spec("thing", {}, "thing")) == str(Spec("thing", {}, "thing:3")) == "thing"
+
+
 def test_values_are_what_they_look_like():
     spec = Spec.parse("thing(a=1, b=-2.5e-3, c=true, d=None, e=word, f='two words', g=[1, x], h={port: 5005})")
     assert spec.parameters == {
