@@ -32,24 +32,23 @@ def path(*legs):
     return pose, both[:, 0], both[:, 1]
 
 
-def trace(*legs, markers=None, controls=None):
+def trace(*legs, markers=()):
     """Return the trial of a car on this path."""
     pose, speed, turn = path(*legs)
     states = np.zeros((len(pose), SYSTEM.nx))
     states[:, SYSTEM.state_names.index("forward_speed")] = speed
     states[:, SYSTEM.state_names.index("yaw_rate")] = turn
-    held = np.zeros((len(pose) - 1, SYSTEM.nu)) if controls is None else controls
-    places = np.empty((0, 2)) if markers is None else np.asarray(markers, dtype=float)
-    return Trace(Trajectory(states, held, DT, pose), 1.0, places, RADIUS)
+    held = np.zeros((len(pose) - 1, SYSTEM.nu))
+    return Trace(Trajectory(states, held, DT, pose), 1.0, np.array(markers).reshape(-1, 2), RADIUS)
 
 
-def numbers(one):
-    return dict(measured(one, SYSTEM, np.full(SYSTEM.nx, 1.0)))
+def chased(markers, *legs):
+    pose, speed, _ = path(*legs)
+    return chase(pose[:, :2], np.array(markers), RADIUS, speed, DT, still=0.1)
 
 
 def test_a_marker_that_is_driven_straight_to_is_not_missed():
-    pose, speed, _ = path((4.0, 1.0, 0.0))
-    found = chase(pose[:, :2], np.array([[1.0, 0.2], [3.0, 0.0], [9.0, 0.0]]), RADIUS, speed, DT, still=0.1)
+    found = chased([[1.0, 0.2], [3.0, 0.0], [9.0, 0.0]], (4.0, 1.0, 0.0))
     assert (found.markers, found.reached, found.missed, found.reactions, found.orbiting) == (3, 2, 0, (), 0.0)
 
 
@@ -62,16 +61,14 @@ def test_a_marker_that_is_driven_straight_to_is_not_missed():
     ],
 )
 def test_what_follows_a_miss_is_told(legs, reaction):
-    pose, speed, _ = path(*legs)
-    found = chase(pose[:, :2], np.array([[1.0, 0.5]]), RADIUS, speed, DT, still=0.1)
+    found = chased([[1.0, 0.5]], *legs)
     assert found.reactions[0] == reaction
     assert (found.missed, found.reached) == (1, 0)
 
 
-def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss():
-    pose, speed, _ = path((4.0, 1.0, 0.0))
-    for marker in ([2.0, 1.0], [-0.5, 0.0]):
-        assert chase(pose[:, :2], np.array([marker]), RADIUS, speed, DT, still=0.1).missed == 0
+@pytest.mark.parametrize("marker", [[2.0, 1.0], [-0.5, 0.0]])
+def test_to_drive_by_far_away_or_away_from_the_start_is_no_miss(marker):
+    assert chased([marker], (4.0, 1.0, 0.0)).missed == 0
 
 
 def test_the_time_from_a_miss_to_the_marker_is_measured():
@@ -83,15 +80,14 @@ def test_the_time_from_a_miss_to_the_marker_is_measured():
 
 
 def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none():
-    pose, speed, _ = path((12.0, 1.0, 1.0))  # circles of 1 m around (0, 1)
-    around = chase(pose[:, :2], np.array([[0.0, 1.0]]), RADIUS, speed, DT, still=0.1)
+    around, beside = (chased([[0.0, y]], (12.0, 1.0, 1.0)) for y in (1.0, 3.0))  # circles of 1 m around (0, 1)
     assert around.orbiting == pytest.approx(1.0, abs=0.06)
-    beside = chase(pose[:, :2], np.array([[0.0, 3.0]]), RADIUS, speed, DT, still=0.1)
     assert beside.orbiting == 0.0
 
 
 def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial():
-    found = numbers(trace((3.0, -1.0, 0.5), (1.0, 0.0, 0.0), (1.0, 0.8, -0.5), (1.0, 0.0, 0.0)))
+    one = trace((3.0, -1.0, 0.5), (1.0, 0.0, 0.0), (1.0, 0.8, -0.5), (1.0, 0.0, 0.0))
+    found = measured(one, SYSTEM, np.ones(SYSTEM.nx))
     assert found["backwards"] == pytest.approx(0.75, abs=0.01)
     assert found["turning left"] == pytest.approx(0.75, abs=0.01)
     assert found["stops per minute"] == pytest.approx(20.0)
@@ -163,7 +159,7 @@ def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be():
 
 
 def recorded():
-    traces = (trace((4.0, -1.0, 0.0), markers=np.array([[-1.0, 0.0]])), trace((4.0, -1.0, 0.1)))
+    traces = (trace((4.0, -1.0, 0.0), markers=[[-1.0, 0.0]]), trace((4.0, -1.0, 0.1)))
     cells = [Cell("c", column, np.ones(2), traces=traces, unit="waypoints") for column in ("a", "b", "car")]
     return TransferMatrix.of([champion("c", ("a",))], ("a", "b", "car"), cells, robot="car")
 

@@ -38,11 +38,12 @@ INF, NAN = float("inf"), float("nan")
         ([None, None], [], [0.5, 0.5]),
         ([INF, 0.1], [], [0.0, 1.0]),
         ([NAN, INF], [], [0.5, 0.5]),
-        ([0.0, 1e-9], [], [0.5, 0.5]),
+        ([0.0, 0.01], [], [0.5, 0.5]),
+        ([0.01, 0.02], [], [0.8, 0.2]),
     ],
     ids=[
         "twice the error, a quarter", "of the own family, half", "not known, as much as the best", "none known",
-        "no number, nothing", "no number anywhere", "next to nothing, no more told apart",
+        "no number, nothing", "no number anywhere", "next to nothing, no more told apart", "above that",
     ],
 )  # fmt: skip
 def test_models_count_by_their_errors(errors, own, weights):
@@ -78,6 +79,8 @@ def test_what_the_models_say_that_predict_is_what_is_forecast():
     assert found["poor"].low < found["poor"].value < found["poor"].high < 8.0
     assert found["poor"].weights["good"] > 0.7 > 0.3 > found["poor"].weights["fair"]
     assert sum(found["poor"].weights.values()) == pytest.approx(1.0)
+    own = {"good": 0.5, "fair": 0.25, "poor": 0.01}  # evolved in the best one, which counts half
+    assert found["good"].weights == pytest.approx({name: weight / 0.76 for name, weight in own.items()})
 
 
 def test_nothing_that_was_measured_on_a_robot_enters():
@@ -125,6 +128,12 @@ def test_the_interval_is_wider_where_models_differ_and_narrower_where_more_agree
 
 def test_models_share_errors_so_the_interval_falls_with_the_fourth_root_of_their_number():
     assert width(9.0, 9.0, 11.0, 11.0) == pytest.approx(width(9.0, 11.0) / 2.0**0.25)
+
+
+def test_the_interval_reaches_further_down_than_up_as_on_the_cars_of_the_calibration():
+    assert foretold([np.full(2, 9.0), np.full(2, 11.0)]) == pytest.approx(
+        (10.0, 10.0 - 2.3 / 2.0**0.25, 10.0 + 1.3 / 2.0**0.25)
+    )
 
 
 def test_the_interval_falls_with_the_root_of_the_number_of_trials():

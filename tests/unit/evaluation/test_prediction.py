@@ -81,6 +81,9 @@ def test_a_better_model_is_significantly_better():
     assert difference.difference > 0
     assert difference.verdict == "known better than weak"
     assert prediction.ranking(20)[0].name == "known"
+    others = [(one.first, one.second) for one in prediction.differences(20)]
+    assert sorted(others) == [("persistence", "known"), ("weak", "known")]
+    assert prediction.facts()["scored over"] == "1 steps, 10 steps, 20 steps, 60 steps, free run"
 
 
 def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
@@ -120,7 +123,9 @@ def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
     prediction = assessed(recording(1), broken=models.Broken(), known=Known())
     reason = prediction.model("broken").reason
     assert reason.startswith("RuntimeError: the network is not there (known_models.py, line ")
-    assert prediction.compare("broken", "known", 1) is None
+    assert prediction.model("broken").curve.shape == (0,)
+    assert prediction.model("broken").curve_interval.shape == (2, 0)
+    assert prediction.compare("broken", "known", 1) is prediction.compare("known", "broken", 1) is None
     assert prediction.model("known").at
 
 

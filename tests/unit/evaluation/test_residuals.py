@@ -18,7 +18,7 @@ from evaluation.prediction import (
 )
 from evaluation.prediction.regions import candidate_regions
 from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS
-from evaluation.prediction.scores import load_prediction, save_prediction
+from evaluation.prediction.scores import ModelPrediction, load_prediction, save_prediction
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.validation.bootstrap import BlockErrors, interval
@@ -230,3 +230,9 @@ def test_what_is_stored_comes_back(tmp_path):
     np.testing.assert_array_equal(again.curve_interval, row.curve_interval)
     assert [episode.name for episode in again.episodes] == [episode.name for episode in row.episodes]
     np.testing.assert_array_equal(again.episodes[0].fit, row.episodes[0].fit)
+    for found, kept in zip((*again.at, again.free_run), (*row.at, row.free_run), strict=True):
+        assert (found.horizon, found.samples, found.interval) == (kept.horizon, kept.samples, kept.interval)
+        np.testing.assert_array_equal(found.resampled_n, kept.resampled_n)
+    failed = ModelPrediction("failed", "linear")  # no free run, no residuals
+    save_prediction(failed, tmp_path / "failed")
+    assert load_prediction(tmp_path / "failed").free_run is load_prediction(tmp_path / "failed").residuals is None

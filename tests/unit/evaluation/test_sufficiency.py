@@ -89,16 +89,16 @@ def test_advice_that_rests_on_an_interval_wants_ten_blocks():
     assert topics[1] & set(BY_INTERVAL)
 
 
+def on_each(a, b, rest, robot="car"):
+    """Return the report of two controllers and controls at rest by their fitness in two models and on the robot."""
+    columns, rows = ("a", "b", *([robot] if robot else ())), {"a": a, "b": b, "rest": rest}
+    fitness = {row: dict(zip(columns, values, strict=False)) for row, values in rows.items() if values}
+    return report(transfer=matrix(fitness, robot=robot))
+
+
 def idle(rest, robot="car"):
     """Two controllers that reach 9.5 and 5, and controls at rest."""
-    fitness = {
-        "a": {"a": 10.0, "b": 9.0, "car": 9.5},
-        "b": {"a": 3.0, "b": 9.5, "car": 5.0},
-        "rest": {"a": rest, "b": rest, "car": rest},
-    }
-    if robot is None:
-        fitness = {row: {c: v for c, v in cells.items() if c != "car"} for row, cells in fitness.items()}
-    return report(transfer=matrix(fitness, robot=robot))
+    return on_each((10.0, 9.0, 9.5), (3.0, 9.5, 5.0), (rest,) * 3, robot)
 
 
 @pytest.mark.parametrize("robot", ["car", None])
@@ -113,16 +113,13 @@ def test_that_rest_scores_best_is_the_first_thing_that_is_said(robot):
 
 
 def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_sentence_says_so():
-    fitness = {
-        "a": {"a": 10.0, "b": 9.0, "car": 4.0},
-        "b": {"a": 3.0, "b": 8.0, "car": 7.0},
-        "rest": {"a": 6.0, "b": 6.0, "car": 6.0},
-    }
-    made = replace(report(transfer=matrix(fitness, robot="car")), controllers={"a": "controllers/a.json"})
+    made, better = (
+        replace(on_each((10.0, 9.0, 4.0), (3.0, 8.0, 7.0), rest), controllers={"a": "controllers/a.json"})
+        for rest in ((6.0,) * 3, None)
+    )
     assert made.transfer.pick == "a"
     assert "Use the chosen controller" not in "\n".join(printed(brief(made)))
-    better = report(transfer=matrix({row: cells for row, cells in fitness.items() if row != "rest"}, robot="car"))
-    assert "Use the chosen controller" in "\n".join(printed(brief(replace(better, controllers=made.controllers))))
+    assert "Use the chosen controller" in "\n".join(printed(brief(better)))
     card = headline(made, "Which controller")
     assert (card.tone, card.command) == ("bad", "")
     assert card.sentence.startswith("a is worse than controls at rest (difference -2.00 ±")
@@ -139,9 +136,8 @@ def test_as_good_as_rest_is_no_better_and_one_trial_goes_by_its_value():
 
 def test_where_rest_was_not_run_on_the_robot_models_tell():
     driven = idle(1.0).matrix
-    cells = {key: cell for key, cell in driven.cells.items() if key != ("rest", "car")}
-    cells["rest", "car"] = replace(driven.cell("rest", "car"), reason="not run")
-    assert beats_rest(replace(driven, cells=cells), "a") is True
+    not_run = {("rest", "car"): replace(driven.cell("rest", "car"), reason="not run")}
+    assert beats_rest(replace(driven, cells={**driven.cells, **not_run}), "a") is True
 
 
 def test_without_controls_at_rest_they_count_as_nothing_unless_fitness_is_negative():
@@ -157,8 +153,7 @@ def test_a_forecast_for_where_there_are_no_data_comes_with_a_warning_and_no_prai
     found = headline(guess, "Which controller")
     assert found.tone == "open"
     assert "37 % of its time lies outside the data: there its forecast is a guess." in found.sentence
-    sheet = forecast_sheet(guess)
-    assert "outside the data: a (37 %)" in sheet.note
+    assert "outside the data: a (37 %)" in forecast_sheet(guess).note
     for share, normal, warned in ((0.05, 0.0, False), (0.37, 0.2, False), (0.61, 0.2, True), (0.61, 0.3, True)):
         other = replace(made, exploitability=(replace(card, outside=(("a", share),), outside_held_out=normal),))
         assert ("a guess" in headline(other, "Which controller").sentence) == warned
