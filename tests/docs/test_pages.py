@@ -88,7 +88,10 @@ BUDGETS = {
         PAGES["models.md"].blocks("python")[2].text: "",  # torch, which takes seconds to import
         'check_model("bilinear")\n': "",
     },
-    "shift.md": {'"sindy", degree=2': '"linear"', 'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))'},
+    "shift.md": {
+        '"sindy", degree=2': '"linear"',
+        'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))',
+    },
 }
 """By page: a text, and what takes its place by day, so that a page takes a second."""
 

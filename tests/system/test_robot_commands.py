@@ -255,11 +255,11 @@ SHORT = ("--generations", "2", "--trials", "2", "--strategy", "mu_plus_lambda(ch
 
 @pytest.fixture(scope="module")
 def cart(tmp_path_factory):
-    """A folder with a recording of a minute, and a controller evolved on the environment itself."""
+    """A folder with a recording of 18 s, and a controller evolved on the environment itself."""
     folder = tmp_path_factory.mktemp("cart")
     (folder / "mine").mkdir()
     for command in (
-        ("record", "--robot", CART, "--minutes", "1", "--out", "data"),
+        ("record", "--robot", CART, "--minutes", "0.3", "--out", "data"),
         ("evolve", "--against", CART, "--task", CART_TASK, *SHORT, "--run", "mine"),
     ):
         done = run_here(*command, cwd=folder)
@@ -275,7 +275,7 @@ def call_cart(cart, capsys):
 def test_a_recording_is_a_data_set_of_the_environment(cart):
     dataset = Dataset.read(cart / "data")
     assert dataset.system.name == "CartPole-v1"
-    assert dataset.n_steps == 3000
+    assert 850 < dataset.n_steps <= 900  # a trial of a step or two is no episode
 
 
 def test_a_controller_runs_in_the_environment_and_its_cell_is_stored(call_cart, cart):
