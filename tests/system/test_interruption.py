@@ -18,7 +18,6 @@ from tests.fixtures.commands import COMMAND, SMALL
 
 FAMILIES = """
 import os
-import signal
 import time
 from pathlib import Path
 
@@ -26,31 +25,22 @@ import numpy as np
 
 from sysid_evo import DynamicsModel, register_model
 
+with open("ran", "a") as trace:
+    trace.write("ran ")
 
-class Unfinished(DynamicsModel):
+
+@register_model("waiting")
+class Waiting(DynamicsModel):
     def fit(self, dataset, *, rng, progress=None):
         self.half_ = np.zeros(3)
         progress(1, 2)
         if not Path("second").exists():
-            self.stop()
+            Path("waits").write_text(str(os.getpid()))
+            time.sleep(60.0)
         return self
 
     def next_state(self, carry, control):
         return carry
-
-
-@register_model("interrupted")
-class Interrupted(Unfinished):
-    def stop(self):
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
-        signal.raise_signal(signal.SIGINT)
-
-
-@register_model("waiting")
-class Waiting(Unfinished):
-    def stop(self):
-        Path("waits").write_text(str(os.getpid()))
-        time.sleep(60.0)
 """
 ROBOTS = """
 import time
@@ -130,46 +120,42 @@ def ctrl_c(condition):
         signal.signal(signal.SIGINT, before)
 
 
-def test_an_interrupted_fit_is_said_leaves_nothing_and_is_made_good_by_the_same_command(call, stored_data):
-    (call.folder / "mine.py").write_text(FAMILIES)
-    command = ("fit", stored_data, "--plugin", "mine.py", "--models", "linear,interrupted", "--out", "out")
-    stopped = call(*command)
-    assert stopped.code == 130
-    assert "interrupted: fit interrupted. Nothing unfinished is kept; go on with --out out" in stopped.stderr
-    assert "Traceback" not in stopped.stderr
-    kept = sorted(file.name for file in (call.folder / "out" / "models").iterdir())
-    assert [name.partition("-")[0] for name in kept] == ["linear", "linear"]
-    (call.folder / "second").touch()
-    again = call(*command)
-    assert again.code == 0, again.stderr
-    assert "kept" in again.stderr
-    assert len(list((call.folder / "out" / "models").glob("interrupted-*.json"))) == 1
-
-
-def test_ctrl_c_ends_fits_side_by_side_in_good_order_and_the_same_command_goes_on(call, stored_data):
-    command = ("fit", stored_data, "--plugin", "mine.py", "--models", "waiting,linear", "--out", "out")
+@pytest.mark.parametrize(("jobs", "last", "kept"), [(1, "fit linear", 2), (2, "judge linear", 3)])
+def test_ctrl_c_ends_fits_in_good_order_and_the_same_command_goes_on(jobs, last, kept, call, stored_data, monkeypatch):
+    """Side by side, the processes run the plugin that is given, unasked, and nothing else of the current folder."""
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc")  # no decision on a plugin can be remembered
+    for name in ("json.py", "numpy.py"):
+        (call.folder / name).write_text("open('not_ours', 'w')\n")
     (call.folder / "mine.py").write_text(FAMILIES)
     waits, log = call.folder / "waits", call.folder / "out" / "log.jsonl"
+    command = ("fit", stored_data, "--plugin", "mine.py", "--models", "linear,waiting", "--out", "out", "--jobs")
 
     def under_way():
-        if not (waits.exists() and waits.read_text() and log.exists() and "judge linear" in log.read_text()):
+        if not (waits.exists() and waits.read_text() and log.exists() and last in log.read_text()):
             return False
-        os.kill(int(waits.read_text()), signal.SIGINT)  # as a terminal does to the whole group
+        if jobs > 1:
+            os.kill(int(waits.read_text()), signal.SIGINT)  # as a terminal does to the whole group
         return True
 
     with ctrl_c(under_way):
-        stopped = call(*command, "--jobs", "2")
+        stopped = call(*command, str(jobs))
     assert stopped.code == 130
     assert "fit linear" in stopped.stderr
     assert "interrupted: fit waiting" in stopped.stderr
     assert "Nothing unfinished is kept; go on with --out out" in stopped.stderr
     assert "Traceback" not in stopped.stderr
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(waits.read_text()), 0)
+    assert "cannot plan" not in stopped.stderr
+    assert (call.folder / "ran").read_text().count("ran") == {1: 1, 2: 3}[jobs]
+    assert not (call.folder / "not_ours").exists()
+    files = sorted(file.name.partition("-")[0] for file in (call.folder / "out" / "models").iterdir())
+    assert files == ["linear", "linear"]
+    if jobs > 1:
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(waits.read_text()), 0)
     (call.folder / "second").touch()
-    again = call(*command, "--jobs", "1")
+    again = call(*command, "1")
     assert again.code == 0, again.stderr
-    assert "3 of 6 cells are done already" in again.stderr
+    assert f"{kept} of 6 cells are done already" in again.stderr
     assert len(list((call.folder / "out" / "models").glob("waiting-*.json"))) == 1
 
 

@@ -182,18 +182,15 @@ def test_names_in_models_and_files_of_robots_import_nothing(there, theirs):
     assert not (theirs / "ran").exists()
 
 
-def test_processes_run_the_plugins_of_their_command_nothing_of_the_current_folder_and_need_not_remember(
-    there, theirs, stored_data, monkeypatch
-):
+def test_where_nothing_can_be_remembered_a_plugin_is_given_every_time(there, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", "/proc")
-    for name in ("json.py", "numpy.py", "evil.py"):
-        (theirs / name).write_text(f'open({str(theirs / "evil")!r}, "a").write("ran")\n')
+    assert there(*PLANNED, "--plugin", "stand.py").code == 0
+    assert there(*PLANNED).says("has not run here yet")
+
+
+def test_no_module_of_the_current_folder_is_imported(there, theirs):
+    """Nor by processes of a command, see test_interruption."""
+    (theirs / "evil.py").write_text((theirs / "stand.py").read_text())
     (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
     assert there("compare", "--config", "evil.toml").says("No module named 'evil'")
-    given = ("--plugin", "stand.py", "--only", "fit", "--models", "linear,nearest_neighbour", "--out", "two")
-    done = there("compare", "--data", stored_data, *given, "--jobs", "2")
-    assert done.code == 0, done.stderr
-    assert "cannot plan" not in done.stderr
-    assert (theirs / "ran").read_text().count("ran") == 3
-    assert not (theirs / "evil").exists()
-    assert there("report", "two").code == 2
+    assert not (theirs / "ran").exists()
