@@ -17,7 +17,6 @@ import ast
 import inspect
 import numbers
 import textwrap
-from collections.abc import Mapping
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -86,21 +85,17 @@ class _ModuleWriter:
             wrapped = self.needs(KernelSource(source.function, source.bindings))
             name = "entry" if entry else self.fresh(type(source).__name__.lower())
             return f"{before}\n{source.write(wrapped, name)}"
-        function = plain_function(source.function)
-        tree = _parse(function)
-        name = "entry" if entry else self.fresh(function.__name__)
-        tree.name = name
-        tree.decorator_list = []
-        tree.returns = None
-        for argument in tree.args.args:
-            argument.annotation = None
+        tree = _parse(plain_function(source.function))
+        name = "entry" if entry else self.fresh(tree.name)
+        tree.name, tree.decorator_list, tree.returns = name, [], None
         if tree.body and isinstance(tree.body[0], ast.Expr) and isinstance(tree.body[0].value, ast.Constant):
             tree.body = tree.body[1:]
-        local = {argument.arg for argument in tree.args.args} | {
+        arguments = {argument.arg for argument in tree.args.args}
+        local = arguments | {
             node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         }
-        given = {argument.arg for argument in tree.args.args} if entry else set()
-        tree = ast.fix_missing_locations(_Specialise(self, function, source.bindings, local, given, name).visit(tree))
+        given = {_own(argument) for argument in arguments} if entry else set()
+        tree = ast.fix_missing_locations(_Specialise(self, source, local, given, name).visit(tree))
         return f"{before}\n{ast.unparse(tree)}"
 
     def needs(self, source: Source) -> str:
@@ -126,19 +121,10 @@ class _ModuleWriter:
 class _Specialise(ast.NodeTransformer):
     """Rewrites one function: literals, global names, calls of `math`."""
 
-    def __init__(
-        self,
-        writer: _ModuleWriter,
-        function: FunctionType,
-        bindings: Mapping[str, Any],
-        local: set[str],
-        given: set[str],
-        name: str,
-    ) -> None:
-        self.writer, self.function, self.bindings, self.local = writer, function, bindings, local
-        self.given, self.own_name = given, name
-        closure = inspect.getclosurevars(function)
-        self.scope = {**function.__globals__, **closure.nonlocals}
+    def __init__(self, writer: _ModuleWriter, source: Source, local: set[str], given: set[str], name: str) -> None:
+        self.writer, self.function, self.bindings = writer, plain_function(source.function), source.bindings
+        self.local, self.given, self.own_name = local, given, name
+        self.scope = {**self.function.__globals__, **inspect.getclosurevars(self.function).nonlocals}
 
     def visit_Lambda(self, node: ast.Lambda) -> ast.expr:  # ast's own naming
         raise self._unusable(ast.unparse(node), "write it as a function beside this one")
@@ -147,6 +133,12 @@ class _Specialise(ast.NodeTransformer):
         if node.name != self.own_name:
             raise self._unusable(node.name, "write a function within a function beside this one")
         return self.generic_visit(node)
+
+    def visit_arg(self, node: ast.arg) -> ast.arg:  # ast's own naming
+        return ast.arg(_own(node.arg))
+
+    def visit_keyword(self, node: ast.keyword) -> ast.keyword:  # ast's own naming
+        return ast.keyword(_own(str(node.arg)), self.visit(node.value))
 
     def visit_Call(self, node: ast.Call) -> ast.AST:  # ast's own naming
         called = self.generic_visit(node)
@@ -168,7 +160,9 @@ class _Specialise(ast.NodeTransformer):
     def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming
         if node.id == "float":
             return ast.Name(REAL, ast.Load())
-        if node.id in self.local or node.id in BUILTINS or node.id == "LANES":
+        if node.id in self.local:
+            return ast.Name(_own(node.id), node.ctx)
+        if node.id in BUILTINS or node.id == "LANES":
             return node
         if node.id in self.bindings:
             return self._value(self.bindings[node.id], node.id)
@@ -208,6 +202,11 @@ class _Specialise(ast.NodeTransformer):
 
 def _real(value: float) -> ast.expr:
     return ast.Call(ast.Name(REAL, ast.Load()), [ast.Constant(value)], [])
+
+
+def _own(name: str) -> str:
+    """Return a local name as it is written, with an end that no name of the generated file has."""
+    return f"{name}_"
 
 
 def plain_function(function: Any) -> Any:

@@ -14,7 +14,7 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled.compiler import compile_kernel, imported, name_of
+from sysid_evo.engine.compiled.compiler import _compiled_before, compile_kernel, imported, name_of
 from sysid_evo.engine.compiled.internals import TRIED, compiler_for
 from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
@@ -64,9 +64,10 @@ def with_numbers(x, y):
 
 def with_names(x, y):
     real, types, entry = x[0], 2.0, 3.0
-    helper_1 = 4.0
-    y[0] = real * types * entry * helper_1 * 0.5
+    _real = helper_1 = helper_2 = 4.0
+    y[0] = real * types * entry * helper_1 * 0.125 * _real
     y[1] = float(3) * 0.1
+    y[2] = helper(x=x[0]) + helper_2
 
 
 def with_a_bound_function(x, y):
@@ -79,8 +80,8 @@ def test_numbers_of_a_module_become_literals_and_functions_are_taken_also_three_
 
 @pytest.mark.parametrize(("precision", "number"), [("float64", 3 * 0.1), ("float32", np.float32(3) * np.float32(0.1))])
 def test_names_never_clash_and_literals_have_the_precision_of_the_kernel(precision, number):
-    """Locals are called as the generated text calls its own."""
-    assert call(with_names, 2.0, precision)[:2] == [24.0, number]
+    """Locals are called as the generated text calls its own, and the functions that it names."""
+    assert call(with_names, 2.0, precision)[:3] == [24.0, number, 3004.0]
 
 
 def test_free_names_stand_for_what_is_bound():
@@ -191,7 +192,7 @@ def test_recursion_and_a_function_without_source_are_refused():
             text(function)
 
 
-SECOND = """
+TWO_FORMS = """
 from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.kernels import REALS, KernelSource, Signature
 from tests.fixtures.same_name import doubled
@@ -204,12 +205,27 @@ def files(folder):
     return {str(path): path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_second_process_finds_everything_compiled(tmp_path, monkeypatch):
-    monkeypatch.setenv("SYSID_EVO_CACHE", str(tmp_path))
-    exec(SECOND, {})
-    before, root = files(tmp_path), Path(__file__).parents[3]
+def in_another_process():
+    root = Path(__file__).parents[3]
     environment = {**os.environ, "PYTHONPATH": str(root)}
-    subprocess.run([sys.executable, "-B", "-c", SECOND], check=True, cwd=root, env=environment)
+    subprocess.run([sys.executable, "-B", "-c", TWO_FORMS], check=True, cwd=root, env=environment)
+
+
+def compiled_here():
+    """As in a process that has compiled nothing yet."""
+    _compiled_before.cache_clear()
+    with pytest.MonkeyPatch.context() as patch:
+        for name in [name for name in sys.modules if name.startswith("sysid_evo_kernel_")]:
+            patch.delitem(sys.modules, name)
+        exec(TWO_FORMS, {})
+
+
+@pytest.mark.parametrize("again", [compiled_here, pytest.param(in_another_process, marks=pytest.mark.nightly)])
+def test_what_was_compiled_is_found_again(again, tmp_path, monkeypatch):
+    monkeypatch.setenv("SYSID_EVO_CACHE", str(tmp_path))
+    compiled_here()
+    before = files(tmp_path)
+    again()
     names = [Path(name).suffix for name in before]
     assert names.count(".py") == names.count(".nbi") == names.count(".nbc") == 2
     assert files(tmp_path) == before
