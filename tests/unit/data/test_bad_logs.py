@@ -1,7 +1,5 @@
 """Every bad log is refused, or doubted, by a message that names file, row and column."""
 
-import warnings
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -30,26 +28,50 @@ def with_value(path, row, column, text):
     return path
 
 
-def test_the_made_up_log_is_flawless(write_csv, table, columns_file):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        dataset = Dataset.read(write_csv(table), columns=columns_file())
+class Log:
+    """The made-up log, to be spoilt, and what is said of it with changes of the column map."""
+
+    def __init__(self, table, write, columns):
+        self.table, self.write, self.columns = table, write, columns
+
+    def read(self, *changes):
+        return Dataset.read(self.write(self.table), columns=self.columns(*changes))
+
+    def refused(self, *changes):
+        return refused(self.write(self.table), self.columns(*changes))
+
+    def doubts(self, *changes):
+        return doubts(self.write(self.table), self.columns(*changes))
+
+
+@pytest.fixture
+def log(table, write_csv, columns_file):
+    return Log(table, write_csv, columns_file)
+
+
+def test_the_made_up_log_is_flawless(log):
+    dataset = log.read()  # a warning would be an error
     assert not any("log.csv" in note for note in dataset.notes)
-    np.testing.assert_array_equal(dataset.episodes[0].states, np.stack([table["u"], table["r"]], axis=1))
+    np.testing.assert_array_equal(dataset.episodes[0].states, np.stack([log.table["u"], log.table["r"]], axis=1))
 
 
 @pytest.mark.parametrize(
-    "text, complaint",
+    "row, column, text, complaint",
     [
-        ("nan", 'expected a finite number, got nan. Give missing = "drop"'),
-        ("inf", "got inf"),
-        ("", "expected a number, got ''. Give missing = \"drop\""),
-        ("1.5m", "'1.5m'"),
+        (17, "u", "nan", 'expected a finite number, got nan. Give missing = "drop"'),
+        (17, "u", "inf", "got inf"),
+        (17, "u", "", "expected a number, got ''. Give missing = \"drop\""),
+        (17, "u", "1.5m", "'1.5m'"),
+        (12, "throttle", "1.25", "column 'throttle': control 'drive' is 1.25, expected -1 to 1"),
+        (12, "steering", "0.5", "column 'steering': control 'steer' is 0.5, expected one of -1, 0, 1"),
+        (40, "t", "0.01", "0.01 s is before 1.85 s in row 39"),
+        (40, "t", "1.85", "is the same as"),
     ],
 )
-def test_a_cell_that_is_no_finite_number(write_csv, table, columns_file, text, complaint):
-    message = refused(with_value(write_csv(table), 17, 4, text), columns_file())
-    assert "log.csv, row 17, column 'u'" in message
+def test_a_cell_that_cannot_be(log, row, column, text, complaint):
+    path = with_value(log.write(log.table), row, list(log.table).index(column), text)
+    message = refused(path, log.columns())
+    assert f"log.csv, row {row}, column '{column}'" in message
     assert complaint in message
 
 
@@ -67,28 +89,6 @@ def test_a_short_row(write_csv, table, columns_file):
     assert "log.csv, row 30: expected 8 values as the header has, got 7, so 'steering' is missing" in refused(
         path, columns_file()
     )
-
-
-def test_a_missing_column_with_a_suggestion(write_csv, table, columns_file):
-    table["Throtle"] = table.pop("throttle")
-    message = refused(write_csv(table), columns_file())
-    assert "log.csv, row 1: column 'throttle' is missing. Did you mean 'Throtle'?" in message
-
-
-def test_time_that_goes_back_or_stands(write_csv, table, columns_file):
-    path = with_value(write_csv(table), 40, 0, "0.01")
-    assert "log.csv, row 40, column 't'" in (message := refused(path, columns_file()))
-    assert "0.01 s is before 1.85 s in row 39" in message
-    path = with_value(write_csv(table), 40, 0, repr(float(table["t"][37])))
-    assert "row 40, column 't'" in (message := refused(path, columns_file()))
-    assert "is the same as" in message
-
-
-def test_a_control_beyond_its_limits_or_between_its_levels(write_csv, table, columns_file):
-    message = refused(with_value(write_csv(table), 12, 6, "1.25"), columns_file())
-    assert "log.csv, row 12, column 'throttle': control 'drive' is 1.25, expected -1 to 1" in message
-    message = refused(with_value(write_csv(table), 12, 7, "0.5"), columns_file())
-    assert "log.csv, row 12, column 'steering': control 'steer' is 0.5, expected one of -1, 0, 1" in message
 
 
 def test_a_state_beyond_its_limits_is_kept_and_doubted(write_csv, table, columns_file):
@@ -131,77 +131,95 @@ def test_a_heading_in_degrees_that_wraps(write_csv, table, columns_file):
 
 def unwrapped(table):
     table["yaw"] = np.unwrap(table["yaw"])
-    return table
 
 
 def on_the_spot(table):
     """Turn without moving, so that only the yaw rate tells about the heading."""
     table["x"], table["y"] = np.zeros(201), np.zeros(201)
-    return unwrapped(table)
+    unwrapped(table)
 
 
-def test_a_heading_in_degrees_found_by_the_yaw_rate(write_csv, table, columns_file):
-    table["yaw"] = np.degrees(on_the_spot(table)["yaw"])
-    message = refused(write_csv(table), columns_file())
-    assert "log.csv, rows 2 to 202, column 'r': the yaw rate is not the derivative of the heading" in message
-    assert "column 'yaw' looks like deg, but rad is declared: give it unit = 'deg'" in message
-    as_degrees = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
-    assert doubts(write_csv(table), as_degrees) == ()
+def in_degrees(table, name="yaw"):
+    table[name] = np.degrees(table[name])
 
 
-def test_a_yaw_rate_in_degrees_per_second(write_csv, table, columns_file):
-    table["r"] = np.degrees(table["r"])
-    assert "column 'r' looks like deg/s, but rad/s is declared" in refused(write_csv(table), columns_file())
-    declared = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
-    dataset = Dataset.read(write_csv(table), columns=declared)
-    np.testing.assert_allclose(dataset.episodes[0].states[:, 1], np.radians(table["r"]))
-
-
-def test_radians_declared_as_degrees(write_csv, table, columns_file):
-    wrong = columns_file(('"r", unit = "rad/s"', '"r", unit = "deg/s"'))
-    assert "column 'r' looks like rad/s, but deg/s is declared" in refused(write_csv(table), wrong)
-    wrong = columns_file(('"yaw", unit = "rad"', '"yaw", unit = "deg"'))
-    message = refused(write_csv(unwrapped(table)), wrong)
-    assert "column 'yaw': the heading follows the motion only if it is in radians" in message
-    message = refused(write_csv(on_the_spot(table)), wrong)
-    assert "column 'yaw' looks like rad, but deg is declared" in message
-    assert "column 'r' looks like deg/s, but rad/s is declared" in message
-
-
-def test_a_clockwise_heading(write_csv, table, columns_file):
+def clockwise(table):
     table["yaw"] = -table["yaw"]
-    assert "log.csv, rows 2 to 202, column 'yaw': the heading is counted clockwise" in refused(
-        write_csv(table), columns_file()
-    )
-    assert "one of them is counted clockwise; give it factor = -1" in refused(
-        write_csv(on_the_spot(table)), columns_file()
-    )
 
 
-def test_a_heading_in_degrees_found_by_the_direction_of_motion(write_csv, table, columns_file):
-    table["yaw"] = np.degrees(unwrapped(table)["yaw"])
-    message = refused(write_csv(table), columns_file())
-    assert "log.csv, rows 2 to 202, column 'yaw': the heading follows the motion only if it is in degrees" in message
+AS_DEGREES = ('"yaw", unit = "rad"', '"yaw", unit = "deg"')
+RATE_AS_DEGREES = ('"r", unit = "rad/s"', '"r", unit = "deg/s"')
+UNTIMED = ('[time]\ncolumn = "t"\n', "")
+IN_MILLISECONDS = ('column = "t"', 'column = "t"\nunit = "ms"')
 
 
-def test_a_heading_that_points_sideways(write_csv, table, columns_file):
-    table["yaw"] = unwrapped(table)["yaw"] - np.radians(60.0)
-    (doubt,) = doubts(write_csv(table), columns_file())
+@pytest.mark.parametrize(
+    "spoilt, changes, complaints",
+    [
+        ([lambda t: t.update(Throtle=t.pop("throttle"))], [],
+         ["log.csv, row 1: column 'throttle' is missing. Did you mean 'Throtle'?"]),
+        ([on_the_spot, in_degrees], [],
+         ["log.csv, rows 2 to 202, column 'r': the yaw rate is not the derivative of the heading",
+          "column 'yaw' looks like deg, but rad is declared: give it unit = 'deg'"]),
+        ([unwrapped, in_degrees], [],
+         ["log.csv, rows 2 to 202, column 'yaw': the heading follows the motion only if it is in degrees"]),
+        ([lambda t: in_degrees(t, "r")], [], ["column 'r' looks like deg/s, but rad/s is declared"]),
+        ([], [RATE_AS_DEGREES], ["column 'r' looks like rad/s, but deg/s is declared"]),
+        ([unwrapped], [AS_DEGREES], ["column 'yaw': the heading follows the motion only if it is in radians"]),
+        ([on_the_spot], [AS_DEGREES],
+         ["column 'yaw' looks like rad, but deg is declared", "column 'r' looks like deg/s, but rad/s is declared"]),
+        ([clockwise], [], ["log.csv, rows 2 to 202, column 'yaw': the heading is counted clockwise"]),
+        ([clockwise, on_the_spot], [], ["one of them is counted clockwise; give it factor = -1"]),
+        ([lambda t: t.update(t=0.5 * t["t"])], [],
+         ["log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.025 s apart",
+          "raise dt to 0.075 s, or log every state and set dt to 0.025 s"]),
+        ([], [("dt = 0.05", "dt = 0.005")],
+         ["column 't': the rows are 0.05 s apart, but dt is 0.005 s, 10 times shorter",
+          "Set dt = 0.05 in the column map"]),
+        ([], [("dt = 0.05", "dt = 0.025")],
+         ["column 't': the rows are 0.05 s apart, but dt is 0.025 s, 2 times shorter",
+          "Set dt = 0.05 in the column map"]),
+        ([], [IN_MILLISECONDS],
+         ["declared in ms, 201 rows last only 0.01 s, with dt = 0.05 s. Are the stamps in s?"]),
+    ],
+)  # fmt: skip
+def test_a_log_of_wrong_names_units_or_signs_is_refused(log, spoilt, changes, complaints):
+    for spoil in spoilt:
+        spoil(log.table)
+    message = log.refused(*changes)
+    for complaint in complaints:
+        assert complaint in message
+    assert "scatters" not in message
+
+
+def test_degrees_that_are_declared_are_radians(log):
+    on_the_spot(log.table)
+    in_degrees(log.table)
+    assert log.doubts(AS_DEGREES) == ()
+    turned = log.table["r"].copy()
+    in_degrees(log.table, "r")
+    np.testing.assert_allclose(log.read(AS_DEGREES, RATE_AS_DEGREES).episodes[0].states[:, 1], turned)
+
+
+def test_a_heading_that_points_sideways(log):
+    unwrapped(log.table)
+    log.table["yaw"] -= np.radians(60.0)
+    (doubt,) = log.doubts()
     assert "log.csv, rows 2 to 202, column 'yaw': the body moves 60 degrees to the left of its heading" in doubt
 
 
-def test_a_heading_that_jumps(write_csv, table, columns_file):
-    table["yaw"] = unwrapped(table)["yaw"]
-    table["yaw"][100] += 2.5
-    doubt = doubts(write_csv(table), columns_file())[0]
+def test_a_heading_that_jumps(log):
+    unwrapped(log.table)
+    log.table["yaw"][100] += 2.5
+    doubt = log.doubts()[0]
     assert "log.csv, row 102, column 'yaw': the heading jumps by 2.5" in doubt
     assert "2 such rows" in doubt
 
 
-def test_a_pose_that_freezes_and_jumps(write_csv, table, columns_file):
+def test_a_pose_that_freezes_and_jumps(log):
     for name in ("x", "y", "yaw"):
-        table[name][60:70] = table[name][60]
-    (doubt,) = [doubt for doubt in doubts(write_csv(table), columns_file()) if "stands still" in doubt]
+        log.table[name][60:70] = log.table[name][60]
+    (doubt,) = [doubt for doubt in log.doubts() if "stands still" in doubt]
     assert "log.csv, rows 62 to 71: the pose stands still for 0.45 s and then jumps by" in doubt
 
 
@@ -242,7 +260,7 @@ def test_rows_without_a_value_are_left_out_and_the_log_is_split_there_if_the_map
 def test_without_time_stamps_rows_that_are_left_out_are_holes_too_and_infinite_numbers_stay_errors(
     write_csv, table, columns_file
 ):
-    untimed = columns_file(DROP, ('[time]\ncolumn = "t"\n', ""))
+    untimed = columns_file(DROP, UNTIMED)
     path = with_value(with_value(write_csv(table), 60, 5, ""), 61, 5, "")
     assert Dataset.read(path, columns=untimed).names == ("log[0:57]", "log[58:198]")
     assert "row 70, column 'u': expected a finite number, got inf" in refused(with_value(path, 70, 4, "inf"), untimed)
@@ -355,54 +373,32 @@ def test_degrees_in_both_angle_and_rate_are_doubted(write_csv, tmp_path, rng):
     assert "full turns. Are these degrees? Then give unit = 'deg'" in doubt
 
 
-def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(write_csv, table, columns_file):
-    table["r"] = np.degrees(table["r"])
-    text = columns_file().read_text()
-    pose = text[text.index("[pose]") : text.index("[motion]")]
-    (doubt,) = doubts(write_csv(table), columns_file((pose, "")))
+def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(log):
+    in_degrees(log.table, "r")
+    text = log.columns().read_text()
+    (doubt,) = log.doubts((text[text.index("[pose]") : text.index("[motion]")], ""))
     assert "state 'yaw_rate' reaches" in doubt
     assert "Then give unit = 'deg/s'" in doubt
 
 
-def test_rows_between_one_and_three_a_step_say_what_to_do(write_csv, table, columns_file):
-    table["t"] = 0.5 * table["t"]
-    message = refused(write_csv(table), columns_file())
-    assert "log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.025 s apart" in message
-    assert "raise dt to 0.075 s, or log every state and set dt to 0.025 s" in message
-
-
-@pytest.mark.parametrize("dt, times", [("0.005", "10"), ("0.025", "2")])
-def test_a_dt_shorter_than_the_steps_of_the_log(write_csv, table, columns_file, dt, times):
-    message = refused(write_csv(table), columns_file(("dt = 0.05", f"dt = {dt}")))
-    assert f"column 't': the rows are 0.05 s apart, but dt is {dt} s, {times} times shorter" in message
-    assert "Set dt = 0.05 in the column map" in message
-    assert "scatters" not in message
-
-
 @pytest.mark.parametrize("unit, factor", [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_a_unit_of_time_that_is_not_declared(write_csv, table, columns_file, unit, factor):
-    message = refused(write_csv({**table, "t": factor * table["t"]}), columns_file())
+def test_a_unit_of_time_that_is_not_declared(log, unit, factor):
+    log.table["t"] = factor * log.table["t"]
+    message = log.refused()
     assert f"column 't': declared in s, the rows are {0.05 * factor:.4g} s apart" in message
     assert f"Are the stamps in {unit}? Then give [time] unit = '{unit}'" in message
-    declared = columns_file(('column = "t"', f'column = "t"\nunit = "{unit}"'))
-    assert len(Dataset.read(write_csv({**table, "t": factor * table["t"]}), columns=declared).episodes[0]) == 200
+    assert len(log.read(('column = "t"', f'column = "t"\nunit = "{unit}"')).episodes[0]) == 200
 
 
-def test_seconds_declared_as_milliseconds(write_csv, table, columns_file):
-    message = refused(write_csv(table), columns_file(('column = "t"', 'column = "t"\nunit = "ms"')))
-    assert "declared in ms, 201 rows last only 0.01 s, with dt = 0.05 s. Are the stamps in s?" in message
-
-
-def test_stamps_that_scatter_by_two_fifths_of_a_step(write_csv, table, columns_file, rng):
-    table["t"] = table["t"] + rng.uniform(-0.02, 0.02, 201)
-    message = refused(write_csv(table), columns_file())
+def test_stamps_that_scatter_by_two_fifths_of_a_step(log, rng):
+    log.table["t"] = log.table["t"] + rng.uniform(-0.02, 0.02, 201)
+    message = log.refused()
     assert "column 't': the time between rows scatters by 16.6 ms around 50 ms; 14% of the steps" in message
     assert "leave [time] out of the column map" in message
-    steady = columns_file(('[time]\ncolumn = "t"\n', ""))
-    assert len(Dataset.read(write_csv(table), columns=steady).episodes[0]) == 200
+    assert len(log.read(UNTIMED).episodes[0]) == 200
 
 
-def test_lost_rows_are_no_scatter(write_csv, table, columns_file, rng):
+def test_lost_rows_are_no_scatter(log, rng):
     kept = np.sort(rng.choice(201, 150, replace=False))
-    dataset = Dataset.read(write_csv({name: column[kept] for name, column in table.items()}), columns=columns_file())
-    assert len(dataset) > 10
+    log.table = {name: column[kept] for name, column in log.table.items()}
+    assert len(log.read()) > 10
