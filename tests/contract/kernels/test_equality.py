@@ -21,6 +21,7 @@ from sysid_evo.registry import make_robot, models, tasks
 from sysid_evo.tasks import PointToPoint, Reward
 from sysid_evo.testing import run_checks
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_dataset, pendulum, switched_car
+from tests.fixtures.families import hurry
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
 from tests.fixtures.lanes import step_between_guards
 from tests.fixtures.systems import SMALL_SYSTEMS, TANK
@@ -58,8 +59,8 @@ FAMILIES = {
 }
 EXACT = ("k_neighbours", "gaussian_process")
 """Families whose kernels ask for double precision."""
-AT_NIGHT = ("torch_ode", "latent_ode", "average")
-"""Compiled by day in the tests of their own."""
+AT_NIGHT = ("torch_ode", "latent_ode", "average", "evolved3", "hybrid_ode")
+"""Compiled by day in tests of their own, or made of what other rows compile: one network, a derivative and a body."""
 JUMPS = {"nearest_neighbour": 0.8}
 """The share of trajectories and steps that must agree where rounding decides between two neighbours."""
 
@@ -143,6 +144,7 @@ def learn(throttle_car_data):
         if row not in made:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("SYSID_EVO_ENGINE", "reference")
+                hurry(patch)
                 made[row] = make_model(row.split()[0], **FAMILIES[row]).fit(throttle_car_data, rng=0)
         return made[row]
 
@@ -150,6 +152,8 @@ def learn(throttle_car_data):
 
 
 WAYPOINTS = PointToPoint(horizon=40, waypoint_radius=0.8)
+ANY_SHAPE = make_controller("feed_forward(hidden=[3])")
+"""Its compiled form is the same for every system and task; a `RecurrentNetwork` is compiled for each shape."""
 
 
 @FORMS
@@ -180,18 +184,55 @@ KINDS = [
 SPREAD = np.array([0.5, 0.1, 1.0])
 
 
+class Late(ExampleDynamics):
+    """Commands act a step late, so that the carry is longer than the state; so short that wrappers compile fast."""
+
+    n_lags = 1
+    envelope = np.array([[-0.5, -0.4, -0.3], [0.5, 0.4, 0.3]])
+
+    def __init__(self, model, times=1.0):
+        super().__init__(model.system)
+        self.n_carry, self.pairs_, self.push = 5, model.pairs_, times * self.push
+
+    def start(self, states, controls, draws=None):
+        return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
+
+    def step(self, carry, control, noise=None):
+        return np.concatenate([super().step(carry[:, :3], carry[:, 3:]), control], axis=1)
+
+    def kernel(self):
+        return DynamicsKernel(Lifted(late, n_carry=5, nu=2), np.concatenate([self.offset, np.ravel(self.push)]))
+
+
+def late(x, u, p):
+    return (
+        0.9 * x[0] + p[0] + p[3] * x[3] + p[4] * x[4],
+        0.9 * x[1] + p[1] + p[5] * x[3] + p[6] * x[4],
+        0.9 * x[2] + p[2] + p[7] * x[3] + p[8] * x[4],
+        u[0],
+        u[1],
+    )
+
+
+@pytest.fixture(params=["late", pytest.param("learned", marks=pytest.mark.nightly)])
+def two(request, learn):
+    """What wrappers are put around, and another for the same system."""
+    linear = learn("linear")
+    return (Late(linear), Late(linear, 1.3)) if request.param == "late" else (learn(BASE), linear)
+
+
 @FORMS
 @pytest.mark.parametrize("noise", [NOISY, *(RadicalEnvelope(**kind) for kind in KINDS)], ids=str)
-def test_every_kind_of_noise_steps_as_in_numpy(noise, engine, learn, throttle_car_data):
-    base = Supported(learn(BASE))
+def test_every_kind_of_noise_steps_as_in_numpy(noise, engine, two, throttle_car_data):
+    base = Supported(two[0])
     noisy = NoisySensors(DelayedEstimate(Perturbed(base, noise, SPREAD), 0.07), noise, SPREAD)
     steps_agree(noisy, throttle_car_data, engine)
 
 
 @FORMS
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.0725, 0.1, 0.16])
-def test_every_delay_steps_as_in_numpy(delay, engine, learn, throttle_car_data):
-    steps_agree(DelayedEstimate(learn(BASE), delay), throttle_car_data, engine)
+def test_every_delay_steps_as_in_numpy(delay, engine, two, throttle_car_data):
+    steps_agree(DelayedEstimate(two[0], delay), throttle_car_data, engine)
 
 
 def doubtful(row, one, other):
@@ -204,21 +245,21 @@ def doubtful(row, one, other):
 
 @FORMS
 @pytest.mark.parametrize("row", ["supported", "cautious", "both"])
-def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(row, engine, learn, throttle_car_data):
-    doubted = doubtful(row, learn(BASE), learn("linear"))
+def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(row, engine, two, throttle_car_data):
+    doubted = doubtful(row, *two)
     steps_agree(doubted, throttle_car_data, engine)
     given = Given(doubted, RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine)
     assert exact.doubt.max() > 0.1
-    plain = Given(learn(BASE), RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
+    plain = Given(two[0], RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
     np.testing.assert_array_equal(fast.fitness, plain.fitness)
     assert not plain.doubt.any()
 
 
 @FORMS
-def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, learn):
+def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
     """Whatever the number of threads; without a delay every form scores as without the wrapper."""
-    model = learn(BASE)
+    model = two[0]
     given = Given(disturbed(Supported(model), NOISY, delay=0.07), RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine, share=0.95)  # whether a command is lost hangs on the last digit
     assert exact.doubt.any()
@@ -251,7 +292,7 @@ ROBOTS = {
 @FORMS
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_an_emulated_robot_moves_as_in_numpy(robot, engine):
-    agree(Given(make_robot(robot).dynamics, RecurrentNetwork(), make_task(ROBOTS[robot]), scale=1.0), engine, share=0.9)
+    agree(Given(make_robot(robot).dynamics, ANY_SHAPE, make_task(ROBOTS[robot]), scale=1.0), engine, share=0.9)
 
 
 @FORMS
@@ -357,7 +398,7 @@ def bound(spec, system):
 def test_a_task_scores_and_is_imagined_as_in_numpy(spec, system, engine):
     """Networks drive linear dynamics; trials that have gone on for some steps are imagined."""
     task, body = bound(spec, system), ExampleDynamics(system)
-    agree(Given(body, RecurrentNetwork(hidden=3), task), engine)
+    agree(Given(body, ANY_SHAPE, task), engine)
     compiled, reference = imagined(task, body, engine)
     tolerance = 1e-3 if engine == "auto" else 1e-6
     np.testing.assert_allclose(compiled, reference, rtol=tolerance, atol=tolerance)
@@ -371,7 +412,7 @@ def test_the_reward_of_an_environment_scores_and_is_imagined_as_in_numpy(name, e
     task = make_task("environment", id=name, horizon=30).bind(GymnasiumRobot(id=name).system)
     body, rng = ExampleDynamics(task.system), np.random.default_rng(1)
     body.push, body.offset = 0.1 * body.push, 0.1 * body.offset  # a pole that is pushed harder falls at once
-    agree(Given(body, RecurrentNetwork(hidden=3), task), engine)
+    agree(Given(body, ANY_SHAPE, task), engine)
     low, high = np.clip([(channel.low, channel.high) for channel in task.system.states], -6.0, 6.0).T
     states = rng.uniform(low, high, (64, 1, task.system.nx)) * rng.choice([0.02, 1.0], (64, 1, 1))
     past = np.zeros((64, 0, task.system.nu))

@@ -115,15 +115,17 @@ def test_the_compiled_body_rests_where_that_of_numpy_does(car_data, rng):
 
 @pytest.mark.parametrize("family, precision", [("linear", "float32"), ("k_neighbours", "float64"),
                                                ("nearest_neighbour", "float32")])  # fmt: skip
-@pytest.mark.parametrize("change", [lambda model: model.set_params(rest_hold=True),
-                                    lambda model: model.fit(example_dataset(seed=8, episodes=1), rng=0)],
+@pytest.mark.parametrize("change", [lambda model, data: model.set_params(rest_hold=True),
+                                    lambda model, data: model.fit(data[0], rng=0)],
                          ids=["set_params", "fit"])  # fmt: skip
-def test_a_kernel_is_that_of_the_present_parameters_whatever_was_asked_before(family, precision, change, car_data):
-    model, kernels = make_model(family).fit(car_data, rng=0), []
+def test_a_kernel_is_that_of_the_present_parameters_whatever_was_asked_before(
+    family, precision, change, throttle_car_data
+):
+    model, kernels = make_model(family, control_lags=1).fit(throttle_car_data, rng=0), []
     for changed in (False, True):
         if changed:
-            change(model)
-        some = car_data.transitions(state_lags=model.lags[0], control_lags=model.lags[1])
+            change(model, throttle_car_data)
+        some = throttle_car_data.transitions(state_lags=model.lags[0], control_lags=model.lags[1])
         carry, control = some.carry[:40].copy(), some.control[:40]
         carry[:5], control[:5] = 0.0, 0.0
         carry[:5, :3] = 1e-3

@@ -73,20 +73,25 @@ def some_grid(rng, n_controls):
     return midpoints, int(np.prod([len(m) + 1 for m in midpoints]))
 
 
+def some_exact(rng, n_controls, n_in):
+    """Return which controls are inputs, and how many states are the others."""
+    exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()[: n_in - 1]
+    return exact, n_in - len(exact)
+
+
+def sizes(names, often, *others):
+    """Each is compiled for itself: one by day."""
+    return pytest.mark.parametrize(names, [often, *(pytest.param(*one, marks=pytest.mark.nightly) for one in others)])
+
+
 @pytest.mark.parametrize("precision", OWN_FIRST)
+@sizes("n_in, hidden, n_out", (3, 7, 2), (1, 1, 1), (7, 12, 3), (4, 5, 1))
 @few
-@given(
-    seed=seeds,
-    n_states=st.integers(1, 4),
-    n_controls=st.integers(1, 3),
-    n_out=st.integers(1, 3),
-    hidden=st.integers(1, 12),
-)
-def test_the_networks_of_the_command_in_force_answer(precision, seed, n_states, n_controls, n_out, hidden):
+@given(seed=seeds, n_controls=st.integers(1, 3))
+def test_the_networks_of_the_command_in_force_answer(precision, n_in, hidden, n_out, seed, n_controls):
     rng = np.random.default_rng(seed)
     midpoints, cells = some_grid(rng, n_controls)
-    exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()
-    n_in, commands = n_states + len(exact), max(1, cells // 2)
+    (exact, n_states), commands = some_exact(rng, n_controls, n_in), max(1, cells // 2)
     serving = rng.integers(0, commands, cells)
     first, first_bias = rng.normal(size=(commands, n_out, n_in, hidden)), rng.normal(size=(commands, n_out, hidden))
     second, second_bias = rng.normal(size=(commands, n_out, hidden)) / hidden, rng.normal(size=(commands, n_out))
@@ -101,21 +106,20 @@ def test_the_networks_of_the_command_in_force_answer(precision, seed, n_states, 
 
 
 @pytest.mark.parametrize("precision", OWN_FIRST)
+@sizes("sides", 3, (1,), (2,), (6,))
 @settings(max_examples=10, deadline=None, derandomize=True)
 @given(
     seed=seeds,
-    n_states=st.integers(1, 4),
     n_controls=st.integers(1, 2),
     n_out=st.integers(1, 3),
     most=st.sampled_from([1, 3, 17, 400, 3000]),
     reach=st.sampled_from([1.0, 100.0]),
 )
-def test_the_nearest_of_all_points_under_the_command_answers(precision, seed, n_states, n_controls, n_out, most, reach):
+def test_the_nearest_of_all_points_under_the_command_answers(precision, sides, seed, n_controls, n_out, most, reach):
     """Also with a single point, with far queries, with exact controls, with cells that have no points."""
     rng = np.random.default_rng(seed)
     midpoints, cells = some_grid(rng, n_controls)
-    exact = np.flatnonzero(rng.random(n_controls) < 0.5).tolist()
-    sides, n_tables = n_states + len(exact), max(1, cells // 2)
+    (exact, n_states), n_tables = some_exact(rng, n_controls, sides), max(1, cells // 2)
     serving = rng.integers(0, n_tables, cells)
     tables = []
     for _ in range(n_tables):

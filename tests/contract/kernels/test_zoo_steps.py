@@ -13,14 +13,12 @@ from model_zoo.state_space.units import UNITS
 from sysid_evo.engine import kernel_step
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
-from sysid_evo.system import Channel
 from sysid_evo.testing import example_dataset, run_checks
 from tests.fixtures.families import PERIODIC
 from tests.fixtures.plants import Cylinder, Pendulum, cylinder, pendulum
-from tests.fixtures.systems import CART, FloorCar, cart, drive, one_output, swung
+from tests.fixtures.systems import FloorCar, cart, drive, one_output, swung
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
-LIMITED = replace(CART, states=(Channel("position", "m", -1.5, 1.5), CART.states[1]))
 
 
 def at_night(names, often):
