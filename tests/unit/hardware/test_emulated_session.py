@@ -108,8 +108,9 @@ def test_robot_is_neutral_on_every_way_out(emulated):
 
 
 def test_illegal_commands_are_refused_and_not_sent(link):
-    for control, valid_for in (([0.5, 0.0], 1.0), ([np.nan, 0.0], 1.0), ([1.0], 1.0), ([1.0, 0.0], 0.0)):
-        with pytest.raises((InvalidArgument, ShapeError), match=r"drive|control|valid_for > 0"):
+    wrong = ([0.5, 0.0], 1.0, "drive"), ([np.nan, 0.0], 1.0, "drive"), ([1.0], 1.0, "control"), (FORWARD, 0.0, "> 0")
+    for control, valid_for, said in wrong:
+        with pytest.raises((InvalidArgument, ShapeError), match=said):
             link.send(np.array(control), valid_for=valid_for)
     assert np.array_equal(link.control, NEUTRAL)
 

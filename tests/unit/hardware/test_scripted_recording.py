@@ -5,14 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hardware.connection import Connection
 from hardware.emulation.car_physics import CarParameters
 from hardware.emulation.cars import ToyCarDynamics
 from hardware.emulation.tracked_robots import EmulatedRobot
 from hardware.recording.journal_reader import JournalReader
 from hardware.recording.manoeuvres import Manoeuvre, excitation
 from hardware.recording.record import logs_of, prepared, record, save_raw
-from hardware.robot import Robot
 from hardware.run_report import Reason, Stops
 from sysid_evo.data.columns import load_columns
 from sysid_evo.data.dataset import Dataset
@@ -20,39 +18,31 @@ from sysid_evo.data.preparation import prepare
 from sysid_evo.data.readers import CsvReader
 from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import make_robot
+from tests.fixtures.loop import Faults, FaultyRobot, Through
 
 
-class Watched(Connection):
+class Watched(Through):
     """A connection that notes the true states; ``robot`` says which frames show no body, end, or show it elsewhere."""
 
-    def __init__(self, link, robot):
-        self.link, self.robot, self.states = link, robot, []
-
-    @property
-    def time(self):
-        return self.link.time
-
-    def send(self, control, *, valid_for):
-        self.link.send(control, valid_for=valid_for)
+    def __init__(self, connection, robot):
+        super().__init__(connection, Faults())
+        self.robot, self.states = robot, []
 
     def measure(self, timeout):
-        frame = self.link.measure(timeout)
+        frame = super().measure(timeout)
         if frame is None or frame.frame > self.robot.last_frame:
             return None
-        self.states.append(self.link.state)
+        self.states.append(self.connection.state)
         jumped = 0.4 * (frame.frame >= self.robot.jump)
         seen = frame.frame not in self.robot.hidden
         return replace(frame, valid=seen, pose=np.add(frame.pose, [jumped, 0.0, 0.0]))
 
-    def close(self):
-        self.link.close()
 
-
-class WatchedRobot(Robot):
+class WatchedRobot(FaultyRobot):
     def __init__(self, robot, hidden=range(0), last_frame=np.inf, jump=np.inf):
-        self.robot, self.hidden, self.last_frame, self.jump = robot, hidden, last_frame, jump
-        self.name, self.system, self.dynamics = robot.name, robot.system, robot.dynamics
-        self.sessions = []
+        super().__init__(robot)
+        self.hidden, self.last_frame, self.jump = hidden, last_frame, jump
+        self.dynamics, self.sessions = robot.dynamics, []
 
     def connect(self, *, seed=None):
         self.sessions.append(Watched(self.robot.connect(seed=seed), self))
@@ -141,7 +131,7 @@ def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_t
     assert recorded.report.reason is Reason.TRACKER_LOST
     assert [len(log.time) for log in logs] == ([rows] if rows else [])
     assert len(robot.sessions) == 1
-    assert np.array_equal(robot.sessions[0].link.control, [0.0, 0.0])
+    assert np.array_equal(robot.sessions[0].connection.control, [0.0, 0.0])
     with pytest.raises(LinkLost, match="closed"):
         robot.sessions[0].measure(1.0)
 
