@@ -288,11 +288,16 @@ class Watch:
     """A plugin of pytest: the tests that failed and the seconds of each module that ends within its share.
 
     ``budget`` is for all modules together; one takes at most a quarter of it, and the rest of its tests is left out.
+    The ``tests`` are run in their order, not in that of the folders.
     """
 
-    def __init__(self, budget: float) -> None:
+    def __init__(self, budget: float, tests: Sequence[str]) -> None:
         self.budget, self.failed = budget, list[str]()
+        self.order = {test: place for place, test in enumerate(tests)}
         self.spent, self.cut = defaultdict[str, float](float), set[str]()
+
+    def pytest_collection_finish(self, session: Any) -> None:
+        session.items.sort(key=lambda item: self.order.get(item.nodeid.partition("::")[0], -1))
 
     def pytest_runtest_setup(self, item: Any) -> None:
         module = item.nodeid.partition("::")[0]
@@ -336,7 +341,7 @@ class Tree:
                 signal.alarm(math.ceil(limit))
                 resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
                 self._enter(cache)
-                watch = Watch(budget)
+                watch = Watch(budget, tests)
                 options += (f"--basetemp={self.folder.with_suffix('.tmp')}",)
                 options += tuple(f"--deselect={test}" for test in self.deselected)
                 code = import_module("pytest").main([*OPTIONS, *options, *tests], plugins=[watch])

@@ -3,10 +3,11 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from tests.mutate import Imports, drawn, places
+from tests.mutate import Imports, Watch, drawn, places
 
 ROOT = Path(__file__).parents[2]
 
@@ -127,6 +128,13 @@ def test_tests_are_those_that_import_a_module_the_nearest_first(tmp_path):
     for test in tests:
         (tmp_path / f"tests/unit/{test}.py").unlink()
     assert Imports(tmp_path).tests_of("product/numbers.py") == ["tests/system/test_process.py"]
+
+
+def test_the_nearest_tests_are_run_first_whatever_their_folders():
+    near = ["tests/unit/test_near.py", "tests/contract/test_far.py"]
+    session = SimpleNamespace(items=[SimpleNamespace(nodeid=f"{test}::test") for test in reversed(near)])
+    Watch(60.0, near).pytest_collection_finish(session)
+    assert [item.nodeid.partition("::")[0] for item in session.items] == near
 
 
 def test_what_no_test_notices_is_printed(tmp_path):
