@@ -92,7 +92,7 @@ def test_what_is_searched_in_a_family_of_the_zoo_can_be_set(family):
 
 
 def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess):
-    found = tune("made_up_guess(kind=plain, shift=0.0)", decaying(), trials=20, seed=1)
+    found = tune("made_up_guess(kind=plain, shift=0.0)", decaying(), trials=16, seed=1)
     assert found.best.spec.parameters["kind"] == "plain"
     assert abs(found.best.spec.parameters["decay"] - 2.0) < 0.2
     default = next(one for one in found.tried if one.spec.parameters["decay"] == 0.5)
