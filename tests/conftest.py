@@ -29,7 +29,6 @@ NEVER_TWO_AT_ONCE = {
     "dask": ("system/test_dask",),
     "realtime": ("system/test_fail_safes", "system/test_serial_robot", "system/test_drive_server", "system/test_real"),
     "site": ("docs/test_site",),
-    "study": ("unit/evaluation/study", "system/test_study"),
 }
 """Modules whose paths begin so share what is costly, or each other's time: one worker runs all of them."""
 UNIT_LIMIT = 0.5

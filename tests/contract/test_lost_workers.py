@@ -1,21 +1,31 @@
-"""How a scheduler is named and reached, without a cluster."""
-
-from __future__ import annotations
+"""How a scheduler is reached, and what becomes of a cell that comes back without a result; nothing is sent anywhere."""
 
 import logging
+from contextlib import ExitStack
+from types import SimpleNamespace
 
 import dask
 import distributed
 import pytest
+from distributed import KilledWorker
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
-from sysid_evo.plan.dask_executor import address_of, connected
+from sysid_evo.plan import Again, Plan, Store
+from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, Away, Cluster, address_of, connected
+from sysid_evo.plan.dask_worker import BLOCKED, ENDED, FAILED, LACKS
+from sysid_evo.plan.plan import at_home
+from sysid_evo.plan.run_state import Ledger
+from sysid_evo.version import versions
+from tests.fixtures.cells import AtHome, Number, Watching
+
+ONE = Number(1, label="one")
+TOP = Number(2, (ONE,), label="top")
 
 
 class MadeUpClient(distributed.Client):
     """A client of nothing."""
 
-    made: list[MadeUpClient]
+    made = ()
 
     def __init__(self, address="", **options):
         self.address, self.options, self.closed = address, options, False
@@ -38,8 +48,7 @@ def made(monkeypatch):
     """The clients that were made."""
     MadeUpClient.made = []
     monkeypatch.setattr(distributed, "Client", MadeUpClient)
-    yield MadeUpClient.made
-    MadeUpClient.made = []
+    return MadeUpClient.made
 
 
 def test_a_client_is_made_of_an_address_without_becoming_that_of_others_and_closed_in_the_end(made):
@@ -100,3 +109,168 @@ def test_a_file_that_is_not_a_schedulers_is_named(tmp_path, text):
     (tmp_path / "odd.json").write_text(text)
     with pytest.raises(InvalidArgument, match=r"expected the file of a scheduler, .*odd\.json is none"):
         address_of(str(tmp_path / "odd.json"))
+
+
+class MadeUpPost:
+    """Remembers what is sent, and to whom."""
+
+    def __init__(self):
+        self.sent, self.mistrusted, self.listened = [], [], 0
+        self.there, self.nobody = {}, False
+        self.needed = set()
+
+    def submit(self, digest, needs, failed, only, priority):
+        self.sent.append({"digest": digest, "needs": needs, "failed": failed, "only": only, "priority": priority})
+        return None if self.nobody else SimpleNamespace(add_done_callback=lambda _: None, cancel=lambda: None)
+
+    def mistrust(self, needed):
+        self.mistrusted.append(needed)
+
+    def listen(self):
+        self.listened += 1
+
+    def workers(self):
+        return self.there
+
+    def forget(self, needed):
+        self.needed = needed
+
+
+class Here:
+    """A cluster of nobody, and what the observer of its run is told."""
+
+    def __init__(self, folder, *cells):
+        self.watching, self.store, self.plan = Watching(), Store(folder), Plan.of(cells)
+        ledger = Ledger(self.plan, self.store, self.watching)
+        ledger.open()
+        self.cluster = Cluster(ledger, Again("m:f", {}), "tcp://nowhere:1")
+        self.post = MadeUpPost()
+        self.cluster.post = self.post
+        self.cluster.looked = float("inf")
+
+    def away(self, cell, status="lost", error=None):
+        future = SimpleNamespace(status=status, exception=lambda: error)
+        return Away(cell, future, None, ExitStack())
+
+    def ended(self, cell):
+        found = self.cluster.ledger.ended.get(cell.digest)
+        return None if found is None else found.reason
+
+
+@pytest.fixture
+def here(tmp_path):
+    return Here(tmp_path, ONE, TOP)
+
+
+@pytest.mark.parametrize(
+    ("allowed", "said"),
+    [(0, "1 worker died while it was there"), (3, "4 workers, one after the other, died while it was there")],
+)
+def test_a_cell_at_which_workers_die_fails(here, allowed, said):
+    last = SimpleNamespace(address="a")
+    error = KilledWorker("key", last, allowed)
+    here.cluster._undone(here.away(ONE, "error", error))
+    assert here.ended(ONE) == said
+    assert here.store.find(ONE.digest) is not None
+
+
+def test_what_workers_cannot_run_is_computed_here(here):
+    here.cluster.workers = {"a": 1}
+    assert not here.cluster._only_here(ONE)
+    here.cluster._undone(here.away(ONE, "error", ImportError("no such module")))
+    assert here.ended(ONE) is None
+    assert here.cluster._only_here(ONE)
+    assert here.watching.remarks == ["workers cannot compute this, so it is computed here: ImportError: no such module"]
+
+
+def test_what_is_lost_on_the_way_is_sent_again_but_not_for_ever(here):
+    for _ in range(LOST):
+        here.cluster._undone(here.away(TOP))
+    assert here.ended(TOP) is None
+    assert here.post.mistrusted == [{ONE.digest}] * LOST
+    assert here.post.listened == LOST
+    assert here.cluster.looked == 0.0  # it is seen at once who is there
+    here.cluster._undone(here.away(TOP))
+    assert here.ended(TOP) == f"it, or what it needs, was lost in the cluster {LOST} times"
+
+
+def test_a_process_that_ends_twice_in_a_cell_fails_it(here):
+    for times in (1, 2):
+        here.cluster._answered(here.away(ONE), {"status": ENDED, "reason": "SIGKILL"}, ())
+        assert (here.ended(ONE) is None) == (times == 1)
+    assert here.watching.remarks == ["the process of count one ended (SIGKILL): it is computed again"]
+    assert here.ended(ONE) == "its process ended 2 times (SIGKILL)"
+
+
+def test_a_result_that_is_not_whole_counts_as_none(here):
+    here.cluster._answered(here.away(ONE), {"status": "done"}, ())
+    assert here.ended(ONE) is None
+    assert "count one ended (count one: what came has no readable record" in here.watching.remarks[0]
+
+
+def test_a_failure_elsewhere_is_kept_with_its_time_and_what_is_blocked_is_not_kept(here):
+    answer = {"status": FAILED, "reason": "it broke", "traceback": "there", "seconds": 2.5, "remarks": ["so"]}
+    with pytest.warns(UserWarning, match="odd"):
+        here.cluster._answered(here.away(ONE), {**answer, "warnings": ["odd"]}, ())
+    record = here.store.find(ONE.digest)
+    assert (record.reason, record.traceback, record.seconds) == ("it broke", "there", 2.5)
+    assert here.watching.remarks == ["so"]
+    here.cluster._answered(here.away(TOP), {"status": BLOCKED, "reason": "needs count one, which failed"}, ())
+    assert here.ended(TOP) == "needs count one, which failed"
+    assert here.store.find(TOP.digest) is None
+
+
+def test_a_worker_that_plans_otherwise_is_not_asked_for_that_again(here):
+    here.cluster.workers = {"old": 1, "new": 1}
+    ours = versions()
+    name = next(iter(ours))
+    told = {"status": LACKS, "worker": "old", "knows": [TOP.digest], "reason": "", "versions": {**ours, name: "0.0"}}
+    here.cluster._answered(here.away(ONE), told, ())
+    assert here.cluster.lacking == {"old": frozenset({ONE.digest})}
+    (remark,) = here.watching.remarks
+    assert remark.startswith(f"the worker old cannot plan 1 of 2 cells ({name} 0.0 instead of {ours[name]})")
+    here.cluster._answered(here.away(ONE), {**told, "worker": "older"}, ())
+    assert len(here.watching.remarks) == 1  # of what cannot be planned, each is told once
+    here.cluster._hand(ONE)
+    assert here.post.sent[-1]["only"] == {"new"}
+    here.cluster.lacking["new"] = frozenset({ONE.digest})
+    assert here.cluster._only_here(ONE)
+    assert not here.cluster._only_here(TOP)
+
+
+def test_an_order_says_what_failed_and_comes_the_earlier_the_more_waits_for_it(here):
+    here.cluster.workers = {"a": 1}
+    here.cluster.ledger.fail(ONE, "it broke", "", 1.0)
+    for cell in (ONE, TOP):
+        here.cluster._hand(cell)
+    first, second = here.post.sent
+    assert (first["needs"], first["failed"], first["only"]) == (set(), set(), None)
+    assert (second["needs"], second["failed"]) == (set(), {ONE.digest})
+    assert first["priority"] > second["priority"]
+    assert set(here.cluster.away) == {ONE.digest, TOP.digest}
+
+
+def test_where_nobody_takes_it_a_cell_is_free_for_others(here):
+    here.post.nobody = True
+    here.cluster._hand(ONE)
+    assert here.cluster.away == {}
+    with here.store.claim(ONE) as ours:
+        assert ours
+    assert here.cluster.elsewhere[ONE.digest] > 0.0
+
+
+def test_no_more_is_handed_out_than_a_cluster_has_room_for(tmp_path):
+    cells = [Number(i, label=str(i)) for i in range(FIRST + 3 * AHEAD + 5)]
+    here = Here(tmp_path, *cells)
+    here.cluster._hand_out(cells)
+    assert len(here.post.sent) == FIRST
+    here.cluster.workers = {"a": 2, "b": 1}
+    here.cluster._hand_out(cells)
+    assert len(here.post.sent) == FIRST + 3 * AHEAD
+
+
+def test_what_needs_a_cell_that_stays_here_stays_here_too():
+    home = AtHome(1, label="home")
+    after = Number(2, (home,), label="after")
+    plan = Plan.of([home, after, Number(3, (after,), label="last"), Number(4, label="free")])
+    assert {cell.name for cell in plan if cell.digest in at_home(plan)} == {"home", "after", "last"}

@@ -1,6 +1,4 @@
-"""Cells on a Dask cluster of real processes: the results are those of this process, and what dies loses nothing."""
-
-from __future__ import annotations
+"""Cells and comparisons on Dask clusters of real processes: the results are those here, and what dies loses nothing."""
 
 import json
 import os
@@ -11,38 +9,51 @@ import subprocess
 import sys
 import threading
 import time
-from collections import Counter
-from functools import partial
-from typing import Any
 
 import dask
+import numpy as np
 import psutil
 import pytest
 from distributed import Client
 
+from evaluation.running import compare
+from evaluation.study import Study
+from evaluation.transfer import Cell, MeasuredResult, person, save_measured
 from sysid_evo.errors import InvalidArgument, SchedulerLost
+from sysid_evo.models import save_model
+from sysid_evo.models.base import make_model
 from sysid_evo.plan import Plan, Store, execute
+from sysid_evo.testing import example_dataset
+from tests.fixtures import session
 from tests.fixtures.cells import AtHome, Number, Watching
+from tests.fixtures.commands import SMALL, forgetting, run_here
 from tests.fixtures.dask_cluster import LIMIT, ROOT, Processes
-from tests.fixtures.deeds import planned
-from tests.system.test_processes import eventually as soon
-from tests.system.test_processes import gone
-
-eventually = partial(soon, seconds=LIMIT)
-ROW = [(f"row {i}", "wait 0.05", ["base"]) for i in range(4)]
-LADDER = [("base", "", []), *ROW, ("top", "", [label for label, _, _ in ROW])]
+from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes
+from tests.fixtures.studies import finished, found_in
 
 
 @pytest.fixture(autouse=True)
-def _soon(monkeypatch):
+def _patient(monkeypatch):
+    """What is lost is noticed soon; that no worker is there on a busy machine is no remark."""
+    monkeypatch.setattr("sysid_evo.plan.dask_executor.ALONE", LIMIT)
     with dask.config.set({"distributed.comm.timeouts.connect": "3s"}):
         yield
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    made = Processes(tmp_path_factory.mktemp("dask"))
-    made.start(2)
+    """The cluster of most tests: two workers, who write down whose plugins they load."""
+    folder = tmp_path_factory.mktemp("dask")
+    made = Processes(folder, environment={"PLUGIN_DIARY": str(folder / "plugins")})
+    made.restore(2)
+    yield made
+    made.stop()
+
+
+@pytest.fixture(scope="module")
+def mortal(tmp_path_factory):
+    """A cluster whose processes are killed: it is to be restored first."""
+    made = Processes(tmp_path_factory.mktemp("mortal"))
     yield made
     made.stop()
 
@@ -58,26 +69,14 @@ def own(tmp_path):
 
 def run(folder, plan, scheduler):
     folder.mkdir(exist_ok=True)
-    watching, store = Watching(), Store(folder)
-    execute(plan, store, observer=watching, scheduler=scheduler)
+    watching = Watching()
+    execute(plan, Store(folder), observer=watching, scheduler=scheduler)
     return watching, Store(folder)
 
 
-def lines(folder):
-    """Return which process computed which cell, in this order."""
-    file = folder / "diary"
-    pairs = [line.split(" ", 1) for line in file.read_text().splitlines()] if file.exists() else []
-    return [(int(process), label) for process, label in pairs]
-
-
-def diary(folder):
-    return Counter(label for _, label in lines(folder))
-
-
-def finished(folder):
-    """Return how often each cell was done, as the log of the run tells."""
-    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-    return Counter(line["title"] for line in log if line["status"] == "done")
+def done_once(folder, plan):
+    """Whether each cell was done once, as the log of the run has it."""
+    return dict(finished(folder)) == {cell.digest: 1 for cell in plan}
 
 
 def worker_of(folder, label):
@@ -100,13 +99,13 @@ def test_the_results_are_those_of_one_process_and_nothing_is_computed_twice(tmp_
                        ("tolerant", "", ["broken", "base"]))  # fmt: skip
         watching, store = run(folder, plan, scheduler)
         assert set(diary(folder).values()) == {1}
-        assert (os.getpid() in dict(lines(folder))) == (scheduler is None)
+        assert (os.getpid() in processes(folder)) == (scheduler is None)
         assert sorted(watching.computed) == sorted(cell.name for cell in plan)
         assert watching.remarks == []
         files = {file.relative_to(folder): file.read_bytes() for file in folder.rglob("*.txt")}
         found.append((files, [(cell.title, store.outcome(cell).value, store.outcome(cell).reason) for cell in plan]))
     assert found[0] == found[1]
-    assert "in compute" in (store.find(plan.cells[-3].digest).traceback or "")  # type: ignore[union-attr]
+    assert "in compute" in (store.find(plan.cells[-3].digest).traceback or "")
 
 
 def test_what_the_plan_is_made_of_is_computed_here_and_so_is_what_others_do_not_know_or_must_not_have(
@@ -139,7 +138,7 @@ def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_s
 
 
 def test_warnings_progress_and_starts_reach_the_caller(tmp_path, cluster):
-    said: list[Any] = []
+    said = []
 
     class Told(Watching):
         def start(self, cell):
@@ -156,16 +155,16 @@ def test_warnings_progress_and_starts_reach_the_caller(tmp_path, cluster):
     assert ("long", 0, 1, "") in said
 
 
-def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path, own):
-    own.start(2)
+def test_a_worker_killed_in_mid_run_loses_nothing(tmp_path, mortal):
+    mortal.restore(2)
     cells = [("base", "", []), ("one", "wait 2", ["base"]), ("two", "wait 2", ["base"]), ("top", "", ["one", "two"])]
     plan = planned(tmp_path / "diary", *cells)
     killer = meanwhile(lambda: worker_of(tmp_path, "one").kill())
-    watching, store = run(tmp_path, plan, own.address)
+    watching, store = run(tmp_path, plan, mortal.address)
     killer.join()
     assert watching.failed == {}
     assert store.load(plan.cells[-1]) == 4 + (2 + 1) + (3 + 1)
-    assert finished(tmp_path) == {cell.title: 1 for cell in plan}
+    assert done_once(tmp_path, plan)
     assert diary(tmp_path)["one"] == 2
     assert diary(tmp_path)["base"] == 1
 
@@ -185,7 +184,7 @@ def test_when_the_only_worker_dies_its_data_are_sent_again_to_the_next(tmp_path,
     other.join()
     assert watching.failed == {}
     assert store.load(plan.cells[-1]) == 3
-    assert finished(tmp_path) == {cell.title: 1 for cell in plan}
+    assert done_once(tmp_path, plan)
 
 
 @pytest.mark.nightly
@@ -203,15 +202,14 @@ def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path,
     assert store.done(plan.cells[-1])
 
 
-def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it(tmp_path, own):
-    own.start(1)
-    address = own.address
+def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it(tmp_path, mortal):
+    mortal.restore(1)
+    address = mortal.address
     plan = planned(tmp_path / "diary", ("base", "", []), ("long", "wait 60", ["base"]), ("last", "", ["base"]))
 
     def kill():
         worker_of(tmp_path, "long")
-        assert own.scheduler is not None
-        own.scheduler.kill()
+        mortal.scheduler.kill()
 
     killer = meanwhile(kill)
     with pytest.raises(SchedulerLost, match="does not answer any more: what was finished until then is kept") as raised:
@@ -224,7 +222,7 @@ def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it
     short = planned(tmp_path / "diary", ("base", "", []), ("long", "", ["base"]), ("last", "", ["base"]))
     watching, _ = run(tmp_path, short, None)
     assert watching.kept == ["base"]
-    assert finished(tmp_path) == {cell.title: 1 for cell in plan}
+    assert done_once(tmp_path, short)
 
 
 @pytest.mark.nightly
@@ -244,7 +242,7 @@ def test_work_goes_on_by_itself_when_the_scheduler_comes_back_at_once(tmp_path, 
     other.join()
     assert watching.failed == {}
     assert store.load(plan.cells[-1]) == 3
-    assert finished(tmp_path) == {cell.title: 1 for cell in plan}
+    assert done_once(tmp_path, plan)
 
 
 def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_cannot(tmp_path, own):
@@ -254,26 +252,26 @@ def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_canno
     older = {"PYTHONPATH": f"{metadata.parents[1]}{os.pathsep}{ROOT}", "NUMBERS_DIFFER": "1"}
     own.start(0)
     own.hire(environment=older)
+    own.wait()
     plan = planned(tmp_path / "diary", *LADDER)
     watching, store = run(tmp_path, plan, own.address)
-    assert {process for process, _ in lines(tmp_path)} == {os.getpid()}
+    assert processes(tmp_path) == {os.getpid()}
     (remark,) = watching.remarks
     assert remark.startswith("the worker tcp://127.0.0.1:")
     assert "cannot plan 6 of 6 cells (sysid-evo 0.0.1 instead of" in remark
     own.hire()
-    with Client(own.address, set_as_default=False) as client:
-        client.wait_for_workers(2)
+    own.wait()
     (tmp_path / "diary").unlink()
     watching, store = run(tmp_path / "second", planned(tmp_path / "diary", *LADDER), own.address)
     assert diary(tmp_path)["top"] == 1
-    assert os.getpid() not in dict(lines(tmp_path))
+    assert os.getpid() not in processes(tmp_path)
     assert store.load(plan.cells[-1]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
 
 
 def test_a_client_that_is_there_already_is_used_and_left_open(tmp_path, cluster):
     with Client(cluster.address, set_as_default=False) as client:
         _, store = run(tmp_path, planned(tmp_path / "diary", *LADDER), client)
-        assert os.getpid() not in dict(lines(tmp_path))
+        assert os.getpid() not in processes(tmp_path)
         assert store.load(planned(tmp_path / "diary", *LADDER).cells[0]) == 1
         assert client.status == "running"
 
@@ -326,11 +324,6 @@ def test_a_scheduler_that_is_none_is_refused_before_any_work(tmp_path, scheduler
     assert lines(tmp_path) == []
 
 
-def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path):
-    with pytest.raises(InvalidArgument, match="2 jobs in processes here and a scheduler: expected one of both"):
-        execute(planned(tmp_path / "diary", *LADDER), Store(tmp_path), jobs=2, scheduler="tcp://127.0.0.1:9")
-
-
 PROGRAM = """
 import signal
 import sys
@@ -339,7 +332,8 @@ from sysid_evo.plan import Store, execute
 from tests.fixtures.deeds import planned
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 folder = Path(sys.argv[1])
-cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("queued", "wait 60", ["quick"])]
+cells = [("quick", "", []), ("long", "wait 60", ["quick"]), ("longer", "wait 60", ["quick"]),
+         ("queued", "wait 60", ["quick"])]
 try:
     execute(planned(folder / "diary", *cells), Store(folder), scheduler=sys.argv[2])
 except KeyboardInterrupt:
@@ -347,21 +341,20 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path, own):
-    own.start(1)
+def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path, cluster):
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, str(tmp_path), own.address], cwd=ROOT, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", PROGRAM, str(tmp_path), cluster.address], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
-    assert eventually(lambda: sum(diary(tmp_path).values()) == 2)
+    assert eventually(lambda: sum(diary(tmp_path).values()) == 3)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=LIMIT)
     assert said == ""
     assert process.returncode == 130
     assert all(eventually(lambda one=one: gone(one)) for one, label in lines(tmp_path) if label != "quick")
-    assert sum(diary(tmp_path).values()) == 2
+    assert sum(diary(tmp_path).values()) == 3
     assert [record.title for record in Store(tmp_path).records()] == ["count quick"]
-    assert own.workers[0].poll() is None
+    assert [worker.poll() for worker in cluster.workers] == [None, None]
 
 
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl here")
@@ -382,6 +375,107 @@ def test_a_scheduler_with_tls_is_reached_with_the_certificates_and_settings_of_t
     with dask.config.set({name: settings[variable] for name, variable in names.items()}):
         watching, _ = run(tmp_path, plan, own.file)
     assert (watching.failed, watching.remarks) == ({}, [])
-    assert os.getpid() not in dict(lines(tmp_path))
+    assert os.getpid() not in processes(tmp_path)
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}), pytest.raises(SchedulerLost):
         run(tmp_path / "stranger", plan, own.address.replace("tls", "tcp"))
+
+
+PLUGIN = '''
+import os
+from pathlib import Path
+
+from model_zoo.linear import Linear
+from sysid_evo.registry import register_model
+
+with (Path(os.environ["PLUGIN_DIARY"])).open("a") as file:
+    file.write(f"{os.getpid()} {__file__}\\n")
+
+
+@register_model("mine")
+class Mine(Linear):
+    """A family of somebody else."""
+'''
+
+
+def results(folder):
+    """Return the files of all results by their path; how long a fit took is left out."""
+    places = ("data", "models", "controllers", "results")
+    return {
+        file.relative_to(folder).as_posix(): re.sub(rb'"fit_seconds": [0-9.e-]+', b"", file.read_bytes())
+        for place in places
+        for file in (folder / place).rglob("*")
+        if file.is_file()
+    }
+
+
+def report(folder):
+    found = json.loads((folder / "report.json").read_text())
+    del found["timings"]
+    return found
+
+
+def test_a_comparison_is_the_same_in_every_byte(tmp_path, cluster, finished_run):
+    done = run_here("compare", "--config", finished_run, "--scheduler", cluster.file, "--out", "there", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "cannot plan" not in done.stderr
+    assert results(tmp_path / "there") == results(finished_run)
+    assert report(tmp_path / "there") == report(finished_run)
+    assert set(finished(tmp_path / "there").values()) == {1}
+
+
+def test_plugins_and_what_persons_drove_go_along(tmp_path, cluster, monkeypatch):
+    monkeypatch.setenv("PLUGIN_DIARY", str(tmp_path / "plugins"))
+    (tmp_path / "own.py").write_text(PLUGIN)
+    settings = {
+        "models": ("mine",), "ensembles": (), "generations": 1, "trials": 2, "runs": 1, "transfer_trials": 3,
+        "recipe": "plain", "traces": 0, "task": "point_to_point(horizon=40)", "plugins": (str(tmp_path / "own.py"),),
+        "strategy": "mu_plus_lambda(parents=2, children=2)", "held_back": 0.3,
+    }  # fmt: skip
+    human = MeasuredResult(person("anna"), Cell("anna", "mine", np.array([5.0]), unit="waypoints"), on_robot=False)
+    for name, scheduler in (("here", None), ("there", str(cluster.file))):
+        (tmp_path / name / "cells").mkdir(parents=True)
+        save_measured(tmp_path / name, human)
+        watching = Watching()
+        with forgetting():
+            compare(example_dataset(), out=tmp_path / name, observer=watching, scheduler=scheduler, jobs=1, **settings)
+        assert watching.remarks == []
+    assert results(tmp_path / "here") == results(tmp_path / "there")
+    assert report(tmp_path / "here") == report(tmp_path / "there")
+    loaded = dict(line.split(" ", 1) for line in (cluster.folder / "plugins").read_text().splitlines())
+    assert 1 <= len(loaded) <= 2
+    assert str(os.getpid()) not in loaded
+    assert not any(file.startswith(str(tmp_path)) for file in loaded.values())
+
+
+def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is_the_same(
+    tmp_path, cluster, finished_run
+):
+    save_model(make_model("linear", ridge=0.5).fit(example_dataset(), rng=0), tmp_path / "two" / "far")
+    for folder, where in (("one", ("--jobs", "1")), ("three", ("--scheduler", cluster.file))):
+        own = next((session.copy_run(finished_run, tmp_path / folder) / "models").glob("linear-*.json"))
+        ended = run_here(
+            "evolve", "--run", folder, "--against", f"{own.relative_to(tmp_path)},two/far", *SMALL, "--controller",
+            "recurrent(hidden=2)", *where, cwd=tmp_path,
+        )  # fmt: skip
+        assert ended.returncode == 0, ended.stderr
+        assert "cannot plan" not in ended.stderr
+    assert results(tmp_path / "one") == results(tmp_path / "three") != results(finished_run)
+    assert set(finished(tmp_path / "three").values()) == {1}
+
+
+def test_a_study_on_a_cluster_has_the_tables_of_one_process(tmp_path, cluster, study_folder):
+    Study.of(session.STUDY).write(tmp_path / "tiny.toml")
+    done = run_here("study", "tiny.toml", "--scheduler", cluster.file, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "cannot plan" not in done.stderr
+    assert finished(tmp_path / "runs" / "tiny") == finished(study_folder)
+    assert found_in(tmp_path / "runs" / "tiny") == found_in(study_folder)
+
+
+def test_a_scheduler_that_is_lost_ends_the_command_with_a_sentence_and_a_code(tmp_path, stored_data):
+    command = ("fit", stored_data, "--models", "linear", "--out", "run", "--scheduler", "tcp://127.0.0.1:9")
+    with dask.config.set({"distributed.comm.timeouts.connect": "0.5s"}):
+        ended = run_here(*command, cwd=tmp_path)
+    assert ended.returncode == 4
+    assert "no scheduler answers at tcp://127.0.0.1:9" in " ".join(ended.stderr.split())
+    assert "Traceback" not in ended.stderr

@@ -1,172 +1,27 @@
-"""Cells side by side, in real processes: the same results for any number of jobs, whatever becomes of a process."""
+"""Cells in several processes: the same results for any number of them, whatever becomes of a process."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
-import time
-from collections import Counter
 from pathlib import Path
 
 import pytest
 
-from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Again, Plan, Store, execute, executors
-from sysid_evo.plan.executors import number_of_jobs
-from sysid_evo.plan.plan import work_ahead
+from evaluation.cells.data import GivenData
+from evaluation.experiment import Experiment, meaningful
+from evaluation.planning import comparison_again, plan_comparison
+from evaluation.running import compare
+from sysid_evo.plan import Again, Plan, Record, Store, StoredCell, execute
 from sysid_evo.processors import usable_processors
+from sysid_evo.registry import make_robot
+from sysid_evo.testing import example_dataset
 from tests.fixtures.cells import Number, Watching
-from tests.fixtures.deeds import planned
+from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes, shared
 
 ROOT = Path(__file__).parents[2]
-ROW = [(f"row {i}", "wait 0.05", ["base"]) for i in range(4)]
-LADDER = [("base", "", []), *ROW, ("top", "", [label for label, _, _ in ROW])]
-
-
-@pytest.fixture(autouse=True)
-def _others_find_the_tests(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT)
-
-
-def run(folder, plan, count=2):
-    folder.mkdir(exist_ok=True)
-    watching, store = Watching(), Store(folder)
-    execute(plan, store, observer=watching, jobs=count)
-    return watching, Store(folder)
-
-
-def diary(folder):
-    return Counter(line.split(" ", 1)[1] for line in (folder / "diary").read_text().splitlines())
-
-
-def processes(folder):
-    return {int(line.split(" ", 1)[0]) for line in (folder / "diary").read_text().splitlines()}
-
-
-def gone(process):
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    return False
-
-
-def eventually(true, seconds=30.0):
-    deadline = time.monotonic() + seconds
-    while not true():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
-def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path):
-    found = []
-    for count in (1, 2, 3):
-        folder = tmp_path / str(count)
-        plan = planned(folder / "diary", *LADDER, ("broken", "fail", []), ("after", "", ["broken"]),
-                       ("tolerant", "", ["broken", "base"]))  # fmt: skip
-        watching, store = run(folder, plan, count)
-        assert set(diary(folder).values()) == {1}
-        assert 1 <= len(processes(folder)) <= count  # one that starts late may find nothing left to do
-        assert (os.getpid() in processes(folder)) == (count == 1)
-        assert sorted(watching.computed) == sorted(cell.name for cell in plan)
-        found.append([(cell.title, store.outcome(cell).value, store.outcome(cell).reason) for cell in plan])
-        assert watching.remarks == []
-    assert found[0] == found[1] == found[2]
-    assert {title: reason for title, _, reason in found[0]}["count after"] == "needs count broken, which failed"
-    assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path / "3") - {os.getpid()})
-
-
-def test_what_the_plan_is_made_of_is_computed_first_and_here(tmp_path):
-    plan = planned(tmp_path / "diary", *LADDER, after=("base",))
-    watching, store = run(tmp_path, plan)
-    (first, *_) = (tmp_path / "diary").read_text().splitlines()
-    assert first == f"{os.getpid()} base"
-    assert len(processes(tmp_path)) > 1
-    assert watching.remarks == []
-    assert store.load(plan.cells[-1]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
-
-
-def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path):
-    plan = planned(tmp_path / "diary", ("base", "fail", []), ("top", "", ["base"]), ("aside", "", []), after=("base",))
-    watching, _ = run(tmp_path, plan)
-    assert watching.failed == {"base": "there is too little of it", "top": "needs count base, which failed"}
-    assert diary(tmp_path) == {"base": 1, "aside": 1}
-    assert watching.remarks == []
-
-
-@pytest.mark.parametrize("deed", ["kill 1", "kill 2", "exit"])
-def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path, deed):
-    plan = planned(tmp_path / "diary", ("bad", deed, []), ("worse", "", ["bad"]), *LADDER)
-    watching, store = run(tmp_path, plan)
-    why = "exit code 5" if deed == "exit" else "SIGKILL"
-    assert watching.remarks == [f"the process of count bad ended ({why}): it is computed again"]
-    assert diary(tmp_path)["bad"] == 2
-    assert {name: times for name, times in diary(tmp_path).items() if times > 1} == {"bad": 2}
-    assert store.load(plan.cells[-1]) == 8 + sum(3 + n for n in (4, 5, 6, 7))
-    if deed == "kill 1":
-        assert watching.failed == {}
-        assert store.load(plan.cells[1]) == 3
-    else:
-        reason = f"its process ended 2 times ({why})"
-        assert watching.failed == {"bad": reason, "worse": "needs count bad, which failed"}
-        record = store.find(plan.cells[0].digest)
-        assert record is not None
-        assert (record.status, record.reason) == ("failed", reason)
-
-
-def test_a_full_disk_stops_all_processes(tmp_path):
-    plan = planned(tmp_path / "diary", ("full", "full", []), ("long", "wait 60", []))
-    with pytest.raises(OSError, match="No space left") as raised:
-        run(tmp_path, plan)
-    assert raised.value.errno == 28
-    assert "full" in str(raised.value.filename)
-    assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path))
-    assert Store(tmp_path).records() == []
-
-
-@pytest.mark.parametrize("function", ["tests.fixtures.deeds:nothing", "no.such.module:made"])
-def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path, function):
-    plan = planned(tmp_path / "diary", *LADDER)
-    assert plan.again is not None
-    watching, store = run(tmp_path, Plan(plan.cells, again=Again(function, plan.again.settings)))
-    assert processes(tmp_path) == {os.getpid()}
-    assert len(watching.remarks) == 1
-    assert "all is computed in this process: others cannot plan this work" in watching.remarks[0]
-    assert len(store.records()) == len(plan)
-
-
-def test_a_cell_that_others_do_not_know_is_computed_here(tmp_path):
-    plan = planned(tmp_path / "diary", *LADDER)
-    top = plan.cells[-1]
-    own = Number(50, (top,), "own", tmp_path / "diary")
-    last = Number(60, (own,), "last", tmp_path / "diary")
-    _, store = run(tmp_path, Plan.of([*plan.cells, last], again=plan.again))
-    lines = (tmp_path / "diary").read_text().splitlines()
-    assert lines[-2:] == [f"{os.getpid()} own", f"{os.getpid()} last"]
-    assert store.load(last) == 60 + 50 + store.load(top)
-
-
-def test_warnings_reach_the_caller_and_what_libraries_print_disturbs_nobody(tmp_path):
-    plan = planned(tmp_path / "diary", ("odd", "warn", []), ("loud", "print", []))
-    with pytest.warns(UserWarning, match="this looks odd"):
-        watching, _ = run(tmp_path, plan)
-    assert watching.failed == {}
-
-
-def test_processors_are_shared_by_those_that_work(tmp_path):
-    count = usable_processors()
-    two = planned(tmp_path / "two", ("one", "meet a b", []), ("other", "meet b a", []))
-    _, store = run(tmp_path, two)
-    shares = [store.load(cell) for cell in two]
-    assert sum(shares) == max(2, count)
-    alone = planned(tmp_path / "alone", ("first", "", []), ("second", "processors", ["first"]))
-    _, store = run(tmp_path, alone)
-    assert store.load(alone.cells[1]) == count
-
-
-PROGRAM = """
+INTERRUPTIBLE = """
 import signal
 import sys
 from pathlib import Path
@@ -180,16 +35,136 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
+SHARING = """
+import sys
+from pathlib import Path
+from sysid_evo.plan import Store, execute
+from tests.fixtures.deeds import shared
+folder = Path(sys.argv[1])
+print("ready", flush=True)
+sys.stdin.readline()
+outcomes = execute(shared(folder), Store(folder / "run"))
+assert not any(outcome.failed for outcome in outcomes.values()), outcomes
+"""
+
+
+@pytest.fixture(autouse=True)
+def _others_find_the_tests(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT)
+
+
+def run(folder, plan, count=2):
+    folder.mkdir(exist_ok=True)
+    watching = Watching()
+    execute(plan, Store(folder), observer=watching, jobs=count)
+    return watching, Store(folder)
+
+
+def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path):
+    """Also warnings reach the caller, what libraries print disturbs nobody, and what others do not know stays here."""
+    found = []
+    for count in (1, 3):
+        folder = tmp_path / str(count)
+        cells = [("broken", "fail", []), ("after", "", ["broken"]), ("tolerant", "", ["broken", "base"]),
+                 ("odd", "warn", []), ("loud", "print", [])]  # fmt: skip
+        plan = planned(folder / "diary", *LADDER, *cells)
+        own = Number(50, (plan.cells[5],), "own", folder / "diary")
+        last = Number(60, (own,), "last", folder / "diary")
+        plan = Plan.of([*plan.cells, last], again=plan.again)
+        with pytest.warns(UserWarning, match="this looks odd"):
+            watching, store = run(folder, plan, count)
+        assert set(diary(folder).values()) == {1}
+        others = {process for process, label in lines(folder) if label not in ("own", "last")}
+        assert 1 <= len(others) <= count  # one that starts late may find nothing left to do
+        assert (os.getpid() in others) == (count == 1)
+        assert {(os.getpid(), label) for label in ("own", "last")} <= set(lines(folder))
+        assert sorted(watching.computed) == sorted(cell.name for cell in plan)
+        found.append({cell.title: (store.outcome(cell).value, store.outcome(cell).reason) for cell in plan})
+    assert found[0] == found[1]
+    assert found[0]["count after"][1] == "needs count broken, which failed"
+    assert found[0]["count last"][0] == 60 + 50 + found[0]["count top"][0]
+    assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path / "3") - {os.getpid()})
+
+
+def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path):
+    """Also what the plan is made of is computed first, and here."""
+    cells = [("bad", "kill 1", []), ("later", "", ["bad"]), ("worse", "exit", []), ("never", "", ["worse"])]
+    plan = planned(tmp_path / "diary", *LADDER, *cells, after=("base",))
+    watching, store = run(tmp_path, plan)
+    assert lines(tmp_path)[0] == (os.getpid(), "base")
+    assert len(processes(tmp_path)) > 1
+    assert sorted(watching.remarks) == [
+        "the process of count bad ended (SIGKILL): it is computed again",
+        "the process of count worse ended (exit code 5): it is computed again",
+    ]
+    reason = "its process ended 2 times (exit code 5)"
+    assert watching.failed == {"worse": reason, "never": "needs count worse, which failed"}
+    assert {name: times for name, times in diary(tmp_path).items() if times > 1} == {"bad": 2, "worse": 2}
+    found = {cell.name: cell for cell in plan}
+    assert store.load(found["top"]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
+    assert store.load(found["later"]) == 8 + 7
+    record = store.find(found["worse"].digest)
+    assert (record.status, record.reason) == ("failed", reason)
+
+
+@pytest.mark.nightly
+def test_a_process_that_is_killed_twice_in_a_cell_costs_that_cell_alone(tmp_path):
+    plan = planned(tmp_path / "diary", ("bad", "kill 2", []), ("worse", "", ["bad"]), *LADDER)
+    watching, store = run(tmp_path, plan)
+    assert watching.remarks == ["the process of count bad ended (SIGKILL): it is computed again"]
+    reason = "its process ended 2 times (SIGKILL)"
+    assert watching.failed == {"bad": reason, "worse": "needs count bad, which failed"}
+    assert store.find(plan.cells[0].digest).reason == reason
+    assert store.load(plan.cells[-1]) == 8 + sum(3 + n for n in (4, 5, 6, 7))
+
+
+def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path):
+    plan = planned(tmp_path / "diary", ("base", "fail", []), ("top", "", ["base"]), ("aside", "", []), after=("base",))
+    watching, _ = run(tmp_path, plan)
+    assert watching.failed == {"base": "there is too little of it", "top": "needs count base, which failed"}
+    assert diary(tmp_path) == {"base": 1, "aside": 1}
+    assert watching.remarks == []
+
+
+def test_a_full_disk_stops_all_processes(tmp_path):
+    plan = planned(tmp_path / "diary", ("full", "full", []), ("long", "wait 60", []))
+    with pytest.raises(OSError, match="No space left") as raised:
+        run(tmp_path, plan)
+    assert raised.value.errno == 28
+    assert "full" in str(raised.value.filename)
+    assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path))
+    assert Store(tmp_path).records() == []
+
+
+@pytest.mark.parametrize(
+    "function", ["tests.fixtures.deeds:nothing", pytest.param("no.such.module:made", marks=pytest.mark.nightly)]
+)
+def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path, function):
+    plan = planned(tmp_path / "diary", *LADDER)
+    watching, store = run(tmp_path, Plan(plan.cells, again=Again(function, plan.again.settings)))
+    assert processes(tmp_path) == {os.getpid()}
+    assert len(watching.remarks) == 1
+    assert "all is computed in this process: others cannot plan this work" in watching.remarks[0]
+    assert len(store.records()) == len(plan)
+
+
+def test_processors_are_shared_by_those_that_work(tmp_path):
+    count = usable_processors()
+    cells = [("one", "meet a b", []), ("other", "meet b a", []), ("alone", "processors", ["one", "other"])]
+    plan = planned(tmp_path / "diary", *cells)
+    _, store = run(tmp_path, plan)
+    one, other, alone = (store.load(cell) for cell in plan)
+    assert one + other == max(2, count)
+    assert alone == count
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_is_left_behind_by_ctrl_c_nor_when_the_first_process_is_killed(tmp_path, by):
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, str(tmp_path)], cwd=ROOT, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", INTERRUPTIBLE, str(tmp_path)], cwd=ROOT, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     )  # fmt: skip
-    book = tmp_path / "diary"
-    assert eventually(lambda: book.exists() and "long\n" in book.read_text() and "longer\n" in book.read_text())
+    assert eventually(lambda: {"long", "longer"} <= set(diary(tmp_path)))
     if by == signal.SIGINT:
         os.killpg(process.pid, by)  # as a terminal does: all of them hear it
     else:
@@ -202,54 +177,98 @@ def test_nothing_is_left_behind_by_ctrl_c_nor_when_the_first_process_is_killed(t
     assert not [file for file in tmp_path.rglob("*") if file.suffix == ".tmp"]
 
 
-def test_the_longest_way_comes_first():
-    short, start = Number(1, label="short"), Number(2, label="start")
-    middle = Number(3, (start,), "middle")
-    plan = Plan.of([short, Number(4, (middle,), "end"), middle])
-    ahead = work_ahead(plan)
-    assert [ahead[cell.digest] for cell in (short, start, middle)] == [1.0, 3.0, 2.0]
-
-
-def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monkeypatch):
-    monkeypatch.delenv("SYSID_EVO_JOBS")
-    monkeypatch.setattr(executors, "usable_processors", lambda: 8)
-    monkeypatch.setattr(executors, "available_memory", lambda: 100 * 2**30)
-    cells = [Number(i) for i in range(20)]  # of one second each
-    assert number_of_jobs(None, cells) == (int(20 / executors.WORTH), "")
-    assert number_of_jobs(None, cells[:3]) == (1, "")
-    assert number_of_jobs(None, [Number(i) for i in range(500)]) == (8, "")
-    assert number_of_jobs(30, cells) == (20, "")
-    assert number_of_jobs(3, []) == (1, "")
-    monkeypatch.setenv("SYSID_EVO_JOBS", "5")
-    assert number_of_jobs(None, cells) == (5, "")
-    assert number_of_jobs(2, cells) == (2, "")
-    monkeypatch.setattr(executors, "available_memory", lambda: 3 * 2**30 + 5)
-    assert number_of_jobs(2, cells) == (2, "")
-    assert number_of_jobs(5, cells) == (
-        3, "3 instead of 5 cells are computed at once: 3.0 GiB of memory are free, and each may need 1"
+def started(folder):
+    """Start a process that waits for a line before it computes what is shared in ``folder``."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SHARING, str(folder)], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    monkeypatch.setattr(executors, "available_memory", lambda: 0)
-    assert number_of_jobs(5, cells)[0] == 1
+    assert process.stdout.readline() == "ready\n", process.communicate()
+    return process
 
 
-@pytest.mark.parametrize("wrong", ["0", "many", "-1"])
-def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch, wrong):
-    monkeypatch.setenv("SYSID_EVO_JOBS", wrong)
-    with pytest.raises(InvalidArgument, match="SYSID_EVO_JOBS: expected a number of jobs"):
-        number_of_jobs(None, [])
-    with pytest.raises(InvalidArgument, match="jobs: expected at least 1, got 0"):
-        number_of_jobs(0, [])
+def go(process):
+    process.stdin.write("\n")
+    process.stdin.flush()
 
 
-def test_free_memory_is_what_the_container_leaves(tmp_path, monkeypatch):
-    limit, used = tmp_path / "memory.max", tmp_path / "memory.current"
-    monkeypatch.setattr(executors, "LIMITS", (limit, used))
-    all_of_it = executors.available_memory()
-    assert all_of_it > 0
-    limit.write_text("1000000\n")
-    used.write_text("400000\n")
-    assert executors.available_memory() == 600000
-    used.write_text("2000000\n")
-    assert executors.available_memory() == 0
-    limit.write_text("max\n")
-    assert executors.available_memory() > 600000
+def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_path):
+    both = [started(tmp_path) for _ in range(2)]
+    for process in both:
+        go(process)
+    for process in both:
+        _, said = process.communicate(timeout=60.0)
+        assert process.returncode == 0, said
+    plan, store = shared(tmp_path), Store(tmp_path / "run")
+    assert diary(tmp_path) == {cell.label: 1 for cell in plan}
+    assert len(processes(tmp_path)) == 2  # both had a part in it
+    assert len(store.records()) == len(plan) == len((tmp_path / "run" / "log.jsonl").read_text().splitlines())
+    assert not store.remarks
+    assert store.load(plan.cells[-1]) == 100 + sum(10 + i + 1 for i in range(5))
+
+
+def test_the_claim_of_a_killed_process_is_free_again_and_its_work_is_kept(tmp_path):
+    process, plan, store = started(tmp_path), shared(tmp_path), Store(tmp_path / "run")
+    (row,) = (cell for cell in plan if cell.label == "row 0")
+    go(process)
+    assert eventually(lambda: "row 0" in diary(tmp_path))
+    with store.claim(row) as ours:
+        assert not ours  # it is at it
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=60.0)
+    with store.claim(row) as ours:
+        assert ours
+    outcomes = execute(plan, Store(tmp_path / "run"))
+    assert not any(outcome.failed for outcome in outcomes.values())
+    assert diary(tmp_path)["base"] == 1
+    assert diary(tmp_path)["row 0"] == 2  # killed in the middle of it
+    assert Store(tmp_path / "run").load(plan.cells[-1]) == 100 + sum(10 + i + 1 for i in range(5))
+
+
+def written(run):
+    """Return the report of a run; of its timings, only what was timed."""
+    document = json.loads((run / "report.json").read_text())
+    return {**document, "timings": sorted(document["timings"])}
+
+
+def test_the_same_settings_give_the_same_report_twice_and_for_any_number_of_jobs(tmp_path, finished_run):
+    watching, settings = Watching(), Experiment.read(finished_run)
+    compare(settings.pop("data"), out=tmp_path, jobs=2, observer=watching, **settings)
+    assert written(tmp_path) == written(finished_run)
+    assert watching.remarks == []
+    assert {line["status"] for line in map(json.loads, (tmp_path / "log.jsonl").read_text().splitlines())} == {"done"}
+
+
+def test_another_process_plans_the_same_cells_of_the_run_folder(finished_run):
+    settings = {**Experiment.read(finished_run), "data_digest": None}
+    first = plan_comparison(Experiment.of(meaningful(settings, {})), dataset=example_dataset()).plan
+    again = first.again.plan(finished_run)
+    assert [cell.digest for cell in again] == [cell.digest for cell in first]
+
+
+def test_the_yardstick_of_a_recorded_run_is_planned_again():
+    first = plan_comparison(Experiment.of({"models": ("linear",), "robot": "emulated_car", "minutes": 0.5}))
+    data = first.data
+    record = Record(
+        digest=data.digest, kind=data.kind, title=data.title, name=data.name, status="done", inputs=data.inputs(),
+        needs=[], artefact="data/there", versions={}, timings={},
+    )  # fmt: skip
+    system = make_robot("emulated_car").system
+    again = plan_comparison(first.experiment, stored=(StoredCell(record, GivenData), system))
+    assert "evolve emulated_car" in [cell.title for cell in again.plan]
+    assert [cell.digest for cell in again.plan] == [cell.digest for cell in first.plan]
+
+
+@pytest.mark.nightly
+def test_a_recorded_comparison_with_a_yardstick_is_the_same_for_any_number_of_jobs(tmp_path):
+    settings = {
+        "models": ("linear", "parametrised", "nearest_neighbour", "mlp_ensemble"), "minutes": 1.0, "generations": 6,
+        "robot": "emulated_car",
+    }  # fmt: skip
+    watching = Watching()
+    for jobs in (1, 2):
+        compare(out=tmp_path / str(jobs), jobs=jobs, observer=watching, **settings)
+    assert written(tmp_path / "1") == written(tmp_path / "2")
+    assert watching.remarks == []
+    again, _ = comparison_again(Experiment.of(Experiment.read(tmp_path / "2")), tmp_path / "2")
+    assert "emulated_car" in [champion.name for champion in again.matrix.champions]

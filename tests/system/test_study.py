@@ -112,7 +112,6 @@ def test_a_study_that_is_half_done_shows_what_is_there(study_folder, planned, tm
 
 def test_the_same_plan_is_made_again_from_its_settings(planned, tmp_path):
     again = planned.plan.again
-    assert again is not None
     told = json.loads(json.dumps(again.settings))
     made = Again(again.function, told).plan(tmp_path)
     assert [cell.digest for cell in made] == [cell.digest for cell in planned.plan]

@@ -124,13 +124,11 @@ def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_
     assert {f"choose {name}" for name in (*names, "best of linear+near+parametrised")} <= titles
     assert {"polish the best", "run polished on emulated_car"} <= titles
     assert "choose emulated_car" not in titles  # what was evolved on the robot is chosen by the robot
-    assert found.matrix is not None
     assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "polished"]
 
 
 def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again():
     found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
-    assert found.matrix is not None
     polished = found.matrix.champions[-1]
     assert isinstance(polished, PolishCell)
     assert [one.name for one in polished.chosen.contenders] == ["linear", "near", "parametrised", "linear+near"]

@@ -1,14 +1,12 @@
 """Parcels: what is packed in one folder stands in another as it was, and what is not whole is refused."""
 
-from __future__ import annotations
-
 import hashlib
 
 import pytest
 
 from sysid_evo.errors import ArtefactError
 from sysid_evo.plan import Again, Plan, Store, execute
-from sysid_evo.plan.store import Parcel, Record, digest_of, packed, unpack
+from sysid_evo.plan.store import Record, digest_of, packed, unpack
 from tests.fixtures.cells import Number
 
 ONE, OTHER = Number(1, label="one"), Number(2, label="other")
@@ -34,7 +32,7 @@ def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path):
 
 def test_parcels_that_differ_in_anything_have_digests_of_their_own():
     """Also those of which name, time and content are the same characters when they are joined."""
-    parcels: tuple[Parcel, ...] = (
+    parcels = (
         (("a", 1, b"2x"),),
         (("a", 12, b"x"),),
         (("a1", 2, b"x"),),
@@ -95,7 +93,7 @@ def changed(parcel, place, content):
 @pytest.mark.parametrize("damage", ["nothing", "no record", "record", "file", "missing file", "further file", "other"])
 def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(tmp_path, done, damage):
     parcel = done.parcel(ONE.digest)
-    damaged: dict[str, Parcel] = {
+    damaged = {
         "nothing": (),
         "no record": parcel[1:],
         "record": changed(parcel, 0, b"{}"),

@@ -1,11 +1,8 @@
 """What is sent over a connection, how often, and what is said when it breaks; the cluster is made up."""
 
-from __future__ import annotations
-
 import json
 from queue import SimpleQueue
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -29,12 +26,12 @@ class MadeUpClient:
     def __init__(self):
         self.status, self.breaks = "running", False
         self.scheduler = SimpleNamespace(address="tcp://made.up:1")
-        self.threads: dict[str, int] = {}
-        self.scattered: list[dict[str, Any]] = []
-        self.submitted: list[SimpleNamespace] = []
-        self.cancelled: list[Any] = []
-        self.topics: list[str] = []
-        self.came: dict[str, Any] = {}
+        self.threads = {}
+        self.scattered = []
+        self.submitted = []
+        self.cancelled = []
+        self.topics = []
+        self.came = {}
 
     def subscribe_topic(self, topic, handler):
         self._ask()
@@ -89,7 +86,7 @@ def store(tmp_path):
 
 def of(client, store, **settings):
     again = Again("module:function", {"n": 1}, **settings)
-    return Dispatch(client, store, again, lambda _: None)  # type: ignore[arg-type]  # a made-up client
+    return Dispatch(client, store, again, lambda _: None)
 
 
 def ask(dispatch, *needs, **options):
@@ -207,7 +204,7 @@ def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_err
     client.status, client.breaks = "connecting", True
     assert dispatch.workers() == {}
     assert ask(dispatch, ONE.digest) is None
-    assert dispatch.results({"a": None}) == {}  # type: ignore[dict-item]  # a made-up future
+    assert dispatch.results({"a": None}) == {}
     dispatch.listen()
     client.breaks, client.threads = False, {"a": 1}
     assert dispatch.workers() == {}  # not before it is connected again
@@ -227,38 +224,33 @@ def test_what_breaks_while_the_connection_stands_is_an_error(client, store):
 def test_results_that_were_lost_on_the_way_are_left_out(client, store):
     parcel = store.parcel(ONE.digest)
     client.came = {"a": (json.dumps({"status": "done"}), parcel)}
-    found = of(client, store).results({"a": None, "b": None})  # type: ignore[dict-item]  # made-up futures
+    found = of(client, store).results({"a": None, "b": None})
     assert found == {"a": ({"status": "done"}, parcel)}
 
 
 def test_in_the_end_all_is_taken_back_unless_the_connection_is_gone(client, store):
     dispatch = of(client, store)
     ask(dispatch, ONE.digest)
-    dispatch.take_back(["a", "b"])  # type: ignore[list-item]  # made-up futures
+    dispatch.take_back(["a", "b"])
     assert client.cancelled == ["a", "b"]
     assert client.topics == []
     ask(dispatch, ONE.digest)
     assert sent(client) == [1, 1]
     client.status = "closed"
-    dispatch.take_back(["c"])  # type: ignore[list-item]
+    dispatch.take_back(["c"])
     assert client.cancelled == ["a", "b"]
 
 
 ASKED = {
-    "run": "r",
-    "function": "tests:none",
-    "settings": {},
-    "files": {"own.py": "0/own.py"},
-    "engine": "reference",
-}
-ONE = Number(1, label="one")
+    "run": "r", "function": "tests:none", "settings": {}, "files": {"own.py": "0/own.py"}, "engine": "reference",
+}  # fmt: skip
 
 
 class MadeUpWorker:
     """A process that is none: it hears what it is told, and says what it is given."""
 
     def __init__(self, inbox):
-        self.inbox, self.told, self.dismissed = inbox, list[dict[str, Any]](), False
+        self.inbox, self.told, self.dismissed = inbox, [], False
 
     def say(self, **message):
         self.told.append(message)
@@ -295,7 +287,7 @@ def parcels_of(folder, count):
 
 def computed(child, digest="d", needed=(), wanted=True):
     asked = {**ASKED, "digest": digest, "failed": []}
-    said = list[dict[str, Any]]()
+    said = []
     return *child.compute(asked, needed, lambda: wanted, said.append), said
 
 
@@ -330,7 +322,7 @@ def test_of_many_results_those_not_used_for_longest_go_first_but_not_what_the_pl
 def test_a_record_is_put_down_after_the_files_that_it_names(tmp_path, monkeypatch):
     (parcel,) = parcels_of(tmp_path / "there", 1)
     child, _ = child_in(tmp_path)
-    put = list[str]()
+    put = []
     monkeypatch.setattr(dask_worker, "unpack", lambda parcel, folder: put.extend(name for name, _, _ in parcel))
     child._keep(parcel)
     assert len(put) > 1
@@ -383,7 +375,7 @@ def test_a_result_that_nobody_waits_for_any_more_is_not_waited_for(tmp_path):
 class MadeUpTimer:
     """A timer that goes off when it is told."""
 
-    made: list[MadeUpTimer]
+    made = ()
 
     def __init__(self, seconds, deed, arguments):
         self.seconds, self.daemon, self.started, self.cancelled = seconds, False, False, False
@@ -401,13 +393,13 @@ class MadeUpTimer:
 
 
 def test_an_idle_process_serves_its_run_again_or_ends_after_a_while(monkeypatch):
-    ended = list[str]()
+    ended = []
 
     def made(name):
         return SimpleNamespace(dismiss=lambda: ended.append(name))
 
     children, used, forgotten = Children(), made("used"), made("forgotten")
-    timers = MadeUpTimer.made = list[MadeUpTimer]()
+    timers = MadeUpTimer.made = []
     monkeypatch.setattr(dask_worker, "Timer", MadeUpTimer)
     assert children.take("r") is None
     children.give("r", used)

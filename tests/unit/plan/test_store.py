@@ -1,7 +1,5 @@
 """Executions: failures are outcomes, finished cells are kept, what is damaged is computed again."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass
@@ -90,7 +88,7 @@ def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs
     watching, store = run(tmp_path, later, aside)
     reason = "too little"
     if not isinstance(error, InvalidData):
-        reason = rf"{type(error).__name__}: too little \(test_execution.py, line \d+: raise error\)"
+        reason = rf"{type(error).__name__}: too little \(test_store.py, line \d+: raise error\)"
     assert re.fullmatch(reason, watching.failed.pop("broken"))
     assert watching.failed == {
         "after": "needs count broken, which failed",
@@ -98,7 +96,6 @@ def test_a_failure_is_an_outcome_with_reason_and_traceback_and_blocks_what_needs
     }
     assert store.load(aside) == 6
     record = store.find(broken.digest)
-    assert record is not None
     assert record.status == "failed"
     assert re.fullmatch(reason, record.reason)
     assert "in then" in (record.traceback or "")
@@ -297,7 +294,7 @@ def test_a_cell_may_ask_only_for_what_it_needs(tmp_path):
 
 
 def test_the_observer_is_told_how_much_is_left(tmp_path):
-    told: list[tuple[int, int, float]] = []
+    told = []
 
     class Counting(Watching):
         def plan(self, cells, kept, seconds):

@@ -35,9 +35,7 @@ def results():
 def test_a_share_is_of_the_best_on_the_same_robot(results):
     figures = {one.controller: one for one in controller_figures(results)}
     best, both = figures["best"].share, figures["both"].share
-    assert best is not None
     assert (best.mean, best.low, best.high) == (1.0, 1.0, 1.0)
-    assert both is not None
     assert both.mean == pytest.approx(sum(SHARES) / 3)
     assert both.lowest == pytest.approx(0.9)
 
@@ -51,7 +49,6 @@ def test_what_the_program_picks_and_what_was_best_are_rows_of_their_own(results)
 def test_others_are_compared_with_the_recommended_controller_or_the_named_one(results):
     figures = {one.controller: one for one in controller_figures(results)}
     assert figures["both"].is_reference
-    assert figures["best"].difference is not None
     assert figures["best"].difference.mean == pytest.approx(sum(SHARES) / 3 - 1.0)
     asked = made_up()
     named = type(asked.study)(asked.study.title, {}, asked.study.grids, {"controller": "worse"})
@@ -75,15 +72,10 @@ def test_an_axis_that_is_no_repetition_makes_groups_of_rows():
 def test_forecasts_claims_and_errors_are_judged_within_a_point(results):
     figures = {one.figure: one for one in forecast_figures(results)}
     forecast, claim, error = figures["forecast"], figures["claim"], figures["prediction error"]
-    assert forecast.correlation is not None
     assert forecast.correlation.mean == pytest.approx(0.5)  # both 10.5 before best 10 and worse 8
-    assert claim.correlation is not None
     assert claim.correlation.mean == pytest.approx(-0.5)
-    assert forecast.loss is not None
     assert forecast.loss.mean == pytest.approx(1.0 - sum(SHARES) / 3)
-    assert error.loss is not None
     assert error.loss.mean == 0.0
-    assert forecast.inside is not None
     assert forecast.inside.mean == pytest.approx(2 / 3)
     assert claim.inside is None
     assert forecast.rmse == pytest.approx((1.5**2 / 3) ** 0.5)
@@ -93,14 +85,12 @@ def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results):
     partial = made_up(missing=results.points[0].name)
     assert forecast_figures(partial)[0].controllers == forecast_figures(results)[0].controllers - 3
     chosen = next(one for one in controller_figures(partial) if one.controller == CHOSEN)
-    assert chosen.share is not None
     assert chosen.share.points == len(results.points) - 1
 
 
 def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them():
     figures = prediction_figures(made_up(recipe=["recommended", "plain"]))
     assert [(one.model, one.group) for one in figures] == [("best", ()), ("worse", ())]
-    assert figures[0].n[20] is not None
     assert figures[0].n[20].mean == pytest.approx(2.0)
     assert figures[0].fits == 9
 
@@ -123,7 +113,6 @@ def drawn(rng, robots, seeds, among, within):
 
 def test_every_robot_counts_alike_however_many_seeds_it_has():
     spread = Spread.of({("a", "0"): 1.0, ("a", "1"): 1.0, ("a", "2"): 1.0, ("b", "0"): 3.0})
-    assert spread is not None
     assert spread.mean == 2.0
     assert (spread.lowest, spread.highest, spread.robots, spread.points) == (1.0, 3.0, 2, 4)
 
@@ -133,7 +122,6 @@ def test_every_robot_counts_alike_however_many_seeds_it_has():
 )
 def test_there_is_no_interval_of_too_few_robots_or_seeds(robots, seeds, there):
     spread = Spread.of(drawn(np.random.default_rng(0), robots, seeds, 1.0, 1.0))
-    assert spread is not None
     assert (spread.low is not None) == there
     assert (spread.high is not None) == there
 
@@ -143,8 +131,6 @@ def test_an_interval_holds_the_truth_in_nineteen_of_twenty_studies(among, within
     rng, held = np.random.default_rng(1), []
     for _ in range(80):
         spread = Spread.of(drawn(rng, 5, 5, among, within))
-        assert spread is not None
-        assert spread.low is not None
         assert spread.high is not None
         held.append(spread.low <= 0.0 <= spread.high)
     assert np.mean(held) >= 0.90  # plain percentiles hold it in 0.85
@@ -164,15 +150,9 @@ def test_seeds_alone_and_robots_alone_make_an_interval():
     among = Spread.of({(robot, seed): float(robot) for robot in "123" for seed in "456"})
     within = Spread.of({(robot, seed): float(seed) for robot in "123" for seed in "456"})
     alone = Spread.of({("1", seed): float(seed) for seed in "456"})
-    assert among is not None
     assert (among.low, among.high) == (1.0, 3.0)
     for spread in (within, alone):
-        assert spread is not None
-        assert spread.low is not None
-        assert spread.high is not None
         assert 4.0 <= spread.low < 5.0 < spread.high <= 6.0
-    assert within is not None
-    assert within.high is not None
     assert within.high < 5.9  # the mean of three robots, of which each would have to be drawn so
 
 
@@ -190,7 +170,6 @@ def test_a_paired_difference_is_that_of_robots_and_seeds_that_both_have():
 
 def test_what_is_no_number_is_left_out_and_of_nothing_there_is_no_spread():
     spread = Spread.of({("a", "0"): 1.0, ("a", "1"): float("nan")})
-    assert spread is not None
     assert spread.points == 1
     assert Spread.of({("a", "1"): float("nan")}) is None
 
@@ -218,7 +197,6 @@ def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choi
     assert list(figures) == ["one search on the robot", "model", CHOSEN, HINDSIGHT]
     assert figures["one search on the robot"].gap is None
     best = figures[HINDSIGHT].share
-    assert best is not None
     assert (best.mean, best.points) == (0.5, 2)
     assert [one.controllers for one in forecast_figures(results)] == [2, 2, 2]
 
@@ -242,7 +220,6 @@ def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen():
     (point,) = (empty := made_up(cars=1, seeds=1)).points
     figures = figures_of(of(empty, [row(point, "best", 10.0), row(point, "worse", 5.0, chosen=True)]))
     assert [name for name, one in figures.items() if one.is_reference] == [CHOSEN]
-    assert figures["best"].difference is not None
     assert figures["best"].difference.mean == -0.5
 
 
@@ -256,7 +233,6 @@ def test_the_reference_is_in_the_group_that_the_study_names():
 def test_what_was_best_is_known_of_finished_points_alone():
     name = made_up().points[0].name
     hindsight = figures_of(made_up(missing=name))[HINDSIGHT].share
-    assert hindsight is not None
     assert hindsight.points == 8
     assert figures_of(made_up())[HINDSIGHT].planned == 9
 
@@ -268,7 +244,6 @@ def test_a_controller_without_a_forecast_is_not_judged_and_an_error_misses_no_fi
     assert {one.controllers for one in figures.values()} == {2}
     assert figures["claim"].rmse == 0.0
     assert figures["prediction error"].rmse is None
-    assert figures["prediction error"].loss is not None
     assert figures["prediction error"].loss.mean == 0.0
 
 
@@ -306,7 +281,6 @@ def test_models_stand_by_their_error_after_a_second_those_that_failed_last():
     assert [one.seconds and one.seconds.mean for one in figures] == [5.0, 3.0, None]
     (judged,) = exploit_figures(replace(empty, models=rows))
     assert (judged.model, judged.exploited, judged.judged) == ("soon", 1, 1)
-    assert judged.kept is not None
     assert judged.kept.mean == 0.5
 
 

@@ -1,15 +1,11 @@
 """What stands in STUDY.toml, and what is refused before any work."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import pytest
 
 from evaluation.study import Study
 from sysid_evo.errors import InvalidArgument
 
-GRID: dict[str, Any] = {"robot": ["emulated_car"], "seed": [0, 1]}
+GRID = {"robot": ["emulated_car"], "seed": [0, 1]}
 
 
 def test_every_combination_of_values_is_a_point_named_by_its_labels():
