@@ -59,7 +59,7 @@ FAMILIES = {
 }
 EXACT = ("k_neighbours", "gaussian_process")
 """Families whose kernels ask for double precision."""
-AT_NIGHT = ("torch_ode", "latent_ode", "average", "evolved3", "hybrid_ode")
+AT_NIGHT = ("torch_ode", "latent_ode", "average", "evolved3", "hybrid_ode", "sindy")
 """Compiled by day in tests of their own, or made of what other rows compile: one network, a derivative and a body."""
 JUMPS = {"nearest_neighbour": 0.8}
 """The share of trajectories and steps that must agree where rounding decides between two neighbours."""
@@ -307,7 +307,8 @@ def test_a_planted_habit_is_the_same_compiled(engine):
 
 CONTROLLERS = [
     "constant", "feed_forward", "feed_forward(hidden=[5, 3, 4])", "linear", "linear(inputs=waypoint_angle)", "pid",
-    "pid(loops={steer: [waypoint_angle, yaw_rate]})", "pursuit", "pursuit(backward=true)", "recurrent(hidden=3)",
+    "pid(loops={steer: [waypoint_angle, yaw_rate]})", "pursuit", "pursuit(backward=true)",
+    pytest.param("recurrent(hidden=3)", marks=pytest.mark.nightly),  # the rows of families have one
 ]  # fmt: skip
 
 

@@ -153,9 +153,9 @@ def test_a_point_that_was_recorded_finds_itself_among_many_equal_coordinates(pre
 @pytest.mark.parametrize("precision", OWN_FIRST)
 def test_a_query_that_is_not_a_number_or_infinitely_far_still_ends(precision):
     rng = np.random.default_rng(4)
-    points, values = rng.normal(size=(900, 2)), rng.normal(size=(900, 2))
-    predictor = neighbour_predictor([(points, values)], np.array([0, 0]), [np.array([0.0])], [0], 1)
-    x, u = rng.normal(size=(LANES, 1)), rng.uniform(-1, 1, (LANES, 1))
+    points, values = rng.normal(size=(900, 3)), rng.normal(size=(900, 2))
+    predictor = neighbour_predictor([(points, values)], np.array([0, 0]), [np.array([0.0])], [0], 2)
+    x, u = rng.normal(size=(LANES, 2)), rng.uniform(-1, 1, (LANES, 1))
     x[0], x[1], x[2], u[3], u[4] = np.nan, np.inf, 1e30, np.nan, -np.inf
     found = predictions(predictor, x, u, 2, precision)
     assert np.isfinite(found).all()
@@ -169,15 +169,15 @@ def test_asking_groups_of_buckets_first_finds_the_same_point(precision, monkeypa
     """Also in tables of few points, in one of a single group, far away, and where a query is not a number."""
     rng = np.random.default_rng(5)
     sizes = (9000, 5, 1, 300, 4096)
-    tables = [(rng.normal(size=(n, 2)).astype(np.float32).astype(float), rng.normal(size=(n, 2))) for n in sizes]
+    tables = [(rng.normal(size=(n, 3)).astype(np.float32).astype(float), rng.normal(size=(n, 2))) for n in sizes]
     midpoints, serving = [np.array([-0.6, -0.2, 0.2, 0.6])], np.arange(5)
 
     def found(x, u):
-        return predictions(neighbour_predictor(tables, serving, midpoints, [0], 1), x, u, 2, precision)
+        return predictions(neighbour_predictor(tables, serving, midpoints, [0], 2), x, u, 2, precision)
 
     u = rng.uniform(-1.0, 1.0, (LANES, 1))
     for reach in (0.3, 3.0, 1000.0):
-        x = reach * rng.normal(size=(LANES, 1))
+        x = reach * rng.normal(size=(LANES, 2))
         x[0] = np.nan if reach > 100.0 else x[0]
         monkeypatch.setattr(neighbours, "MANY", 10**9)
         plain = found(x, u)

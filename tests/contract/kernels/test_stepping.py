@@ -171,7 +171,9 @@ def leak(x, u, p, y, scratch):
 
 
 @pytest.mark.parametrize("precision", OWN_FIRST)
-@pytest.mark.parametrize("system", [plane(), plane(order="rvu"), plane(None, "ru"), no_motion(3)])
+@pytest.mark.parametrize(
+    "system", [plane(), plane(order="rvu"), pytest.param(plane(None, "ru"), marks=pytest.mark.nightly), no_motion(3)]
+)
 def test_a_turning_frame_adds_how_the_motion_turns_and_draws_back_what_is_outside(precision, system):
     """A rate of at most 0.9 either way; states between -1 and 0.5, and a fifth beyond that."""
     rng = np.random.default_rng(5)
