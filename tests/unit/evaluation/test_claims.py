@@ -11,9 +11,8 @@ from tests.fixtures.reports import champion
 
 def matrix_of(*cells, against=("a",), aggregate="min"):
     columns = tuple(cell.column for cell in cells)
-    return TransferMatrix.of(
-        [champion("c", against, aggregate=aggregate)], columns, cells, robot="car" if "car" in columns else None
-    )
+    robot = "car" if "car" in columns else None
+    return TransferMatrix.of([champion("c", against, aggregate=aggregate)], columns, cells, robot=robot)
 
 
 def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng):
@@ -21,11 +20,8 @@ def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng
     matrix = matrix_of(*cells)
     controller = summarise(matrix).controller("c")
     model = assess_exploitability(matrix, recording(), recording(1, seed=2))[0]
-    assert (model.claimed, model.others, model.achieved) == (
-        controller.claimed,
-        controller.others,
-        controller.achieved,
-    )
+    for name in ("claimed", "others", "achieved"):
+        assert getattr(model, name) == getattr(controller, name)
     assert model.gap == controller.reality_gap
     assert model.exploited is controller.exploited is True
 

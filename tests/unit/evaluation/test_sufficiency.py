@@ -53,6 +53,11 @@ def test_blocks_are_those_in_which_targets_move():
     training, test = recording(2, steps=200), recording(3, steps=200)
     cases = measured_cases(training, test, PredictionProtocol(horizons=(20,)))
     assert cases.blocks(20) == len(np.unique(cases.window_block))
+    for episode in range(3):  # fifteen windows after another are a block, and none crosses an episode
+        _, counts = np.unique(cases.window_block[cases.windows.episode == episode], return_counts=True)
+        assert (counts[:-1] == 15).all()
+        assert 1 < len(counts) < counts.sum() / 10
+    assert len(set(zip(cases.window_block, cases.windows.episode, strict=True))) == cases.blocks(20)
     still = replace(cases, moving=cases.moving & (cases.windows.episode == 0)[:, None])
     assert still.blocks(20) == len(np.unique(cases.window_block[cases.windows.episode == 0]))
     assert cases.blocks(None) == 3 * 2
