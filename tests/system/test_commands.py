@@ -52,8 +52,7 @@ def write_log(folder, name="log.csv", **changes):
 def test_import_stores_what_read_returns_and_tells_notes_and_warnings(call):
     columns = write_log(call.folder, battery=np.repeat([1.0, 2.0], [100, 101]))
     (call.folder / "map.toml").write_text(MAP.replace(", low = -1.0, high = 1.0", ""))
-    done = call("import", "log.csv", *columns, "--condition-column", "battery", "--out", "data")
-    assert done.code == 0, done.stderr
+    done = call.works("import", "log.csv", *columns, "--condition-column", "battery", "--out", "data")
     stored = Dataset.load(call.folder / "data")
     again = Dataset.read(call.folder / "log.csv", columns=call.folder / "map.toml", condition_column="battery")
     assert stored.fingerprint == again.fingerprint
@@ -70,8 +69,7 @@ def test_import_stores_what_read_returns_and_tells_notes_and_warnings(call):
 def test_import_leaves_nothing_behind_when_a_log_is_bad(call):
     speed = np.ones(201)
     speed[3] = np.nan
-    done = call("import", "log.csv", *write_log(call.folder, u=speed), "--out", "data")
-    assert done.code == 2
+    done = call.refused("import", "log.csv", *write_log(call.folder, u=speed), "--out", "data")
     assert done.says("log.csv, row 5, column 'u'")
     assert not (call.folder / "data").exists()
 
@@ -84,7 +82,7 @@ def test_inspect_shows_tables_of_at_most_80_columns_and_json_that_a_program_can_
     for heading in ("Excitation", "States", "Coverage", "Delay of a control", "Time between rows", "Suggestions"):
         assert heading in shown
     call("import", name, *columns, "--out", "data")
-    advice = json.loads(call("inspect", "data", "--json").stdout)
+    advice = call.told("inspect", "data", "--json")
     assert advice["fingerprint"] == Dataset.load(call.folder / "data").fingerprint
     assert advice["episodes"] == [{"name": name.removesuffix(".csv"), "steps": 200}]
     assert [state["name"] for state in advice["states"]] == ["forward_speed", "yaw_rate"]
@@ -104,8 +102,7 @@ def test_a_log_without_controls_or_motion_is_imported_and_inspected(call):
 
 
 def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored_data):
-    fitted = call("fit", stored_data, "--models", "linear,nearest_neighbour", "--out", "mine")
-    assert fitted.code == 0, fitted.stderr
+    fitted = call.works("fit", stored_data, "--models", "linear,nearest_neighbour", "--out", "mine")
     assert "Nothing stands out that limits linear. Judged on the last quarter of each" in fitted.stdout
     rows = dict(line.split()[:2] for line in fitted.stdout.splitlines() if line.startswith(("linear ", "nearest")))
     errors = {name: float(error) for name, error in rows.items()}
@@ -120,15 +117,12 @@ def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored
 
 
 def test_fit_without_models_fits_auto_and_says_what_was_chosen(call, stored_data):
-    planned = call("fit", stored_data, "--dry-run")
-    assert planned.code == 0, planned.stderr
-    assert "fit auto" in planned.stdout
+    assert "fit auto" in call.works("fit", stored_data, "--dry-run").stdout
     chosen = "auto(candidates=[linear(state_lags=1), 'linear(ridge=1e5)'])"
-    fitted = call("fit", stored_data, "--models", chosen, "--out", "mine")
-    assert fitted.code == 0, fitted.stderr
+    fitted = call.works("fit", stored_data, "--models", chosen, "--out", "mine")
     assert "kept 1 of 2 candidates and is their mean: linear(state_lags=1) (" in " ".join(fitted.stdout.split())
     (stored,) = (call.folder / "mine" / "models").glob("auto-*.json")
-    card = json.loads(call("models", "show", stored, "--json").stdout)
+    card = call.told("models", "show", stored, "--json")
     assert [row["weight"] for row in card["candidates"]] == ["1.00", ""]
     shown = call("models", "show", stored)
     assert "linear(ridge=100000" in shown.stdout
@@ -143,17 +137,16 @@ def test_models_list_names_every_family_as_table_and_as_json(call):
 
 
 def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, finished_run, monkeypatch):
-    family = call("models", "show", "parametrised")
-    assert family.code == 0, family.stderr
+    family = call.works("models", "show", "parametrised")
     assert "generations" in family.stdout
     assert "thrust" in family.stdout
     (stored,) = (finished_run / "models").glob("linear-*.json")
-    card = json.loads(call("models", "show", stored, "--json").stdout)
+    card = call.told("models", "show", stored, "--json")
     assert card["family"] == "linear"
     assert card["timings"]["fit_seconds"] >= 0
     assert "million_steps_per_second" not in card["timings"]
     monkeypatch.setattr("sysid_evo.cli.models.SPEED_ROLLOUTS", 10)
-    measured = json.loads(call("models", "show", stored, "--speed", "--json").stdout)
+    measured = call.told("models", "show", stored, "--speed", "--json")
     assert measured["timings"]["million_steps_per_second"] > 0
     assert measured["timings"]["engine"]
     shown = call("models", "show", stored)
@@ -178,8 +171,7 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     monkeypatch.setattr("model_zoo.polynomial.narx.Narx.trained_further", lambda self, data, updates, *, rng: self)
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "other", "--out", "there")
-    done = call(*command)
-    assert done.code == 0, done.stderr
+    done = call.works(*command)
     assert "products, ridge" in done.stdout
     assert "better than none on 3 blocks it did not learn from" in " ".join(done.stdout.split())
     assert "Free runs over 3 blocks, 15 s in all, each by what was learned" in " ".join(done.stdout.split())
@@ -193,17 +185,13 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     assert max(map(len, lines)) <= 80
     test = drive(FloorCar(thrust=1.8, turn=2.0), seconds=20.0, seed=9)
     assert load_model(call.folder / "there").score(test) > 0.6 * load_model(floors / "base").score(test)
-    again = call(*command)
-    assert again.code == 2
-    assert again.says("exists already")
+    assert call.refused(*command).says("exists already")
 
 
 def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors, call, monkeypatch):
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "same", "--train", floors / "old", "--seconds", "12")
-    done = call(*command, "--json", "--out", "there")
-    assert done.code == 0, done.stderr
-    told = json.loads(done.stdout)
+    told = call.told(*command, "--json", "--out", "there")
     assert told["decision"].startswith("no correction: the best")
     assert not told["corrected"]
     assert "refit" in [row["correction"] for row in told["tried"]]
@@ -214,12 +202,8 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
 
 def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(call, stored_data):
     command = ("tune", "linear(intercept=true)", "--data", stored_data, "--horizon", "10", "--out", "out")
-    done = call(*command, "--trials", "3")
-    assert done.code == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith("linear(intercept=true, ")
-    further = call(*command, "--trials", "5", "--json")
-    assert further.code == 0, further.stderr
-    found = json.loads(further.stdout)
+    assert call.works(*command, "--trials", "3").stdout.splitlines()[-1].startswith("linear(intercept=true, ")
+    found = call.told(*command, "--trials", "5", "--json")
     assert len(found["trials"]) == 5
     assert found["horizons"] == [10]
     assert found["best"] == found["trials"][0]["spec"]
@@ -236,9 +220,7 @@ def study(folder, *, models='"linear", "nearest_neighbour"', robots='"emulated_c
 
 def test_a_dry_run_of_a_study_shows_points_and_cells_and_makes_nothing(call):
     study(call.folder, robots='"emulated_car", "emulated_car(seed=1)"')
-    done = call("study", "tiny.toml", "--dry-run", "--json")
-    assert done.code == 0, done.stderr
-    plan = json.loads(done.stdout)
+    plan = call.told("study", "tiny.toml", "--dry-run", "--json")
     assert [point["point"] for point in plan["points"]][:2] == ["emulated_car, seed 0", "emulated_car, seed 1"]
     assert plan["kept"] == 0
     assert plan["cells"] == sum(point["cells"] for point in plan["points"])
@@ -248,7 +230,7 @@ def test_a_dry_run_of_a_study_shows_points_and_cells_and_makes_nothing(call):
 def test_what_points_share_is_foreseen_once(call):
     models = '"linear", "ridge=linear(ridge=0.5)"'  # no preset of which changes anything
     study(call.folder, models=models, more='preset = ["quick", "paper"]\n')
-    plan = json.loads(call("study", "tiny.toml", "--dry-run", "--json").stdout)
+    plan = call.told("study", "tiny.toml", "--dry-run", "--json")
     one, other = plan["points"][:2]
     assert one["cells"] == other["cells"]
     assert one["seconds"] > 0.0
@@ -271,15 +253,12 @@ def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(tmp_path):
 
 def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):
     study(call.folder, seeds="[0]")
-    first = call("study", "tiny.toml")
-    assert first.code == 0, first.stderr
+    call.works("study", "tiny.toml")
     study(call.folder)
-    more = json.loads(call("study", "tiny.toml", "--dry-run", "--json").stdout)
+    more = call.told("study", "tiny.toml", "--dry-run", "--json")
     assert more["kept"] == more["cells"] / 2
     assert "1 of 2 points are not finished" in " ".join(call("study", "tiny.toml", "--render").stdout.split())
-    whole = call("study", "tiny.toml")
-    assert whole.code == 0, whole.stderr
-    assert "not finished" not in whole.stdout
+    assert "not finished" not in call.works("study", "tiny.toml").stdout
     document = call.folder / "runs" / "tiny" / "study.json"
     before = document.read_text()
     again = call("study", "runs/tiny")

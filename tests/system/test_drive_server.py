@@ -311,7 +311,7 @@ def test_what_is_driven_becomes_a_data_set_that_inspect_reads(call, pages):
     assert dataset.episodes[0].states[:, 0].max() > 1.0
     assert dataset.episodes[0].states[-1, 2] > 1.0
     assert (call.folder / "mine" / "journal" / "trial-1.rcj").is_file()
-    inspected = json.loads(call("inspect", "mine", "--json").stdout)
+    inspected = call.told("inspect", "mine", "--json")
     assert inspected["episodes"][0]["name"] == "trial-1"
 
 
@@ -330,8 +330,7 @@ def test_a_model_is_recorded_in_the_same_way(call, run_copy, pages):
 def test_whole_trials_become_a_row_of_the_matrix(call, pages):
     (call.folder / "runs/a/models").mkdir(parents=True)
     pages(lambda seconds: False)
-    done = call("drive", "--run", "runs/a", "--name", "human", "--trials", "1", "--open")
-    assert done.code == 0, done.stderr
+    done = call.works("drive", "--run", "runs/a", "--name", "human", "--trials", "1", "--open")
     ((measured,), _) = load_measured(call.folder / "runs/a")
     assert (measured.cell.champion, measured.cell.column) == ("human", "emulated_car driven")
     assert f"trial 1: {measured.cell.fitness[0]:g} waypoints" in done.stdout
@@ -344,8 +343,7 @@ def test_whole_trials_become_a_row_of_the_matrix(call, pages):
 def test_who_opens_the_page_of_a_controller_sees_every_trial(robot, task, pages, call):
     store_champion(robot, task, call.folder)
     opened = pages()
-    done = call("drive", "--robot", robot, "--controller", "mine", "--trials", "2", "--open")
-    assert done.code == 0, done.stderr
+    done = call.works("drive", "--robot", robot, "--controller", "mine", "--trials", "2", "--open")
     assert "Watch it at http://127.0.0.1:" in done.stdout
     (page,) = opened
     page.join(10.0)

@@ -37,8 +37,7 @@ def cells_of(ended):
 
 
 def test_a_stored_experiment_run_again_elsewhere_gives_the_same_report_and_prints_it_as_json(call, run_copy):
-    ended = call("compare", "--config", "out", "--out", "other", "--json")
-    assert ended.code == 0, ended.stderr
+    ended = call.works("compare", "--config", "out", "--out", "other", "--json")
     other = call.folder / "other"
     assert json.loads(ended.stdout) == json.loads((other / "report.json").read_text())
     assert report_in(other) == report_in(run_copy)
@@ -60,9 +59,7 @@ def test_options_on_the_line_win_over_the_experiment(call, run_copy):
     scheduled = kept("--schedule", "stage(task=point_to_point(waypoint_radius=0.5), at_most=2)")
     assert not any(done for cell, done in scheduled.items() if cell.startswith("evolve"))  # other work than without
     assert "evolve linear" in scheduled
-    wrong = call(*AGAIN, "--schedule", "stage(at_most=0)", "--dry-run")
-    assert wrong.code == 2
-    assert wrong.says("expected over and at_most >= 1")
+    assert call.refused(*AGAIN, "--schedule", "stage(at_most=0)", "--dry-run").says("expected over and at_most >= 1")
 
 
 def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):
@@ -70,8 +67,7 @@ def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):
     (call.folder / "quick.toml").write_text(f'data = ["{stored_data}"]\nmodels = ["linear"]\n{budget}')
 
     def seconds(*options):
-        ended = call("compare", "--config", "quick.toml", "--dry-run", "--json", *options)
-        assert ended.code == 0, ended.stderr
+        ended = call.works("compare", "--config", "quick.toml", "--dry-run", "--json", *options)
         (evolve,) = [cell["seconds"] for cell in json.loads(ended.stdout)["cells"] if cell["cell"] == "evolve linear"]
         return float(evolve)
 
@@ -81,9 +77,7 @@ def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):
 
 def test_a_dry_run_prints_cells_and_seconds_and_writes_nothing(call, run_copy, stored_data):
     before = sorted(call.folder.rglob("*"))
-    ended = call(*AGAIN, "--models", f"{BOTH},k_neighbours", "--dry-run")
-    assert ended.code == 0, ended.stderr
-    lines = ended.stdout.splitlines()
+    lines = call.works(*AGAIN, "--models", f"{BOTH},k_neighbours", "--dry-run").stdout.splitlines()
     assert any("fit linear" in line and line.rstrip().endswith("kept") for line in lines)
     assert any("fit k_neighbours" in line and line.rstrip().endswith("s") for line in lines)
     assert "cells," in lines[-1]
@@ -104,22 +98,18 @@ def test_a_report_is_made_again_of_what_the_run_holds(call, run_copy, stored_dat
     for name in ("report.json", "report.html"):
         (run_copy / name).unlink()
     cells = {file: file.read_bytes() for file in (run_copy / "cells").glob("*.json")}
-    ended = call("report", "out")
-    assert ended.code == 0, ended.stderr
-    assert "report.html" in ended.stdout
+    assert "report.html" in call.works("report", "out").stdout
     after = report_in(run_copy)
     assert after["settings"].pop("data") == [str(call.folder / "nowhere")]
     assert before["settings"].pop("data") == [str(stored_data)]
     assert after == before
     assert {file: file.read_bytes() for file in (run_copy / "cells").glob("*.json")} == cells
-    assert json.loads(call("report", "out", "--json").stdout)["title"] == before["title"]
+    assert call.told("report", "out", "--json")["title"] == before["title"]
     assert call("report", "out", "--format", "word").code == 2
     (data,) = [record for record in Store(run_copy).records() if record.kind == "data"]
     for name in data.files:
         (run_copy / name).unlink()
-    lost = call("report", "out")
-    assert lost.code == 2
-    assert lost.says("the data of this run are missing or damaged")
+    assert call.refused("report", "out").says("the data of this run are missing or damaged")
 
 
 def test_quiet_leaves_remarks_out_and_keeps_results_and_errors(call, run_copy):
@@ -140,19 +130,18 @@ def test_a_report_of_80_columns_says_where_its_page_is(finished_run):
 
 
 def test_runs_are_listed_shown_and_compared(call, run_copy, stored_data):
-    ended = call("compare", "--data", stored_data, "--test", "episode-2", "--models", "linear,k_neighbours",
+    ended = call.works("compare", "--data", stored_data, "--test", "episode-2", "--models", "linear,k_neighbours",
                  *PREDICTION, "--out", "second")  # fmt: skip
-    assert ended.code == 0, ended.stderr
-    rows = {row["run"]: row for row in json.loads(call("runs", "list", ".", "--json").stdout)}
+    rows = {row["run"]: row for row in call.told("runs", "list", ".", "--json")}
     assert rows.keys() == {"out", "second"}
     out = rows["out"]
     assert (out["failed"], out["models"], out["report"]) == (0, ["linear", "near"], True)
     assert "linear" in call("runs", "list", ".").stdout
     assert call("runs", "list", "out/cells").says("no runs in out/cells")
-    shown = json.loads(call("runs", "show", "out", "--json").stdout)
+    shown = call.told("runs", "show", "out", "--json")
     assert [record["title"] for record in shown][:2] == ["prepare made-up car", "fit linear"]
     assert "fit linear" in call("runs", "show", "out").stdout
-    difference = json.loads(call("runs", "diff", "out", "second", "--json").stdout)
+    difference = call.told("runs", "diff", "out", "second", "--json")
     assert {"models", "only", "generations"} <= set(difference["settings"])
     assert not {"seed", "test", "preset"} & set(difference["settings"])
     news = {"fit k_neighbours", "predict with k_neighbours", "advise on the models"}
@@ -210,8 +199,7 @@ def test_the_report_of_a_run_that_cannot_be_written_is_printed(finished_run, cap
 
 
 def test_another_experiment_in_a_folder_is_remarked_and_what_both_need_is_kept(call, run_copy):
-    ended = call(*AGAIN, "--models", "near=linear(ridge=0.5),mine=linear", *PREDICTION)
-    assert ended.code == 0, ended.stderr
+    ended = call.works(*AGAIN, "--models", "near=linear(ridge=0.5),mine=linear", *PREDICTION)
     assert ended.says("out/experiment.toml had other ")
     assert ended.says("models, ")
     assert ended.says("what both need is kept")
@@ -245,13 +233,10 @@ def test_clean_removes_what_no_finished_cell_needs_and_nothing_else(call, run_co
 
 def test_a_comparison_of_a_data_set_given_in_python_is_reported_in_other_forms_and_its_settings_ask_for_data(call):
     compare(example_dataset(), models=["linear"], only="prediction", out=call.folder / "given")
-    ended = call("report", "given", "--format", "markdown")
-    assert ended.code == 0, ended.stderr
-    assert "report.md" in ended.stderr
+    assert "report.md" in call.works("report", "given", "--format", "markdown").stderr
     assert (call.folder / "given" / "report.md").read_text().startswith("# ")
     assert list((call.folder / "given" / "figures").glob("*.svg"))
-    refused = call("compare", "--config", "given", "--out", "elsewhere")
-    assert refused.code == 2
+    refused = call.refused("compare", "--config", "given", "--out", "elsewhere")
     assert refused.says("was run on a data set given in Python: name its recordings with --data")
 
 
@@ -303,9 +288,7 @@ def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_a
 def test_evolve_tells_its_claim_as_json_and_knows_a_model_by_name_and_by_file(call, run_copy):
     (file,) = (run_copy / "models").glob("linear-*.json")
     command = ("evolve", "--run", "out", *SMALL, "--preset", "quick", "--json", "--against")
-    by_name = call(*command, "linear")
-    assert by_name.code == 0, by_name.stderr
-    told = json.loads(by_name.stdout)
+    told = call.told(*command, "linear")
     assert told["controller"] == "linear"
     assert (call.folder / told["file"]).is_file()
     assert told["claims"]["linear"]["trials"] == 100
@@ -314,6 +297,4 @@ def test_evolve_tells_its_claim_as_json_and_knows_a_model_by_name_and_by_file(ca
     (claimed,) = [cell for cell in cells if (cell["champion"], cell["column"]) == ("linear", "linear")]
     assert told["claims"]["linear"]["mean"] == pytest.approx(claimed["mean"])  # the same cells, found again
     assert all(cells_of(call(*command, file, "--dry-run")).values())
-    stranger = call(*command, "parametrised")
-    assert stranger.code == 2
-    assert stranger.says("'parametrised' is not among the models of out: linear")
+    assert call.refused(*command, "parametrised").says("'parametrised' is not among the models of out: linear")

@@ -108,8 +108,7 @@ def champion_in(folder, name="emulated_car"):
 
 def test_controller_drives_its_trials_and_the_cell_is_stored_in_its_run(there):
     run = there.folder / "mine"
-    done = there("drive", "--controller", champion_in(run), "--robot", "emulated_car", "--trials", "2")
-    assert done.code == 0, done.stderr
+    done = there.works("drive", "--controller", champion_in(run), "--robot", "emulated_car", "--trials", "2")
     assert "waypoints" in done.stdout
     assert "standard deviation" in done.stdout
     assert "commands; late by" in done.stdout
@@ -123,8 +122,9 @@ def test_controller_drives_its_trials_and_the_cell_is_stored_in_its_run(there):
 
 
 def test_a_controller_written_by_hand_drives_without_a_file(call):
-    done = call("drive", "--task", "point_to_point(horizon=40)", "--trials", "2", "--controller", "pursuit(look=0.5)")
-    assert done.code == 0, done.stderr
+    done = call.works(
+        "drive", "--task", "point_to_point(horizon=40)", "--trials", "2", "--controller", "pursuit(look=0.5)"
+    )
     assert "pursuit on emulated_car driven" in done.stdout
     assert re.search(r"2 +\d+ +40", done.stdout)
 
@@ -139,9 +139,7 @@ def test_a_controller_written_by_hand_drives_without_a_file(call):
 )
 def test_what_a_controller_cannot_be_combined_with_is_refused_with_what_to_do(options, told, there):
     file = champion_in(there.folder / "mine")
-    refused = there("drive", "--controller", file, *options)
-    assert refused.code == 2
-    assert refused.says(told.replace("FILE", str(file)))
+    assert there.refused("drive", "--controller", file, *options).says(told.replace("FILE", str(file)))
 
 
 def test_trials_that_a_fault_cuts_short_are_missing_and_the_exit_code_says_why(there):
@@ -162,9 +160,7 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(call, fai
     document = call.folder / "out" / "report.json"
     before = json.loads(document.read_text())
     chosen = call.folder / "out" / before["controller_files"]["linear"]
-    done = call("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3")
-    assert done.code == 0, done.stderr
-    assert "Report:" in done.stdout
+    assert "Report:" in call.works("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3").stdout
     after = json.loads(document.read_text())
     assert before["transfer"]["robot"] is None
     assert after["transfer"]["robot"] == "emulated_car driven"
@@ -183,12 +179,11 @@ def test_robots_are_listed_as_table_and_as_json(there):
     listed = there("robots", "list", "--plugin", "unseen.py")
     assert "emulated_car" in listed.stdout
     assert "A car that is not there." in listed.stdout
-    assert "emulated_car" in {row["name"] for row in json.loads(there("robots", "list", "--json").stdout)}
+    assert "emulated_car" in {row["name"] for row in there.told("robots", "list", "--json")}
 
 
 def test_check_says_in_sentences_what_is_right_and_in_its_exit_code_what_is_not(there):
-    right = there("robots", "check", "emulated_car", "--seconds", "1", "--json")
-    assert right.code == 0, right.stderr
+    right = there.works("robots", "check", "emulated_car", "--seconds", "1", "--json")
     findings = {finding["what"]: finding for finding in json.loads(right.stdout)}
     assert list(findings) == ["handshake", "link", "tracker", "loop", "estimate"]
     assert findings["tracker"]["figures"]["rate"] == pytest.approx(200.0)
@@ -212,8 +207,7 @@ def test_a_robot_that_does_not_answer_any_more_is_a_sentence_and_what_was_record
 
 def test_recording_leaves_journals_raw_logs_and_a_data_set_and_is_not_overwritten(call):
     arguments = ("record", "--minutes", "0.4", "--seed", "3", "--out", "car")
-    done = call(*arguments)
-    assert done.code == 0, done.stderr
+    done = call.works(*arguments)
     assert "data set stored in" in done.stdout
     assert "without delay" in done.stderr
     folder = call.folder / "car"
@@ -226,15 +220,13 @@ def test_recording_leaves_journals_raw_logs_and_a_data_set_and_is_not_overwritte
         assert np.array_equal(journal.controls, one.controls)
         np.testing.assert_allclose(log.states, one.states, atol=1e-5)  # as text
         assert np.array_equal(log.controls, one.controls)
-    second = call(*arguments)
-    assert second.code == 2
+    second = call.refused(*arguments)
     assert second.says("expected a new or an empty folder")
     assert "Traceback" not in second.stderr
 
 
 def test_a_robot_without_a_pose_is_recorded_by_what_its_sensors_say(call):
-    done = call("record", "--robot", "pendulum", "--minutes", "0.3", "--out", "swing")
-    assert done.code == 0, done.stderr
+    call.works("record", "--robot", "pendulum", "--minutes", "0.3", "--out", "swing")
     assert Dataset.load(call.folder / "swing").system.state_names == ("angle", "angular_speed")
     log = next((call.folder / "swing" / "raw").glob("*.csv"))
     assert log.read_text().splitlines()[0] == "t,torque,angle,angular_speed"
@@ -242,8 +234,7 @@ def test_a_robot_without_a_pose_is_recorded_by_what_its_sensors_say(call):
 
 def test_trials_of_a_robot_without_a_tracker_become_a_data_set(call):
     store_champion("thermal", "set_point(horizon=12)", call.folder)
-    done = call("drive", "--robot", "thermal", "--controller", "mine", "--trials", "3", "--out", "driven")
-    assert done.code == 0, done.stderr
+    call.works("drive", "--robot", "thermal", "--controller", "mine", "--trials", "3", "--out", "driven")
     dataset = Dataset.read(call.folder / "driven")
     assert [(episode.name, len(episode)) for episode in dataset] == [(f"trial-{i}", 12) for i in (1, 2, 3)]
 
@@ -279,8 +270,9 @@ def test_a_recording_is_a_data_set_of_the_environment(cart):
 
 
 def test_a_controller_runs_in_the_environment_and_its_cell_is_stored(call_cart, cart):
-    done = call_cart("drive", "--controller", champion_in(cart / "mine", "gymnasium"), "--robot", CART, "--trials", "3")
-    assert done.code == 0, done.stderr
+    done = call_cart.works(
+        "drive", "--controller", champion_in(cart / "mine", "gymnasium"), "--robot", CART, "--trials", "3"
+    )
     assert "reward" in done.stdout
     (measured,) = load_measured(cart / "mine")[0]
     assert (measured.cell.column, measured.cell.trials, measured.physical) == ("CartPole-v1 driven", 3, False)
@@ -292,18 +284,14 @@ def test_without_a_task_the_environments_own_is_evolved_for_and_driven(call_cart
     planned, named = call_cart(*command), call_cart(*command, "--task", 'environment(id="CartPole-v1")')
     assert planned.code == 0, planned.stderr
     assert planned.stdout == named.stdout
-    driven = call_cart("drive", "--controller", "constant", "--robot", CART, "--trials", "2")
-    assert driven.code == 0, driven.stderr
-    assert "reward" in driven.stdout
-    compared = call_cart("transfer", "constant", "--on", CART, "--trials", "2")
-    assert compared.code == 0, compared.stderr
+    assert "reward" in call_cart.works("drive", "--controller", "constant", "--robot", CART, "--trials", "2").stdout
+    call_cart.works("transfer", "constant", "--on", CART, "--trials", "2")
 
 
 def test_a_comparison_on_the_recording_has_the_environment_as_its_last_column(call_cart, cart):
-    done = call_cart(
+    done = call_cart.works(
         "compare", "--data", "data", "--robot", CART, "--models", "linear", "--task", CART_TASK, *SHORT,
         "--recipe", "plain", "--out", "run", "--json",
     )  # fmt: skip
-    assert done.code == 0, done.stderr
     assert json.loads(done.stdout)["transfer"]["columns"][-1] == "gymnasium"
     assert (cart / "run" / "report.html").stat().st_size > 10_000

@@ -81,8 +81,7 @@ def there(theirs, capsys):
     ],
 )
 def test_a_file_that_names_a_plugin_runs_none_that_has_not_run_here(command, there, theirs):
-    refused = there(*command)
-    assert refused.code == 2
+    refused = there.refused(*command)
     assert refused.says(f"names the plugin {theirs}/stand.py, which has not run here yet")
     assert refused.says("add --plugin")
     assert not (theirs / "ran").exists()
@@ -95,8 +94,7 @@ def test_what_is_given_runs_and_is_trusted_until_it_changes(there, theirs):
         PLANNED,
         ("study", "study.toml", "--dry-run"),
     ):
-        done = there(*command)
-        assert done.code == 0, done.stderr
+        there.works(*command)
     before = (theirs / "ran").read_text()
     with (theirs / "stand.py").open("a") as file:
         file.write("# changed\n")
@@ -123,9 +121,7 @@ def test_bytecode_beside_a_trusted_plugin_is_not_run(there, theirs):
 def test_a_plugin_that_stands_elsewhere_now_is_given_where_it_is(there, theirs):
     (theirs / "stand.py").rename(theirs / "run" / "stand.py")
     assert there("report", "run").says("which is not there")
-    done = there(*PLANNED, "--plugin", "run/stand.py")
-    assert done.code == 0, done.stderr
-    assert done.says("which has the same name, is used for it")
+    assert there.works(*PLANNED, "--plugin", "run/stand.py").says("which has the same name, is used for it")
 
 
 def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(there, theirs, monkeypatch):
@@ -146,13 +142,11 @@ def test_python_runs_what_it_is_given_and_nothing_that_a_file_names(there, their
 
 def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it(there, theirs):
     command = ("export", "run/controllers/linear", "--to", "python", "--out", "law.py")
-    refused = there(*command)
-    assert refused.code == 2
+    refused = there.refused(*command)
     assert refused.says("no task is called 'stand'")
     assert refused.says("--plugin FILE")
     assert not (theirs / "ran").exists()
-    done = there(*command, "--plugin", "stand.py")
-    assert done.code == 0, done.stderr
+    there.works(*command, "--plugin", "stand.py")
 
 
 def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(there, theirs, capsys):
@@ -176,9 +170,7 @@ def test_names_in_models_and_files_of_robots_import_nothing(there, theirs):
         (("robots", "check", "evil.py:Car"), "expected NAME(parameter=value, ...)"),
         (("fit", "run", "--models", "evil.Model"), "expected NAME(parameter=value, ...)"),
     ):
-        refused = there(*command)
-        assert refused.code == 2
-        assert refused.says(said)
+        assert there.refused(*command).says(said)
     assert not (theirs / "ran").exists()
 
 

@@ -91,8 +91,7 @@ def test_a_file_that_is_nested_or_long_without_end_is_refused_in_a_sentence(comm
     (call.folder / "log.csv").write_text("t,x\n0,1\n1,2\n")
     for value in (DEEP, "{a=" * 30 + "1" + "}" * 30, "1" * 4301, f'"{"x" * 2**20}"'):
         (call.folder / "odd.toml").write_text(f'driver = "emulated_car"\nname = {value}\n')
-        ended = call(*command)
-        assert ended.code == 2
+        ended = call.refused(*command)
         assert ended.says("odd.toml")
         assert ended.says("expected at most") or ended.says("4300 digits")
         assert len(" ".join(ended.stderr.split())) < 500
@@ -104,9 +103,7 @@ def test_json_that_is_nested_without_end_counts_as_damaged(call):
         (call.folder / place).parent.mkdir(parents=True, exist_ok=True)
         (call.folder / place).write_text("" if place.endswith("toml") else DEEP)
     for command in (("inspect", "data"), ("runs", "diff", "run", "run")):
-        ended = call(*command)
-        assert ended.code == 2
-        assert ended.says("not a readable")
+        assert call.refused(*command).says("not a readable")
     _, (remark,) = load_measured(call.folder / "run")
     assert "x.json is damaged and left out" in remark
 

@@ -28,9 +28,7 @@ def test_a_mistake_is_told_before_any_work_and_nothing_is_written(mistake, prepa
 
 
 def test_a_traceback_is_shown_where_it_is_asked_for(call):
-    ended = call("compare", "--models", "linaer", "--debug")
-    assert ended.code == 2
-    assert "Traceback" in ended.stderr
+    assert "Traceback" in call.refused("compare", "--models", "linaer", "--debug").stderr
 
 
 def test_only_what_stops_a_work_in_its_midst_is_told_to_go_on():

@@ -115,12 +115,12 @@ def test_the_plan_refuses_settings_from_python_and_names_both(settings, both, tm
 
 def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call, stored_data):
     (call.folder / "whole.toml").write_text('models = ["linear"]\ntask = "point_to_point(horizon=40)"\n')
-    planned = call("compare", "--config", "whole.toml", "--data", stored_data, "--only", "prediction", "--dry-run")
-    assert planned.code == 0, planned.stderr
+    planned = call.works(
+        "compare", "--config", "whole.toml", "--data", stored_data, "--only", "prediction", "--dry-run"
+    )
     assert "evolve" not in planned.stdout
     (call.folder / "part.toml").write_text('only = "prediction"\n')
-    ended = call("compare", "--config", "part.toml", "--data", stored_data, "--task", "point_to_point")
-    assert ended.code == 2
+    ended = call.refused("compare", "--config", "part.toml", "--data", stored_data, "--task", "point_to_point")
     assert ended.says("--task has no effect with --only prediction")
     (call.folder / "both.toml").write_text('only = "prediction"\nminutes = 2\nruns = 3\n')
     assert call("compare", "--config", "both.toml").says("both.toml: runs has no effect with only = 'prediction'")
@@ -145,19 +145,14 @@ def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else
     (folder / "log.csv").write_text(LOG)
     (folder / "map.toml").write_text(MAP)
     command = ("import", "log.csv", "--columns", "map.toml", "--out", "data")
-    first = call(*command)
-    assert first.code == 0, first.stderr
+    call.works(*command)
     example_dataset(episodes=1).save(folder / "data")
     kept = contents(folder / "data")
-    again = call(*command)
-    assert again.code == 2
-    assert again.says("but data holds a data set; --overwrite replaces it")
+    assert call.refused(*command).says("but data holds a data set; --overwrite replaces it")
     assert contents(folder / "data") == kept
     assert call(*command, "--overwrite").code == 0
     assert contents(folder / "data") != kept
     Experiment().write(folder / "run" / "experiment.toml")
     for further in ((), ("--overwrite",)):
-        ended = call(*command[:-1], "run", *further)
-        assert ended.code == 2
-        assert ended.says("run holds 'experiment.toml'")
+        assert call.refused(*command[:-1], "run", *further).says("run holds 'experiment.toml'")
     assert [path.name for path in (folder / "run").iterdir()] == ["experiment.toml"]
