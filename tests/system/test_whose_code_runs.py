@@ -30,7 +30,7 @@ class Stand(PointToPoint):
     """Like point to point."""
 '''
 STAND = (
-    *SMALL, "--models", "linear,near=nearest_neighbour", "--task", "stand(horizon=20)", "--recipe", "plain",
+    *SMALL, "--models", "linear", "--task", "stand(horizon=20)", "--recipe", "plain",
     "--controller", "linear",
 )  # fmt: skip
 PLANNED = ("compare", "--config", "run", "--dry-run")
