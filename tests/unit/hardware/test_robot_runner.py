@@ -8,6 +8,7 @@ from hardware.estimator import StateEstimate
 from hardware.run_report import Reason, Stops
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.loop import Diary, FaultyRobot
@@ -138,6 +139,12 @@ def test_controller_output_that_is_not_a_number_stops_the_robot_and_is_not_score
     assert report.reason is Reason.NOT_FINITE
     assert (ran.fitness.shape, len(ran.missing)) == ((1, 0), 2)
     assert not any(command.control.any() for command in diary.commands)
+
+
+@pytest.mark.parametrize("trials, candidates", [(0, 1), (1, 0)])
+def test_a_run_without_a_candidate_or_a_trial_is_refused(emulated, trials, candidates):
+    with pytest.raises(InvalidArgument, match="at least one candidate and one trial seed, got none"):
+        drive(emulated, 20, trials, parameters=np.ones((candidates, 1)))
 
 
 def test_requested_stop_ends_the_trials(emulated):
