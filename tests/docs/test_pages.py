@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import tomllib
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -229,13 +230,16 @@ def run(page, budget, request):
         AFTER.get(page.name, lambda module: None)(module)
 
 
+commands = cache(loaded)
+
+
 def accepted(line):
     """Fail unless a command exists and takes its arguments; nothing is run."""
     called, *arguments = shlex.split(line)
     assert called in {"sysid-evo", *OTHER_PROGRAMS}, line
     if called != "sysid-evo":
         return
-    command = loaded()
+    command = commands()
     while hasattr(command, "commands"):
         name, *arguments = arguments or [""]
         assert name in command.commands, f"no such command: {line}"
