@@ -92,7 +92,7 @@ def pytest_runtest_call(item):
     """Measure a unit test by processor time, which other work on the machine does not change."""
     began = time.process_time()
     yield
-    if _folder(item) == "unit":
+    if _folder(item) == "unit" and "nightly" not in item.keywords:
         item.user_properties.append(("processor seconds", time.process_time() - began))
 
 
