@@ -1,6 +1,5 @@
 """Which cells a change of an experiment changes: a result is found by all that it depends on, and no more."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +18,9 @@ from sysid_evo.evolution import Champion
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.plan import cell as plan_cell
-from sysid_evo.registry import aggregates as aggregate_registry
-from sysid_evo.registry import controllers as controller_registry
 from sysid_evo.registry import load_plugin, models
-from sysid_evo.registry import strategies as strategy_registry
-from sysid_evo.registry import tasks as task_registry
 from sysid_evo.testing import example_dataset
+from tests.fixtures.commands import forgetting
 
 BASE = {
     "models": ("linear", "near=nearest_neighbour"),
@@ -217,26 +213,17 @@ from sysid_evo.registry import (
 from sysid_evo.tasks import PointToPoint
 from model_zoo.linear import Linear
 
-
 @register_model("their_linear")
-class TheirLinear(Linear):
-    pass
-
+class TheirLinear(Linear): ...
 
 @register_task("their_task")
-class TheirTask(PointToPoint):
-    pass
-
+class TheirTask(PointToPoint): ...
 
 @register_controller("their_controller")
-class TheirController(RecurrentNetwork):
-    pass
-
+class TheirController(RecurrentNetwork): ...
 
 @register_strategy("their_strategy")
-class TheirStrategy(MuPlusLambda):
-    pass
-
+class TheirStrategy(MuPlusLambda): ...
 
 @register_aggregate("their_aggregate")
 def their_aggregate(fitness):
@@ -249,13 +236,9 @@ def plugin(tmp_path):
     """A plugin file with one thing of every kind, until the test ends."""
     path = tmp_path / "theirs.py"
     path.write_text(PLUGIN)
-    load_plugin(path)
-    yield path
-    del sys.modules["sysid_evo_plugin_theirs"]
-    kinds = [models, task_registry, controller_registry, strategy_registry, aggregate_registry]
-    for registry in kinds:
-        for name in [name for name in registry.loaded if name.startswith("their_")]:
-            registry.forget(name)
+    with forgetting():
+        load_plugin(path)
+        yield path
 
 
 @pytest.mark.parametrize(
@@ -287,10 +270,10 @@ def test_a_champion_is_refused_on_another_system():
     champion.check_system(system)
     with pytest.raises(IncompatibleSystem, match="was evolved for another system: 20 Hz against 10 Hz"):
         champion.check_system(replace(system, dt=0.1))
-    with pytest.raises(IncompatibleSystem, match="was evolved for another system"):
-        champion.check_system(replace(system, states=(system.states[1], system.states[0], system.states[2])))
-    with pytest.raises(IncompatibleSystem, match="was evolved for another system"):
-        champion.check_system(replace(system, controls=system.controls[::-1]))
+    for change in ({"states": (system.states[1], system.states[0], system.states[2])},
+                   {"controls": system.controls[::-1]}):  # fmt: skip
+        with pytest.raises(IncompatibleSystem, match="was evolved for another system"):
+            champion.check_system(replace(system, **change))
 
 
 def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
