@@ -59,19 +59,22 @@ def pytest_configure(config):
         config.add_cleanup(lambda: os.environ.__delitem__("SYSID_EVO_CACHE"))
 
 
+def pytest_itemcollected(item):
+    """Mark each test by its folder and keep a module on one worker: xdist reads groups before items are modified."""
+    parts = item.path.relative_to(TESTS).with_suffix("").parts
+    for mark in {parts[0], *parts[:2]} & {*FOLDERS, "kernels"}:
+        item.add_marker("kernel" if mark == "kernels" else mark)
+    item.add_marker(pytest.mark.xdist_group(_group("/".join(parts))))
+
+
 def pytest_collection_modifyitems(config, items):
-    """Mark each test by its folder, keep a module on one worker, and put the folders in order."""
+    """Leave out what is for the night, and put the folders in order, or modules in a random one."""
     for item in items:
-        path = item.path.relative_to(TESTS)
-        for mark in {path.parts[0], "kernel" if "kernels" in path.parts else path.parts[0]} & {*FOLDERS, "kernel"}:
-            item.add_marker(mark)
-        whole = path.with_suffix("").as_posix()
-        item.add_marker(pytest.mark.xdist_group(_group(whole)))
         if "nightly" in item.keywords and not config.getoption("--nightly"):
             item.add_marker(pytest.mark.skip(reason="takes long: run with --nightly"))
     seed = config.getoption("--shuffle")
     if seed is not None:
-        rng = random.Random(seed)  # an order, not a secret
+        rng = random.Random(seed)
         places = {path: rng.random() for path in sorted({item.path for item in items})}
         rng.shuffle(items)
         items.sort(key=lambda item: places[item.path])
