@@ -24,7 +24,7 @@ from tests.fixtures import recordings as made
 TESTS = Path(__file__).parent
 FOLDERS = ("system", "contract", "docs", "unit")
 """In this order they are run: long waits begin first, short tests fill the end. Each is a mark, too."""
-NEVER_TWO_AT_ONCE = {
+GROUPS = {
     "browser": ("system/browser",),
     "dask": ("system/test_dask",),
     "realtime": ("system/test_fail_safes", "system/test_serial_robot", "system/test_drive_server", "system/test_real"),
@@ -59,12 +59,24 @@ def pytest_configure(config):
         config.add_cleanup(lambda: os.environ.__delitem__("SYSID_EVO_CACHE"))
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Keep a module on one worker, and the modules of a group."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByGroup(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            module = nodeid.partition("::")[0].removeprefix("tests/")
+            return next((name for name, starts in GROUPS.items() if module.startswith(starts)), module)
+
+    return ByGroup(config, log)
+
+
 def pytest_itemcollected(item):
-    """Mark each test by its folder and keep a module on one worker: xdist reads groups before items are modified."""
-    parts = item.path.relative_to(TESTS).with_suffix("").parts
+    """Mark each test by its folder."""
+    parts = item.path.relative_to(TESTS).parts
     for mark in {parts[0], *parts[:2]} & {*FOLDERS, "kernels"}:
         item.add_marker("kernel" if mark == "kernels" else mark)
-    item.add_marker(pytest.mark.xdist_group(_group("/".join(parts))))
 
 
 def pytest_collection_modifyitems(config, items):
@@ -84,10 +96,6 @@ def pytest_collection_modifyitems(config, items):
 
 def _folder(item):
     return item.path.relative_to(TESTS).parts[0]
-
-
-def _group(module):
-    return next((name for name, starts in NEVER_TWO_AT_ONCE.items() if module.startswith(starts)), module)
 
 
 @pytest.hookimpl(hookwrapper=True)
