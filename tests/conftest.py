@@ -49,9 +49,10 @@ def pytest_configure(config):
     """One thread and one job, unless a test asks for more; compiled kernels and trusted plugins are this session's."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "SYSID_EVO_JOBS"):
         os.environ.setdefault(name, "1")
-    decisions = tempfile.TemporaryDirectory(prefix="sysid-evo-state-")
-    os.environ["XDG_STATE_HOME"] = decisions.name  # which plugins the user trusts
-    config.add_cleanup(decisions.cleanup)
+    if "PYTEST_XDIST_WORKER" not in os.environ:  # workers share these decisions, as they share the data of the session
+        decisions = tempfile.TemporaryDirectory(prefix="sysid-evo-state-")
+        os.environ["XDG_STATE_HOME"] = decisions.name  # which plugins the user trusts
+        config.add_cleanup(decisions.cleanup)
     if "SYSID_EVO_CACHE" not in os.environ:
         folder = tempfile.TemporaryDirectory(prefix="sysid-evo-tests-")
         os.environ["SYSID_EVO_CACHE"] = folder.name

@@ -463,6 +463,7 @@ def test_a_controller_evolved_against_models_of_the_run_and_of_another_folder_is
     assert set(finished(tmp_path / "three").values()) == {1}
 
 
+@pytest.mark.nightly
 def test_a_study_on_a_cluster_has_the_tables_of_one_process(tmp_path, cluster, study_folder):
     Study.of(session.STUDY).write(tmp_path / "tiny.toml")
     done = run_here("study", "tiny.toml", "--scheduler", cluster.file, cwd=tmp_path)

@@ -66,6 +66,7 @@ def test_a_mean_of_a_correction_and_more_training_steps_in_one_kernel():
     on(drive(OTHER, seconds=10.0, seed=7), between, atol=1e-9)
 
 
+@pytest.mark.nightly
 def test_members_with_lags_of_their_own_step_as_their_mean_does(car_data):
     parts = ("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear")
     mean = make_model("auto", candidates=["linear"], rest_hold=True).fit(car_data, rng=0)
@@ -114,10 +115,13 @@ class Accelerated(Pendulum):
         return (-stiffness * math.sin(angle) - friction * spin + gain * torque,)
 
 
+DELAYED = {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hold": True}
+
+
 @pytest.mark.parametrize(
     ("law", "data", "options"),
     [
-        (Accelerated, pendulum, {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hold": True}),
+        pytest.param(Accelerated, pendulum, DELAYED, marks=pytest.mark.nightly),  # by day single_track
         pytest.param(Cylinder, cylinder, {"residual": True, "residual_points": 12}, marks=pytest.mark.nightly),
     ],
 )
