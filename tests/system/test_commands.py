@@ -257,6 +257,9 @@ def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):
     study(call.folder)
     more = call.told("study", "tiny.toml", "--dry-run", "--json")
     assert more["kept"] == more["cells"] / 2
+    done, todo = more["points"]
+    assert done["seconds"] == 0.0
+    assert more["seconds"] == pytest.approx(todo["seconds"], abs=0.1)
     assert "1 of 2 points are not finished" in " ".join(call("study", "tiny.toml", "--render").stdout.split())
     assert "not finished" not in call.works("study", "tiny.toml").stdout
     document = call.folder / "runs" / "tiny" / "study.json"

@@ -235,7 +235,7 @@ def test_no_model_at_all_is_an_error_that_gives_the_reasons(tmp_path):
 
 
 LABELLED = {
-    "robot": "car-3=made_up_robot", "yardstick": True, "recipe": "plain",
+    "robot": "car-3=made_up_robot", "yardstick": True, "recipe": "plain", "traces": 2,
     "by_hand": [
         "ahead=predictive(model=made_up_robot, horizon=3)", "one=predictive(model=linear, horizon=3)",
         "two=predictive(model=[linear, made_up_robot], horizon=3)",
