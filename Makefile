@@ -5,6 +5,8 @@ STAMP := .venv/.complete
 PYTEST := SYSID_EVO_CACHE=$(CURDIR)/.venv/kernels $(BIN)/pytest
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Every process imports the packages: compiled once, wherever the environment says otherwise.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup compare check test nightly unit suite lint docs pictures clean
 

@@ -31,8 +31,8 @@ MODELS = {
     "single_track, residual": ("single_track", {"residual": True, "residual_points": 20, **SMALL["single_track"]}),
     **{name: (name, SMALL.get(name, {})) for name in models.names() if name not in ("adapted", "average")},
 }
-COMPILED = ("linear, lags", "k_neighbours", "nonlinear_state_space", "narx")
-"""Compiled by day: lags, a table, kinds of units and powers are what a kernel finds its places by."""
+COMPILED = ("linear, lags", "nonlinear_state_space", "narx")
+"""Compiled by day: lags, kinds of units and powers are what a kernel finds its places by."""
 HEAVY = (
     "adapted", "auto", "backprop27", "evolved3", "hybrid_ode", "latent_ode", "linear_state_space", "neural_ode",
     "neural_ode_history", "sindy, functions", "sindy_discrete", "single_track", "single_track, residual", "torch_ode",
