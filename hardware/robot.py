@@ -14,7 +14,7 @@ import numpy as np
 from hardware.connection import Connection
 from hardware.control_loop import check_loop
 from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import Recorded, record_manoeuvres
+from hardware.recording.record import Recorded, RecordingJob, record_through_loop
 from hardware.run_report import PATIENCE, Stops
 from hardware.self_test import SelfTestFinding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
@@ -108,8 +108,8 @@ class Robot(ABC):
         stops: Stops | None = None,
         progress: Progress | None = None,
     ) -> Recorded:
-        """Drive these manoeuvres and record the answer, see `hardware.recording.record.record_manoeuvres`."""
-        return record_manoeuvres(self, manoeuvres, seed=seed, folder=folder, stops=stops, progress=progress)
+        """Drive these manoeuvres and record the answer. Raises `LinkLost` or `InvalidData` if it is too short."""
+        return self._record_run(manoeuvres, RecordingJob(seed, folder, stops or Stops(), progress))
 
     def record(
         self,
@@ -120,10 +120,17 @@ class Robot(ABC):
         stops: Stops | None = None,
         progress: Progress | bool | None = None,
     ) -> Recorded:
-        """Drive its manoeuvres, drawn from ``seed``, for ``duration`` s and record the answer; True shows a bar."""
-        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
+        """Excite it for ``duration`` s, as ``seed`` draws it, and record the answer; True shows a bar."""
         with told(progress, "record") as report:
-            return self.record_manoeuvres(manoeuvres, seed=seed, folder=folder, stops=stops, progress=report)
+            return self._record_excitation(duration, RecordingJob(seed, folder, stops or Stops(), report))
+
+    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+        """Record what excites it for ``duration`` s: its `manoeuvres`, unless a class excites it in another way."""
+        return self._record_run(self.manoeuvres(duration=duration, rng=np.random.default_rng(job.seed)), job)
+
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+        """Record these manoeuvres: through the control loop, unless a class has sessions of another kind."""
+        return record_through_loop(self, manoeuvres, job)
 
 
 AT_ONCE = 300

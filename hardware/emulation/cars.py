@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtr
@@ -14,13 +13,11 @@ from hardware.emulation.car_kernel import car_kernel
 from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, coefficients, fine_step
 from hardware.emulation.parameters import of_kind
 from hardware.emulation.tracked_robots import EmulatedConnection, EmulatedRobot
-from hardware.recording.record import Recorded, record_manoeuvres
-from hardware.run_report import Stops
+from hardware.recording.record import Recorded, RecordingJob, record_through_loop
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import Dynamics, PlainDynamics
-from sysid_evo.progress import Progress, told
 from sysid_evo.randomness import keyed_generator
 from sysid_evo.registry import register_robot
 from sysid_evo.types import Array
@@ -124,19 +121,9 @@ class AwkwardCar(EmulatedRobot):
         kind, parameters = of_kind("awkward_car", usual, seed)
         super().__init__(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
-    def record(
-        self,
-        *,
-        seed: int,
-        duration: float,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | bool | None = None,
-    ) -> Recorded:
-        jammed = _Jammed(self, keyed_generator(seed, 0))
-        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(seed))
-        with told(progress, "record") as report:
-            return record_manoeuvres(jammed, manoeuvres, seed=seed, folder=folder, stops=stops, progress=report)
+    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+        manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(job.seed))
+        return record_through_loop(_Jammed(self, keyed_generator(job.seed, 0)), manoeuvres, job)
 
 
 class _Jammed:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -14,14 +13,13 @@ from hardware.connection import Measurement
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
 from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import Recorded, prepared
+from hardware.recording.record import Recorded, RecordingJob, prepared
 from hardware.run_report import LoopReport, Reason, Stops
 from hardware.self_test import SelfTestFinding, examine, sensors_finding
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem, LinkLost
 from sysid_evo.models.dynamics import PlainDynamics, started
-from sysid_evo.progress import Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
 
@@ -151,27 +149,19 @@ class SensedRobot(SimulatedRobot):
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         return excitation(self.system, duration=duration, rng=rng)
 
-    def record_manoeuvres(
-        self,
-        manoeuvres: Sequence[Manoeuvre],
-        *,
-        seed: int,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
         """Drive these manoeuvres, read the sensors, and estimate the rest from what they say.
 
-        Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to ``folder``:
-        a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
+        Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to the job's
+        folder: a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
         """
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
         done, reason, detail = 0, Reason.PILOT, ""
-        stops = Stops() if stops is None else stops
+        stops = job.stops
         for number, manoeuvre in enumerate(manoeuvres):
             try:
-                log = self._driven(manoeuvre, np.random.SeedSequence(seed, spawn_key=(number,)), stops)
+                log = self._driven(manoeuvre, np.random.SeedSequence(job.seed, spawn_key=(number,)), stops)
             except LinkLost as error:
                 reason, detail = stops.reason or Reason.LINK_LOST, str(error)
                 break
@@ -180,8 +170,8 @@ class SensedRobot(SimulatedRobot):
                 break
             logs.append(log)
             done += len(manoeuvre.controls)
-            if progress is not None:
-                progress(done, total)
+            if job.progress is not None:
+                job.progress(done, total)
         report = LoopReport(reason, detail, lateness=np.zeros(done), gaps=np.full(max(0, done - 1), self.system.dt))
         if report.reason.is_fault and not logs:
             raise LinkLost(f"{self.name}: {report.sentence}; nothing was recorded")

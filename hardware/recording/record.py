@@ -6,7 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -39,24 +39,28 @@ class Recorded:
     report: LoopReport
 
 
-def record_manoeuvres(
-    robot: Connectable,
-    manoeuvres: Sequence[Manoeuvre],
-    *,
-    seed: int,
-    folder: Path | None = None,
-    stops: Stops | None = None,
-    progress: Progress | None = None,
-) -> Recorded:
-    """Record these manoeuvres on a robot, and prepare what was recorded, whole or not.
+@dataclass(frozen=True)
+class RecordingJob:
+    """How one recording is made: its seed, the folder of its journals, who may stop it, who hears of its progress.
 
-    Journals go to ``folder`` (default: a temporary one). The same seed gives the same recording on an emulated robot.
+    Without a ``folder`` journals are temporary. The same seed gives the same recording on an emulated robot.
+    """
+
+    seed: int
+    folder: Path | None = None
+    stops: Stops = field(default_factory=Stops)
+    progress: Progress | None = None
+
+
+def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+    """Drive these manoeuvres through the control loop, and prepare what was recorded, whole or not.
+
     Raises `LinkLost` or `InvalidData` if it is too short to make a data set of it.
     """
     check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
-        place = Path(temporary) if folder is None else folder
-        report = record(robot, manoeuvres, place, seed=seed, stops=stops, progress=progress)
+        place = Path(temporary) if job.folder is None else job.folder
+        report = record(robot, manoeuvres, place, seed=job.seed, stops=job.stops, progress=job.progress)
         logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
         return Recorded(tuple(logs), prepared(logs, robot.system), report)

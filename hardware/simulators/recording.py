@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hardware.recording.record import Recorded
+from hardware.recording.record import Recorded, RecordingJob
 from hardware.run_report import LoopReport, Reason, Stops
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from sysid_evo.data import Dataset, Trajectory
@@ -28,14 +28,7 @@ SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" fo
 """Feedback is half of the recording."""
 
 
-def record_simulator(
-    simulator: ExternalSimulator,
-    *,
-    seed: int,
-    duration: float,
-    stops: Stops | None = None,
-    progress: Progress | None = None,
-) -> Recorded:
+def record_simulator(simulator: ExternalSimulator, duration: float, job: RecordingJob) -> Recorded:
     """Excite ``simulator`` for ``duration`` s of its time and return what it showed.
 
     An eighth of the time goes to each of steps of three lengths, sine sweeps, and four times random feedback.
@@ -43,18 +36,17 @@ def record_simulator(
     The same seed gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the
     simulator returns what is no number or ends every episode at once.
     """
-    system = simulator.system
+    system, stops = simulator.system, job.stops
     each = samples_each(simulator, duration)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(job.seed)
     episodes: list[Trajectory] = []
     tried: list[tuple[int, Array]] = []
     reason, detail = Reason.SAMPLES, ""
-    stops = Stops() if stops is None else stops
     try:
         with simulator.open() as session:
             for number, name in enumerate(SCRIPTS):
                 script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
-                counted = _counter(progress, number * each, len(SCRIPTS) * each)
+                counted = _counter(job.progress, number * each, len(SCRIPTS) * each)
                 made = enumerate(_episodes(session, simulator, script, each, rng, counted, stops), start=1)
                 for count, (states, controls) in made:
                     if len(controls) >= SHORTEST:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from hardware.connection import Connection
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import Recorded
+from hardware.recording.record import Recorded, RecordingJob
 from hardware.robot import Robot, fastest
 from hardware.run_report import Stops
 from hardware.self_test import SelfTestFinding, described
@@ -19,7 +18,6 @@ from hardware.simulators.recording import record_simulator, samples_each
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorRunner
 from sysid_evo.data.units import spelled_range
 from sysid_evo.errors import IncompatibleSystem
-from sysid_evo.progress import Progress, told
 
 
 class SimulatorRobot(Robot):
@@ -65,30 +63,13 @@ class SimulatorRobot(Robot):
         samples_each(self.simulator, duration)
         return []
 
-    def record_manoeuvres(
-        self,
-        manoeuvres: Sequence[Manoeuvre],
-        *,
-        seed: int,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | None = None,
-    ) -> Recorded:
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
         """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
         raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
 
-    def record(
-        self,
-        *,
-        seed: int,
-        duration: float,
-        folder: Path | None = None,
-        stops: Stops | None = None,
-        progress: Progress | bool | None = None,
-    ) -> Recorded:
-        """Excite the simulator for ``duration`` s of its own time; there are no journals for ``folder``."""
-        with told(progress, "record") as report:
-            return record_simulator(self.simulator, seed=seed, duration=duration, stops=stops, progress=report)
+    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+        """Excite the simulator for ``duration`` s of its own time; there are no journals for the job's folder."""
+        return record_simulator(self.simulator, duration, job)
 
 
 FEWEST = 200
