@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 
 from model_zoo.car.planar_car import CarFamily, CarRoles, accelerations, car_rate, positive_part
 from model_zoo.networks.network import Single
-from model_zoo.networks.neural_ode import NetworkRate
+from model_zoo.networks.neural_ode import NeuralOde, NeuralOdeHistory
 from sysid_evo import register_model
 from sysid_evo.models.kernels import Predictor
 from sysid_evo.types import Array, check_shape
 
 
 @register_model("hybrid_ode")
-class HybridOde(NetworkRate, CarFamily):
+class HybridOde(NeuralOde, CarFamily):
     """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
 
     The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
@@ -26,14 +26,17 @@ class HybridOde(NetworkRate, CarFamily):
         dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
 
     ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s),
-    D_rv (1/rad), D_v (1/s), all positive. They and the residual are trained together as `NetworkRate` says;
+    D_rv (1/rad), D_v (1/s), all positive. They and the residual are trained together as in `neural_ode`;
     this is the paper's outlook of injecting physics that are not specific to the car (section 6).
     ``drive`` and ``steer`` name the controls with these roles.
     """
 
     knowledge = "grey"
     structure = "physics"
+    presets: ClassVar[dict[str, dict[str, Any]]] = NeuralOdeHistory.presets
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
+
+    lag_search: Literal["all"] | None = "all"
 
     def known_rate(self, state: Array, control: Array) -> Array:
         forward, lateral, yaw_rate, drive, steer = self.roles

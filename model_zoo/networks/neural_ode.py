@@ -1,10 +1,10 @@
-"""Families neural_ode and neural_ode_history, and the training of equations with a network in them."""
+"""Family neural_ode, and the training of equations with a network in them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 
@@ -40,16 +40,25 @@ HIDDEN = (32, 32)
 
 QUICK = {"hidden": [24], "one_step_updates": 500, "updates": 150, "horizon": 10}
 
+LAGS: dict[str | None, tuple[tuple[int, int], ...]] = {None: ((0, 0),), "all": ((0, 2), (0, 3), (1, 3))}
+"""Lags of states and controls that are tried, by `NeuralOde.lag_search`."""
 
-class NetworkRate(Uncertain):
-    """A family with dx/dt = network(carry, control) + `known_rate` + rotation of the frame.
 
-    Of a periodic state the network sees sine and cosine.
+@register_model("neural_ode")
+class NeuralOde(Uncertain):
+    """dx/dt = network(x, u, earlier states and controls) + w(x), w the rotation of a planar body's frame.
+
+    Chen et al. (2018). Of a periodic state the network sees sine and cosine. There are no earlier samples unless
+    ``state_lags`` and ``control_lags`` give their numbers, or ``lag_search="all"`` has them chosen by the simulation
+    error on held-out blocks of time; they are held over a step.
 
     ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
     measured states (multiple shooting) with ``input_noise`` (in units of the one-step change); the weights that
-    simulate held-out blocks of time best over one second are kept (early stopping). ``initial`` physical parameters of
-    the known part are trained with them. Stepped with the fourth-order Runge-Kutta method at dt, controls held.
+    simulate held-out blocks of time best over one second are kept (early stopping). Stepped with the fourth-order
+    Runge-Kutta method at dt, controls held.
+
+    A family derived from this one may add a `known_rate`, whose ``initial`` physical parameters are trained with the
+    network.
     """
 
     knowledge = "dark grey"
@@ -67,17 +76,17 @@ class NetworkRate(Uncertain):
         "learning_rate": above(0),
         "input_noise": at_least(0),
     }
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 2), (0, 3), (1, 3))
     initial: ClassVar[Array] = np.empty(0)
     spread_groups: ClassVar[int] = 2
     presets: ClassVar[dict[str, dict[str, Any]]] = {
-        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+        "quick": QUICK,
         "paper": {"one_step_updates": 3000, "updates": 1500},
     }
 
     hidden: list[int] | None = None
     state_lags: int | None = None
     control_lags: int | None = None
+    lag_search: Literal["all"] | None = None
     one_step_updates: int = 1000
     updates: int = 500
     horizon: int = 20
@@ -97,7 +106,7 @@ class NetworkRate(Uncertain):
         final = replace(plan, check_every=50)
         one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
         search = replace(plan, one_step_updates=one_step_updates, updates=updates)
-        options = lag_candidates(self.state_lags, self.control_lags, self.offered_lags)
+        options = lag_candidates(self.state_lags, self.control_lags, LAGS[self.lag_search])
         counter = Counter(progress, final.total + trials(options) * search.total)
 
         def trained(lags: tuple[int, int], plan: TrainingSchedule) -> tuple[Network, Array, float]:
@@ -175,31 +184,17 @@ class NetworkRate(Uncertain):
         return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)
 
 
-@register_model("neural_ode")
-class NeuralOde(NetworkRate):
-    """dx/dt = network(x, u) + w(x), w the rotation of a planar body's frame (Chen et al. 2018).
-
-    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
-    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
-    """
-
-    knowledge = "dark grey"
-
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0),)
-    presets: ClassVar[dict[str, dict[str, Any]]] = {**NetworkRate.presets, "quick": QUICK}
-
-
 @register_model("neural_ode_history")
-class NeuralOdeHistory(NetworkRate):
-    """dx/dt = network(x, u, earlier controls and states) + w(x), w the rotation of a planar body's frame.
-
-    Trained through the steps of a fixed-step fourth-order Runge-Kutta method on windows of
-    ``horizon`` steps, each from a measured state (multiple shooting), as `NetworkRate` says.
-    Earlier samples are held over a step; how many is chosen by the simulation error on held-out
-    blocks of time unless given.
-    """
+class NeuralOdeHistory(NeuralOde):
+    """`neural_ode` with earlier samples: its former name with ``lag_search="all"``."""
 
     knowledge = "dark grey"
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        **NeuralOde.presets,
+        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+    }
+
+    lag_search: Literal["all"] | None = "all"
 
 
 def flow_step(
