@@ -94,22 +94,36 @@ def test_recorder_that_is_killed_loses_at_most_one_record(tmp_path):
         assert trial.stored > 10
 
 
+def forward_for_a_second(journals):
+    """Return connection, poses and journal; begin anew where the machine pauses longer than a command lives."""
+    for attempt in range(5):
+        journal, poses = journals / f"journal{attempt}", []
+        connection = TerminalCar(journal=journal, gate=GateLimits(speed=8.0)).connect(seed=1)
+        try:
+            for _ in range(20):
+                connection.send(FORWARD, valid_for=0.15)
+                due = connection.time + 0.05
+                while (left := due - connection.time) > 0.0:
+                    if (frame := connection.measure(left)) is not None:
+                        poses.append(frame.pose)
+        except LinkLost as lost:
+            connection.close()
+            if "longest pause" not in str(lost):
+                raise
+        else:
+            return connection, poses, journal
+    raise AssertionError("this machine pauses too often")
+
+
 def test_a_physical_connection_drives_the_car_and_closing_ends_its_process_once(tmp_path):
-    car = TerminalCar(journal=tmp_path / "journal", gate=GateLimits(speed=8.0))
-    connection, poses = car.connect(seed=1), []
+    connection, poses, journal = forward_for_a_second(tmp_path)
     assert connection.gate_limits == GateLimits(speed=8.0)
-    for _ in range(20):
-        connection.send(FORWARD, valid_for=0.15)
-        due = connection.time + 0.05
-        while (left := due - connection.time) > 0.0:
-            if (frame := connection.measure(left)) is not None:
-                poses.append(frame.pose)
     assert connection.status.state == "driving"
     np.testing.assert_array_equal(connection.status.control, FORWARD)
     connection.close()
     connection.close()
     assert poses[-1][0] > 0.3
-    entries = read_journal(tmp_path / "journal")
+    entries = read_journal(journal)
     assert entries[-1].event == "end"
     assert [entry.value for entry in entries if entry.event == "buttons"] == [1, 0]
     assert not Path(f"/proc/{entries[0].value}").exists()
