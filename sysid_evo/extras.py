@@ -55,8 +55,8 @@ def missing_extra(what: str, module: str | None, distribution: str | Distributio
     )
 
 
-def check_installed(what: str, modules: Iterable[str], distribution: str | Distribution = DISTRIBUTION) -> None:
+def check_installed(what: str, modules: Iterable[str]) -> None:
     """Raise `missing_extra` for the first of ``modules`` that is not there; nothing is imported."""
     for module in modules:
         if find_spec(module) is None:
-            raise missing_extra(what, module, distribution)
+            raise missing_extra(what, module)

@@ -9,6 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast, dataclass_transform
 
 import numpy as np
@@ -20,7 +21,7 @@ from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.display import html_table, line_of
 from sysid_evo.errors import DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, NotFitted
-from sysid_evo.extras import DISTRIBUTION, check_installed
+from sysid_evo.extras import DISTRIBUTION, missing_extra
 from sysid_evo.kernels import DynamicsKernel, Precision, Predictor
 from sysid_evo.models.dynamics import (
     Dynamics,
@@ -172,9 +173,11 @@ class DynamicsModel(Dynamics, Estimator):
     @classmethod
     def check_installed(cls) -> None:
         """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
-        points = [point for point in entry_points(group="sysid_evo.models") if point.module == cls.__module__]
-        owner = points[0].dist if points else None
-        check_installed(cls.__name__, cls.requires, owner or DISTRIBUTION)
+        for module in cls.requires:
+            if find_spec(module) is None:  # only then: to read all entry points takes longer than a small fit
+                points = entry_points(group="sysid_evo.models")
+                owner = next((point.dist for point in points if point.module == cls.__module__), None)
+                raise missing_extra(cls.__name__, module, owner or DISTRIBUTION)
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
