@@ -12,24 +12,10 @@ from evaluation.study.planning import seconds_about
 from sysid_evo.data import Dataset
 from sysid_evo.models import load_model, save_model
 from sysid_evo.models.base import make_model
+from tests.fixtures.recordings import CAR_MAP
 from tests.fixtures.systems import FloorCar, drive
 
 pytestmark = pytest.mark.usefixtures("blank_figures")
-MAP = """
-name = "test car"
-dt = 0.05
-[time]
-column = "t"
-[states]
-forward_speed = { column = "u", unit = "m/s" }
-yaw_rate = { column = "r", unit = "rad/s" }
-[controls]
-drive = { column = "throttle", low = -1.0, high = 1.0 }
-steer = { column = "steering", levels = [-1.0, 0.0, 1.0] }
-[motion]
-forward = "forward_speed"
-yaw_rate = "yaw_rate"
-"""
 
 
 def write_log(folder, name="log.csv", **changes):
@@ -45,13 +31,13 @@ def write_log(folder, name="log.csv", **changes):
     }
     header = ",".join(columns)
     np.savetxt(folder / name, np.column_stack(list(columns.values())), "%.17g", ",", header=header, comments="")
-    (folder / "map.toml").write_text(MAP)
+    (folder / "map.toml").write_text(CAR_MAP)
     return "--columns", "map.toml"
 
 
 def test_import_stores_what_read_returns_and_tells_notes_and_warnings(call):
     columns = write_log(call.folder, battery=np.repeat([1.0, 2.0], [100, 101]))
-    (call.folder / "map.toml").write_text(MAP.replace(", low = -1.0, high = 1.0", ""))
+    (call.folder / "map.toml").write_text(CAR_MAP.replace(", low = -1.0, high = 1.0", ""))
     done = call.works("import", "log.csv", *columns, "--condition-column", "battery", "--out", "data")
     stored = Dataset.load(call.folder / "data")
     again = Dataset.read(call.folder / "log.csv", columns=call.folder / "map.toml", condition_column="battery")

@@ -1,6 +1,5 @@
 """Every family, wrapper, task, controller and emulated robot once: compiled against the reference."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,7 @@ from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_
 from tests.fixtures.families import hurry
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
 from tests.fixtures.lanes import step_between_guards
+from tests.fixtures.rewards import WHERE, braked, upright, worth, worth_of_a_car, worth_of_one
 from tests.fixtures.systems import SMALL_SYSTEMS, TANK
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # of how long a fit may take
@@ -324,36 +324,14 @@ def test_a_regulator_holds_a_pole_as_in_numpy(engine):
     agree(Given(pole, make_controller("lqr(model=cart_pole)"), make_task("balance(horizon=40)")), engine)
 
 
-def worth(states, controls):
-    return np.cos(states[:, 0]) - 0.5 * controls[:, 0] ** 2 + 0.1 * states[:, -1]
-
-
-def worth_of_one(x, u):
-    return math.cos(x[0]) - 0.5 * u[0] ** 2 + 0.1 * x[1]
-
-
-def worth_of_a_car(x, u):
-    return math.cos(x[0]) - 0.5 * u[0] ** 2 + 0.1 * x[2]
-
-
-def upright(torque, angle, weight=0.5):
-    """The angle up, with little torque."""
-    return -math.cos(angle) - weight * torque**2
-
-
 def spinning(angular_speed):
     return abs(angular_speed) > 1.0
-
-
-def braked(forward_speed, steer, drive):
-    return forward_speed - 0.1 * steer * drive
 
 
 @pytest.fixture(autouse=True)
 def rewards():
     """Two rewards by the names of states and controls."""
-    start = {"angle": (-1.0, 1.0), "angular_speed": (0.0, 2.0)}
-    for name, function, options in (("upright", upright, {"ended": spinning, "start": start}), ("braked", braked, {})):
+    for name, function, options in (("upright", upright, {"ended": spinning, "start": WHERE}), ("braked", braked, {})):
         register_reward(name, lowest=-2.0, horizon=40, **options)(function)
     yield
     for name in ("upright", "braked"):

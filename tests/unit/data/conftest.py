@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.data import RawLog
+from tests.fixtures.recordings import CAR_MAP, POSE_MAP
 
 FINE = 20  # integration steps for each row
 
@@ -47,33 +48,12 @@ def make_drive():
     return Drive
 
 
-COLUMNS = """
-name = "test car"
-dt = 0.05
-[time]
-column = "t"
-[states]
-forward_speed = { column = "u", unit = "m/s" }
-yaw_rate = { column = "r", unit = "rad/s" }
-[controls]
-drive = { column = "throttle", low = -1.0, high = 1.0 }
-steer = { column = "steering", levels = [-1.0, 0.0, 1.0] }
-[pose]
-x = { column = "x", unit = "m" }
-y = { column = "y", unit = "m" }
-heading = { column = "yaw", unit = "rad" }
-[motion]
-forward = "forward_speed"
-yaw_rate = "yaw_rate"
-"""
-
-
 @pytest.fixture
 def columns_file(tmp_path):
-    """A function that writes the column map above, with some text replaced, and returns its path."""
+    """A function that writes the column map of a car with its pose, with some text replaced, and returns its path."""
 
     def write(*changes, name="car.toml"):
-        text = COLUMNS
+        text = CAR_MAP + POSE_MAP
         for old, new in changes:
             assert old in text
             text = text.replace(old, new)

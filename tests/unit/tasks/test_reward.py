@@ -13,33 +13,13 @@ from sysid_evo.tasks import Reward
 from sysid_evo.tasks.task import make_task
 from sysid_evo.testing import check_task
 from sysid_evo.testing.examples import pendulum, switched_car
+from tests.fixtures.rewards import WHERE, braked, upright, worth, worth_of_a_car, worth_of_one
 
 SEEDS = trial_seeds(1, 3)
 
 
-def worth(states, controls):
-    return np.cos(states[:, 0]) - 0.5 * controls[:, 0] ** 2 + 0.1 * states[:, -1]
-
-
-def worth_of_one(x, u):
-    return math.cos(x[0]) - 0.5 * u[0] ** 2 + 0.1 * x[1]
-
-
-def worth_of_a_car(x, u):
-    return math.cos(x[0]) - 0.5 * u[0] ** 2 + 0.1 * x[2]
-
-
-def upright(torque, angle, weight=0.5):
-    """The angle up, with little torque."""
-    return -math.cos(angle) - weight * torque**2
-
-
 def fast(angular_speed):
     return abs(angular_speed) > 2.5
-
-
-def braked(forward_speed, steer, drive):
-    return forward_speed - 0.1 * steer * drive
 
 
 def rooted(angle):
@@ -48,9 +28,8 @@ def rooted(angle):
 
 @pytest.fixture(autouse=True)
 def registered():
-    start = {"angle": (-1.0, 1.0), "angular_speed": (0.0, 2.0)}
-    register_reward("swung", lowest=-2.0, horizon=60, ended=fast, start=start)(upright)
-    register_reward("swung_in_python", lowest=-2.0, horizon=60, ended=fast, start=start, compiled=False)(upright)
+    register_reward("swung", lowest=-2.0, horizon=60, ended=fast, start=WHERE)(upright)
+    register_reward("swung_in_python", lowest=-2.0, horizon=60, ended=fast, start=WHERE, compiled=False)(upright)
     register_reward("braked", lowest=-2.0, horizon=40)(braked)
     register_reward("rooted", lowest=-3.0, horizon=1)(rooted)
     register_reward("odd", lowest=0.0, start={"torque": (0.0, 1.0)})(rooted)
