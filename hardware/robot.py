@@ -22,6 +22,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.models import Dynamics
 from sysid_evo.models.dynamics import started
+from sysid_evo.processors import resolve
 from sysid_evo.progress import Progress, told
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
@@ -58,8 +59,8 @@ class Robot(ABC):
         return None if self.dynamics is None else DynamicsRunner(self.dynamics)
 
     def step_seconds(self) -> float:
-        """Return how long a step of one trial takes in NumPy, timed here; 0 if it has a compiled form, used or not."""
-        if self.dynamics is None or self.dynamics.kernel() is not None:
+        """Return how long a step of one trial takes in NumPy, timed here; 0 if its steps are compiled here."""
+        if self.dynamics is None or (self.dynamics.kernel() is not None and resolve() != "reference"):
             return 0.0
         alone = self._step_seconds(1)
         trials = int(np.clip(LOOK / alone, 1, AT_ONCE))

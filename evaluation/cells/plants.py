@@ -13,6 +13,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import observed_late
 from sysid_evo.models import Dynamics
 from sysid_evo.plan import Cell, Work
+from sysid_evo.processors import resolve
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
 
@@ -71,7 +72,7 @@ class Plant:
     @property
     def timed(self) -> float:
         """Seconds of one step of one trial on a robot that is not compiled, measured; else 0."""
-        return 0.0 if self.robot is None else _timed(robots.get(self.robot.name), str(self.robot))
+        return 0.0 if self.robot is None else _timed(robots.get(self.robot.name), str(self.robot), resolve())
 
     def step_seconds(self) -> float:
         """Return about how long one step of one trial takes."""
@@ -86,7 +87,7 @@ class Plant:
 
 
 @lru_cache(maxsize=64)
-def _timed(_factory: Callable[..., Any], robot: str) -> float:
+def _timed(_factory: Callable[..., Any], robot: str, _engine: str) -> float:
     """Return `Robot.step_seconds`, once for all cells; the factory is in the key as two plugins may use one name."""
     return float(make_robot(robot_spec(robot)).step_seconds())
 

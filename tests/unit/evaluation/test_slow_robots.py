@@ -108,9 +108,14 @@ def test_what_numpy_steps_for_all_trials_at_once_is_not_slow():
     assert quick.experiment.yardstick is True
     assert seconds_on(quick, "cart") < 10.0
     assert planned("cart", yardstick=False).experiment.yardstick is False
+
+
+@pytest.mark.parametrize(("engine", "decided"), [("auto", None), ("reference", True)])
+def test_what_is_compiled_is_timed_only_where_numpy_steps_it(engine, decided, monkeypatch):
+    monkeypatch.setenv("SYSID_EVO_ENGINE", engine)
     compiled = planned("pendulum", channel="angle")
     assert len(on_itself(compiled)) == 1
-    assert compiled.experiment.yardstick is None, "what is compiled need not be timed"
+    assert compiled.experiment.yardstick is decided
 
 
 def test_a_simulator_is_timed_step_by_step():
