@@ -1,8 +1,7 @@
-from .advice.evidence import advice_to_json
 from .coverage import UncoveredBox
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
-from .exploitability.results import ModelExploitability, exploitability_card, exploitability_to_json
+from .exploitability.results import ModelExploitability, exploitability_card
 from .formatting import by_error, horizon_name, three_digits
 from .members import check_fit, contenders, dynamics_of, find_column, is_model_of_a_run, matrix_of, transfer_targets
 from .planning import Comparison, check_experiment, comparison_of, plan_comparison, unsettled
@@ -37,6 +36,7 @@ from .run_folder import (
     unneeded_files,
 )
 from .running import compare, plan_run, report_again, report_of, run_study, study_folder, write_study
+from .storage import plain
 from .study.planning import PlannedStudy, plan_study, seconds_about
 from .study.results import StudyResults
 from .study.study import STUDY_FILE, Study
@@ -80,7 +80,6 @@ __all__ = [
     "TransferSummary",
     "UncoveredBox",
     "advice_lines",
-    "advice_to_json",
     "assess_exploitability",
     "assess_prediction",
     "brief",
@@ -97,7 +96,6 @@ __all__ = [
     "evolution_result",
     "exploit_result",
     "exploitability_card",
-    "exploitability_to_json",
     "find_column",
     "horizon_name",
     "is_model_of_a_run",
@@ -108,6 +106,7 @@ __all__ = [
     "measured_by_person",
     "owner_of",
     "transfer_targets",
+    "plain",
     "plan_comparison",
     "plan_evolution",
     "plan_exploit",

@@ -73,7 +73,7 @@ def advise_model(
         where, judged_on = _held_back(where, seed)
     if not where.varying.any():
         said = f"No state varies in the data that {name} is judged on: nothing can be said of it. Excite the controls."
-        return ModelAdvice(name, (Remark("variation", said, 1.0),), judged_on)
+        return ModelAdvice(name, judged_on, (Remark("variation", said, 1.0),))
     trajectories = list(visited)
     if trajectories:
         where = replace(where, visited=Steps.of(training.system, trajectories))
@@ -86,7 +86,7 @@ def advise_model(
         remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
     explained = {topic for remark in remarks for topic in EXPLAINS.get(remark.topic, ())}
     ordered = sorted((one for one in remarks if one.topic not in explained), key=lambda remark: -remark.weight)
-    return ModelAdvice(name, tuple(ordered[:MOST]), judged_on)
+    return ModelAdvice(name, judged_on, tuple(ordered[:MOST]))
 
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:

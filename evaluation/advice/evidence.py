@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -157,19 +156,5 @@ class ModelAdvice:
     """The remarks on ``model``, the most important first; ``judged_on`` says which data it was judged on."""
 
     model: str
-    remarks: tuple[Remark, ...]
     judged_on: str = ""
-
-
-def advice_to_json(advice: ModelAdvice) -> dict[str, Any]:
-    """Return the advice as strict JSON."""
-    remarks = [
-        {"topic": one.topic, "sentence": one.sentence, "weight": one.weight, "figures": dict(one.figures)}
-        for one in advice.remarks
-    ]
-    return {"model": advice.model, "judged_on": advice.judged_on, "remarks": remarks}
-
-
-def advice_from_json(value: Mapping[str, Any]) -> ModelAdvice:
-    """Undo `advice_to_json`."""
-    return ModelAdvice(value["model"], tuple(Remark(**remark) for remark in value["remarks"]), value["judged_on"])
+    remarks: tuple[Remark, ...] = ()

@@ -8,28 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.advice.advise import advise_model
-from evaluation.advice.evidence import Evidence, ModelAdvice, advice_from_json, advice_to_json
+from evaluation.advice.evidence import Evidence, ModelAdvice
 from evaluation.cells.controllers import ChampionCell, ControllerFiles, HandWrittenCell, conditions
 from evaluation.cells.data import Parts
 from evaluation.cells.models import FitCell, PredictCell
 from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed
 from evaluation.exploitability.assessment import assess_exploitability
-from evaluation.exploitability.results import (
-    ModelExploitability,
-    exploitability_from_json,
-    exploitability_to_json,
-)
+from evaluation.exploitability.results import ModelExploitability
 from evaluation.exploitability.search import search_exploit
 from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
-from evaluation.storage import read_json, write_json
+from evaluation.storage import load_result, save_result
 from evaluation.transfer.matrix import (
     MeasuredResult,
     TransferMatrix,
     TransferResult,
-    load_cell,
     run_on,
-    save_cell,
     transfer_seeds,
     with_measured,
 )
@@ -100,10 +94,10 @@ class RunCell(Cell):
         return cell
 
     def save(self, value: TransferResult, path: Path) -> list[Path]:
-        return save_cell(value, path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> TransferResult:
-        return load_cell(path)
+        return load_result(TransferResult, path)
 
     def named(self, value: TransferResult) -> TransferResult:
         return replace(value, champion=self.champion.name, column=self.column.label)
@@ -194,10 +188,10 @@ class ExploitCell(Cell):
         return 1.0 * len(self.matrix.columns)
 
     def save(self, value: tuple[ModelExploitability, ...], path: Path) -> list[Path]:
-        return write_json([exploitability_to_json(model) for model in value], path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> tuple[ModelExploitability, ...]:
-        return tuple(exploitability_from_json(model) for model in read_json(path))
+        return load_result(tuple[ModelExploitability, ...], path)
 
 
 FORM = 3
@@ -240,7 +234,7 @@ class AdviseCell(Cell):
         parts: Parts = work.result(self.data)
         models = {label: model for label, fit in self.fits.items() if (model := work.result(fit)) is not None}
         if not models:
-            return ModelAdvice("", ())
+            return ModelAdvice("")
         best = self._best(models, parts, work)
         # what evolved controllers did in their recorded trials, in models and on robots
         runs = () if self.matrix is None else self.matrix.runs
@@ -267,10 +261,10 @@ class AdviseCell(Cell):
         return min(scored, key=lambda label: scored[label], default=first)
 
     def save(self, value: ModelAdvice, path: Path) -> list[Path]:
-        return write_json(advice_to_json(value), path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> ModelAdvice:
-        return advice_from_json(read_json(path))
+        return load_result(ModelAdvice, path)
 
 
 SEARCH = 2

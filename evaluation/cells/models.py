@@ -15,15 +15,12 @@ import numpy as np
 from evaluation.cells.data import Split
 from evaluation.prediction.cases import SECOND, PredictionProtocol, measured_cases
 from evaluation.prediction.scores import (
-    FORM,
     PERSISTENCE,
     ConditionErrors,
     ModelPrediction,
-    load_prediction,
-    save_prediction,
 )
 from evaluation.prediction.scoring import Persistence, score_model, within_and_across
-from evaluation.storage import read_json, write_json
+from evaluation.storage import load_result, save_result
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
@@ -124,7 +121,7 @@ class PredictCell(Cell):
         return (self.data,) if self.model is None else (self.data, self.model)
 
     def inputs(self) -> dict[str, Any]:
-        return {"form": FORM, "protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
 
     def compute(self, work: Work) -> ModelPrediction:
         parts = work.result(self.data)
@@ -136,10 +133,10 @@ class PredictCell(Cell):
         return score_model(self.label, model, cases, family=self.family)
 
     def save(self, value: ModelPrediction, path: Path) -> list[Path]:
-        return save_prediction(value, path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> ModelPrediction:
-        return load_prediction(path)
+        return load_result(ModelPrediction, path)
 
     def named(self, value: ModelPrediction) -> ModelPrediction:
         return replace(value, name=self.label, family=self.family)
@@ -188,7 +185,7 @@ class JudgeCell(Cell):
         return (self.fit.data, self.fit)
 
     def inputs(self) -> dict[str, Any]:
-        return {"form": FORM, "protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
 
     def compute(self, work: Work) -> HeldOutScore:
         parts, model, judged_on = work.result(self.fit.data), work.result(self.fit), "the test part"
@@ -214,10 +211,10 @@ class JudgeCell(Cell):
         return HeldOutScore(score.n, horizon, cases.blocks(horizon), judged_on)
 
     def save(self, value: HeldOutScore, path: Path) -> list[Path]:
-        return write_json(asdict(value), path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> HeldOutScore:
-        return HeldOutScore(**read_json(path))
+        return load_result(HeldOutScore, path)
 
     def seconds(self) -> float:
         return self.fit.seconds()
@@ -298,7 +295,7 @@ class ConditionsCell(Cell):
 
     def inputs(self) -> dict[str, Any]:
         protocol = {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}
-        return {"form": FORM, "model": models.identity(self.fit.spec), "protocol": protocol}
+        return {"model": models.identity(self.fit.spec), "protocol": protocol}
 
     def compute(self, work: Work) -> tuple[ConditionErrors, ...]:
         parts = work.result(self.fit.data)
@@ -311,10 +308,10 @@ class ConditionsCell(Cell):
         return within_and_across(work.result(self.fit), learn, parts.training, parts.test, self.protocol)
 
     def save(self, value: tuple[ConditionErrors, ...], path: Path) -> list[Path]:
-        return write_json([asdict(errors) for errors in value], path)
+        return save_result(value, path)
 
     def load(self, path: Path) -> tuple[ConditionErrors, ...]:
-        return tuple(ConditionErrors(**errors) for errors in read_json(path))
+        return load_result(tuple[ConditionErrors, ...], path)
 
     def seconds(self) -> float:
         return self.conditions * FIT_SECONDS.get(self.fit.preset, 2.0)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from evaluation.prediction.cases import MeasuredCases
-from evaluation.prediction.regions import Region, RegionError
+from evaluation.prediction.regions import RegionError
 from evaluation.prediction.residuals import Residuals
-from evaluation.storage import DAMAGED, plain, read_with_arrays, write_with_arrays
 from sysid_evo.display import Displayed, listed
-from sysid_evo.errors import ArtefactError, InvalidArgument
+from sysid_evo.errors import InvalidArgument
 from sysid_evo.types import Array
 from sysid_evo.validation.bootstrap import Interval, interval
 from sysid_evo.validation.measures import mean_over_channels
@@ -235,92 +233,3 @@ def error_of(found: ModelPrediction | None) -> float | None:
     if found is None or not found.at:
         return None
     return (found.score(HORIZON) or found.at[-1]).n
-
-
-FORM = 5
-"""Raised whenever stored scores hold something else than before."""
-
-ARRAYS = ("rmse", "error_std", "relative_percent", "nrmse", "resampled_n")
-RESIDUALS = ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p")
-
-
-def save_prediction(prediction: ModelPrediction, path: Path) -> list[Path]:
-    """Write the scores of a model to ``path`` with two suffixes; return the files."""
-    arrays = {"curve": prediction.curve, "curve_interval": prediction.curve_interval}
-    residuals = prediction.residuals
-    if residuals is not None:
-        arrays.update({f"residuals.{name}": getattr(residuals, name) for name in RESIDUALS})
-    for i, episode in enumerate(prediction.episodes):
-        arrays.update({f"episode.{i}.n": episode.n, f"episode.{i}.fit": episode.fit})
-    arrays.update({f"free_states.{i}": states for i, states in enumerate(prediction.free_states)})
-    scores = []
-    free_run = () if prediction.free_run is None else (prediction.free_run,)
-    for i, score in enumerate((*prediction.at, *free_run)):
-        arrays.update({f"score.{i}.{name}": getattr(score, name) for name in ARRAYS})
-        scores.append({"horizon": score.horizon, "samples": score.samples, "interval": plain(score.interval)})
-    arrays.update({f"coverage.{i}": held.inside for i, held in enumerate(prediction.coverage)})
-    value = {
-        "name": prediction.name,
-        "family": prediction.family,
-        "scores": scores,
-        "free_runs": len(prediction.free_states),
-        "divergence": None if prediction.divergence is None else asdict(prediction.divergence),
-        "residuals": None if residuals is None else residuals.samples,
-        "regions": [{**asdict(found), "interval": plain(found.interval)} for found in prediction.regions],
-        "episodes": [episode.name for episode in prediction.episodes],
-        "coverage": [
-            {"horizon": held.horizon, "samples": held.samples, "share": held.share} for held in prediction.coverage
-        ],
-        "notes": list(prediction.notes),
-    }
-    return write_with_arrays(value, arrays, path)
-
-
-def load_prediction(path: Path) -> ModelPrediction:
-    """Read what `save_prediction` wrote. Raises `ArtefactError`."""
-    try:
-        value, arrays = read_with_arrays(path)
-        scores = [
-            ErrorScore(
-                **{
-                    **found,
-                    "interval": _interval(found["interval"]),
-                    **{name: arrays[f"score.{i}.{name}"] for name in ARRAYS},
-                }
-            )
-            for i, found in enumerate(value["scores"])
-        ]
-        divergence = value["divergence"]
-        return ModelPrediction(
-            name=value["name"],
-            family=value["family"],
-            at=tuple(score for score in scores if score.horizon is not None),
-            free_run=next((score for score in scores if score.horizon is None), None),
-            curve=arrays["curve"],
-            curve_interval=arrays["curve_interval"],
-            divergence=None
-            if divergence is None
-            else Divergence(**{**divergence, "free_run_times": tuple(divergence["free_run_times"])}),
-            residuals=None
-            if value["residuals"] is None
-            else Residuals(value["residuals"], **{name: arrays[f"residuals.{name}"] for name in RESIDUALS}),
-            regions=tuple(
-                RegionError(**{**found, "region": Region(**found["region"]), "interval": _interval(found["interval"])})
-                for found in value["regions"]
-            ),
-            episodes=tuple(
-                EpisodeError(name, arrays[f"episode.{i}.n"], arrays[f"episode.{i}.fit"])
-                for i, name in enumerate(value["episodes"])
-            ),
-            coverage=tuple(
-                Coverage(**held, inside=arrays[f"coverage.{i}"]) for i, held in enumerate(value["coverage"])
-            ),
-            free_states=tuple(arrays[f"free_states.{i}"] for i in range(value["free_runs"])),
-            notes=tuple(value["notes"]),
-        )
-    except DAMAGED as error:
-        raise ArtefactError(f"{path}: not stored scores of a prediction: {type(error).__name__}: {error}") from error
-
-
-def _interval(limits: list[float | None]) -> Interval:
-    return Interval(*(float("nan") if limit is None else limit for limit in limits))

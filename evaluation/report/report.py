@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -13,7 +13,6 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from evaluation.advice.evidence import advice_to_json
 from evaluation.behaviour import manners
 from evaluation.report.elements import Section, Story, Tone
 from evaluation.report.render.html import page_of
@@ -110,23 +109,19 @@ def to_json(report: Report) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "title": report.title,
-        "headlines": [asdict(headline) for headline in headlines(report)],
-        "verdict": [asdict(finding) for finding in verdict(report)],
+        "headlines": headlines(report),
+        "verdict": verdict(report),
         "data": {
             "name": report.data.name,
             "fingerprint": report.data.fingerprint,
             "system": report.data.system.to_dict(),
-            "training": [asdict(episode) for episode in report.data.training],
-            "test": [asdict(episode) for episode in report.data.test],
+            "training": report.data.training,
+            "test": report.data.test,
         },
         "notes": report.notes,
-        "models": [asdict(model) for model in report.models],
+        "models": report.models,
         "prediction": None if report.prediction is None else prediction_to_json(report.prediction),
-        **(
-            {"conditions": {label: [asdict(one) for one in errors] for label, errors in report.conditions.items()}}
-            if report.conditions
-            else {}
-        ),
+        **({"conditions": report.conditions} if report.conditions else {}),
         "champions": []
         if report.matrix is None
         else [champion_to_json(champion) for champion in report.matrix.champions],
@@ -136,8 +131,8 @@ def to_json(report: Report) -> dict[str, Any]:
         "behaviour": [] if report.matrix is None else behaviour_to_json(report.manners, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [exploitability_to_json(model) for model in report.exploitability],
-        "advice": None if report.advice is None else advice_to_json(report.advice),
-        "failures": [asdict(failure) for failure in report.all_failures],
+        "advice": report.advice,
+        "failures": report.all_failures,
         "settings": report.settings,
         "versions": report.versions,
         "timings": report.timings,

@@ -504,14 +504,14 @@ def study_document(results: StudyResults) -> dict[str, Any]:
             "group_axes": results.study.group_axes,
             "intervals": {"share": SHARE, "resamples": RESAMPLES, "drawn": ["robots", "seeds of each"]},
             "points": [{**asdict(point), "finished": point.finished} for point in results.points],
-            "controllers": [asdict(row) for row in controller_figures(results)],
+            "controllers": controller_figures(results),
             "prediction": [
                 {**asdict(row), "n": {str(h): n and asdict(n) for h, n in row.n.items()}}
                 for row in prediction_figures(results)
             ],
-            "exploitability": [asdict(row) for row in exploit_figures(results)],
-            "forecasts": [asdict(row) for row in forecast_figures(results)],
-            "failures": [asdict(row) for row in results.failures],
+            "exploitability": exploit_figures(results),
+            "forecasts": forecast_figures(results),
+            "failures": results.failures,
             "versions": dict(results.versions),
             "timings": timings,
         }

@@ -9,23 +9,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from evaluation.storage import DAMAGED, read_with_arrays, write_with_arrays
+from evaluation.storage import from_plain, plain
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
 from sysid_evo.display import Displayed, listed
 from sysid_evo.engine import Rollouts, Runner, as_runners
-from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError, described
+from sysid_evo.errors import InvalidArgument, SysidEvoError, described
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.models import Dynamics
 from sysid_evo.progress import Counter, Progress, told
 from sysid_evo.randomness import as_seed, trial_seeds
 from sysid_evo.registry import Spec
-from sysid_evo.system import Channel, System
+from sysid_evo.system import System
 from sysid_evo.tasks import Target, Task, TaskState
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
@@ -183,31 +182,6 @@ class TransferResult:
         """Standard error of the mean, nan below two trials."""
         return self.std / np.sqrt(len(self.fitness)) if len(self.fitness) else float("nan")
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the cell as strict JSON, so that it need not be computed twice."""
-        return {
-            "champion": self.champion,
-            "column": self.column,
-            "fitness": self.fitness.tolist(),
-            "clipped_share": self.clipped_share,
-            "diverged_share": self.diverged_share,
-            "unit": self.unit,
-            "engine": self.engine,
-            "traces": [trace.to_dict() for trace in self.traces],
-            "reason": self.reason,
-            "missing": list(self.missing),
-            "measures": dict(self.measures),
-        }
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> TransferResult:
-        """Undo `to_dict`."""
-        fields = dict(value)
-        fields["fitness"] = np.asarray(fields["fitness"], dtype=np.float64)
-        fields["traces"] = tuple(Trace.from_dict(trace) for trace in fields["traces"])
-        fields["missing"] = tuple(fields.get("missing", ()))
-        return cls(**fields)
-
 
 @dataclass(frozen=True)
 class Trace:
@@ -223,75 +197,8 @@ class Trace:
     walls: tuple[Array, ...] = ()
     targets: tuple[Target, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the trace as strict JSON."""
-        t = self.trajectory
-        return {
-            "name": t.name,
-            "dt": t.dt,
-            "states": t.states.tolist(),
-            "controls": t.controls.tolist(),
-            "pose": None if t.pose is None else t.pose.tolist(),
-            "fitness": self.fitness,
-            "waypoints": self.waypoints.tolist(),
-            "waypoint_radius": self.waypoint_radius,
-            "walls": [wall.tolist() for wall in self.walls],
-            "targets": [
-                {
-                    "channel": target.channel.to_dict(),
-                    "place": target.place,
-                    "values": target.values.tolist(),
-                    "tolerance": target.tolerance,
-                }
-                for target in self.targets
-            ],
-        }
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> Trace:
-        """Undo `to_dict`."""
-        pose = None if value["pose"] is None else np.asarray(value["pose"], dtype=np.float64)
-        states, controls = (np.asarray(value[key], dtype=np.float64) for key in ("states", "controls"))
-        waypoints = np.asarray(value["waypoints"], dtype=np.float64).reshape(-1, 2)
-        trajectory = Trajectory(states, controls, value["dt"], pose, value["name"])
-        walls = tuple(np.asarray(wall, dtype=np.float64) for wall in value.get("walls", ()))
-        targets = tuple(
-            Target(
-                Channel.from_dict(target["channel"]),
-                target["place"],
-                np.asarray(target["values"], dtype=np.float64),
-                target["tolerance"],
-            )
-            for target in value.get("targets", ())
-        )
-        return cls(trajectory, value["fitness"], waypoints, value["waypoint_radius"], walls, targets)
-
-
-LONG = ("states", "controls", "pose")
-"""What there is of each trace at every step: as text it would take fifty times as long."""
-
-
-def save_cell(cell: TransferResult, path: Path) -> list[Path]:
-    """Write a cell to ``path`` with two suffixes; return the files."""
-    value = cell.to_dict()
-    arrays = {}
-    for i, trace in enumerate(value["traces"]):
-        for name in LONG:
-            numbers = trace.pop(name)
-            if numbers is not None:
-                arrays[f"trace.{i}.{name}"] = np.asarray(numbers)
-    return write_with_arrays(value, arrays, path)
-
-
-def load_cell(path: Path) -> TransferResult:
-    """Read what `save_cell` wrote. Raises `ArtefactError`."""
-    try:
-        value, arrays = read_with_arrays(path)
-        for i, trace in enumerate(value["traces"]):
-            trace.update({name: arrays.get(f"trace.{i}.{name}") for name in LONG})
-        return TransferResult.from_dict(value)
-    except DAMAGED as error:
-        raise ArtefactError(f"{path}: not a cell of a transfer matrix: {error}") from error
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "waypoints", np.reshape(self.waypoints, (-1, 2)))  # a list of none has no shape
 
 
 def transfer(
@@ -412,7 +319,7 @@ class MeasuredResult:
     def to_json(self) -> str:
         """Return it as strict JSON."""
         value = {
-            "cell": self.cell.to_dict(),
+            "cell": plain(self.cell),
             "champion": self.champion.to_dict(),
             "tensors": {name: array.tolist() for name, array in self.champion.tensors.items()},
             "on_robot": self.on_robot,
@@ -425,7 +332,11 @@ class MeasuredResult:
         """Undo `to_json`."""
         value = json.loads(text)
         champion = Champion.from_dict(value["champion"], value["tensors"])
-        return cls(champion, TransferResult.from_dict(value["cell"]), value["on_robot"], value["physical"])
+        for trace in value["cell"]["traces"]:
+            if "trajectory" not in trace:  # older files hold it in the trace itself
+                trace["trajectory"] = {name: trace.pop(name) for name in ("name", "dt", "states", "controls", "pose")}
+        cell = from_plain(TransferResult, value["cell"], place="cell")
+        return cls(champion, cell, value["on_robot"], value["physical"])
 
 
 def person(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:

@@ -154,7 +154,7 @@ def exploit(
             "unit": matrix.unit,
             "file": file,
             "card": list(card),
-            "exploitability": None if found is None else evaluation.exploitability_to_json(found),
+            "exploitability": evaluation.plain(found),
         }
         out.print_json(data=document)
         return

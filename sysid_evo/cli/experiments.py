@@ -231,7 +231,7 @@ def print_fits(
                 "seconds": round(outcome.seconds, 1),
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
-                "advice": evaluation.advice_to_json(advice) if advice is not None and advice.model == label else None,
+                "advice": evaluation.plain(advice) if advice is not None and advice.model == label else None,
                 "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
             }
         )

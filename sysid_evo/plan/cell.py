@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress
 
-CONTRACT = 14
+CONTRACT = 15
 """Raised whenever the same inputs give another result than before: every stored result is then computed anew."""
 
 

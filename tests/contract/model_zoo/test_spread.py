@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
-from evaluation.prediction.scores import load_prediction, save_prediction
+from evaluation.prediction.scores import ModelPrediction
 from evaluation.report.sections.prediction import coverage_sheet, intervals_hold
+from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
@@ -55,8 +56,8 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
     quiet = score_model("walk", fitted[1.0].variant(stochastic=False), cases, family="walk")
     assert quiet.coverage == ()
     assert [score.n for score in quiet.at] == [score.n for score in scores[1.0].at]
-    save_prediction(scores[1.0], tmp_path / "walk")
-    loaded = load_prediction(tmp_path / "walk")
+    save_result(scores[1.0], tmp_path / "walk")
+    loaded = load_result(ModelPrediction, tmp_path / "walk")
     assert [held.mean for held in loaded.coverage] == [held.mean for held in scores[1.0].coverage]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice import MOST, Evidence, advice_from_json, advice_to_json, advise_model
+from evaluation.advice import MOST, Evidence, ModelAdvice, advise_model
 from evaluation.advice.advise import LOOKS
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
@@ -15,6 +15,7 @@ from evaluation.advice.regions import dead_command, missing_excitation, other_st
 from evaluation.coverage import largest_gap
 from evaluation.exploitability import what_to_record
 from evaluation.steps import Steps
+from evaluation.storage import from_plain, plain
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.support import Support
 from sysid_evo.models.base import make_model
@@ -224,7 +225,7 @@ def test_a_family_that_takes_long_is_never_fitted_again():
 def test_advice_is_the_same_every_time_and_comes_back_from_json():
     once, again = (advised(evidence(LATE)) for _ in range(2))
     assert once == again
-    assert advice_from_json(json.loads(json.dumps(advice_to_json(once), allow_nan=False))) == once
+    assert from_plain(ModelAdvice, json.loads(json.dumps(plain(once), allow_nan=False))) == once
 
 
 SYSTEM = System(

@@ -18,7 +18,8 @@ from evaluation.prediction import (
 )
 from evaluation.prediction.regions import candidate_regions
 from evaluation.prediction.residuals import AHEAD, LAGS, MOST_STEPS
-from evaluation.prediction.scores import ModelPrediction, load_prediction, save_prediction
+from evaluation.prediction.scores import ModelPrediction
+from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
 from sysid_evo.validation.bootstrap import BlockErrors, interval
@@ -220,8 +221,8 @@ def test_two_equally_good_models_have_no_significant_difference_nineteen_times_o
 
 def test_what_is_stored_comes_back(tmp_path):
     row = assessed(Sliding(), noisy(4))
-    save_prediction(row, tmp_path / "row")
-    again = load_prediction(tmp_path / "row")
+    save_result(row, tmp_path / "row")
+    again = load_result(ModelPrediction, tmp_path / "row")
     for name in ("autocorrelation", "band", "white_p", "cross", "cross_band", "cross_p"):
         np.testing.assert_array_equal(getattr(again.residuals, name), getattr(row.residuals, name))
     assert again.residuals.samples == row.residuals.samples
@@ -234,5 +235,6 @@ def test_what_is_stored_comes_back(tmp_path):
         assert (found.horizon, found.samples, found.interval) == (kept.horizon, kept.samples, kept.interval)
         np.testing.assert_array_equal(found.resampled_n, kept.resampled_n)
     failed = ModelPrediction("failed", "linear")  # no free run, no residuals
-    save_prediction(failed, tmp_path / "failed")
-    assert load_prediction(tmp_path / "failed").free_run is load_prediction(tmp_path / "failed").residuals is None
+    save_result(failed, tmp_path / "failed")
+    again = load_result(ModelPrediction, tmp_path / "failed")
+    assert again.free_run is again.residuals is None

@@ -1,13 +1,11 @@
 """Transfer: a cell is what the rollout says, and the summary is arithmetic on cells."""
 
-import json
-
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from evaluation.storage import load_result, plain, save_result
 from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
-from evaluation.transfer.matrix import load_cell, save_cell
 from evaluation.transfer.summary import mean_ranks
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
@@ -73,15 +71,6 @@ def test_trials_that_diverge_are_counted():
     cell = run_cell(champion("c", ("u",)), "u", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5))
     assert cell.diverged_share == 1.0
     assert cell.mean < 0.0
-
-
-def test_a_cell_survives_json_bit_by_bit():
-    cell = run_cell(champion("c", ("k",)), "k", DynamicsRunner(fitted(Known())), transfer_seeds(0, 3), traces=1)
-    again = Cell.from_dict(json.loads(json.dumps(cell.to_dict(), allow_nan=False)))
-    np.testing.assert_array_equal(again.fitness, cell.fitness)
-    np.testing.assert_array_equal(again.traces[0].trajectory.states, cell.traces[0].trajectory.states)
-    np.testing.assert_array_equal(again.traces[0].waypoints, cell.traces[0].waypoints)
-    assert again.to_dict() == cell.to_dict()
 
 
 def test_the_papers_table_gives_the_papers_gaps():
@@ -166,14 +155,15 @@ def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last():
 def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path, traces):
     driver, runner = champion("c", ("boxed",), seed=3), DynamicsRunner(fitted(Boxed()))
     cell = run_cell(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
-    files = save_cell(cell, tmp_path / "here" / "c@boxed")
+    files = save_result(cell, tmp_path / "here" / "c@boxed")
     assert all(file.is_file() for file in files)
-    again = load_cell(tmp_path / "here" / "c@boxed")
-    assert again.to_dict() == cell.to_dict()
+    again = load_result(Cell, tmp_path / "here" / "c@boxed")
+    assert plain(again) == plain(cell)
+    assert again.fitness.dtype == cell.fitness.dtype == np.float64
     assert len(again.traces) == traces
     files[0].write_bytes(b"damaged")
-    with pytest.raises(ArtefactError, match="not a cell of a transfer matrix"):
-        load_cell(tmp_path / "here" / "c@boxed")
+    with pytest.raises(ArtefactError, match="not a stored TransferResult"):
+        load_result(Cell, tmp_path / "here" / "c@boxed")
 
 
 def test_the_correlation_of_mean_ranks_is_that_of_scipy_with_ties_too():

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from evaluation.advice import ModelAdvice, Remark, advice_from_json
+from evaluation.advice import ModelAdvice, Remark
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report import advice_lines, tables, to_json, verdict
 from evaluation.report.report import sections
+from evaluation.storage import from_plain
 from sysid_evo.plan import Store, execute
 from tests.fixtures.faulty_recordings import Fault, drive
 from tests.fixtures.reports import prediction, printed, report
@@ -19,7 +20,7 @@ QUESTION = "What limits linear, and what to record next?"
 
 def advised(remarks=REMARKS):
     made = report(prediction({"persistence": 0.9, "linear": 0.3}))
-    return replace(made, advice=ModelAdvice("linear", remarks, "the test part"))
+    return replace(made, advice=ModelAdvice("linear", "the test part", remarks))
 
 
 def test_the_verdict_ends_with_the_two_most_important_remarks():
@@ -40,14 +41,14 @@ def test_the_page_lists_them_all_and_says_on_what_the_model_was_judged():
 def test_the_terminal_lists_them_all_once():
     lines = printed(tables(advised()))
     assert lines.count(" - Sentence 3.") == 1
-    assert advice_lines(ModelAdvice("", ())) == []
-    nothing = ModelAdvice("linear", (), "the test part")
+    assert advice_lines(ModelAdvice("")) == []
+    nothing = ModelAdvice("linear", "the test part")
     assert printed(advice_lines(nothing)) == ["Nothing stands out that limits linear. Judged on the test part."]
 
 
 def test_the_document_holds_it_and_gives_it_back():
     made = advised()
-    assert advice_from_json(to_json(made)["advice"]) == made.advice
+    assert from_plain(ModelAdvice, to_json(made)["advice"]) == made.advice
     assert to_json(report())["advice"] is None
 
 
