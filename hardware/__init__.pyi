@@ -11,16 +11,16 @@ from .recording.manoeuvres import measuring
 from .recording.record import save_raw, store_journals
 from .robot import Robot, find_robot
 from .run_report import LoopReport, Reason, Stops
-from .testing import ROBOT_KIT
+from .testing import CONTRACTS
 
 __all__ = [
+    "CONTRACTS",
     "JOURNALS",
     "GateLimits",
     "HandTrial",
     "LoopReport",
     "ModelledRobot",
     "PageAddress",
-    "ROBOT_KIT",
     "Reason",
     "Recorder",
     "Robot",

@@ -1,4 +1,4 @@
-"""The contract of a robot, sentence by sentence; see `sysid_evo.testing` for the other kinds.
+"""The contract of a robot, sentence by sentence, and the contracts of all kinds of plugins, for whoever goes over them.
 
 A physical robot (its ``dynamics`` is None) is never connected: only what can be said of it at rest is
 checked.
@@ -6,7 +6,6 @@ checked.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,25 +18,18 @@ from sysid_evo.errors import ContractViolation, InvalidArgument, LinkLost, Shape
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.registry import Spec, robots
 from sysid_evo.system import System
-from sysid_evo.testing.contract import (
-    CheckResult,
-    DoesNotApply,
-    Kit,
-    expect,
-    expect_error,
-    expect_numbers,
-    normal,
-    raise_broken,
-    same,
-    verdicts,
-)
+from sysid_evo.testing.closed_loop import CONTROLLER, TASK
+from sysid_evo.testing.contract import Contract, DoesNotApply, expect, expect_error, expect_numbers, normal, same
+from sysid_evo.testing.evolution import STRATEGY
 from sysid_evo.testing.models import (
+    MODEL,
     StepInputs,
     expect_compiled_alike,
     expect_independent_rows,
     expect_pure,
     expect_shape_and_type,
 )
+from sysid_evo.testing.readers import READER
 from sysid_evo.types import Array
 
 FRAMES = 40
@@ -69,17 +61,12 @@ class RobotExample:
 
 def check_robot(name: str, **parameters: Any) -> None:
     """Raise `ContractViolation` listing every sentence that the registered robot ``name`` breaks."""
-    raise_broken("robot", name, run_robot_checks(name, **parameters))
+    ROBOT.check(name, **parameters)
 
 
-def run_robot_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered robot ``name``; a physical one is not connected."""
-
-    def make() -> RobotExample:
-        spec = robots.check(name, **parameters)
-        return RobotExample(spec, robots.make(spec))
-
-    return verdicts(make, CHECKS)
+def _robot(name: str, **parameters: Any) -> tuple[RobotExample]:
+    spec = robots.check(name, **parameters)
+    return (RobotExample(spec, robots.make(spec)),)
 
 
 def it_says_what_it_is(given: RobotExample) -> None:
@@ -203,7 +190,8 @@ CHECKS = (
     a_command_that_is_not_legal_is_refused,
     a_closed_session_is_over,
 )
-ROBOT_KIT = Kit(robots, run_robot_checks, CHECKS)
+ROBOT = Contract(robots, _robot, CHECKS)
+CONTRACTS = {one.registry.kind: one for one in (MODEL, TASK, CONTROLLER, STRATEGY, ROBOT, READER)}
 
 
 def _some_inputs(dynamics: Dynamics, steps: int = 20) -> StepInputs:

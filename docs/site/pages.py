@@ -1,4 +1,4 @@
-"""A hook of MkDocs for pages that are written elsewhere: the commands themselves, and the firmware's own page."""
+"""A hook of MkDocs for pages that are written elsewhere: commands, contracts of plugins, the firmware's own page."""
 
 import re
 from collections.abc import Iterator
@@ -21,6 +21,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are no files of the folder."""
     firmware = (Path(config.docs_dir) / FIRMWARE).read_text()
     files.append(File.generated(config, "reference/commands.md", content=commands()))
+    files.append(File.generated(config, "reference/contracts.md", content=contracts()))
     files.append(File.generated(config, "firmware.md", content=re.sub(r"\]\(\.\./\.\./docs/", "](", firmware)))
     return files
 
@@ -41,6 +42,17 @@ def commands() -> str:
     for part in _all_of(command):
         written = written.replace(f"`: {part.get_short_help_str()}\n", f"`: {part.get_short_help_str(LONG)}\n")
     return re.sub(r"(?m)^\* `--(install|show)-completion`.*\n", "", written)
+
+
+def contracts() -> str:
+    """Return the page of the contracts: every sentence that `sysid-evo plugin check` tries, kind by kind."""
+    from hardware import CONTRACTS
+    from sysid_evo.testing.contract import sentence_of
+
+    page = "# Contracts of plugins\n\n`sysid-evo plugin check NAME` tries these sentences, and so does `check_KIND`.\n"
+    for kind, contract in CONTRACTS.items():
+        page += f"\n## A {kind}\n\n" + "".join(f"- {sentence_of(check)}\n" for check in contract.checks)
+    return page
 
 
 def _all_of(command: Any) -> Iterator[Any]:

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 import hardware
-import sysid_evo.testing
+import sysid_evo
 from sysid_evo.cli.console import err, out, say, table_of, tell
 from sysid_evo.cli.options import Json, Plugins, load_plugins
 from sysid_evo.errors import InvalidArgument, UnknownName, did_you_mean
@@ -91,10 +91,10 @@ def _kind_of(name: str) -> str:
 
 
 def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
-    """Yield the verdicts of the kit of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
+    """Yield the verdicts of the contract of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
-    run = (hardware.ROBOT_KIT if kind == "robot" else sysid_evo.testing.KITS[kind]).run_checks
+    run = hardware.CONTRACTS[kind].run
     if kind == "reader" and data is None:
         raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
     if data is None:
@@ -109,7 +109,7 @@ FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
     "task": lambda path: sysid_evo.Dataset.read(path).system,
     "reader": lambda path: path,
 }
-"""What a kit takes besides the name, made of the path that was given."""
+"""What a contract takes besides the name, made of the path that was given."""
 
 
 def list_models(plugin: Plugins = None, as_json: Json = False) -> None:

@@ -1,8 +1,7 @@
-"""Conformance kits: the contract of each kind of thing as sentences that plugin authors run, and CI runs.
+"""The contract of each kind of plugin as a table of sentences and checks, which plugin authors run, and CI runs.
 
-``check_KIND(name)`` raises `ContractViolation` listing every broken sentence; ``run_KIND_checks(name)``
-yields each sentence with its verdict (for models it is called `run_checks`). `KITS` has them by kind. The kit of
-robots stands beside what it checks: `hardware.testing`.
+``check_KIND(name)`` raises `ContractViolation` listing every broken sentence; ``KIND.run(name)``, such as `MODEL.run`,
+yields each sentence with its verdict. `hardware.testing` has the contract of robots, and those of all kinds by name.
 """
 
 import lazy_loader

@@ -1,15 +1,18 @@
-from .closed_loop import check_controller, check_task, run_controller_checks, run_task_checks
-from .contract import CheckResult
-from .evolution import check_strategy, run_strategy_checks
+from .closed_loop import CONTROLLER, TASK, check_controller, check_task
+from .contract import CheckResult, Contract
+from .evolution import STRATEGY, check_strategy
 from .examples import ExampleDynamics, example_dataset, example_systems
-from .kits import KITS
-from .models import CHECKS, check_model, run_checks
-from .readers import check_reader, run_reader_checks
+from .models import MODEL, check_model
+from .readers import READER, check_reader
 
 __all__ = [
-    "CHECKS",
-    "KITS",
+    "CONTROLLER",
+    "MODEL",
+    "READER",
+    "STRATEGY",
+    "TASK",
     "CheckResult",
+    "Contract",
     "ExampleDynamics",
     "check_controller",
     "check_model",
@@ -18,9 +21,4 @@ __all__ = [
     "check_task",
     "example_dataset",
     "example_systems",
-    "run_checks",
-    "run_controller_checks",
-    "run_reader_checks",
-    "run_strategy_checks",
-    "run_task_checks",
 ]

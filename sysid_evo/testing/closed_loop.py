@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,19 +14,18 @@ from sysid_evo.engine.rollout import rollout
 from sysid_evo.errors import ContractViolation, IncompatibleTask
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.randomness import trial_seeds
+from sysid_evo.registry.registry import controllers, tasks
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.task import Task, TaskState, make_task
 from sysid_evo.testing.contract import (
-    CheckResult,
+    Contract,
     DoesNotApply,
     expect,
     expect_kernel,
     expect_numbers,
-    raise_broken,
     same,
     twice,
-    verdicts,
 )
 from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
 from sysid_evo.types import Array, Seeds
@@ -74,25 +72,17 @@ class ControllerExample:
 def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
     """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks.
 
-    ``at`` is the task that it is tried at, see `run_controller_checks`.
-    """
-    raise_broken("controller", name, run_controller_checks(name, at=at, **parameters))
-
-
-def run_controller_checks(name: str, *, at: Task | None = None, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered controller ``name``.
-
     It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
     """
+    CONTROLLER.check(name, at=at, **parameters)
 
-    def make() -> ControllerExample:
-        task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
-        made = make_controller(name, **parameters)
-        bound = made.bind_to(task)
-        weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
-        return ControllerExample(made, bound, weights, task)
 
-    return verdicts(make, CONTROLLER_CHECKS)
+def _controller(name: str, *, at: Task | None = None, **parameters: Any) -> tuple[ControllerExample]:
+    task = PointToPoint(horizon=60).bind(continuous_car()) if at is None else at
+    made = make_controller(name, **parameters)
+    bound = made.bind_to(task)
+    weights = np.random.default_rng(4).standard_normal((CANDIDATES, bound.n_parameters))
+    return (ControllerExample(made, bound, weights, task),)
 
 
 def binding_gives_a_controller_of_that_size(given: ControllerExample) -> None:
@@ -191,6 +181,7 @@ CONTROLLER_CHECKS = (
     the_compiled_form_acts_as_act_does,
     the_form_for_other_languages_acts_as_act_does,
 )
+CONTROLLER = Contract(controllers, _controller, CONTROLLER_CHECKS)
 
 
 @dataclass(frozen=True)
@@ -238,17 +229,12 @@ def check_task(name: str, system: System | None = None, **parameters: Any) -> No
 
     ``system`` is one that has the roles of the task; without it, the first of `example_systems` that has.
     """
-    raise_broken("task", name, run_task_checks(name, system, **parameters))
+    TASK.check(name, system, **parameters)
 
 
-def run_task_checks(name: str, system: System | None = None, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered task ``name``, see `check_task`."""
-
-    def make() -> TaskExample:
-        made = make_task(name, **parameters)
-        return TaskExample(made, _bound(made, example_systems() if system is None else (system,)))
-
-    return verdicts(make, TASK_CHECKS)
+def _task(name: str, system: System | None = None, **parameters: Any) -> tuple[TaskExample]:
+    made = make_task(name, **parameters)
+    return (TaskExample(made, _bound(made, example_systems() if system is None else (system,))),)
 
 
 def binding_leaves_the_task_as_it_is(given: TaskExample) -> None:
@@ -395,6 +381,7 @@ TASK_CHECKS = (
     a_scene_can_be_drawn,
     the_compiled_form_is_the_reference,
 )
+TASK = Contract(tasks, _task, TASK_CHECKS)
 
 
 def _bound(task: Task, systems: tuple[System, ...]) -> Task:

@@ -1,12 +1,12 @@
-"""Sentences and verdicts, what every kit is made of; and what checks expect of arrays.
+"""What a contract is, a table of checks; and what checks expect of arrays.
 
-A kit is a list of checks. A check is a function of what it looks at; its docstring is the sentence
-that must hold, and it raises `ContractViolation` with a reason where the sentence is broken.
+A check is a function of what it looks at; its docstring is the sentence that must hold, and it raises
+`ContractViolation` with a reason where the sentence is broken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, TypeAlias, TypeVar
@@ -18,8 +18,7 @@ from sysid_evo.processors import ENGINE_VARIABLE, resolve
 from sysid_evo.registry.registry import Registry
 from sysid_evo.types import Array, BoolArray
 
-Subject = TypeVar("Subject")
-Check: TypeAlias = Callable[[Subject], None]
+Check: TypeAlias = Callable[..., None]
 
 MADE = "It is made from its name and parameters"
 
@@ -38,17 +37,58 @@ class DoesNotApply(Exception):
 
 
 @dataclass(frozen=True)
-class Kit:
-    """The contract of one kind: the registry of its names, ``run_checks(name, ...)``, and all checks."""
+class Contract:
+    """The contract of one kind of plugin: the registry of its names, and the table of its checks.
+
+    ``prepare(name, ...)`` makes what every check is called with, from a registered name, what its kind takes besides,
+    and parameters. Where the ``decisive`` check fails, those after it are not tried.
+    """
 
     registry: Registry[Any]
-    run_checks: Callable[..., Iterator[CheckResult]]
-    checks: tuple[Callable[..., None], ...]
+    prepare: Callable[..., tuple[Any, ...]]
+    checks: tuple[Check, ...]
+    decisive: Check | None = None
+
+    def run(self, name: str, *given: Any, **parameters: Any) -> Iterator[CheckResult]:
+        """Yield the result of making the thing called ``name`` and of every check that applies to it.
+
+        If it cannot be made, that is the only result. Errors of this library that are raised while it is
+        made (an unknown name, a parameter out of range) are the caller's, and are passed on.
+        """
+        try:
+            subject = self.prepare(name, *given, **parameters)
+        except ContractViolation as error:
+            yield CheckResult(MADE, str(error))
+            return
+        except SysidEvoError:
+            raise
+        except Exception as error:  # a plugin may fail in any way: that is what is being found out
+            yield CheckResult(MADE, described(error))
+            return
+        yield CheckResult(MADE, None)
+        for check in self.checks:
+            with suppress(DoesNotApply):
+                yield (result := verdict(check, subject))
+                if check is self.decisive and result.failure is not None:
+                    return
+
+    def check(self, name: str, *given: Any, **parameters: Any) -> None:
+        """Raise `ContractViolation` listing every sentence that the thing called ``name`` breaks, if there is one."""
+        broken = [result for result in self.run(name, *given, **parameters) if result.failure is not None]
+        if broken:
+            lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
+            kind = self.registry.kind
+            raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} of the contract's sentences:\n{lines}")
 
 
-def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
+def sentence_of(check: Check) -> str:
+    """Return the sentence that ``check`` tries."""
+    return (check.__doc__ or check.__name__).strip()
+
+
+def verdict(check: Check, subject: tuple[Any, ...]) -> CheckResult:
     """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply` without a reason."""
-    sentence = (check.__doc__ or check.__name__).strip()
+    sentence = sentence_of(check)
     try:
         check(*subject)
     except DoesNotApply as error:
@@ -60,36 +100,6 @@ def verdict(check: Callable[..., None], *subject: Any) -> CheckResult:
     except Exception as error:  # a plugin may fail in any way: that is what is being found out
         return CheckResult(sentence, described(error))
     return CheckResult(sentence, None)
-
-
-def verdicts(make: Callable[[], Subject], checks: Iterable[Check[Subject]]) -> Iterator[CheckResult]:
-    """Yield the result of making a subject and of every check that applies to it.
-
-    If it cannot be made, that is the only result. Errors of this library that are raised while it is
-    made (an unknown name, a parameter out of range) are the caller's, and are passed on.
-    """
-    try:
-        subject = make()
-    except ContractViolation as error:
-        yield CheckResult(MADE, str(error))
-        return
-    except SysidEvoError:
-        raise
-    except Exception as error:  # a plugin may fail in any way: that is what is being found out
-        yield CheckResult(MADE, described(error))
-        return
-    yield CheckResult(MADE, None)
-    for check in checks:
-        with suppress(DoesNotApply):
-            yield verdict(check, subject)
-
-
-def raise_broken(kind: str, name: str, results: Iterable[CheckResult]) -> None:
-    """Raise `ContractViolation` listing every broken sentence of ``results``, if there is one."""
-    broken = [result for result in results if result.failure is not None]
-    if broken:
-        lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
-        raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} of the contract's sentences:\n{lines}")
 
 
 def expect(holds: Any, reason: str) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,16 +13,7 @@ from sysid_evo.evolution.loop import evolve
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState, make_strategy
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import strategies
-from sysid_evo.testing.contract import (
-    CheckResult,
-    copied,
-    expect,
-    expect_error,
-    expect_numbers,
-    raise_broken,
-    same,
-    verdicts,
-)
+from sysid_evo.testing.contract import Contract, copied, expect, expect_error, expect_numbers, same
 from sysid_evo.types import Array
 
 N_PARAMETERS = 4
@@ -44,18 +35,13 @@ class StrategyExample:
 
 def check_strategy(name: str, **parameters: Any) -> None:
     """Raise `ContractViolation` listing every sentence that the registered strategy ``name`` breaks."""
-    raise_broken("strategy", name, run_strategy_checks(name, **parameters))
+    STRATEGY.check(name, **parameters)
 
 
-def run_strategy_checks(name: str, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered strategy ``name``; it is made with n_parameters and seed."""
-
-    def make() -> StrategyExample:
-        given = StrategyExample(strategies.check(name, **parameters))
-        given.make()
-        return given
-
-    return verdicts(make, CHECKS)
+def _strategy(name: str, **parameters: Any) -> tuple[StrategyExample]:
+    given = StrategyExample(strategies.check(name, **parameters))
+    given.make()
+    return (given,)
 
 
 def ask_gives_candidates(given: StrategyExample) -> None:
@@ -172,6 +158,7 @@ CHECKS = (
     a_restored_strategy_goes_on,
     what_is_forgotten_does_not_count,
 )
+STRATEGY = Contract(strategies, _strategy, CHECKS)
 
 
 def fitness(population: Array) -> Array:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,18 +26,16 @@ from sysid_evo.models.storage import load_model, save_model
 from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import models
 from sysid_evo.testing.contract import (
-    CheckResult,
+    Contract,
     DoesNotApply,
     copied,
     expect,
     expect_error,
     expect_kernel,
     normal,
-    raise_broken,
     rows_off,
     same,
     twice,
-    verdict,
 )
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.types import Array, IntArray
@@ -50,26 +47,20 @@ COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
 
 def check_model(name: str, dataset: Dataset | None = None, **parameters: object) -> None:
     """Fit the registered family ``name`` and raise `ContractViolation` listing every broken sentence."""
-    raise_broken("model", name, run_checks(name, dataset, **parameters))
+    MODEL.check(name, dataset, **parameters)
 
 
-def run_checks(name: str, dataset: Dataset | None = None, **parameters: object) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered family ``name``, fitted to ``dataset``.
+def _prepared(name: str, dataset: Dataset | None = None, **parameters: object) -> tuple[DynamicsModel, Dataset]:
+    """Return the family ``name``, which a check fits, and the data set: by default `example_dataset`.
 
-    Without a data set the checks use `example_dataset`. ``parameters`` go to the constructor; the
-    family's ``quick`` preset holds for the others. If it cannot be fitted, that is the last result.
-    Raises `IncompatibleSystem` if the family refuses the system of ``dataset``.
+    ``parameters`` go to the constructor; the family's ``quick`` preset holds for the others. Raises
+    `IncompatibleSystem` if the family refuses the system of ``dataset``.
     """
     dataset = example_dataset() if dataset is None else dataset
     family: Any = models.get(name)
-    quick = dict(family.presets.get("quick", {}))
-    model = make_model(name, **{**quick, **parameters})
+    model = make_model(name, **{**family.presets.get("quick", {}), **parameters})
     model.check_system(dataset.system)
-    yield verdict(an_unfitted_model_says_so, model, dataset)
-    fitted = verdict(fit_returns_the_model_itself, model, dataset)
-    yield fitted
-    for check in CHECKS if fitted.failure is None else ():
-        yield verdict(check, model, dataset)
+    return model, dataset
 
 
 def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
@@ -84,9 +75,6 @@ def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None
     fingerprint = dataset.fingerprint
     expect(model.fit(dataset, rng=np.random.default_rng(1)) is model, "fit must return self")
     expect(dataset.with_episodes(dataset.episodes).fingerprint == fingerprint, "fit overwrites the recording")
-
-
-FIRST_CHECKS = (an_unfitted_model_says_so, fit_returns_the_model_itself)
 
 
 def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
@@ -241,7 +229,9 @@ def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: 
     expect(same(stepped, expected), "it is held although an earlier control in its carry is not neutral")
 
 
-CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
+CHECKS = (
+    an_unfitted_model_says_so,
+    fit_returns_the_model_itself,
     fit_tells_and_can_be_stopped,
     a_step_has_the_right_shape_and_type,
     the_carry_begins_with_the_state,
@@ -257,6 +247,7 @@ CHECKS: tuple[Callable[[DynamicsModel, Dataset], None], ...] = (
     saving_and_loading_keeps_every_step,
     learned_arrays_declares_what_was_learned,
 )
+MODEL = Contract(models, _prepared, CHECKS, decisive=fit_returns_the_model_itself)
 
 
 def _some_inputs(model: DynamicsModel, dataset: Dataset) -> StepInputs:

@@ -14,7 +14,7 @@ import numpy as np
 from sysid_evo.data.readers import Reader, Table
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.registry.registry import readers
-from sysid_evo.testing.contract import CheckResult, expect, expect_error, expect_numbers, raise_broken, same, verdicts
+from sysid_evo.testing.contract import Contract, expect, expect_error, expect_numbers, same
 
 NO_COLUMN = "a column that no file has"
 
@@ -50,15 +50,13 @@ def check_reader(name: str, path: Path, **parameters: Any) -> None:
 
     ``path`` is a file of its kind with two rows or more, and at least one column of finite numbers.
     """
-    raise_broken("reader", name, run_reader_checks(name, path, **parameters))
+    READER.check(name, path, **parameters)
 
 
-def run_reader_checks(name: str, path: Path, **parameters: Any) -> Iterator[CheckResult]:
-    """Yield the result of every check of the registered reader ``name`` on the file ``path``."""
+def _reader(name: str, path: Path, **parameters: Any) -> tuple[ReaderExample]:
     if not path.is_file():
         raise InvalidArgument(f"reader {name!r}: expected a file of its kind to read, found none at {path}")
-    content = path.read_bytes()
-    return verdicts(lambda: ReaderExample(name, readers.make(name, **parameters), path, content), CHECKS)
+    return (ReaderExample(name, readers.make(name, **parameters), path, path.read_bytes()),)
 
 
 def it_names_its_suffixes(given: ReaderExample) -> None:
@@ -171,6 +169,7 @@ CHECKS = (
     a_file_that_is_cut_short_gives_no_wrong_numbers,
     the_file_is_left_alone,
 )
+READER = Contract(readers, _reader, CHECKS)
 
 
 def _read_copy(given: ReaderExample, name: str, content: bytes) -> Table | None:

@@ -14,7 +14,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
-from sysid_evo.testing import CHECKS, example_dataset, run_checks
+from sysid_evo.testing import MODEL, example_dataset
 from sysid_evo.testing.models import rows_are_independent
 from sysid_evo.validation.simulation_error import judging_windows
 from tests.fixtures.families import SMALL, hurry, small
@@ -64,9 +64,9 @@ def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(family, reco
     """Where a family can hold a body at rest, it does so on the car with switches."""
     dataset = request.getfixturevalue(recording)
     dataset = dataset[[0]] if family in SLOW else dataset
-    results = list(run_checks(family, dataset, **SMALL.get(family, {}), rest_hold=recording == "car_data"))
+    results = list(MODEL.run(family, dataset, **SMALL.get(family, {}), rest_hold=recording == "car_data"))
     assert not broken(results)
-    assert len(results) == 2 + len(CHECKS)
+    assert len(results) == 1 + len(MODEL.checks)
 
 
 @pytest.mark.parametrize("family", at_night(models.names(), often=(*CARS, *ONE_OF_A_KIND)))
@@ -80,10 +80,10 @@ def test_every_family_keeps_the_contract_on_what_is_no_car_or_refuses_it(family,
         with pytest.raises(IncompatibleSystem):
             model.fit(oscillator_data, rng=np.random.default_rng(0))
         with pytest.raises(IncompatibleSystem):
-            list(run_checks(family, oscillator_data))
+            list(MODEL.run(family, oscillator_data))
         assert not hasattr(model, "system_")
     else:
-        assert not broken(run_checks(family, oscillator_data, **SMALL.get(family, {})))
+        assert not broken(MODEL.run(family, oscillator_data, **SMALL.get(family, {})))
 
 
 @pytest.mark.parametrize("case", SMALL_SYSTEMS)
@@ -120,7 +120,7 @@ def test_a_car_without_controls_is_refused_in_a_sentence(family):
     ],
 )
 def test_lags_asked_for_keep_the_contract(family, options, throttle_car_data):
-    assert not broken(run_checks(family, throttle_car_data, rest_hold=True, **options))
+    assert not broken(MODEL.run(family, throttle_car_data, rest_hold=True, **options))
     assert make_model(family, **options).lags == (options.get("state_lags", 0), options["control_lags"])
 
 

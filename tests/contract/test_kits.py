@@ -1,19 +1,19 @@
-"""Four questions to the kit of every kind of plugin, and what is special about one kind."""
+"""Four questions to the contract of every kind of plugin, and what is special about one kind."""
 
 import re
 from typing import ClassVar
 
 import pytest
 
-from hardware.testing import check_robot
+from hardware.testing import CONTRACTS, check_robot
 from sysid_evo.data import Dataset
 from sysid_evo.errors import ContractViolation, IncompatibleSystem, IncompatibleTask, InvalidArgument, RegistrationError
 from sysid_evo.models import DynamicsModel, require_planar
-from sysid_evo.registry import Spec, make_robot, models, tasks
+from sysid_evo.registry import Spec, make_robot, models, robots, tasks
 from sysid_evo.tasks import SetPoint
-from sysid_evo.testing import check_controller, check_model, check_reader, check_strategy, check_task, run_checks
+from sysid_evo.testing import MODEL, check_controller, check_model, check_reader, check_strategy, check_task
 from sysid_evo.testing import models as model_kit
-from sysid_evo.testing.contract import MADE
+from sysid_evo.testing.contract import MADE, sentence_of
 from sysid_evo.testing.examples import (
     ExampleDynamics,
     bare_system,
@@ -29,7 +29,7 @@ from tests.fixtures import broken_readers as of_readers
 from tests.fixtures import broken_robots as of_robots
 from tests.fixtures import broken_strategies as of_strategies
 from tests.fixtures import broken_tasks as of_tasks
-from tests.fixtures.kits import KITS, broken, failing, sentence
+from tests.fixtures.kits import broken, failing
 from tests.fixtures.systems import TANK
 
 CASES = {
@@ -64,7 +64,7 @@ OTHER_ARGUMENTS = [
     ("task", "walled_track(collision=end, rays=1, width=0.4, horizon=40)", (switched_car(),)),
     ("task", "walled_track(rays=7, view=4.0, bends=0.9, horizon=40)", (switched_car(),)),
 ]
-REGISTERED = [(kind, name) for kind, kit in KITS.items() if kind != "model" for name in kit.registry.names()]
+REGISTERED = [(kind, name) for kind, one in CONTRACTS.items() if kind != "model" for name in one.registry.names()]
 SOUND = [(kind, one) for kind, (_, cases) in CASES.items() for one in cases.SOUND]
 BROKEN = [
     pytest.param(kind, one, id=f"{kind}-{one.check.__name__}-{number}")
@@ -80,14 +80,13 @@ def given(tmp_path):
 
 
 def test_every_kind_with_a_template_has_a_kit_and_its_cases():
-    assert set(KITS) == set(CASES) == set(PLUGINS)
-    assert all(kit.registry.kind == kind for kind, kit in KITS.items())
+    assert set(CONTRACTS) == set(CASES) == set(PLUGINS)
 
 
-@pytest.mark.parametrize("kind", KITS)
+@pytest.mark.parametrize("kind", CONTRACTS)
 def test_every_registered_name_can_be_loaded(kind):
     """A plugin that cannot is a warning, which fails a test."""
-    registry = KITS[kind].registry
+    registry = CONTRACTS[kind].registry
     assert [name for name, _ in registry.load_all()] == list(registry.names())
 
 
@@ -95,54 +94,53 @@ def test_every_registered_name_can_be_loaded(kind):
 def test_every_registered_plugin_keeps_its_contract(kind, name, tmp_path, monkeypatch):
     """Of the model families `test_families` says it; a physical robot is not connected."""
     if kind == "robot" and make_robot(name).dynamics is None:
-        monkeypatch.setattr(KITS[kind].registry.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
+        monkeypatch.setattr(robots.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
     file = (of_readers.FILES[name](tmp_path),) if kind == "reader" else ()
     options = OPTIONS.get(name, {"horizon": 40} if kind == "task" else {})
-    assert broken(KITS[kind].run_checks(name, *file, **options)) == {}
+    assert broken(CONTRACTS[kind].run(name, *file, **options)) == {}
 
 
 @pytest.mark.parametrize(("kind", "spec", "given"), OTHER_ARGUMENTS)
 def test_with_other_arguments_a_plugin_keeps_its_contract_too(kind, spec, given):
     parsed = Spec.parse(spec)
-    assert broken(KITS[kind].run_checks(parsed.name, *given, **parsed.parameters)) == {}
+    assert broken(CONTRACTS[kind].run(parsed.name, *given, **parsed.parameters)) == {}
 
 
 @pytest.mark.parametrize(("kind", "plugin"), SOUND)
 def test_a_sound_plugin_keeps_every_sentence(kind, plugin, register, given):
-    kit = KITS[kind]
-    register(kit.registry, "sound", plugin)
-    results = {result.sentence: result for result in kit.run_checks("sound", *given(kind))}
+    contract = CONTRACTS[kind]
+    register(contract.registry, "sound", plugin)
+    results = {result.sentence: result for result in contract.run("sound", *given(kind))}
     assert broken(results.values()) == {}
-    silent = {one.__doc__ for one in kit.checks} - results.keys()
+    sentences = {sentence_of(one) for one in contract.checks}
     expected = {
-        "task": {sentence(of_tasks.kit.a_tracked_pose_is_believed)},
-        "controller": {sentence(of_controllers.kit.the_form_for_other_languages_acts_as_act_does)},
+        "task": {sentence_of(of_tasks.kit.a_tracked_pose_is_believed)},
+        "controller": {sentence_of(of_controllers.kit.the_form_for_other_languages_acts_as_act_does)},
     }
-    assert silent == expected.get(kind, set()), "these do not apply, and nothing is said of them"
-    assert results.keys() <= {MADE, *(sentence(one) for one in kit.checks)}
+    assert results.keys() == {MADE, *sentences} - expected.get(kind, set()), "what does not apply is not mentioned"
 
 
 @pytest.mark.parametrize(("kind", "one"), BROKEN)
 def test_a_broken_plugin_is_caught_with_the_sentence_it_breaks(kind, one, register, given):
-    register(KITS[kind].registry, "broken", one.plugin)
-    found = broken(KITS[kind].run_checks("broken", *given(kind)))
-    assert re.search(one.reason, found[sentence(one.check)])
+    register(CONTRACTS[kind].registry, "broken", one.plugin)
+    found = broken(CONTRACTS[kind].run("broken", *given(kind)))
+    assert re.search(one.reason, found[sentence_of(one.check)])
     assert not one.alone or len(found) == 1
 
 
 @pytest.mark.parametrize("kind", CASES)
 def test_every_check_has_a_plugin_that_breaks_it(kind):
     cases = CASES[kind][1]
-    assert {one.check for one in (*cases.BROKEN, *cases.BROKEN_FORMS)} == set(KITS[kind].checks)
+    assert {one.check for one in (*cases.BROKEN, *cases.BROKEN_FORMS)} == set(CONTRACTS[kind].checks)
 
 
 @pytest.mark.parametrize("kind", CASES)
 def test_the_check_of_a_kind_raises_with_every_broken_sentence_and_nothing_for_a_sound_plugin(kind, register, given):
     check, cases = CASES[kind]
-    register(KITS[kind].registry, "sound", cases.SOUND[0])
+    register(CONTRACTS[kind].registry, "sound", cases.SOUND[0])
     check("sound", *given(kind))
-    register(KITS[kind].registry, "broken", cases.Failing)
-    found = broken(KITS[kind].run_checks("broken", *given(kind)))
+    register(CONTRACTS[kind].registry, "broken", cases.Failing)
+    found = broken(CONTRACTS[kind].run("broken", *given(kind)))
     with pytest.raises(ContractViolation) as raised:
         check("broken", *given(kind))
     head, *lines = str(raised.value).splitlines()
@@ -150,23 +148,23 @@ def test_the_check_of_a_kind_raises_with_every_broken_sentence_and_nothing_for_a
     assert lines == [f"- {said}: {reason}" for said, reason in found.items()]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in CASES if kind != "model"])
+@pytest.mark.parametrize("kind", CASES)
 def test_a_plugin_that_cannot_be_made_is_reported_and_a_wrong_parameter_is_the_callers(kind, register, given):
     sound = CASES[kind][1].SOUND[0]
-    register(KITS[kind].registry, "broken", type("Unmakable", (sound,), {"__init__": failing}))
-    reported = list(KITS[kind].run_checks("broken", *given(kind)))
+    register(CONTRACTS[kind].registry, "broken", type("Unmakable", (sound,), {"__init__": failing}))
+    reported = list(CONTRACTS[kind].run("broken", *given(kind)))
     assert [one.sentence for one in reported] == [MADE]
     assert str(reported[0].failure).startswith("ZeroDivisionError: a mistake in the plugin (kits.py, line")
-    register(KITS[kind].registry, "sound", sound)
+    register(CONTRACTS[kind].registry, "sound", sound)
     with pytest.raises(InvalidArgument, match=f"{kind} 'sound' has no parameter 'wheels'"):
-        list(KITS[kind].run_checks("sound", *given(kind), wheels=4))
+        list(CONTRACTS[kind].run("sound", *given(kind), wheels=4))
 
 
 @pytest.mark.parametrize("system", example_systems()[:2], ids=["switches", "continuous"])
 def test_a_task_is_checked_on_the_system_that_is_given(system):
-    results = list(KITS["task"].run_checks("point_to_point", system, waypoint_radius=0.5, horizon=40))
+    results = list(CONTRACTS["task"].run("point_to_point", system, waypoint_radius=0.5, horizon=40))
     assert broken(results) == {}
-    assert len(results) == 1 + len(KITS["task"].checks)
+    assert len(results) == 1 + len(CONTRACTS["task"].checks)
 
 
 def test_a_task_that_no_system_fits_says_why(register):
@@ -175,7 +173,7 @@ def test_a_task_that_no_system_fits_says_why(register):
             raise IncompatibleTask(f"impossible needs wings, {system.name} has none")
 
     register(tasks, "broken", Impossible)
-    (reason,) = broken(KITS["task"].run_checks("broken")).values()
+    (reason,) = broken(CONTRACTS["task"].run("broken")).values()
     assert "made-up pendulum: impossible needs wings, made-up pendulum has none" in reason
 
 
@@ -186,7 +184,7 @@ def test_a_reader_is_not_checked_without_a_file(tmp_path):
 
 def test_after_a_failed_fit_nothing_else_is_checked(register):
     register(models, "broken", of_models.Failing)
-    assert [one.sentence for one in run_checks("broken")][-1] == sentence(model_kit.fit_returns_the_model_itself)
+    assert [one.sentence for one in MODEL.run("broken")][-1] == sentence_of(model_kit.fit_returns_the_model_itself)
 
 
 def test_a_system_that_the_family_refuses_is_no_broken_sentence(register, rng):
@@ -197,7 +195,7 @@ def test_a_system_that_the_family_refuses_is_no_broken_sentence(register, rng):
     register(models, "planar", Planar)
     dataset = Dataset.from_arrays(bare_system(), [rng.standard_normal((30, 1))], [rng.uniform(0, 1, (29, 1))])
     with pytest.raises(IncompatibleSystem, match="Planar describes a planar body"):
-        list(run_checks("planar", dataset))
+        list(MODEL.run("planar", dataset))
 
 
 def test_the_quick_preset_gives_way_to_what_is_asked_for(register):
@@ -213,7 +211,7 @@ def test_the_quick_preset_gives_way_to_what_is_asked_for(register):
     register(models, "preset", Preset)
     for given, expected in (({}, {0.5}), ({"share": 0.25}, {0.25})):
         seen.clear()
-        list(run_checks("preset", **given))
+        list(MODEL.run("preset", **given))
         assert seen == expected
 
 

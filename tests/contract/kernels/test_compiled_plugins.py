@@ -4,8 +4,10 @@ import re
 
 import pytest
 
+from hardware.testing import CONTRACTS
+from sysid_evo.testing.contract import sentence_of
 from tests.fixtures import broken_controllers, broken_models, broken_robots, broken_tasks
-from tests.fixtures.kits import KITS, broken, sentence
+from tests.fixtures.kits import broken
 
 CASES = {
     "model": broken_models,
@@ -18,19 +20,19 @@ BROKEN = [(kind, one) for kind, cases in CASES.items() for one in cases.BROKEN_F
 
 @pytest.mark.parametrize(("kind", "one"), BROKEN, ids=CASES)
 def test_a_compiled_form_that_differs_is_caught(kind, one, register):
-    register(KITS[kind].registry, "broken", one.plugin)
-    ((said, reason),) = broken(KITS[kind].run_checks("broken")).items()
-    assert said == sentence(one.check)
+    register(CONTRACTS[kind].registry, "broken", one.plugin)
+    ((said, reason),) = broken(CONTRACTS[kind].run("broken")).items()
+    assert said == sentence_of(one.check)
     assert re.search(one.reason, reason)
 
 
 def test_a_compiled_form_that_agrees_is_not(register):
-    register(KITS["model"].registry, "sound", broken_models.Compiled)
-    assert not any(result.failure or "compiled" in result.idle for result in KITS["model"].run_checks("sound"))
+    register(CONTRACTS["model"].registry, "sound", broken_models.Compiled)
+    assert not any(result.failure or "compiled" in result.idle for result in CONTRACTS["model"].run("sound"))
 
 
 @pytest.mark.parametrize("kind", CASES)
 def test_where_there_is_no_compiled_form_the_kit_says_so(kind, register):
-    register(KITS[kind].registry, "sound", CASES[kind].SOUND[0])
-    idle = {result.sentence: result.idle for result in KITS[kind].run_checks("sound")}
-    assert idle[sentence(CASES[kind].BROKEN_FORMS[0].check)].startswith("it has none, so that Python computes every")
+    register(CONTRACTS[kind].registry, "sound", CASES[kind].SOUND[0])
+    idle = {result.sentence: result.idle for result in CONTRACTS[kind].run("sound")}
+    assert idle[sentence_of(CASES[kind].BROKEN_FORMS[0].check)].startswith("it has none, so that Python computes every")

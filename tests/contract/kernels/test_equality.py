@@ -18,7 +18,7 @@ from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
 from sysid_evo.tasks import PointToPoint, Reward
-from sysid_evo.testing import run_checks
+from sysid_evo.testing import MODEL
 from sysid_evo.testing.examples import ExampleDynamics, continuous_car, example_dataset, pendulum, switched_car
 from tests.fixtures.families import hurry
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
@@ -537,7 +537,7 @@ def test_a_family_keeps_the_contract_compiled_in_both_precisions(family, recordi
     options, resting = dict(SMALL_BUDGETS.get(family, {})), recording == "a car that rests"
     options |= {"rest_hold": True} if resting and "rest_hold" in make_model(family).get_params() else {}
     try:
-        results = list(run_checks(family, data, **options))
+        results = list(MODEL.run(family, data, **options))
     except IncompatibleSystem:
         pytest.skip("a family of cars")
     assert not [f"{one.sentence}: {one.failure}" for one in results if one.failure]

@@ -13,7 +13,7 @@ from model_zoo.state_space.units import UNITS
 from sysid_evo.engine import kernel_step
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
-from sysid_evo.testing import example_dataset, run_checks
+from sysid_evo.testing import MODEL, example_dataset
 from tests.fixtures.families import PERIODIC
 from tests.fixtures.plants import Cylinder, Pendulum, cylinder, pendulum
 from tests.fixtures.systems import FloorCar, cart, drive, one_output, swung
@@ -128,7 +128,7 @@ DELAYED = {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hol
 )
 def test_a_grey_box_keeps_the_contract_compiled(law, data, options, register):
     register(models, "grey_box_in_c", law)
-    results = run_checks("grey_box_in_c", data(steps=150), starts=1, windows=30, **options)
+    results = MODEL.run("grey_box_in_c", data(steps=150), starts=1, windows=30, **options)
     assert not [check for check in results if check.failure]
 
 

@@ -26,7 +26,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot, models
 from sysid_evo.system import Channel, System
-from sysid_evo.testing import run_checks
+from sysid_evo.testing import MODEL
 from tests.fixtures.families import hurry
 from tests.fixtures.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 
@@ -123,7 +123,7 @@ def test_a_pressure_that_nobody_measures_is_found_with_its_parameters_and_from_a
 )
 def test_a_grey_box_keeps_the_contract(family, options, dataset):
     given = {**QUICK, "starts": 1, "windows": 30, **options}
-    broken = [check for check in run_checks(family, dataset(steps=150), **given) if check.failure]
+    broken = [check for check in MODEL.run(family, dataset(steps=150), **given) if check.failure]
     assert not broken
 
 

@@ -10,7 +10,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import NotFitted
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.system import Channel, System
-from sysid_evo.testing import run_checks
+from sysid_evo.testing import MODEL
 from sysid_evo.validation import intervals
 from sysid_evo.validation.folds import unseen_parts
 from sysid_evo.validation.intervals import (
@@ -216,7 +216,7 @@ NO_LAGS = {"control_lags": 0, "state_lags": 0}
     ],
 )
 def test_families_with_a_spread_keep_the_contract(family, options, car_data):
-    results = run_checks(family, car_data, stochastic=True, **options)
+    results = MODEL.run(family, car_data, stochastic=True, **options)
     assert not [f"{c.sentence}: {c.failure}" for c in results if c.failure]
 
 
