@@ -1,4 +1,5 @@
-from .coverage import UncoveredBox
+from .advice.advise import advise_recording
+from .advice.evidence import Remark
 from .experiment import Experiment
 from .exploitability.assessment import assess_exploitability
 from .exploitability.results import ModelExploitability, exploitability_card
@@ -10,7 +11,7 @@ from .prediction.scores import PERSISTENCE, Prediction
 from .prediction.scoring import assess_prediction
 from .report.report import brief, save_report, story_of, tables, to_html, to_json, transfer_tables, transfer_to_json
 from .report.save import FORMATS, write_format
-from .report.sections.advice import advice_lines
+from .report.sections.advice import advice_lines, remark_lines
 from .report.sections.summary import tells_nothing
 from .report.study import study_brief, study_document
 from .results import DataSummary, Failure, ModelSummary, Report
@@ -18,7 +19,7 @@ from .run_evolution import (
     EvolutionPlan,
     EvolutionResult,
     ExploitPlan,
-    driven_outside,
+    driven_by,
     evolution_result,
     exploit_result,
     plan_evolution,
@@ -73,13 +74,14 @@ __all__ = [
     "PlannedStudy",
     "Prediction",
     "PredictionProtocol",
+    "Remark",
     "Report",
     "Study",
     "StudyResults",
     "TransferMatrix",
     "TransferSummary",
-    "UncoveredBox",
     "advice_lines",
+    "advise_recording",
     "assess_exploitability",
     "assess_prediction",
     "brief",
@@ -90,7 +92,7 @@ __all__ = [
     "compare",
     "comparison_of",
     "contenders",
-    "driven_outside",
+    "driven_by",
     "dynamics_of",
     "enough_blocks",
     "evolution_result",
@@ -113,6 +115,7 @@ __all__ = [
     "plan_run",
     "plan_study",
     "report_again",
+    "remark_lines",
     "report_of",
     "run_cell",
     "run_study",

@@ -53,15 +53,15 @@ class UncoveredBox:
 
 
 def what_to_record(
-    support: Support, trajectories: Iterable[Trajectory], *, most: int = MOST
+    support: Support, driven: Steps | Iterable[Trajectory], *, most: int = MOST
 ) -> tuple[UncoveredBox, ...]:
-    """Return the boxes of states and controls in which ``trajectories`` are most often outside the data.
+    """Return the boxes of states and controls in which ``driven`` is most often outside the data.
 
     States are cut into boxes about one standard deviation of the data wide, at round numbers; a switch has a box for
     each position, a continuous control three. The most visited box comes first; rare ones are left out.
     """
     system = support.system
-    steps = Steps.of(system, trajectories)
+    steps = driven if isinstance(driven, Steps) else Steps.of(system, driven)
     if not len(steps):
         return ()
     outside = support.distances(steps.before, steps.control) > support.limit

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from evaluation.advice.evidence import Remark
+from evaluation.advice.regions import driven_outside
 from evaluation.cells.assessment import RunCell, SearchCell
 from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell, evolution_settings
 from evaluation.cells.data import GivenData
 from evaluation.cells.models import files_of
 from evaluation.cells.plants import Plant
-from evaluation.coverage import UncoveredBox, what_to_record
 from evaluation.experiment import Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
@@ -27,6 +28,7 @@ from evaluation.members import (
 )
 from evaluation.prediction.scores import error_of
 from evaluation.run_folder import owner_of
+from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
 from sysid_evo.artefacts import is_stored, stored_file
@@ -40,6 +42,7 @@ from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
 from sysid_evo.plan import Again, Plan, Store, StoredCell
 from sysid_evo.registry import load_plugins_again
+from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
 AGAIN = "evaluation.run_evolution:plan_again"
@@ -70,15 +73,15 @@ class EvolutionPlan:
 class EvolutionResult:
     """What became of an evolution: the claims by column, their unit, and the forecast, None where there is none.
 
-    ``chosen`` is from how many finalists the controller was chosen by their forecasts, 0 where it was not. ``regions``
-    are where it drives outside the data.
+    ``chosen`` is from how many finalists the controller was chosen by their forecasts, 0 where it was not. ``remarks``
+    say what to record next.
     """
 
     claims: Mapping[str, TransferResult]
     unit: str
     forecast: Forecast | None
     chosen: int
-    regions: tuple[UncoveredBox, ...]
+    remarks: tuple[Remark, ...]
 
     @property
     def forecast_sentence(self) -> str:
@@ -174,7 +177,7 @@ def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
         unit=next((claim.unit for claim in reversed(claims.values())), ""),
         forecast=forecast_from(store, champion, (*planned.claims, *planned.elsewhere) if on_models else ()),
         chosen=sum(one.elsewhere is not None for one in finalists),
-        regions=regions_of(champion, models),
+        remarks=_what_to_record(champion, models),
     )
 
 
@@ -195,46 +198,42 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> 
     return forecasts(matrix, errors).get(champion.name)
 
 
-def regions_of(
-    champion: Champion, models: Mapping[str, Dynamics], support: Support | None = None
-) -> tuple[UncoveredBox, ...]:
-    """Return where ``champion`` drives outside the data, in all of ``models`` that were fitted to some.
-
-    Without ``support`` the data are those of the first model.
-    """
-    fitted = {
-        label: model
-        for label, model in models.items()
-        if isinstance(model, DynamicsModel) and getattr(model, "pairs_", None) is not None
-    }
+def _what_to_record(champion: Champion, models: Mapping[str, Dynamics]) -> tuple[Remark, ...]:
+    """Return where ``champion`` drives outside the data of the first of ``models`` that was fitted to some."""
+    fitted = [model for model in models.values() if isinstance(model, DynamicsModel) and hasattr(model, "pairs_")]
     if not fitted:
         return ()
-    first = next(iter(fitted.values()))
-    if support is None:
-        support = Support.of(first.system, *split_pairs(first.system, first.pairs_))
+    system = fitted[0].system
+    visited = Steps.of(system, _driven(champion, models))
+    found = driven_outside(visited, Support.of(system, *split_pairs(system, fitted[0].pairs_)))
+    return () if found is None else (found,)
+
+
+def _driven(champion: Champion, models: Mapping[str, Dynamics]) -> Iterator[Trajectory]:
+    """Yield what ``champion`` drives in those of ``models`` that were fitted to data."""
     task, law, seeds = make_task(champion.task), make_controller(champion.controller), transfer_seeds(0, TRIALS)
-    driven: list[Trajectory] = []
-    for label, model in fitted.items():
-        runner = observed_late(label, DynamicsRunner(model), champion.estimator_delay)
-        driven += runner.run(law, champion.parameters[None], task, seeds, record=True).trajectories
-    return what_to_record(support, driven)
+    for label, model in models.items():
+        if isinstance(model, DynamicsModel):
+            runner = observed_late(label, DynamicsRunner(model), champion.estimator_delay)
+            yield from runner.run(law, champion.parameters[None], task, seeds, record=True).trajectories
 
 
-def driven_outside(controller: Path, support: Support) -> tuple[str, tuple[UncoveredBox, ...]]:
-    """Return the name of the controller in a file of a run, and where it drives outside the data in its models.
+def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:
+    """Return what the controller in a file of a run drives in the models that it was evolved in.
 
-    Raises `InvalidArgument` if the models that it was evolved in are not in its run.
+    Raises `InvalidArgument` if they are not in its run, `IncompatibleSystem` if it drives another ``system``.
     """
     champion = load_champion(controller)
-    champion.check_system(support.system)
+    champion.check_system(system)
     folder = owner_of(controller)
     if folder is None:
         raise InvalidArgument(
             f"--controller: expected a file in controllers/ of a run, which holds its models too, got {controller}"
         )
     store = Store(folder)
-    models = {label: dynamics_of(store, find_column(store, label)) for label in champion.against}
-    return champion.name, regions_of(champion, models, support)
+    return tuple(
+        _driven(champion, {label: dynamics_of(store, find_column(store, label)) for label in champion.against})
+    )
 
 
 @dataclass(frozen=True)

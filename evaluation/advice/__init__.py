@@ -1,12 +1,15 @@
-"""Advice after a fit: what limits a model, in sentences with numbers, and what to record next."""
+"""Advice: what limits a recording or a model, in sentences with numbers, and what to record next."""
 
-from evaluation.advice.advise import MOST, advise_model
-from evaluation.advice.evidence import Evidence, ModelAdvice, Remark
+from evaluation.advice.advise import MOST, advise_model, advise_recording, ranked
+from evaluation.advice.evidence import Evidence, ModelAdvice, Recordings, Remark
 
 __all__ = [
     "MOST",
     "Evidence",
     "ModelAdvice",
+    "Recordings",
     "Remark",
     "advise_model",
+    "advise_recording",
+    "ranked",
 ]

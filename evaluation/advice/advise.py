@@ -1,4 +1,4 @@
-"""What limits a fitted model, and what to record next: a short list, the most important first."""
+"""What limits a recording or a fitted model, and what to record next: one list, the most important first."""
 
 from __future__ import annotations
 
@@ -7,13 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from evaluation.advice.evidence import Evidence, ModelAdvice, Remark
+from evaluation.advice.evidence import Evidence, ModelAdvice, Recordings, Remark
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import hidden_state, late_controls, noise_floor
-from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
+from evaluation.advice.recording import CHECKS, answers_late
+from evaluation.advice.regions import (
+    dead_command,
+    missing_excitation,
+    often_outside,
+    other_states,
+    outside_the_data,
+    untried_command,
+    weak_region,
+)
 from evaluation.steps import Steps
 from evaluation.sufficiency import enough_blocks
-from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.data import Dataset, RecordingQuality, Trajectory, recording_quality
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
 
@@ -26,30 +35,56 @@ HELD_BACK = 0.25
 """Share of the end of each episode that a copy is judged on where there is no test part."""
 NEGLIGIBLE = 0.05
 """N at the main horizon up to which a model is not limited by anything that is worth a word."""
-EVEN_THEN = ("noise", "excitation", "test part", "dead command")
+EVEN_THEN = ("noise", "excitation", "outside the data", "test part", "dead command")
 """What is said of such a model all the same: that little is left to gain, and where the data do not lie."""
 EXPLAINS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
     "form": ("shift", "hidden state"),
     "hidden state": ("noise",),
-    "noisy states": ("noise",),
+    "noisy states": ("noise", "fast states"),
+    "excitation": ("outside the data",),
+    "few data": ("length",),
 }
-"""What follows from what: a recording that differs leaves errors that are not white; one that is driven otherwise seems
-to differ where the model is wrong anyway; and noise is only called so where nothing that could be known explains it."""
+"""What follows from what, and what says the same less well: a recording that differs leaves errors that are not white;
+one that is driven otherwise seems to differ where the model is wrong anyway; noise is only called so where nothing that
+could be known explains it; a place of one or two channels is simpler than a box of all."""
 BY_INTERVAL = ("shift", "overfit", "few data", "weak region")
 """Remarks that rest on a block-bootstrap interval; they are left out where there are too few blocks."""
-LOOKS: tuple[Callable[[Evidence], Remark | None], ...] = (
+OF_PLACES: tuple[Callable[[Recordings], Remark | None], ...] = (
+    missing_excitation,
+    other_states,
+    dead_command,
+)
+OF_MODELS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,
     hidden_state,
     shift,
-    missing_excitation,
-    other_states,
-    dead_command,
+    untried_command,
+    often_outside,
     weak_region,
     overfit,
 )
+
+
+def ranked(remarks: Iterable[Remark | None]) -> tuple[Remark, ...]:
+    """Return the ``remarks`` that no other explains, the most important first."""
+    made = [remark for remark in remarks if remark is not None]
+    explained = {topic for remark in made for topic in EXPLAINS.get(remark.topic, ())}
+    return tuple(sorted((one for one in made if one.topic not in explained), key=lambda remark: -remark.weight))
+
+
+def advise_recording(
+    dataset: Dataset, quality: RecordingQuality | None = None, *, visited: Iterable[Trajectory] = ()
+) -> tuple[Remark, ...]:
+    """Say what limits the models that will be fitted to ``dataset``, and what to record next: `ranked` remarks.
+
+    ``quality`` is that of the recording, with its logs if their time stamps are to be looked at. ``visited`` is what
+    controllers do in models and on robots.
+    """
+    where = Recordings(training=dataset, visited=_steps(dataset, visited), known=quality)
+    return ranked(look(where) for look in (*CHECKS, answers_late, outside_the_data, *OF_PLACES))
 
 
 def advise_model(
@@ -61,32 +96,41 @@ def advise_model(
     name: str = "",
     seed: int = 0,
 ) -> ModelAdvice:
-    """Say what limits a fitted ``model`` and what to record next, at most five sentences.
+    """Say what limits a fitted ``model`` and what to record next, at most five sentences: `ranked` remarks.
 
     ``test`` are recordings that it has not learned from. Without them a copy is fitted to three quarters of each
     episode and judged on the rest, if the family is `DynamicsModel.cheap`; any other is judged on its own training
     data. ``visited`` is what controllers do in models and on robots.
     """
     name = name or type(model).__name__
-    where, judged_on = Evidence(name, model.without_noise(), training, test), "the test part"
+    where = Evidence(
+        name=name,
+        model=model.without_noise(),
+        training=training,
+        test=test,
+        visited=_steps(training, visited),
+        known=recording_quality(training),
+    )
+    judged_on = "the test part"
     if test is None:
         where, judged_on = _held_back(where, seed)
     if not where.varying.any():
         said = f"No state varies in the data that {name} is judged on: nothing can be said of it. Excite the controls."
         return ModelAdvice(name, judged_on, (Remark("variation", said, 1.0),))
-    trajectories = list(visited)
-    if trajectories:
-        where = replace(where, visited=Steps.of(training.system, trajectories))
-    remarks = [remark for look in LOOKS if (remark := look(where)) is not None]
+    looks = (*CHECKS, *OF_PLACES, *OF_MODELS)
+    remarks = [remark for look in looks if (remark := look(where)) is not None]
     if where.test is not None and where.model.cheap and (more := _with_half(where, seed)) is not None:
         remarks.append(more)
     if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
         remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
     if not enough_blocks(len(np.unique(where.test_windows.blocks))):
         remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
-    explained = {topic for remark in remarks for topic in EXPLAINS.get(remark.topic, ())}
-    ordered = sorted((one for one in remarks if one.topic not in explained), key=lambda remark: -remark.weight)
-    return ModelAdvice(name, judged_on, tuple(ordered[:MOST]))
+    return ModelAdvice(name, judged_on, ranked(remarks)[:MOST])
+
+
+def _steps(dataset: Dataset, visited: Iterable[Trajectory]) -> Steps | None:
+    steps = Steps.of(dataset.system, visited)
+    return steps if len(steps) else None
 
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:

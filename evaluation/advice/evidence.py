@@ -1,4 +1,4 @@
-"""What checks look at (a model, its data, its errors) and what they return (remarks)."""
+"""What checks look at (recordings, a model and its errors) and what they return (remarks)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from functools import cached_property
 
 import numpy as np
 
+from evaluation.coverage import MOST_STEPS
 from evaluation.prediction.cases import PredictionProtocol, measured_cases, spread_of
 from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
 from evaluation.steps import Steps
-from sysid_evo.data import Dataset
-from sysid_evo.data.response import acting_controls
+from sysid_evo.data import Dataset, RecordingQuality, recording_quality
+from sysid_evo.data.response import Delay, acting_controls
+from sysid_evo.data.support import Support, recorded_pairs, split_pairs
 from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
@@ -20,23 +22,59 @@ from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.bootstrap import BlockErrors
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """A fitted ``model``, called ``name``, what it was fitted to and what it is judged on.
+@dataclass(frozen=True, kw_only=True)
+class Recordings:
+    """Recordings to learn from, ``training``, and those held out, ``test``, if there are some.
 
-    Without ``test`` it is judged on the training data, which tells nothing of what it does elsewhere. ``visited`` are
-    the steps that controllers take in models and on robots, None where none were evolved.
+    ``visited`` are the steps that controllers take in models and on robots, None where none were evolved. ``known`` is
+    what was found out about the recordings before, if it was.
     """
 
-    name: str
-    model: DynamicsModel
     training: Dataset
     test: Dataset | None = None
     visited: Steps | None = None
+    known: RecordingQuality | None = None
 
     @property
     def system(self) -> System:
         return self.training.system
+
+    @cached_property
+    def quality(self) -> RecordingQuality:
+        return recording_quality(self.training) if self.known is None else self.known
+
+    @property
+    def delays(self) -> list[Delay]:
+        """The strongest clear delay of each control that acts."""
+        clear = sorted((one for one in self.quality.delays if one.clear), key=lambda one: abs(one.strength))
+        strongest = {one.control: one for one in clear}
+        return [strongest[name] for name in self.system.control_names if name in strongest]
+
+    @cached_property
+    def seen(self) -> Steps:
+        """The steps of the training data that start from a moving sample, of many a part; none where nothing moves."""
+        rows = np.flatnonzero(np.concatenate([moving[:-1] for moving in self.training.moving]))
+        rows = rows[evenly_spaced(len(rows), MOST_STEPS, nearest=True)]
+        before, after = (
+            np.concatenate([e.states[cut] for e in self.training])[rows] for cut in (slice(-1), slice(1, None))
+        )
+        return Steps(self.system, before, np.concatenate([e.controls for e in self.training])[rows], after)
+
+    @cached_property
+    def support(self) -> Support:
+        """Where the training data lie, by as many of them as a fitted model keeps."""
+        return Support.of(self.system, *split_pairs(self.system, recorded_pairs(self.training)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence(Recordings):
+    """A fitted ``model``, called ``name``, what it was fitted to and what it is judged on.
+
+    Without ``test`` it is judged on the training data, which tells nothing of what it does elsewhere.
+    """
+
+    name: str
+    model: DynamicsModel
 
     @property
     def judged(self) -> Dataset:
@@ -139,7 +177,7 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
 
 @dataclass(frozen=True)
 class Remark:
-    """What limits a model, or what is known of its limits, under one ``topic``.
+    """What limits a model or a recording, or what is known of its limits, under one ``topic``.
 
     ``weight`` orders remarks: about the share of the error, or of the time, that is at stake, 0 to 1. ``figures`` are
     the numbers in the sentence.

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from evaluation.advice.evidence import Evidence, Remark
 from evaluation.formatting import percent
 from evaluation.prediction.residuals import LAGS
-from sysid_evo.data.advice import spell
 from sysid_evo.data.response import acting_controls
 from sysid_evo.data.trajectory import evenly_spaced
+from sysid_evo.data.units import spelled_time
 from sysid_evo.types import Array, BoolArray
 
 FEWEST = 250
@@ -132,7 +132,7 @@ def late_controls(evidence: Evidence) -> Remark | None:
     latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= NEARLY * best)
     _, channel = _gain(base, np.concatenate([base, tried[gains.index(best)]], axis=1), left)
     dt = evidence.system.dt
-    knows = f"those of the last {spell(memory * dt)}" if memory else "only that of the moment"
+    knows = f"those of the last {spelled_time(memory * dt)}" if memory else "only that of the moment"
     remedy = (
         f"fit it with control_lags={latest}"
         if "control_lags" in evidence.model.get_params()
@@ -140,8 +140,9 @@ def late_controls(evidence: Evidence) -> Remark | None:
     )
     return Remark(
         "late controls",
-        f"Controls act up to {spell(latest * dt)} later: earlier ones explain {percent(best)} of what {evidence.name}, "
-        f"which knows {knows}, leaves of {evidence.system.state_names[channel]} one step ahead. To mend it, {remedy}.",
+        f"Controls act up to {spelled_time(latest * dt)} later: earlier ones explain {percent(best)} of what "
+        f"{evidence.name}, which knows {knows}, leaves of {evidence.system.state_names[channel]} one step ahead. "
+        f"To mend it, {remedy}.",
         1.0 - np.sqrt(1.0 - best),
         {"explained": best, "steps": float(latest)},
     )

@@ -4,35 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluation.advice.evidence import Evidence, Remark
-from evaluation.coverage import FEWEST_STEPS, MOST_STEPS, largest_gap, untried_pair
+from evaluation.advice.evidence import Evidence, Recordings, Remark
+from evaluation.coverage import ASKED, MOST_STEPS, largest_gap, untried_pair, what_to_record
 from evaluation.formatting import percent
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, candidate_regions, region_errors, worst_region
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import Delay, find_delays
+from sysid_evo.data.response import Delay
+from sysid_evo.data.support import Support
 from sysid_evo.motion import PlanarBody
 from sysid_evo.types import Array, BoolArray
 
 
-def missing_excitation(evidence: Evidence) -> Remark | None:
-    """Return where controllers go and the training data do not; without controllers, which commands were not tried."""
-    seen = Steps.moving(evidence.training).thinned(MOST_STEPS)
-    if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
-        if (untried := untried_pair(seen)) is None:
-            return None
-        first, second = untried.place
-        return Remark(
-            "excitation",
-            f"{first.words} was hardly tried with {second.words}: {_share(untried.seen)} of the time, and it would be "
-            f"{percent(untried.asked)} if every command were tried everywhere. A controller that does so leaves the "
-            "data: record it.",
-            0.5 * untried.asked,
-            untried.figures,
-        )
-    gap = largest_gap(seen, evidence.visited)
-    if gap is None:
+def missing_excitation(recordings: Recordings) -> Remark | None:
+    """Return where controllers go and the training data do not."""
+    if recordings.visited is None or (gap := largest_gap(recordings.seen, recordings.visited)) is None:
         return None
     return Remark(
         "excitation",
@@ -43,12 +30,57 @@ def missing_excitation(evidence: Evidence) -> Remark | None:
     )
 
 
-def other_states(evidence: Evidence) -> Remark | None:
-    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
-    if evidence.test is None:
+def untried_command(evidence: Evidence) -> Remark | None:
+    """Return which command was hardly given in which state; nothing where it is known what controllers do."""
+    if evidence.visited is not None or (untried := untried_pair(evidence.seen)) is None:
         return None
-    held_out = Steps.moving(evidence.test)
-    gap = largest_gap(Steps.moving(evidence.training), held_out)
+    first, second = untried.place
+    return Remark(
+        "excitation",
+        f"{first.words} was hardly tried with {second.words}: {_share(untried.seen)} of the time, and it would be "
+        f"{percent(untried.asked)} if every command were tried everywhere. A controller that does so leaves the "
+        "data: record it.",
+        0.5 * untried.asked,
+        untried.figures,
+    )
+
+
+BOXES = 3
+"""Boxes that are named."""
+
+
+def outside_the_data(recordings: Recordings) -> Remark | None:
+    """Return how much of what controllers drive lies outside the training data, and where most of it lies."""
+    return None if recordings.visited is None else driven_outside(recordings.visited, recordings.support)
+
+
+def often_outside(evidence: Evidence) -> Remark | None:
+    """Return the same if it is a twentieth or more: held-out driving, too, is now and then outside the data."""
+    remark = outside_the_data(evidence)
+    return remark if remark is not None and remark.weight >= ASKED else None
+
+
+def driven_outside(visited: Steps, support: Support) -> Remark | None:
+    """Return how much of what was driven lies outside ``support``, and the boxes in which most of that lies."""
+    visited = visited.thinned(MOST_STEPS)
+    share, boxes = visited.share_outside(support), what_to_record(support, visited, most=BOXES)
+    if share is None or not boxes:
+        return None
+    return Remark(
+        "outside the data",
+        f"{percent(share)} of what controllers drive lies outside the data, most of it at "
+        f"{'; '.join(box.sentence for box in boxes)}. Record that, if the robot gets there.",
+        share,
+        {"outside": share},
+    )
+
+
+def other_states(recordings: Recordings) -> Remark | None:
+    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
+    if recordings.test is None:
+        return None
+    held_out = Steps.moving(recordings.test)
+    gap = largest_gap(recordings.seen, held_out)
     if gap is not None:
         return Remark(
             "test part",
@@ -57,10 +89,8 @@ def other_states(evidence: Evidence) -> Remark | None:
             gap.asked,
             gap.figures,
         )
-    if evidence.visited is None or len(evidence.visited) < FEWEST_STEPS:
-        return None
-    gap = largest_gap(held_out, evidence.visited)
-    if gap is None or missing_excitation(evidence) is not None:
+    gap = None if recordings.visited is None else largest_gap(held_out, recordings.visited)
+    if gap is None or missing_excitation(recordings) is not None:
         return None
     return Remark(
         "test part",
@@ -88,13 +118,9 @@ TRIED = 0.3
 """Share of the spread that a command has elsewhere, below which nothing can be said of its effect."""
 
 
-def dead_command(evidence: Evidence) -> Remark | None:
+def dead_command(recordings: Recordings) -> Remark | None:
     """Return the command and region where the data show none of the effect that it has elsewhere."""
-    found = []
-    delays = [delay for delay in find_delays(evidence.training) if delay.clear]
-    for control in dict.fromkeys(delay.control for delay in delays):
-        strongest = max((d for d in delays if d.control == control), key=lambda delay: abs(delay.strength))
-        found += _dead(evidence.training, strongest)
+    found = [one for delay in recordings.delays for one in _dead(recordings.training, delay)]
     if not found:
         return None
     share, ratio, delay, region = max(found, key=lambda one: one[0] * (1.0 - one[1]))

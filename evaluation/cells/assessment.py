@@ -194,7 +194,7 @@ class ExploitCell(Cell):
         return load_result(tuple[ModelExploitability, ...], path)
 
 
-FORM = 3
+FORM = 4
 """Raised whenever other advice is given on the same than before."""
 
 
@@ -256,7 +256,10 @@ class AdviseCell(Cell):
             cases = measured_cases(parts.training, parts.test, protocol)
             ranking = Prediction(cases, tuple(found.values())).ranking(cases.main_horizon)
             return next((one.name for one in ranking if one.name in models), first)
-        evidence = [Evidence(label, model, parts.training, parts.test) for label, model in models.items()]
+        evidence = [
+            Evidence(name=label, model=model, training=parts.training, test=parts.test)
+            for label, model in models.items()
+        ]
         scored = {one.name: one.test_windows.n(one.std) for one in evidence if len(one.test_windows.errors)}
         return min(scored, key=lambda label: scored[label], default=first)
 

@@ -15,7 +15,7 @@ from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
 from sysid_evo.cli.options import listed, load_plugins, settings_of
 from sysid_evo.cli.progress import Bars, carry_out
-from sysid_evo.cli.recordings import print_regions
+from sysid_evo.cli.recordings import print_remarks
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.store import Store
@@ -93,7 +93,7 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
             "claims": claims,
             "forecast": None if result.forecast is None else asdict(result.forecast),
             "unit": result.unit,
-            "record_next": [region.sentence for region in result.regions],
+            "remarks": [asdict(remark) for remark in result.remarks],
         }
         out.print_json(data=document)
         return
@@ -104,7 +104,8 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
         out.print(f"{label}: {mean} {result.unit} in {fresh}", highlight=False, markup=False)
     if result.forecast is not None:
         out.print(result.forecast_sentence, highlight=False, markup=False)
-    print_regions(name, result.regions)
+    if result.remarks:
+        print_remarks(result.remarks)
     say(f"stored as {file}")
 
 

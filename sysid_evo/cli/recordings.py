@@ -10,19 +10,17 @@ from typing import Annotated, Any, TypeAlias
 import typer
 from rich import box
 from rich.console import Group, RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 import evaluation
 from sysid_evo.cli.console import out, say, tell
 from sysid_evo.cli.options import Columns, Json, Plugins, check_new_folder, load_plugins
-from sysid_evo.data.advice import Advice, advise
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.frames import HEADER, SAMPLES, is_stored_dataset
 from sysid_evo.data.preparation import RawLog
+from sysid_evo.data.quality import RecordingQuality, recording_quality
 from sysid_evo.data.reading import read_recording
-from sysid_evo.data.support import Support, recorded_pairs, split_pairs
 from sysid_evo.data.units import spelled
 from sysid_evo.errors import InvalidArgument
 
@@ -75,19 +73,15 @@ def inspect(
     """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
     load_plugins(plugin)
     dataset, raw, doubts = _open(logs, columns)
-    advice = advise(dataset, raw)
     tell_notes(dataset.notes, doubts)
-    driven = None
-    if controller is not None:
-        support = Support.of(dataset.system, *split_pairs(dataset.system, recorded_pairs(dataset)))
-        driven = evaluation.driven_outside(controller, support)
+    quality = recording_quality(dataset, raw)
+    visited = () if controller is None else evaluation.driven_by(controller, dataset.system)
+    remarks = evaluation.advise_recording(dataset, quality, visited=visited)
     if as_json:
-        further = {} if driven is None else {"record_next": [region.sentence for region in driven[1]]}
-        out.print_json(data={**advice_as_json(dataset, advice), **further})
+        out.print_json(data={**quality_as_json(dataset, quality), "remarks": [asdict(one) for one in remarks]})
         return
-    out.print(advice_tables(dataset, advice))
-    if driven is not None:
-        print_regions(*driven)
+    out.print(quality_tables(dataset, quality))
+    print_remarks(remarks)
 
 
 def patterns_of(conditions: Sequence[str]) -> dict[str, str]:
@@ -134,8 +128,8 @@ def episode_table(dataset: Dataset) -> RenderableType:
     return _table(_title(dataset), head[:shown], _cut([row[:shown] for row in (*rows, total)]), names=1)
 
 
-def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
-    """Return the tables and the suggestions."""
+def quality_tables(dataset: Dataset, quality: RecordingQuality) -> RenderableType:
+    """Return what a recording holds, as tables."""
     controls = [
         (
             _unit(use.name, use.unit),
@@ -145,7 +139,7 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
             ),
             f"{60.0 / use.per_minute:.3g}" if use.switches else "-",
         )
-        for use in advice.controls
+        for use in quality.controls
     ]
     states = [
         (
@@ -153,9 +147,9 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
             *(spelled(value, (use.low, use.high)) for value in (use.rms, use.low, use.high)),
             f"{use.bandwidth:.2g}",
         )
-        for use in advice.states
+        for use in quality.states
     ]
-    commands = [(*map(spelled, use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}") for use in advice.commands]
+    commands = [(*map(spelled, use.levels), f"{use.share:.1%}", f"{use.coverage:.0%}") for use in quality.commands]
     delays = [
         (
             f"{delay.control} x speed" if delay.at_speed else delay.control,
@@ -163,22 +157,22 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
             *((f"{delay.steps}", f"{round(1e3 * delay.seconds)}") if delay.clear else ("-", "-")),
             f"{delay.strength:+z.2f}",
         )
-        for delay in advice.delays
+        for delay in quality.delays
     ]
     sampling = [
         (log.name, f"{log.rows}", *(f"{1e3 * step:.1f}" for step in (log.shortest, log.median, log.longest)))
-        for log in advice.sampling
+        for log in quality.sampling
     ]
-    names = tuple(use.name for use in advice.controls)
+    names = tuple(use.name for use in quality.controls)
     parts: list[RenderableType] = [
         Text(
-            _title(dataset) + (f", {advice.moving:.0%} in motion" if dataset.system.motion is not None else ""),
+            _title(dataset) + (f", {quality.moving:.0%} in motion" if dataset.system.motion is not None else ""),
             style="bold",
         ),
         _table("Excitation", ("control", "share of time near each level", "s per switch"), controls, names=2),
         _table("States", ("state", "RMS", "lowest", "highest", "95 % below Hz"), states, names=1),
         _table(
-            f"Coverage: {advice.cells} of {advice.grid} state cells visited",
+            f"Coverage: {quality.cells} of {quality.grid} state cells visited",
             (*names, "time", "of the visited cells"),
             _cut(commands),
             names=0,
@@ -188,21 +182,17 @@ def advice_tables(dataset: Dataset, advice: Advice) -> RenderableType:
     if sampling:
         head = ("log", "rows", "shortest", "median", "longest")
         parts.append(_table("Time between rows in ms", head, _cut(sampling), names=1))
-    parts.append(Text("Suggestions", style="bold"))
-    bullets = Table.grid(padding=(0, 1))
-    for sentence in advice.suggestions or ("none",):
-        bullets.add_row(Text(" -"), Text(sentence))
-    return Group(*parts, bullets)
+    return Group(*parts)
 
 
-def advice_as_json(dataset: Dataset, advice: Advice) -> dict[str, Any]:
-    """Return the advice, the system, the episodes and the notes as strict JSON."""
+def quality_as_json(dataset: Dataset, quality: RecordingQuality) -> dict[str, Any]:
+    """Return what a recording holds, the system, the episodes and the notes as strict JSON."""
     episodes = [{"name": episode.name, "steps": len(episode)} for episode in dataset]
     return {
         "system": dataset.system.to_dict(),
         "fingerprint": dataset.fingerprint,
         "notes": list(dataset.notes),
-        **asdict(advice),
+        **asdict(quality),
         "episodes": episodes,
     }
 
@@ -234,10 +224,10 @@ def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, 
     return table
 
 
-def print_regions(name: str, regions: tuple[evaluation.UncoveredBox, ...]) -> None:
-    """Print them, one a line; nothing if there are none."""
-    if not regions:
+def print_remarks(remarks: Sequence[evaluation.Remark]) -> None:
+    """Print what to record next, the most important first."""
+    if not remarks:
+        out.print("Nothing stands out that should be recorded next.")
         return
-    out.print(f"what to record next: {name} drives most where there are no data", style="bold", highlight=False)
-    for region in regions:
-        out.print(Padding(Text(region.sentence), (0, 0, 0, 2)))
+    for part in evaluation.remark_lines("What to record next?", remarks):
+        out.print(part)

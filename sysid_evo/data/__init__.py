@@ -1,4 +1,4 @@
-"""Recordings: episodes, data sets, readers, preparation, advice."""
+"""Recordings: episodes, data sets, readers, preparation, quality."""
 
 import lazy_loader
 

@@ -1,14 +1,13 @@
-from .advice import Advice, advise
 from .columns import ColumnMap, load_columns
 from .dataset import Dataset, Transitions, check_usable
 from .preparation import Prepared, RawLog, prepare, take_rows
+from .quality import RecordingQuality, recording_quality
 from .readers import Reader, Table
 from .reading import Recording, read_recording
 from .response import Delay, find_delays
 from .trajectory import Trajectory, Windows
 
 __all__ = [
-    "Advice",
     "ColumnMap",
     "Dataset",
     "Delay",
@@ -16,15 +15,16 @@ __all__ = [
     "RawLog",
     "Reader",
     "Recording",
+    "RecordingQuality",
     "Table",
     "Trajectory",
     "Transitions",
     "Windows",
-    "advise",
     "check_usable",
     "find_delays",
     "load_columns",
     "prepare",
     "read_recording",
+    "recording_quality",
     "take_rows",
 ]

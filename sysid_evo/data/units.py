@@ -137,3 +137,15 @@ def spelled(value: float, among: Iterable[float] = (), *, digits: int = 3) -> st
 def spelled_range(low: float, high: float) -> str:
     """Return ``-0.5 to 2``, or one number if both have the same text."""
     return " to ".join(dict.fromkeys(spelled(end, (low, high)) for end in (low, high)))
+
+
+def spelled_time(seconds: float) -> str:
+    """Return a length of time in the unit that people use for it."""
+    if seconds < 0.9995:
+        return f"{1e3 * seconds:.0f} ms"
+    size, unit = next(
+        (size, unit)
+        for size, unit in ((1.0, "s"), (60.0, "min"), (3600.0, "h"))
+        if seconds < 120.0 * size or unit == "h"
+    )
+    return f"{seconds / size:.2g} {unit}" if seconds < 10.0 * size else f"{seconds / size:.0f} {unit}"

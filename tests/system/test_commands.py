@@ -65,7 +65,14 @@ def test_inspect_shows_tables_of_at_most_80_columns_and_json_that_a_program_can_
     columns = write_log(call.folder, name)
     shown = call("inspect", name, *columns).stdout
     assert max(len(line.rstrip()) for line in shown.splitlines()) <= 80
-    for heading in ("Excitation", "States", "Coverage", "Delay of a control", "Time between rows", "Suggestions"):
+    for heading in (
+        "Excitation",
+        "States",
+        "Coverage",
+        "Delay of a control",
+        "Time between rows",
+        "What to record next?",
+    ):
         assert heading in shown
     call("import", name, *columns, "--out", "data")
     advice = call.told("inspect", "data", "--json")
@@ -73,6 +80,7 @@ def test_inspect_shows_tables_of_at_most_80_columns_and_json_that_a_program_can_
     assert advice["episodes"] == [{"name": name.removesuffix(".csv"), "steps": 200}]
     assert [state["name"] for state in advice["states"]] == ["forward_speed", "yaw_rate"]
     assert advice["sampling"] == []
+    assert list(advice["remarks"][0]) == ["topic", "sentence", "weight", "figures"]
 
 
 def test_a_log_without_controls_or_motion_is_imported_and_inspected(call):

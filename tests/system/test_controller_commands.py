@@ -25,12 +25,12 @@ def test_a_controller_evolves_against_an_ensemble_and_inspect_says_where_it_goes
     controller = call.folder / evolved.stdout.split("stored as ")[1].strip()
     assert controller.parent == run_copy / "controllers"
     assert controller.with_suffix(".safetensors").is_file()
-    assert "what to record next" in evolved.stdout
+    assert "What to record next?" in evolved.stdout
     told = [line for line in evolved.stdout.splitlines() if not line.startswith("stored as")]
     assert max(map(len, told)) <= 80
     inspected = call.works("inspect", stored_data, "--controller", controller)
-    assert "what to record next" in inspected.stdout
-    assert " of the steps" in inspected.stdout
+    assert "What to record next?" in inspected.stdout
+    assert " of what controllers drive lies outside the data" in " ".join(inspected.stdout.split())
 
 
 def test_a_controller_evolves_on_the_emulated_car_without_any_model(call):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from evaluation.advice.evidence import ModelAdvice
+from evaluation.advice.evidence import ModelAdvice, Remark
 from evaluation.report.elements import Section, Sheet
 from evaluation.results import Report
 
@@ -37,11 +39,16 @@ def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
         return []
     if not advice.remarks:
         return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.judged_on}.")]
-    bullets = Table.grid(padding=(0, 1))
-    for remark in advice.remarks:
-        bullets.add_row(Text(" -"), Text(remark.sentence))
     judged = Padding(Text(f"Judged on {advice.judged_on}.", style="dim"), (0, 0, 0, 1))
-    return [Text(limits_question(advice), style="bold cyan"), bullets, judged]
+    return [*remark_lines(limits_question(advice), advice.remarks), judged]
+
+
+def remark_lines(question: str, remarks: Sequence[Remark]) -> list[RenderableType]:
+    """Return the ``question`` that ``remarks`` answer, and their sentences as a list."""
+    bullets = Table.grid(padding=(0, 1))
+    for remark in remarks:
+        bullets.add_row(Text(" -"), Text(remark.sentence))
+    return [Text(question, style="bold cyan"), bullets]
 
 
 def limits_question(advice: ModelAdvice) -> str:

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.advice import advise_recording
 from evaluation.planning import with_preset
 from evaluation.prediction import PredictionProtocol, measured_cases, score_model
 from evaluation.steps import Steps, training_support
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.data import Dataset, advise
+from sysid_evo.data import Dataset
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective
 from sysid_evo.evolution.strategies.strategy import make_strategy
@@ -123,7 +124,7 @@ def _data(quick: bool) -> Iterator[Growth]:
     sizes = doubled(10_000, 20_000 if quick else 320_000)
     in_pieces = doubled(100, 200 if quick else 1_600)
     looks: dict[str, Callable[[Dataset], object]] = {
-        "inspect (advice)": lambda data: advise(_anew(data)),
+        "inspect (advice)": lambda data: advise_recording(_anew(data)),
         "windows of 20 steps": lambda data: data.windows(20, history=3, moving=True),
         "split by time": lambda data: _anew(data).split(0.25),
         "fingerprint": lambda data: _anew(data).fingerprint,

@@ -1,4 +1,4 @@
-"""Advice on data sets whose excitation, coverage and delays are known."""
+"""The quality of recordings whose excitation, coverage and delays are known, and the advice on them."""
 
 import io
 import json
@@ -9,10 +9,11 @@ import pytest
 import scipy
 from rich.console import Console
 
-from sysid_evo.cli.recordings import advice_as_json, advice_tables
-from sysid_evo.data import Dataset, RawLog, advise, check_usable, find_delays
-from sysid_evo.data.advice import named, spell
+from evaluation.advice import advise_recording
+from sysid_evo.cli.recordings import quality_as_json, quality_tables
+from sysid_evo.data import Dataset, RawLog, check_usable, find_delays, recording_quality
 from sysid_evo.data.response import _first_peak, fit_linear
+from sysid_evo.data.units import spelled_time
 from sysid_evo.errors import InvalidData
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
@@ -83,7 +84,7 @@ def test_a_control_logged_late_is_seen_to_act_before_it_is_set(rng):
     data = Dataset.from_arrays(data.system, [episode.states for episode in data], late)
     found = {(d.control, d.state): d.steps for d in find_delays(data)}
     assert found["drive", "forward_speed"] == -1
-    assert any("before drive is logged" in sentence for sentence in advise(data).suggestions)
+    assert "forward_speed moves 50 ms before drive is logged" in told(data)
 
 
 def test_a_constant_control_has_no_delay(rng, car):
@@ -101,23 +102,23 @@ def test_shares_switches_and_coverage_of_a_hand_made_recording():
     data = Dataset.from_arrays(
         system, [states[:5], states[4:]], [np.stack([push, pull], axis=1)[s] for s in (slice(4), slice(4, 8))]
     )
-    advice = advise(data)
-    first, second = advice.controls
+    quality = recording_quality(data)
+    first, second = quality.controls
     assert (first.levels, first.shares, first.switches) == ((0.0, 1.0), (0.625, 0.375), 2)
     assert first.per_minute == pytest.approx(30.0)
     assert (second.levels, second.shares) == ((-1.0, 0.0, 1.0), (0.375, 0.25, 0.375))
-    assert (advice.cells, advice.grid) == (8, 8)
-    uses = {use.levels: use for use in advice.commands}
+    assert (quality.cells, quality.grid) == (8, 8)
+    uses = {use.levels: use for use in quality.commands}
     assert uses[0.0, -1.0].share == 0.25
     assert uses[0.0, -1.0].coverage == 0.25
-    assert sum(use.share for use in advice.commands) == pytest.approx(1.0)
+    assert sum(use.share for use in quality.commands) == pytest.approx(1.0)
 
 
 def test_root_mean_square_range_and_bandwidth_of_a_sinusoid():
     system = System((Channel("place", "m"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
     time = 0.05 * np.arange(2001)
     x = np.stack([1.0 + 2.0 * np.sin(2.0 * np.pi * 3.0 * time)], axis=1)
-    (use,) = advise(Dataset.from_arrays(system, [x], [np.sin(time)[:, None]])).states
+    (use,) = recording_quality(Dataset.from_arrays(system, [x], [np.sin(time)[:, None]])).states
     assert use.rms == pytest.approx(np.sqrt(3.0), rel=1e-2)
     assert (use.low, use.high) == pytest.approx((-1.0, 3.0), abs=0.05)
     assert use.bandwidth == pytest.approx(3.0, abs=0.1)
@@ -125,9 +126,9 @@ def test_root_mean_square_range_and_bandwidth_of_a_sinusoid():
 
 def test_white_noise_is_called_noise(rng):
     system = System((Channel("place"),), (Channel("push", low=-1.0, high=1.0),), 0.05)
-    advice = advise(Dataset.from_arrays(system, [rng.normal(size=(4000, 1))], [rng.uniform(-1, 1, (4000, 1))]))
-    assert advice.states[0].bandwidth > 9.0
-    assert any("95 % of place lies below" in sentence for sentence in advice.suggestions)
+    data = Dataset.from_arrays(system, [rng.normal(size=(4000, 1))], [rng.uniform(-1, 1, (4000, 1))])
+    assert recording_quality(data).states[0].bandwidth > 9.0
+    assert "95 % of place lies below" in told(data)
 
 
 def test_a_poor_recording_is_told_what_to_do(car):
@@ -136,16 +137,21 @@ def test_a_poor_recording_is_told_what_to_do(car):
     controls = np.zeros((1200, 2))
     controls[:300, 0] = 1.0
     log = RawLog("log", 0.05 * np.arange(400) + 0.01 * (np.arange(400) % 2), np.zeros((400, 3)), np.zeros((400, 2)))
-    advice = advise(Dataset.from_arrays(car, [states], [controls]), [log])
-    told = "\n".join(advice.suggestions)
-    assert "How fast the states answer cannot be told from this recording" in told
-    assert "stands still 75% of the time" in told
-    assert "drive is near -1 less than 2% of the time" in told
-    assert "steer is near -1, 1 less than 2% of the time" in told
-    assert "drive changes its level only once" in told
-    assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in told
-    assert "The time stamps of log scatter by up to 17% of a step" in told
-    (sampling,) = advice.sampling
+    data = Dataset.from_arrays(car, [states], [controls])
+    quality = recording_quality(data, [log])
+    remarks = advise_recording(data, quality)
+    found = {remark.topic: remark.sentence for remark in remarks}
+    assert "How fast the states answer cannot be told from this recording" in found["time scale"]
+    assert "stands still 75 % of the time" in found["standstill"]
+    assert found["rare levels"].startswith("drive is near -1 and steer is near -1, 1 less than 2 % of the time")
+    assert found["slow switching"].startswith("steer stays near a level for 60 s on average: change it more often")
+    assert found["slow switching"].endswith("Likewise drive.")
+    assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in found["rare combinations"]
+    assert "The time stamps of log scatter by up to 17 % of a step" in found["time stamps"]
+    weights = [remark.weight for remark in remarks]
+    assert weights == sorted(weights, reverse=True)
+    assert remarks[0].topic == "time scale"
+    (sampling,) = quality.sampling
     assert (sampling.rows, sampling.shortest, sampling.longest) == pytest.approx((400, 0.04, 0.06))
 
 
@@ -153,21 +159,21 @@ def test_a_control_without_limits_is_counted_over_its_recorded_range(rng):
     force = rng.uniform(-3.0, 5.0, 400)
     system = System(("place",), (Channel("force", "N"), Channel("pull", low=0.0)), 0.1)
     data = Dataset.from_arrays(system, [rng.normal(size=(401, 1))], [np.stack([force, np.abs(force)], axis=1)])
-    advice = advise(data)
-    low, middle, high = advice.controls[0].levels
+    quality = recording_quality(data)
+    low, middle, high = quality.controls[0].levels
     assert (low, high) == (force.min(), force.max())
     assert middle == pytest.approx((low + high) / 2)
-    assert advice.controls[1].levels[::2] == (0.0, np.abs(force).max())
-    json.dumps(advice_as_json(data, advice), allow_nan=False)
+    assert quality.controls[1].levels[::2] == (0.0, np.abs(force).max())
+    json.dumps(quality_as_json(data, quality), allow_nan=False)
 
 
-def test_a_system_without_controls_gets_advice_too(rng):
+def test_a_system_without_controls_has_a_quality_too(rng):
     data = Dataset.from_arrays(System(("place",), (), 0.1), [rng.normal(size=(400, 1))])
-    advice = advise(data)
-    assert advice.controls == ()
-    assert advice.delays == ()
-    json.dumps(advice_as_json(data, advice), allow_nan=False)
-    assert "place" in render(advice_tables(data, advice))
+    quality = recording_quality(data)
+    assert quality.controls == ()
+    assert quality.delays == ()
+    json.dumps(quality_as_json(data, quality), allow_nan=False)
+    assert "place" in render(quality_tables(data, quality))
 
 
 def test_with_very_many_combinations_of_levels_only_those_that_occur_are_counted(rng):
@@ -175,7 +181,7 @@ def test_with_very_many_combinations_of_levels_only_those_that_occur_are_counted
     system = System(("x",), tuple(Channel(name, levels=(-1.0, 0.0, 1.0)) for name in names), 0.1)
     commands = rng.integers(-1, 2, (n, 5)).astype(float)
     data = Dataset.from_arrays(system, np.cumsum(commands[:, :1], axis=0), commands)
-    uses = advise(data).commands
+    uses = recording_quality(data).commands
     assert 81 < len(uses) < 3**5
     assert sorted(uses, key=lambda use: use.levels) == list(uses)
     assert sum(use.share for use in uses) == pytest.approx(1.0)
@@ -189,12 +195,12 @@ def test_with_very_many_combinations_of_levels_only_those_that_occur_are_counted
     assert use.coverage == pytest.approx(len(set(cells[here])) / len(set(cells)))
 
 
-def test_advice_on_a_long_recording_needs_memory_for_few_of_its_regressors(rng):
+def test_the_quality_of_a_long_recording_needs_memory_for_few_of_its_regressors(rng):
     data = delayed_car(rng, (0, 2), n=30_000)
     regressors = data.n_steps * 8 * (4 + 4 * 11)
     tracemalloc.start()
     try:
-        advise(data)
+        recording_quality(data)
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -237,7 +243,7 @@ def tank(rng, *, hours=3.0, hold=(60, 400), dead_time=0):
 
 
 def told(dataset):
-    return "\n".join(advise(dataset).suggestions)
+    return "\n".join(remark.sentence for remark in advise_recording(dataset))
 
 
 def test_time_scales_are_those_of_the_system(rng):
@@ -280,9 +286,8 @@ def test_a_battery_that_runs_down_asks_for_no_hours(rng):
     system = System((*PENDULUM.states, Channel("battery", "V", low=6.0)), PENDULUM.controls, PENDULUM.dt)
     (episode,) = swinging.episodes
     drained = Dataset.from_arrays(system, np.concatenate([episode.states, battery], axis=1), episode.controls)
-    advice = advise(drained)
-    assert advice.scales[-1] < 1.0
-    assert not any("in all" in sentence for sentence in advice.suggestions)
+    assert recording_quality(drained).scales[-1] < 1.0
+    assert "in all" not in told(drained)
 
 
 def test_a_tank_may_hold_its_valve_for_minutes_and_a_pendulum_may_not_hold_its_torque(rng):
@@ -416,7 +421,6 @@ def test_a_recording_that_stands_still_throughout_is_refused(car):
         check_usable(Dataset.from_arrays(car, np.zeros((200, 3)), np.zeros((200, 2))))
 
 
-def test_lengths_of_time_and_long_lists_read_well():
-    spelt = [spell(seconds) for seconds in (0.047, 0.9996, 2.14, 45.0, 119.0, 288.0, 5400.0, 10_000.0, 1e6)]
+def test_lengths_of_time_read_well():
+    spelt = [spelled_time(seconds) for seconds in (0.047, 0.9996, 2.14, 45.0, 119.0, 288.0, 5400.0, 10_000.0, 1e6)]
     assert spelt == ["47 ms", "1 s", "2.1 s", "45 s", "119 s", "4.8 min", "90 min", "2.8 h", "278 h"]
-    assert (named(["a", "b"]), named(list("abcdef"))) == ("a, b", "a, b, c, d and 2 more")

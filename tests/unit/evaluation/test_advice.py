@@ -7,11 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice import MOST, Evidence, ModelAdvice, advise_model
-from evaluation.advice.advise import LOOKS
+from evaluation.advice import (
+    MOST,
+    Evidence,
+    ModelAdvice,
+    advise_model,
+    advise_recording,
+    ranked,
+)
+from evaluation.advice.advise import OF_MODELS, OF_PLACES
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
-from evaluation.advice.regions import dead_command, missing_excitation, other_states, weak_region
+from evaluation.advice.recording import CHECKS
+from evaluation.advice.regions import (
+    dead_command,
+    missing_excitation,
+    often_outside,
+    other_states,
+    untried_command,
+    weak_region,
+)
 from evaluation.coverage import largest_gap
 from evaluation.exploitability import what_to_record
 from evaluation.steps import Steps
@@ -30,7 +45,7 @@ def linear(training, test=None, visited=None, fitted_to=None, **lags):
     """Return what a linear model of ``training`` is judged on; ``visited`` is what controllers were driven through."""
     model = make_model("linear", **lags).fit(training if fitted_to is None else fitted_to)
     steps = None if visited is None else Steps.of(visited.system, visited.episodes)
-    return Evidence("linear", model, training, test, steps)
+    return Evidence(name="linear", model=model, training=training, test=test, visited=steps)
 
 
 @functools.cache
@@ -47,7 +62,8 @@ def advised(where, **keywords):
 def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of(recordings, most):
     more = 0
     for seed in range(recordings):
-        remarks = [remark for look in LOOKS if (remark := look(evidence(seed=seed))) is not None]
+        looks = (*OF_MODELS, *OF_PLACES, *CHECKS)
+        remarks = [remark for look in looks if (remark := look(evidence(seed=seed))) is not None]
         assert remarks[0].topic == "noise"
         more += len(remarks) - 1
     assert more <= most
@@ -92,6 +108,8 @@ SLOW, WILD = Fault(push=0.15, bend=1.5), Fault(bend=1.5)
         (shift, lambda: linear(*recorded_again(SLOW, WILD, 4), fitted_to=recorded(SLOW))),  # only the states are others
         (shift, lambda: linear(*recorded(episodes=1).split(0.25))),
         (missing_excitation, lambda: linear(*recorded().split(0.25), recorded(seed=5))),
+        (untried_command, evidence),
+        (often_outside, lambda: linear(*recorded().split(0.25), recorded(seed=5))),
         (other_states, evidence),
         (dead_command, lambda: evidence(Fault(bend=0.5))),
         (overfit, evidence),
@@ -121,6 +139,17 @@ def test_where_controllers_go_and_the_data_do_not_is_named():
     assert "of their time with push " in remark.sentence
 
 
+def test_how_much_controllers_leave_the_data_is_told_unless_one_place_says_it():
+    where = linear(*recorded(Fault(push=0.5)).split(0.25), recorded(seed=5))
+    remark = often_outside(where)
+    assert 0.2 < remark.weight == remark.figures["outside"] < 0.9
+    assert remark.sentence.startswith(f"{100 * remark.weight:.0f} % of what controllers drive lies outside the data")
+    assert remark.sentence.count(" of the steps") == 3
+    assert "outside the data" not in {one.topic for one in ranked([remark, missing_excitation(where)])}
+    alone = advise_recording(where.training, visited=recorded(seed=5).episodes)
+    assert {one.topic for one in alone} == {"slow switching", "excitation"}, "nothing of commands that nobody gives"
+
+
 def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it():
     data, system = recorded(), recorded().system
     assert system.controls[0].high == 1.0
@@ -137,7 +166,7 @@ def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it():
 def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers():
     data = recorded()
     kept = [np.where((e.states[:-1, :1] > 0.2) & [False, True], np.minimum(e.controls, 0.0), e.controls) for e in data]
-    remark = missing_excitation(linear(Dataset.from_arrays(data.system, [e.states for e in data], kept)))
+    remark = untried_command(linear(Dataset.from_arrays(data.system, [e.states for e in data], kept)))
     assert remark.sentence.startswith("steer above ")
     assert " was hardly tried with speed above " in remark.sentence
 
@@ -166,7 +195,12 @@ def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():
     remark = overfit(linear(recorded(episodes=1, steps=200), recorded(seed=9), **lags))
     assert " times that in the training part" in remark.sentence
     data = recorded(episodes=1, steps=400)
-    more = Evidence("linear", linear(data, **lags).model, recorded(episodes=1, steps=200), recorded(seed=9))
+    more = Evidence(
+        name="linear",
+        model=linear(data, **lags).model,
+        training=recorded(episodes=1, steps=200),
+        test=recorded(seed=9),
+    )
     remark = too_few_data(more, linear(halved(data), **lags).model)
     assert remark.figures["half"] > 1.05 * remark.figures["all"]
 

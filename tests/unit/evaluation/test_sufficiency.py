@@ -84,7 +84,8 @@ def test_of_data_in_which_nothing_varies_the_advice_says_just_that():
         assert remark.sentence.startswith("No state varies in the data that linear is judged on")
 
 
-def test_advice_that_rests_on_an_interval_wants_ten_blocks():
+def test_advice_that_rests_on_an_interval_wants_ten_blocks(monkeypatch):
+    monkeypatch.setattr("evaluation.advice.advise.MOST", 20)
     training, short, long = recording(1, steps=60), recording(1, steps=540, seed=8), recording(3, steps=400, seed=8)
     (episode,), noise = training.episodes, 0.05 * np.random.default_rng(0).normal(size=(61, 3))
     training = training.with_episodes([replace(episode, states=episode.states + noise)])
