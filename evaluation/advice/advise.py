@@ -10,7 +10,7 @@ import numpy as np
 from evaluation.advice.evidence import Evidence, ModelAdvice, Recordings, Remark
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import hidden_state, late_controls, noise_floor
-from evaluation.advice.recording import CHECKS, answers_late
+from evaluation.advice.recording import CHECKS, late_answers
 from evaluation.advice.regions import (
     dead_command,
     missing_excitation,
@@ -84,7 +84,7 @@ def advise_recording(
     controllers do in models and on robots.
     """
     where = Recordings(training=dataset, visited=_steps(dataset, visited), known=quality)
-    return ranked(look(where) for look in (*CHECKS, answers_late, outside_the_data, *OF_PLACES))
+    return ranked(look(where) for look in (*CHECKS, late_answers, outside_the_data, *OF_PLACES))
 
 
 def advise_model(

@@ -143,10 +143,10 @@ def test_a_poor_recording_is_told_what_to_do(car):
     found = {remark.topic: remark.sentence for remark in remarks}
     assert "How fast the states answer cannot be told from this recording" in found["time scale"]
     assert "stands still 75 % of the time" in found["standstill"]
-    assert found["rare levels"].startswith("drive is near -1 and steer is near -1, 1 less than 2 % of the time")
+    assert found["rare commands"].startswith("drive is near -1 and steer is near -1, 1 less than 2 % of the time")
     assert found["slow switching"].startswith("steer stays near a level for 60 s on average: change it more often")
     assert found["slow switching"].endswith("Likewise drive.")
-    assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in found["rare combinations"]
+    assert "at (drive, steer) near: -1, -1; -1, 0; -1, 1; 0, -1; 0, 1; 1, -1; 1, 1." in found["rare commands"]
     assert "The time stamps of log scatter by up to 17 % of a step" in found["time stamps"]
     weights = [remark.weight for remark in remarks]
     assert weights == sorted(weights, reverse=True)
