@@ -5,13 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from hardware.driving.keyboard import Keyboard
-from hardware.driving.page_messages import first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.page_messages import Panel, Phase, Reading
 from hardware.driving.server import PageAddress, served
 from hardware.driving.trials import TrialSeries
 from hardware.robot import Robot
@@ -19,7 +18,6 @@ from hardware.run_report import Reason, Stops
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts
 from sysid_evo.evolution import Champion
-from sysid_evo.system import System
 from sysid_evo.tasks import Scene, Task
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
@@ -32,8 +30,6 @@ POLL = 0.02  # s
 LAST_LOOK = 0.3
 """Seconds for which the page still hears how the last trial ended."""
 
-SETTLING, CONTROLLED, FINISHED = "settling", "controlled", "finished"
-
 
 @contextmanager
 def shown_live(
@@ -42,7 +38,7 @@ def shown_live(
     """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
     panel = ControllerPanel(robot.name, task.bind(robot.system), name)
     with watched(panel, address, stops=stops, announce=announce):
-        yield lambda series: panel.show(moment_of(series))
+        yield lambda series: panel.show(*shown_of(series))
 
 
 def play_back(
@@ -75,89 +71,43 @@ def watched(
             time.sleep(LAST_LOOK)
 
 
-class ControllerPanel:
-    """Shows the newest `Moment`; one thread gives it, another reads it.
+class ControllerPanel(Panel):
+    """Shows the newest that it was given; one thread gives it, another reads it."""
 
-    ``name`` is who drives, ``faster`` how many times as fast as in the world.
-    """
+    _shown = Reading(), Scene()
 
-    def __init__(self, robot: str, task: Task, name: str, *, faster: float = 1.0) -> None:
-        self._robot, self._task, self._name, self._faster = robot, task, name, faster
-        self._system: System = task.system
-        self._places = list(traced(self._system, first_scene(task)))
-        self._moment = Moment()
-
-    def show(self, moment: Moment) -> None:
+    def show(self, reading: Reading, scene: Scene) -> None:
         """Show where a trial stands."""
-        self._moment = moment
+        self._shown = reading, scene
 
-    def setting(self) -> dict[str, Any]:
-        setting = setting_of(self._robot, self._task, by_hand=False)
-        return {**setting, "controller": self._name, "faster": self._faster}
+    def reading(self) -> Reading:
+        return self._shown[0]
 
-    def scenery(self) -> dict[str, Any]:
-        return scenery_of(self._system, self._moment.scene)
-
-    def reading(self) -> dict[str, Any]:
-        now = self._moment
-        waypoint = now.scene.next_marker
-        return {
-            "trial": now.number,
-            "step": now.step,
-            "phase": now.phase,
-            "time_left": (self._task.horizon - now.step) * self._system.dt,
-            "score": now.score,
-            "scores": list(now.scores),
-            "waypoint": None if waypoint is None else waypoint.tolist(),
-            "pose": None if now.pose is None or not now.pose.size else numbers(now.pose),
-            "speed": speed_of(self._system, now.state),
-            "state": None if now.state is None else numbers(now.state[self._places]),
-            "control": None if now.control is None else numbers(now.control),
-            "keys": 0,
-            "tracker": None,
-            "link": None,
-            "message": "",
-        }
+    def scene(self) -> Scene:
+        return self._shown[1]
 
 
-@dataclass(frozen=True)
-class Moment:
-    """Where the trial ``number`` stands at ``step``: ``state`` (nx,), ``pose`` in the arena, ``control`` in force.
-
-    ``scores`` are those of the trials that are over.
-    """
-
-    number: int = 0
-    phase: str = SETTLING
-    step: int = 0
-    score: float = 0.0
-    scores: tuple[float, ...] = ()
-    state: Array | None = None
-    pose: Array | None = None
-    control: Array | None = None
-    scene: Scene = field(default_factory=Scene)
-
-
-def moment_of(series: TrialSeries) -> Moment:
-    """Return where a robot's trial stands, after a decision of ``series``; its first candidate is shown."""
+def shown_of(series: TrialSeries) -> tuple[Reading, Scene]:
+    """Return what there is to show of a robot's trial, after a decision of ``series``; its first candidate is shown."""
     trial = min(series.finished // len(series.parameters), len(series.seeds) - 1)
     task_state = series.states[0]
     fitness = series.task.fitness(task_state).tolist()
     done = tuple(fitness[: series.finished // len(series.parameters)])
-    here = Moment(trial + 1, score=fitness[trial], scores=done, scene=series.task.scene(task_state, trial))
+    scene = series.task.scene(task_state, trial)
+    here = Reading(trial + 1, score=fitness[trial], scores=done, waypoint=scene.next_marker)
     if not series.tapes or len(series.tapes) <= series.finished < series.trials:
-        return here
+        return here, scene
     tape = series.tapes[-1]
     over = series.finished == series.trials
-    control = tape.controls[-1] if tape.controls and not over else None
-    return replace(
+    driven = replace(
         here,
-        phase=FINISHED if over else CONTROLLED,
+        phase=Phase.FINISHED if over else Phase.DRIVING,
         step=tape.ticks[-1],
         state=tape.states[-1],
         pose=tape.poses[-1],
-        control=control,
+        control=tape.controls[-1] if tape.controls and not over else None,
     )
+    return driven, scene
 
 
 def play(
@@ -178,17 +128,17 @@ def play(
     tick = task.system.dt / pace(task)
     for trial, (trajectory, score) in enumerate(zip(trajectories, scores, strict=True)):
         began = clock()
-        last = None
-        for moment in moments(task, seeds[trial : trial + 1], trajectory, trial + 1):
-            while clock() < began + moment.step * tick:
+        last, scene = None, task.scene(task.begin(seeds[trial : trial + 1]), 0)
+        for reading in readings(task, seeds[trial : trial + 1], trajectory, trial + 1):
+            while clock() < began + reading.step * tick:
                 if stops.reason is not None:
                     return
                 sleep(min(POLL, tick))
-            last = replace(moment, scores=tuple(scores[:trial].tolist()))
-            panel.show(last)
+            last = replace(reading, scores=tuple(scores[:trial].tolist()))
+            panel.show(last, scene)
         if last is not None:
             done = tuple(scores[: trial + 1].tolist())
-            panel.show(replace(last, phase=FINISHED, score=float(score), scores=done, control=None))
+            panel.show(replace(last, phase=Phase.FINISHED, score=float(score), scores=done, control=None), scene)
         until = clock() + PAUSE
         while clock() < until and trial + 1 < len(trajectories):
             if stops.reason is not None:
@@ -201,10 +151,9 @@ def pace(task: Task) -> float:
     return max(1.0, task.horizon * task.system.dt / LONGEST)
 
 
-def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> list[Moment]:
+def readings(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> list[Reading]:
     """Return where the trial of one ``seed`` stood at every sample of its ``trajectory``."""
     task_state = task.begin(seed)
-    scene = task.scene(task_state, 0)
     poses = np.zeros((len(trajectory.states), 0)) if trajectory.pose is None else trajectory.pose
     found = []
     for step, state in enumerate(trajectory.states):
@@ -216,9 +165,7 @@ def moments(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> lis
                 control=trajectory.controls[step - 1][None],
                 pose=poses[step][None] if poses.size else None,
             )
-            if poses.size:
-                scene = task.scene(task_state, 0)
+        score, waypoint = float(task.fitness(task_state)[0]), task.scene(task_state, 0).next_marker
         control = trajectory.controls[min(step, len(trajectory.controls) - 1)]
-        shown = Moment(number, CONTROLLED, step, float(task.fitness(task_state)[0]), scene=scene)
-        found.append(replace(shown, state=state, pose=poses[step], control=control))
+        found.append(Reading(number, Phase.DRIVING, step, score, (), state, poses[step], control, waypoint))
     return found

@@ -8,17 +8,15 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from enum import Enum
 from functools import partial
 from itertools import count
-from typing import Any
 
 import numpy as np
 
 from hardware.connection import Command, GateLimits, Listener, Measurement, RobotStatus
 from hardware.control_loop import ControlLoop, Pilot, check_loop
 from hardware.driving.keyboard import Keyboard, control_of, key_life
-from hardware.driving.page_messages import ALL_KEYS, first_scene, numbers, scenery_of, setting_of, speed_of, traced
+from hardware.driving.page_messages import ALL_KEYS, Panel, Phase, Reading
 from hardware.driving.server import PageAddress, check_page, served
 from hardware.driving.trials import RestWatch, Tape
 from hardware.estimator import StateEstimate
@@ -161,26 +159,6 @@ def driven_by_hand(
         yield driving.trials()
 
 
-class Phase(Enum):
-    """Where a trial stands."""
-
-    SETTLING = "settling"
-    READY = "ready"
-    DRIVING = "driving"
-    FINISHED = "finished"
-    ENDED = "ended"
-
-
-@dataclass(frozen=True)
-class TrialProgress:
-    """How far a trial has come: ``steps`` driven, ``score`` so far, ``waypoint`` (2,) m if the task has one."""
-
-    phase: Phase
-    steps: int
-    score: float
-    waypoint: Array | None
-
-
 class HumanPilot(Pilot):
     """Drives by the keys that are held, from the first key on, for the task's ``horizon`` samples.
 
@@ -265,19 +243,15 @@ class HumanPilot(Pilot):
         self.progress = self._progress(Phase.DRIVING)
         return control
 
-    def _progress(self, phase: Phase) -> TrialProgress:
-        return TrialProgress(
-            phase=phase,
-            steps=self._tape.ticks[-1] if self._tape.ticks else 0,
-            score=float(self._task.fitness(self._state)[0]),
-            waypoint=self._task.scene(self._state, 0).next_marker,
-        )
+    def _progress(self, phase: Phase) -> Reading:
+        step, score = self._tape.ticks[-1] if self._tape.ticks else 0, float(self._task.fitness(self._state)[0])
+        return Reading(phase=phase, step=step, score=score, waypoint=self._task.scene(self._state, 0).next_marker)
 
 
 RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
 
 
-class Instruments(Listener):
+class Instruments(Listener, Panel):
     """A listener that remembers the newest; another thread reads it with `reading`.
 
     Every attribute is replaced as a whole, so that a reader never sees half of a change.
@@ -286,8 +260,7 @@ class Instruments(Listener):
     def __init__(
         self, robot: Robot, task: Task, keyboard: Keyboard, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._robot = robot
-        self._task = task
+        super().__init__(robot.name, task.bind(robot.system))
         self._keyboard = keyboard
         self._clock = clock
         self._pilot: HumanPilot | None = None
@@ -299,7 +272,6 @@ class Instruments(Listener):
         self._counted = (clock(), 0, 0.0)
         self._scores: tuple[float, ...] = ()
         self._message = ""
-        self._places = list(traced(robot.system, first_scene(task.bind(robot.system))))
 
     def begin(self, pilot: HumanPilot, number: int) -> None:
         """Show the trial of ``pilot``, the ``number``-th from 1."""
@@ -329,40 +301,26 @@ class Instruments(Listener):
     def reported(self, status: RobotStatus) -> None:
         self._status = status
 
-    def setting(self) -> dict[str, Any]:
-        """Return what stays the same in a session, as strict JSON."""
-        return setting_of(self._robot.name, self._task.bind(self._robot.system), by_hand=True)
+    def scene(self) -> Scene:
+        return Scene() if self._pilot is None else self.task.scene(self._pilot.task_state, 0)
 
-    def scenery(self) -> dict[str, Any]:
-        """Return the walls and targets of the trial, as strict JSON."""
-        pilot = self._pilot
-        scene = Scene() if pilot is None else self._task.scene(pilot.task_state, 0)
-        return scenery_of(self._robot.system, scene)
-
-    def reading(self) -> dict[str, Any]:
-        """Return what there is to see now, as strict JSON; poses are seen from the task's origin."""
+    def reading(self) -> Reading:
         now, frame, command, status, pilot = self._clock(), self._frame, self._command, self._status, self._pilot
-        progress = None if pilot is None else pilot.progress
         age = now - self._arrived
-        return {
-            "trial": self._number,
-            "step": 0 if progress is None else progress.steps,
-            "phase": (Phase.ENDED if progress is None else progress.phase).value,
-            "time_left": self._task.horizon * self._robot.system.dt
-            if progress is None
-            else (self._task.horizon - progress.steps) * self._robot.system.dt,
-            "score": 0.0 if progress is None else progress.score,
-            "scores": list(self._scores),
-            "waypoint": None if progress is None or progress.waypoint is None else progress.waypoint.tolist(),
-            "pose": None if frame is None or pilot is None else pilot.in_arena(frame.pose).tolist(),
-            "speed": None if pilot is None else speed_of(self._robot.system, pilot.newest_state),
-            "state": None if pilot is None or pilot.newest_state is None else numbers(pilot.newest_state[self._places]),
-            "control": None if command is None else command.control.tolist(),
-            "keys": self._keyboard.keys & ALL_KEYS,
-            "tracker": None if not math.isfinite(age) else {"age": round(age, 3), "rate": round(self._counted[2])},
-            "link": None if status is None else {"state": status.state, "age": round(now - status.time, 3)},
-            "message": self._message,
-        }
+        return replace(
+            Reading(phase=Phase.ENDED) if pilot is None else pilot.progress,
+            trial=self._number,
+            scores=self._scores,
+            state=None if pilot is None else pilot.newest_state,
+            pose=None if frame is None or pilot is None else pilot.in_arena(frame.pose),
+            control=None if command is None else command.control,
+            keys=self._keyboard.keys & ALL_KEYS,
+            tracker_age=round(age, 3) if math.isfinite(age) else None,
+            tracker_rate=round(self._counted[2]),
+            link=None if status is None else status.state,
+            link_age=0.0 if status is None else round(now - status.time, 3),
+            message=self._message,
+        )
 
 
 LEAD = 1.0  # s at rest before the first key, for the preparation of the log to cut off

@@ -133,17 +133,17 @@ class Seat:
     def drives(self) -> bool:
         return self._seats.driver is self
 
-    def hear(self, word: Any, arrival: float) -> None:
-        """Act on what the page says, see `keys_message`; ``arrival`` is in s. Raises `InvalidWord`."""
-        keys, clock, new = keys_message(word)
-        on_time = self._punctuality.on_time(clock, arrival)
-        if new and self.drives:  # it ends what is driven, so it is never too late for it
+    def hear(self, said: Any, arrival: float) -> None:
+        """Act on what the page says, see `keys_message`; ``arrival`` is in s. Raises `InvalidPageMessage`."""
+        message = keys_message(said)
+        on_time = self._punctuality.on_time(message.clock, arrival)
+        if message.new and self.drives:  # it ends what is driven, so it is never too late for it
             self._keyboard.ask_for_new_trial()
         if not on_time or not self.drives:
             return
-        self._seen_released = self._seen_released or keys == 0
+        self._seen_released = self._seen_released or message.keys == 0
         if self._seen_released:
-            self._keyboard.press(keys)
+            self._keyboard.press(message.keys)
 
     def leave(self) -> None:
         """Let go of the keys and make room for the one who has watched longest; a second call does nothing."""

@@ -1,14 +1,18 @@
-"""The messages of the page, all of them JSON: the keys that it sends, and what it is sent to show."""
+"""The contract with the page: every message both ways, all of them JSON, and the panel that is asked for them."""
 
 from __future__ import annotations
 
+import json
 import math
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
 from hardware.control_loop import PLANAR
-from sysid_evo.system import Channel, System
+from sysid_evo.system import Channel
 from sysid_evo.tasks import Scene, Task
 from sysid_evo.types import Array
 
@@ -17,25 +21,146 @@ ALL_KEYS = FORWARD | BACKWARD | LEFT | RIGHT
 LARGEST_CLOCK = 1e12  # s
 
 
-class InvalidWord(ValueError):
-    """What came is not what the page sends."""
+@dataclass(frozen=True)
+class Keys:
+    """Of the page: the keys held (a bit for each), its clock in s, whether a new trial is wanted."""
+
+    keys: int
+    clock: float
+    new: bool
 
 
-def keys_message(word: Any) -> tuple[int, float, bool]:
-    """Return the keys held (a bit for each), the page's clock in s, and whether ``word`` wants a new trial.
+@dataclass(frozen=True)
+class TracedChannel:
+    """A state or a control, the one at ``place``, that is drawn over time."""
 
-    One without ``new`` wants none. Raises `InvalidWord`.
+    place: int
+    name: str
+    unit: str
+    neutral: float
+    period: float | None
+    bounds: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Setting:
+    """To the page: what stays the same in a session.
+
+    ``controller`` drives, None if a person does, ``faster`` times as fast as in the world. A speed is the state at the
+    place ``forward``.
     """
-    if not isinstance(word, dict) or not {"keys", "clock"} <= word.keys() <= {"keys", "clock", "new"}:
-        raise InvalidWord("expected keys, clock and perhaps new")
-    keys, clock, new = word["keys"], word["clock"], word.get("new", False)
+
+    robot: str
+    controller: str | None
+    faster: float
+    dt: float
+    horizon: int
+    unit: str
+    top_view: bool
+    forward: int | None
+    arena: float | None
+    waypoint_radius: float
+    controls: tuple[str, ...]
+    traces: list[TracedChannel]
+    control_traces: list[TracedChannel]
+
+
+@dataclass(frozen=True)
+class WantedState:
+    """What the state at ``place`` was to be at every step, or always."""
+
+    place: int
+    values: Array
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class Scenery:
+    """To the page: what stays the same in a trial, its walls (x and y in m) and what states were to be."""
+
+    walls: list[list[list[float]]]
+    targets: list[WantedState]
+
+
+class Phase(StrEnum):
+    """Where a trial stands."""
+
+    SETTLING = "settling"
+    READY = "ready"
+    DRIVING = "driving"
+    FINISHED = "finished"
+    ENDED = "ended"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """To the page: where the trial of this number, from 1, stands at ``step``; ``scores`` are of those that are over.
+
+    ``state`` is (nx,), ``control`` (nu,) that in force; ``pose`` and ``waypoint`` (2,) are seen from the task's origin.
+    The newest pose is ``tracker_age`` s old, ``tracker_rate`` come in a second; ``link`` is how the robot is.
+    """
+
+    trial: int = 0
+    phase: Phase = Phase.SETTLING
+    step: int = 0
+    score: float = 0.0
+    scores: tuple[float, ...] = ()
+    state: Array | None = None
+    pose: Array | None = None
+    control: Array | None = None
+    waypoint: Array | None = None
+    keys: int = 0
+    tracker_age: float | None = None
+    tracker_rate: int = 0
+    link: str | None = None
+    link_age: float = 0.0
+    message: str = ""
+    drives: bool = False
+    watchers: int = 0
+
+
+IN_JAVASCRIPT = {"bool": "boolean", "int": "number", "float": "number", "str": "string", "Phase": "string"}
+IN_JAVASCRIPT |= {"None": "null", "list": "array", "tuple": "array", "Array": "array"}
+
+
+def messages_script() -> str:
+    """Return the messages as a module of JavaScript: of each its fields, and of each field what its value may be."""
+    table: dict[str, dict[str, list[str]]] = {}
+    for message in (Setting, Scenery, Reading, Keys):
+        kinds = {one.name: str(one.type).split(" | ") for one in fields(message)}
+        of_each = {name: [IN_JAVASCRIPT[kind.partition("[")[0]] for kind in kinds[name]] for name in kinds}
+        table[message.__name__.lower()] = of_each
+    return f"export const MESSAGES = {json.dumps(table)};\n"
+
+
+def as_text(message: Setting | Scenery | Reading) -> str:
+    """Return a message as it is sent: strict JSON, null for each number of an array that is not finite."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return [number if math.isfinite(number) else None for number in value.tolist()]
+        return vars(value)
+
+    return json.dumps({"type": type(message).__name__.lower(), **vars(message)}, default=plain, allow_nan=False)
+
+
+class InvalidPageMessage(ValueError):
+    """What came is no message of the page."""
+
+
+def keys_message(said: Any) -> Keys:
+    """Return what the page says. Raises `InvalidPageMessage` for anything but a whole message of the type ``keys``."""
+    names = [one.name for one in fields(Keys)]
+    if not isinstance(said, dict) or said.keys() != {"type", *names} or said["type"] != "keys":
+        raise InvalidPageMessage(f"expected a message of the type keys with {', '.join(names)}, got {said!r:.50}")
+    keys, clock, new = (said[name] for name in names)
     if type(keys) is not int or not 0 <= keys <= ALL_KEYS:
-        raise InvalidWord(f"keys: expected 0 to {ALL_KEYS}, got {keys!r}")
+        raise InvalidPageMessage(f"keys: expected 0 to {ALL_KEYS}, got {keys!r:.50}")
     if type(clock) not in (int, float) or not abs(clock) < LARGEST_CLOCK:
-        raise InvalidWord(f"clock: expected seconds, got {clock!r}")
+        raise InvalidPageMessage(f"clock: expected seconds, got {clock!r:.50}")
     if type(new) is not bool:
-        raise InvalidWord(f"new: expected true or false, got {new!r}")
-    return keys, clock, new
+        raise InvalidPageMessage(f"new: expected true or false, got {new!r:.50}")
+    return Keys(keys, clock, new)
 
 
 MOST_TRACES = 4
@@ -43,85 +168,54 @@ MOST_TRACES = 4
 MOST_CONTROLS = 2  # whose course is drawn below them
 
 
-class DrivePanel(Protocol):
-    """What the server asks for; another thread may change it meanwhile. All of it is strict JSON."""
+class Panel(ABC):
+    """What the page shows of trials of the bound ``task``; another thread may change it meanwhile.
 
-    def setting(self) -> dict[str, Any]:
+    ``controller`` is who drives, None for a person, ``faster`` how many times as fast as in the world.
+    """
+
+    def __init__(self, robot: str, task: Task, controller: str | None = None, *, faster: float = 1.0) -> None:
+        self.robot, self.task, self.controller, self.faster = robot, task, controller, faster
+        self._always = task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)  # what is the same in all trials
+        # States that are led are drawn over time, else the first ones of what has no place to show.
+        few = 0 if task.system.n_pose == PLANAR else min(MOST_TRACES, task.system.nx)
+        self._traced = [target.place for target in self._always.targets] or list(range(few))
+
+    @abstractmethod
+    def scene(self) -> Scene:
+        """Return what can be drawn of the trial."""
+
+    @abstractmethod
+    def reading(self) -> Reading:
+        """Return what there is to see now."""
+
+    def setting(self) -> Setting:
         """Return what stays the same in a session."""
-        ...
+        system, states = self.task.system, self._traced
+        forward = None if system.motion is None else system.motion.roles().get("forward")
+        return Setting(
+            robot=self.robot,
+            controller=self.controller,
+            faster=self.faster,
+            dt=system.dt,
+            horizon=self.task.horizon,
+            unit=self.task.fitness_unit,
+            top_view=system.n_pose == PLANAR,
+            forward=None if forward is None else system.state_names.index(forward),
+            arena=self._always.extent,
+            waypoint_radius=self._always.radius,
+            controls=system.control_names,
+            traces=[_trace(place, system.states[place]) for place in states],
+            control_traces=[_trace(*one) for one in enumerate(system.controls[: MOST_CONTROLS if states else 0])],
+        )
 
-    def scenery(self) -> dict[str, Any]:
-        """Return what stays the same in a trial: walls, and what states were to be."""
-        ...
-
-    def reading(self) -> dict[str, Any]:
-        """Return what there is to see now; ``trial`` is the number of the trial."""
-        ...
-
-
-def setting_of(robot: str, task: Task, *, by_hand: bool) -> dict[str, Any]:
-    """Return the setting of a session with ``robot`` at the bound ``task``, driven ``by_hand`` or by a controller."""
-    system = task.system
-    scene = first_scene(task)
-    places = traced(system, scene)
-    return {
-        "robot": robot,
-        "by_hand": by_hand,
-        "dt": system.dt,
-        "horizon": task.horizon,
-        "unit": task.fitness_unit,
-        "top_view": system.n_pose == PLANAR,
-        "arena": scene.extent,
-        "waypoint_radius": scene.radius or None,
-        "controls": [channel.name for channel in system.controls],
-        "traces": [_trace(system.states[place]) for place in places],
-        "control_traces": [_trace(channel) for channel in system.controls[: MOST_CONTROLS if places else 0]],
-    }
+    def scenery(self) -> Scenery:
+        """Return what stays the same in a trial."""
+        scene = self.scene()
+        targets = [WantedState(target.place, target.values, target.tolerance) for target in scene.targets]
+        return Scenery([np.round(wall, 3).tolist() for wall in scene.walls], targets)
 
 
-def first_scene(task: Task) -> Scene:
-    """Return what can be drawn of a trial of the bound ``task``, for what is the same in all of them."""
-    return task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)
-
-
-def traced(system: System, scene: Scene) -> tuple[int, ...]:
-    """Return which states are drawn over time: those that are led, else the first ones of what has no place to show."""
-    led = tuple(target.place for target in scene.targets)
-    return led or (() if system.n_pose == PLANAR else tuple(range(min(MOST_TRACES, system.nx))))
-
-
-def scenery_of(system: System, scene: Scene) -> dict[str, Any]:
-    """Return the walls (x and y in m) of a trial, and targets and tolerances of the states that are traced."""
-    targets = {target.place: target for target in scene.targets}
-    return {
-        "walls": [np.round(wall, 3).tolist() for wall in scene.walls],
-        "targets": [
-            None
-            if place not in targets
-            else {"values": targets[place].values.tolist(), "tolerance": targets[place].tolerance}
-            for place in traced(system, scene)
-        ],
-    }
-
-
-def numbers(values: Array | None) -> list[float | None] | None:
-    """Return ``values`` (n,) for JSON, None for each that is not finite."""
-    return None if values is None else [value if math.isfinite(value) else None for value in values.tolist()]
-
-
-def speed_of(system: System, state: Array | None) -> float | None:
-    """Return how fast a body drives in ``state`` (nx,); None if it has no such speed or it is not known."""
-    forward = None if system.motion is None else system.motion.roles().get("forward")
-    if state is None or forward is None or not np.isfinite(state).all():
-        return None
-    return float(state[system.state_names.index(forward)])
-
-
-def _trace(channel: Channel) -> dict[str, Any]:
-    return {
-        "name": channel.name,
-        "unit": channel.unit,
-        "neutral": channel.neutral,
-        "period": channel.period,
-        "bounds": [channel.low, channel.high] if channel.bounded else None,
-    }
+def _trace(place: int, channel: Channel) -> TracedChannel:
+    bounds = (channel.low, channel.high) if channel.bounded else None
+    return TracedChannel(place, channel.name, channel.unit, channel.neutral, channel.period, bounds)

@@ -12,7 +12,7 @@ import time
 import webbrowser
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +20,7 @@ from urllib.parse import urlsplit
 
 from hardware.connection import Closeable
 from hardware.driving.keyboard import Keyboard, Seat, Seats
-from hardware.driving.page_messages import DrivePanel, InvalidWord
+from hardware.driving.page_messages import InvalidPageMessage, Panel, as_text, messages_script
 from hardware.run_report import Reason, Stops
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.extras import check_installed
@@ -36,14 +36,8 @@ PACKAGES = ("starlette", "uvicorn", "websockets")
 """What the page is served with."""
 
 PAGE = Path(__file__).parent / "page"
-FILES = {
-    "": "index.html",
-    "drive.css": "drive.css",
-    "drive.js": "drive.js",
-    "view.js": "view.js",
-    "traces.js": "traces.js",
-}
-"""What is served under which name."""
+FILES = ("drive.css", "drive.js", "plot.js", "traces.js", "view.js")
+"""What is served under its name, beside the page itself and the table of messages."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -61,6 +55,7 @@ MOST_SILENT = 64
 PING = 1.0  # s after which a page that does not answer is gone
 START_UP = 5.0  # s
 INVALID = 1008  # the web socket's code for a message that breaks the rules
+REASON_BYTES = 120  # of the sentence that goes with it; the protocol has room for 123
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,7 @@ def check_page() -> None:
 
 @contextmanager
 def served(
-    panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+    panel: Panel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
     """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
 
@@ -102,7 +97,7 @@ class PageServer(Closeable):
 
     def __init__(
         self,
-        panel: DrivePanel,
+        panel: Panel,
         keyboard: Keyboard,
         *,
         host: str,
@@ -197,10 +192,11 @@ def impatient_http() -> type[asyncio.Protocol]:
     return ImpatientHttp
 
 
-def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starlette:
+def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
     """Return the page, its files and its web socket, all behind ``/token/``."""
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
+    from starlette.responses import Response
     from starlette.routing import Mount, Route, WebSocketRoute
     from starlette.websockets import WebSocketDisconnect
 
@@ -210,17 +206,20 @@ def make_app(panel: DrivePanel, seats: Seats, *, token: str, host: str) -> Starl
         talking = asyncio.create_task(_tell(page, seat, seats, panel))
         try:
             await _listen(page, seat)
-        except ValueError:
+        except ValueError as error:
             seat.leave()
-            await page.close(INVALID)
+            await page.close(INVALID, str(error).encode("ascii", "backslashreplace")[:REASON_BYTES].decode())
         finally:
             seat.leave()
             talking.cancel()
             with suppress(asyncio.CancelledError, WebSocketDisconnect):
                 await talking
 
-    files = [Route(f"/{name}", _file(PAGE / file)) for name, file in FILES.items()]
-    routes = [Mount(f"/{token}", routes=[*files, WebSocketRoute("/socket", converse)])]
+    async def messages(_: Request) -> Response:
+        return Response(messages_script(), headers=HEADERS, media_type="text/javascript")
+
+    files = [Route("/", _file(PAGE / "index.html")), *(Route(f"/{name}", _file(PAGE / name)) for name in FILES)]
+    routes = [Mount(f"/{token}", routes=[*files, Route("/messages.js", messages), WebSocketRoute("/socket", converse)])]
     return Starlette(routes=routes, middleware=[Middleware(Guard, token=token, host=host)])
 
 
@@ -234,26 +233,26 @@ def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
 
 
 async def _listen(page: WebSocket, seat: Seat) -> None:
-    """Hear what the page says until it goes. Raises `InvalidWord` or another `ValueError`."""
+    """Hear what the page says until it goes. Raises `InvalidPageMessage` or another `ValueError`."""
     while True:
         message = await page.receive()
         if message["type"] == "websocket.disconnect":
             return
         if message.get("text") is None:
-            raise InvalidWord("expected text, got bytes")
+            raise InvalidPageMessage("expected text, got bytes")
         seat.hear(json.loads(message["text"]), time.monotonic())
 
 
-async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: DrivePanel) -> None:
+async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: Panel) -> None:
     """Send the page the setting once, what is drawn of each trial, and the newest reading again and again."""
-    await page.send_json({"setting": panel.setting()})
+    await page.send_text(as_text(panel.setting()))
     trial = None
     while True:
-        reading = {**panel.reading(), "drives": seat.drives, "watchers": seats.watchers}
-        if reading["trial"] != trial:
-            trial = reading["trial"]
-            await page.send_json({"scenery": panel.scenery()})
-        await page.send_text(json.dumps(reading, allow_nan=False))
+        reading = replace(panel.reading(), drives=seat.drives, watchers=seats.watchers)
+        if reading.trial != trial:
+            trial = reading.trial
+            await page.send_text(as_text(panel.scenery()))
+        await page.send_text(as_text(reading))
         await asyncio.sleep(PERIOD)
 
 

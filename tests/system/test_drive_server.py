@@ -20,9 +20,9 @@ from websockets.sync.client import connect
 from evaluation.transfer import load_measured
 from hardware.connection import GateLimits
 from hardware.driving import server
-from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments, Phase
+from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
-from hardware.driving.page_messages import FORWARD, LEFT
+from hardware.driving.page_messages import FORWARD, LEFT, Phase
 from hardware.driving.server import PageServer, check_page
 from hardware.emulation.simulated_robot import in_real_time
 from hardware.emulation.tracked_robots import ModelledRobot
@@ -76,7 +76,7 @@ def talk(url, *, origin="ours"):
 
 
 def say(line, keys):
-    line.send(json.dumps({"keys": keys, "clock": time.monotonic()}))
+    line.send(json.dumps({"type": "keys", "keys": keys, "clock": time.monotonic(), "new": False}))
 
 
 def drain(line):
@@ -85,7 +85,8 @@ def drain(line):
 
 
 def test_the_page_and_its_files_are_there_for_who_knows_the_address(desk):
-    for name, kind in (("", "html"), ("drive.js", "javascript"), ("view.js", "javascript"), ("drive.css", "css")):
+    scripts = ((f"{name}.js", "javascript") for name in ("drive", "messages", "plot", "traces", "view"))
+    for name, kind in (("", "html"), ("drive.css", "css"), *scripts):
         with urllib.request.urlopen(desk.page.url + name, timeout=10.0) as answer:
             assert kind in answer.headers["Content-Type"]
             assert answer.headers["Content-Security-Policy"].startswith("default-src 'none'")
@@ -123,7 +124,7 @@ def test_another_page_may_not_open_the_socket(desk):
             pass
     assert status_of(desk.page.url, Origin="http://evil.example") == 403
     with talk(desk.page.url) as line:
-        assert json.loads(line.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
+        assert json.loads(line.recv(timeout=5.0))["robot"] == "emulated_car"
 
 
 def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypatch):
@@ -136,7 +137,7 @@ def test_connections_without_the_secret_keep_nobody_out_and_are_closed(monkeypat
             stack.enter_context(socket.create_connection((base.hostname or "", base.port or 0))) for _ in range(60)
         ]
         with talk(desk.page.url) as page:
-            assert json.loads(page.recv(timeout=5.0))["setting"]["robot"] == "emulated_car"
+            assert json.loads(page.recv(timeout=5.0))["robot"] == "emulated_car"
             assert status_of(desk.page.url) == 200
             refused = lines.pop()
             refused.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -172,11 +173,16 @@ def gone(line):
 
 
 def test_nonsense_ends_the_conversation(desk):
-    for nonsense in ("{", "[]", '{"keys": 1}', "x" * 1000, b"\x00"):
+    for nonsense, reason in (
+        ("{", "Expecting property name"), ('{"keys": 1}', "expected a message of the type keys with keys, clock, new"),
+        ('["' + "\N{SNOWMAN}" * 60 + '"]', "expected a message"), (b"\x00", "expected text, got bytes"),
+        ("x" * 1000, ""),
+    ):  # fmt: skip
         with talk(desk.page.url) as line:
             line.send(nonsense)
-            with pytest.raises(ConnectionClosed):
+            with pytest.raises(ConnectionClosed) as closed:
                 drain(line)
+            assert closed.value.rcvd.reason.startswith(reason)
     assert status_of(desk.page.url) == 200
 
 
@@ -223,10 +229,10 @@ class Typist:
         with talk(self.desk.page.url) as line:
             drives_since, said = None, time.monotonic()
             while not self.lost:
-                phase = self.desk.instruments.reading()["phase"]
-                say(line, FORWARD if phase in (Phase.READY.value, Phase.DRIVING.value) else 0)
+                phase = self.desk.instruments.reading().phase
+                say(line, FORWARD if phase in (Phase.READY, Phase.DRIVING) else 0)
                 self.gap, said = max(self.gap, time.monotonic() - said), time.monotonic()
-                if phase == Phase.DRIVING.value:
+                if phase is Phase.DRIVING:
                     drives_since = drives_since or time.monotonic()
                     if time.monotonic() - drives_since > 0.5:
                         self.lost = time.monotonic()
@@ -352,9 +358,8 @@ def test_who_opens_the_page_of_a_controller_sees_every_trial(robot, task, pages,
     (page,) = opened
     page.join(10.0)
     setting, scenery, *readings = page.told
-    assert setting["setting"]["robot"] == robot
-    assert scenery.keys() == {"scenery"}
-    steps = {(reading["trial"], reading["step"]) for reading in readings if reading.get("phase") == "controlled"}
+    assert (setting["robot"], scenery["type"]) == (robot, "scenery")
+    steps = {(reading["trial"], reading["step"]) for reading in readings if reading.get("phase") == "driving"}
     assert {1, 2} <= {trial for trial, _ in steps}
     assert len(steps) > 12
     assert readings[-1]["phase"] == "finished"

@@ -1,5 +1,6 @@
 // The page says many times a second which keys are held; what it does not say again counts for nothing.
 
+import { MESSAGES } from "./messages.js";
 import { Traces } from "./traces.js";
 import { View } from "./view.js";
 
@@ -8,7 +9,7 @@ const EVERY = 25; // ms between two words
 const BACKLOG = 1024; // bytes under way that make another word pointless
 const STALE = 0.1; // s: an older pose means neutral
 const SILENT = 400; // ms without a word of the server
-const GOING_AWAY = [1001, 1012];
+const GOING_AWAY = [1001, 1012], INVALID = 1008; // codes with which the server closes the line
 const part = (id) => document.getElementById(id);
 const write = (id, text) => { if (part(id).textContent !== text) part(id).textContent = text; };
 
@@ -19,6 +20,7 @@ let socket = null;
 let reading = null;
 let heard = 0;
 let over = false;
+let trouble = ""; // why the two do not understand each other
 let tries = 0;
 
 function keys() {
@@ -29,7 +31,8 @@ function keys() {
 
 function say(more) {
   if (socket?.readyState !== WebSocket.OPEN || socket.bufferedAmount > BACKLOG) return;
-  socket.send(JSON.stringify({ keys: document.hidden ? 0 : keys(), clock: performance.now() / 1000, ...more }));
+  const said = { type: "keys", keys: document.hidden ? 0 : keys(), clock: performance.now() / 1000, new: false, ...more };
+  socket.send(JSON.stringify(said));
 }
 
 function letGo() {
@@ -44,48 +47,59 @@ function connect() {
   socket.onopen = () => { held.clear(); tries = 0; say(); };
   socket.onmessage = (event) => {
     const said = JSON.parse(event.data);
+    trouble = problem(said);
     heard = performance.now();
-    if (said.setting) {
-      arrange(said.setting);
-      return;
-    }
-    if (said.scenery) {
-      view.scenery = traces.scenery = said.scenery;
-      return;
-    }
-    if (!reading || said.trial !== reading.trial) {
-      view.clear();
-      traces.clear();
-    }
-    reading = said;
-    view.show(said);
-    traces.show(said);
+    if (trouble) socket.close();
+    else if (said.type === "setting") arrange(said);
+    else if (said.type === "scenery") view.scenery = traces.scenery = said;
+    else look(said);
   };
   socket.onclose = (event) => {
     held.clear();
     over = GOING_AWAY.includes(event.code);
+    if (event.code === INVALID) trouble = `The server refuses what this page says: ${event.reason}`;
     tries += 1;
-    if (!over) setTimeout(connect, Math.min(2000, 250 * tries));
+    if (!over && !trouble) setTimeout(connect, Math.min(2000, 250 * tries));
   };
+}
+
+// What is wrong with a message of the server, in a sentence; empty if it is as the table of messages describes it.
+function problem(said) {
+  const table = MESSAGES[said?.type];
+  if (!table) return `The server says what this page does not know: ${said?.type}`;
+  const kind = (value) => value === null ? "null" : Array.isArray(value) ? "array" : typeof value;
+  const wrong = Object.keys(table).find((name) => !table[name].includes(kind(said[name])));
+  return wrong ? `${said.type}: expected ${wrong} as ${table[wrong].join(" or ")}, got ${kind(said[wrong])}` : "";
+}
+
+function look(said) {
+  if (said.trial !== reading?.trial) {
+    view.clear();
+    traces.clear();
+  }
+  reading = said;
+  view.show(said);
+  traces.show(said);
 }
 
 // Show what this robot and this task have: a top view, traces, keys.
 function arrange(setting) {
   view.setting = traces.setting = setting;
   view.half = null;
-  document.title = `${setting.robot} – ${setting.by_hand ? "driving by hand" : setting.controller}`;
+  document.title = `${setting.robot} – ${setting.controller ?? "driving by hand"}`;
   write("robot", setting.robot);
   write("unit", setting.unit || "score");
-  document.body.classList.toggle("by-hand", setting.by_hand);
+  document.body.classList.toggle("by-hand", setting.controller === null);
   part("view").hidden = !setting.top_view;
   part("traces").hidden = !setting.traces.length;
 }
 
 function banner() {
+  if (trouble) return trouble;
   if (over) return "The session is over.";
   if (socket?.readyState !== WebSocket.OPEN) return tries > 3 ? "No answer: does sysid-evo drive still run?" : "Connecting";
   if (!reading) return "";
-  if (!view.setting.by_hand) return watched();
+  if (view.setting.controller !== null) return watched();
   if (!reading.drives) return "Watching: another page drives.";
   switch (reading.phase) {
     case "settling": return "Release all keys; the robot must stand still.";
@@ -118,24 +132,24 @@ function health(id, state, text) {
 
 function panel() {
   write("banner", banner());
-  const byHand = Boolean(view.setting.by_hand);
+  const { setting } = view, byHand = setting.controller === null;
   const alive = socket?.readyState === WebSocket.OPEN && performance.now() - heard < SILENT;
   const watchers = reading?.drives && reading.watchers ? `, ${reading.watchers} watching` : "";
   health("page", alive ? "good" : "bad", alive ? (byHand && reading?.drives ? "in control" : "watching") + (byHand ? watchers : "") : "not connected");
   if (!reading) return;
   write("trial", `trial ${reading.trial}`);
   write("score", score(reading.score));
-  write("time", reading.time_left.toFixed(1));
-  part("speed").closest("div").hidden = reading.speed === null && !view.setting.top_view;
-  write("speed", (reading.speed ?? 0).toFixed(2));
-  const names = view.setting.controls ?? [];
-  write("command", reading.control ? names.map((name, i) => `${name} ${signed(reading.control[i])}`).join(" · ") : "neutral");
-  const { tracker, link, scores } = reading;
-  if (!tracker || !reading.control) health("tracker", "off", "–");
-  else if (tracker.age > STALE) health("tracker", "bad", `silent ${tracker.age.toFixed(1)} s`);
-  else health("tracker", "good", `${tracker.rate} Hz`);
+  write("time", ((setting.horizon - reading.step) * setting.dt).toFixed(1));
+  const speed = reading.state?.[setting.forward] ?? null;
+  part("speed").closest("div").hidden = speed === null && !setting.top_view;
+  write("speed", (speed ?? 0).toFixed(2));
+  write("command", reading.control ? setting.controls.map((name, i) => `${name} ${signed(reading.control[i])}`).join(" · ") : "neutral");
+  const { scores, tracker_age: age, link } = reading;
+  if (age === null || !reading.control) health("tracker", "off", "–");
+  else if (age > STALE) health("tracker", "bad", `silent ${age.toFixed(1)} s`);
+  else health("tracker", "good", `${reading.tracker_rate} Hz`);
   if (!link || !reading.control) health("link", "off", "–");
-  else health("link", link.state === "tripped" || link.age > 0.25 ? "bad" : "good", link.state);
+  else health("link", link === "tripped" || reading.link_age > 0.25 ? "bad" : "good", link);
   const mean = scores.reduce((sum, score) => sum + score, 0) / scores.length;
   write("scores", scores.length ? `scores ${scores.slice(-8).map(score).join(" ")}, mean ${mean.toFixed(1)}` : "no trial driven to its end yet");
   for (const button of part("pad").children) button.classList.toggle("held", Boolean(reading.keys & button.dataset.key));

@@ -1,47 +1,27 @@
 // States and controls over time, one strip each: what they are in colour, what they were to be in grey.
 
+import { Plot } from "./plot.js";
+
 const LEFT = 52, RIGHT = 10, GAP = 12, HEAD = 18, FOOT = 20; // px
 const SPARE = 0.06; // of the range, above and below what must be seen
 
-export class Traces {
-  constructor(canvas) {
-    this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
-    this.setting = {};
-    this.scenery = {};
-    this.clear();
-    new ResizeObserver(() => this.draw()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-  }
-
+export class Traces extends Plot {
   clear() {
     this.samples = [];
   }
 
   show(reading) {
-    if (!reading.state || !["driving", "controlled", "finished"].includes(reading.phase)) return;
+    if (!reading.state || !["driving", "finished"].includes(reading.phase)) return;
     const last = this.samples.at(-1);
     if (last && last.step === reading.step) return;
     this.samples.push({ step: reading.step, state: reading.state, control: reading.control });
   }
 
-  draw() {
-    const { canvas, pen, setting } = this, ratio = devicePixelRatio || 1;
-    const wide = canvas.clientWidth, high = canvas.clientHeight;
-    if (!wide || !high || !setting.traces?.length) return;
-    if (canvas.width !== Math.round(wide * ratio) || canvas.height !== Math.round(high * ratio)) {
-      canvas.width = Math.round(wide * ratio);
-      canvas.height = Math.round(high * ratio);
-    }
-    const style = getComputedStyle(document.documentElement);
-    this.colour = (name) => style.getPropertyValue(name).trim();
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, wide, high);
-    pen.font = "12px system-ui, sans-serif";
-    const count = setting.traces.length + setting.control_traces.length;
-    const each = (high - FOOT - GAP) / count;
-    setting.traces.forEach((trace, i) => this.strip(trace, i, GAP + i * each, each, wide, false));
-    setting.control_traces.forEach((trace, i) => this.strip(trace, i, GAP + (setting.traces.length + i) * each, each, wide, true));
+  paint(wide, high) {
+    const { setting } = this;
+    if (!setting.traces?.length) return;
+    const all = [...setting.traces, ...setting.control_traces], each = (high - FOOT - GAP) / all.length;
+    all.forEach((trace, i) => this.strip(trace, GAP + i * each, each, wide, i >= setting.traces.length));
     this.clock(wide, high);
   }
 
@@ -55,12 +35,12 @@ export class Traces {
     };
   }
 
-  strip(trace, place, top, tall, wide, isControl) {
-    const { pen } = this, target = isControl ? null : this.scenery.targets?.[place];
+  strip(trace, top, tall, wide, isControl) {
+    const target = isControl ? null : this.scenery.targets?.find((one) => one.place === trace.place);
     const wanted = (step) => target ? target.values[Math.min(step, target.values.length - 1)] : trace.neutral;
     const near = (value, step) => trace.period ? wanted(step) + turned(value - wanted(step), trace.period) : value;
     const points = this.samples.map(({ step, state, control }) => {
-      const value = isControl ? control?.[place] : state[place];
+      const value = isControl ? control?.[trace.place] : state[trace.place];
       return value === null || value === undefined ? null : [step, near(value, step)];
     });
     const range = this.range(trace, target, points, isControl);

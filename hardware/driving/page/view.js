@@ -1,5 +1,7 @@
 // The top view: metres, x to the right, y up; what the tracker sees, nothing predicted.
 
+import { Plot } from "./plot.js";
+
 const CAR = { length: 0.17, width: 0.08 }; // m
 const MARGIN = 0.35; // m of floor beyond what must be seen
 const SPACING = 0.01; // m between two points of the trail
@@ -7,17 +9,8 @@ const TRAIL = 4000; // points
 
 const metres = (value) => String(value).replace("-", "−");
 
-export class View {
-  constructor(canvas) {
-    this.canvas = canvas;
-    this.pen = canvas.getContext("2d");
-    this.setting = {};
-    this.scenery = {};
-    this.half = null;
-    this.clear();
-    new ResizeObserver(() => this.draw()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-  }
+export class View extends Plot {
+  half = null; // m from the middle to the nearer edge
 
   clear() {
     this.trail = [];
@@ -30,7 +23,7 @@ export class View {
     const next = reading.waypoint;
     if (this.waypoint && next && (next[0] !== this.waypoint[0] || next[1] !== this.waypoint[1])) this.passed.push(this.waypoint);
     this.waypoint = next;
-    this.pose = reading.pose;
+    this.pose = reading.pose?.length ? reading.pose : null;
     if (this.pose) {
       const last = this.trail.at(-1);
       if (!last || Math.hypot(this.pose[0] - last[0], this.pose[1] - last[1]) >= SPACING) this.trail.push(this.pose);
@@ -38,19 +31,8 @@ export class View {
     }
   }
 
-  draw() {
-    const { canvas, pen } = this, ratio = devicePixelRatio || 1;
-    const wide = canvas.clientWidth, high = canvas.clientHeight;
-    if (!wide || !high) return;
-    if (canvas.width !== Math.round(wide * ratio) || canvas.height !== Math.round(high * ratio)) {
-      canvas.width = Math.round(wide * ratio);
-      canvas.height = Math.round(high * ratio);
-    }
-    const style = getComputedStyle(document.documentElement);
-    this.colour = (name) => style.getPropertyValue(name).trim();
+  paint(wide, high) {
     this.zoom(Math.min(wide, high));
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, wide, high);
     this.middle = [wide / 2, high / 2];
     this.grid(wide, high);
     this.task();
@@ -80,7 +62,6 @@ export class View {
     const { pen } = this, step = this.half > 6 ? 2 : this.half > 3 ? 1 : 0.5;
     const columns = Math.floor(this.middle[0] / this.scale / step), rows = Math.floor(this.middle[1] / this.scale / step);
     pen.lineWidth = 1;
-    pen.font = "12px system-ui, sans-serif";
     for (let i = -columns; i <= columns; i++) this.line([this.at([i * step, 0])[0], 0], [this.at([i * step, 0])[0], high], i === 0);
     for (let i = -rows; i <= rows; i++) this.line([0, this.at([0, i * step])[1]], [wide, this.at([0, i * step])[1]], i === 0);
     pen.fillStyle = this.colour("--soft");

@@ -11,9 +11,10 @@ import pytest
 from playwright.sync_api import Error, expect
 
 from hardware.connection import Listener
-from hardware.driving.controller_driving import FINISHED, ControllerPanel, moments
+from hardware.driving.controller_driving import ControllerPanel, readings
 from hardware.driving.hand_driving import HandDriving, Instruments
 from hardware.driving.keyboard import HOLD, Keyboard, key_life
+from hardware.driving.page_messages import Phase, as_text, keys_message
 from hardware.driving.server import PageServer
 from hardware.emulation.simulated_robot import in_real_time
 from hardware.run_report import Reason, Stops
@@ -274,15 +275,15 @@ def test_everything_fits_and_nothing_moves_while_the_figures_change(visitor, siz
 def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(visitor, spec, robot, size):
     task, rollouts = simulated(spec, robot)
     panel = ControllerPanel(robot, task, "best")
-    shown = moments(task, SEEDS[:1], rollouts.trajectories[0], 1)
-    panel.show(shown[0])
+    shown, scene = readings(task, SEEDS[:1], rollouts.trajectories[0], 1), task.scene(task.begin(SEEDS[:1]), 0)
+    panel.show(shown[0], scene)
     with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, died=print) as server:
         page = visitor.open(server.url, width=size[0], height=size[1])
         expect(page.locator("#banner")).to_have_text("best drives")
         before = seen(page)
-        for moment in shown[1:-1:4]:
-            panel.show(moment)
-            left = (30 - moment.step) * task.system.dt
+        for reading in shown[1:-1:4]:
+            panel.show(reading, scene)
+            left = (30 - reading.step) * task.system.dt
             wait(page, f"Math.abs(Number(document.getElementById('time').textContent) - {left}) < 0.06")
         pixels = seen(page)
         assert count(pixels, BLUE, off=0.15) > count(before, BLUE, off=0.15) + 50
@@ -290,6 +291,27 @@ def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(visit
         assert sideways(page) == 0
         expect(page.locator("#pad")).to_be_hidden()
         expect(page.locator("#view")).to_be_hidden()
-        panel.show(replace(shown[-1], phase=FINISHED, score=12.345))
+        panel.show(replace(shown[-1], phase=Phase.FINISHED, score=12.345), scene)
         expect(page.locator("#banner")).to_have_text("Trial over, score 12.35.")
+        page.close()
+
+
+@pytest.mark.parametrize(
+    ("where", "says", "sentence"),
+    [
+        ("server.as_text", lambda _: '{"type": "weather"}', "The server says what this page does not know: weather"),
+        ("server.as_text", lambda said: as_text(said).replace('"score": 0.0', '"score": null'),
+         "reading: expected score as number, got null"),
+        ("keyboard.keys_message", lambda said: keys_message({**said, "keys": 16}),
+         "The server refuses what this page says: keys: expected 0 to 15, got 16"),
+    ],
+)  # fmt: skip
+def test_a_wrong_message_ends_the_conversation_and_the_page_says_why(visitor, monkeypatch, where, says, sentence):
+    monkeypatch.setattr(f"hardware.driving.{where}", says)
+    task, _ = simulated("swing_up(horizon=30)", "pendulum")
+    panel, keyboard = ControllerPanel("pendulum", task, "best"), Keyboard(life=1.0)
+    with PageServer(panel, keyboard, host="127.0.0.1", port=0, died=print) as server:
+        page = visitor.open(server.url)
+        expect(page.locator("#banner")).to_have_text(sentence)
+        expect(page.locator("#page")).to_have_text("not connected")
         page.close()

@@ -1,14 +1,15 @@
 """A trial driven by hand, in simulated time, behind the real loop."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 from hardware.control_loop import ControlLoop
-from hardware.driving.hand_driving import LEAD, HumanPilot, Instruments, Phase, WhileDriving
+from hardware.driving.hand_driving import LEAD, HumanPilot, Instruments, WhileDriving
 from hardware.driving.keyboard import Keyboard, Punctuality, Seats, control_of, key_life
-from hardware.driving.page_messages import BACKWARD, FORWARD, LEFT, RIGHT, InvalidWord
+from hardware.driving.page_messages import BACKWARD, FORWARD, LEFT, RIGHT, InvalidPageMessage, Phase, as_text
 from hardware.emulation.tracked_robots import ModelledRobot
 from hardware.estimator import StateEstimate
 from hardware.run_report import Reason
@@ -63,7 +64,7 @@ def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated
     assert (len(driven), driven[0].time) == (40, pytest.approx(BEGIN, abs=emulated.system.dt))
     assert not hands.commands[-1].control.any()
     assert pilot.progress.phase is Phase.FINISHED
-    assert pilot.progress.steps == 40
+    assert pilot.progress.step == 40
 
 
 def test_the_score_is_the_fitness_of_the_task_along_the_poses_seen(emulated):
@@ -162,23 +163,23 @@ def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated
     hands = Hands(lambda time: FORWARD if time > 1.5 else 0)
     task = PointToPoint(horizon=100).bind(emulated.system)
     instruments = Instruments(emulated, task, hands.keyboard, clock=lambda: hands.time)
-    json.dumps([instruments.setting(), instruments.reading()], allow_nan=False)
+    assert json.loads(as_text(instruments.reading()))["phase"] == "ended"
     pilot = HumanPilot(hands.keyboard, task, seed=1)
     with emulated.connect(seed=1) as connection:
         instruments.begin(pilot, 3)
         loop = ControlLoop(connection, emulated.system, listeners=(hands, instruments))
         loop.run(pilot, samples=60)
         true = connection.state, connection.pose
-    reading = json.loads(json.dumps(instruments.reading(), allow_nan=False))
+    reading = json.loads(as_text(instruments.reading()))
     assert (reading["trial"], reading["phase"], reading["keys"]) == (3, "driving", FORWARD)
-    assert reading["speed"] == pytest.approx(true[0][0], abs=0.1)
+    assert reading["state"][instruments.setting().forward] == pytest.approx(true[0][0], abs=0.1)
     np.testing.assert_allclose(reading["pose"], true[1], atol=0.05)
-    assert reading["tracker"]["rate"] == 200
-    assert reading["time_left"] == pytest.approx(5.0 - (hands.time - 1.5), abs=0.15)
+    assert reading["tracker_rate"] == 200
+    assert 0.05 * reading["step"] == pytest.approx(hands.time - 1.5, abs=0.15)
     assert reading["link"] is None
     instruments.finish(4.0, "the tracker lost the robot")
     reading = instruments.reading()
-    assert (reading["scores"], reading["message"], reading["control"]) == ([4.0], "the tracker lost the robot", None)
+    assert (reading.scores, reading.message, reading.control) == ((4.0,), "the tracker lost the robot", None)
 
 
 @pytest.fixture
@@ -249,7 +250,7 @@ def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones_whose_cl
 
 
 def word(keys, clock, **more):
-    return {"keys": keys, "clock": clock, **more}
+    return {"type": "keys", "keys": keys, "clock": clock, "new": False, **more}
 
 
 def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard):
@@ -294,11 +295,16 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
 
 
 @pytest.mark.parametrize(
-    "said",
-    [None, [], {"keys": 1}, word(16, 0.0), word(-1, 0.0), word(True, 0.0), word(1, float("nan")), word(1, 1e300),
-     word(1, 0.0, new=1), word(1, 0.0, drive=True), {"keys": "1", "clock": 0.0}],
+    ("said", "sentence"),
+    [
+        *((said, "expected a message of the type keys with keys, clock, new, got")
+          for said in (None, [], {"keys": 1}, word(1, 0.0, type="steer"), word(1, 0.0, drive=True))),
+        *((word(keys, 0.0), f"keys: expected 0 to 15, got {keys!r}") for keys in (16, -1, True, "1", 1.0)),
+        *((word(1, clock), "clock: expected seconds, got") for clock in (float("nan"), 1e300, "0")),
+        (word(1, 0.0, new=1), "new: expected true or false, got 1"),
+    ],
 )  # fmt: skip
-def test_what_a_page_does_not_say_is_refused(keyboard, said):
-    with pytest.raises(InvalidWord):
+def test_what_a_page_does_not_say_is_refused_with_a_sentence(keyboard, said, sentence):
+    with pytest.raises(InvalidPageMessage, match=re.escape(sentence)):
         Seats(keyboard).take().hear(said, 1.0)
     assert keyboard.keys == 0
