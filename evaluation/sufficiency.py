@@ -76,13 +76,13 @@ def predicts(prediction: Prediction, model: ModelPrediction, horizon: int | None
 
 def beats_mean(score: ErrorScore | None) -> bool:
     """Whether an error is significantly below that of predicting the mean."""
-    return score is not None and score.interval.high < USELESS
+    return score is not None and score.estimate.high < USELESS
 
 
 def beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> bool:
     """Whether a model is significantly better than persistence, which predicts no change."""
     difference = prediction.compare(model.name, PERSISTENCE, horizon)
-    return difference is not None and difference.significant and difference.difference < 0
+    return difference is not None and difference.significant and difference.difference.value < 0
 
 
 def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:

@@ -19,7 +19,7 @@ from sysid_evo.data.trajectory import evenly_spaced, recording
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
-from sysid_evo.validation.bootstrap import BlockErrors
+from sysid_evo.validation.estimates import Draws, drawn_rms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,9 +139,9 @@ class WindowErrors:
         """Return N, the mean over channels of RMSE in units of ``std`` (nx,)."""
         return float(np.mean(np.sqrt(np.mean(self.errors**2, axis=0)) / std))
 
-    def drawn_n(self, std: Array, resamples: int = 500, seed: int = 0) -> Array:
-        """Return N of each draw of blocks, (resamples,); the same draws for the same windows."""
-        return BlockErrors.of(self.errors, self.blocks).resampled_n(std, resamples, seed)
+    def drawn_n(self, std: Array, seed: int = 0) -> Draws:
+        """Return N with its draws of blocks, the same for the same windows."""
+        return Draws((drawn_rms(self.errors, self.blocks, seed=seed) / std).mean(axis=1), len(np.unique(self.blocks)))
 
 
 MOST_WINDOWS = 1200

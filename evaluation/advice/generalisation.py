@@ -12,7 +12,7 @@ from evaluation.formatting import percent
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.types import Array, BoolArray, IntArray
-from sysid_evo.validation.bootstrap import BlockErrors, interval
+from sysid_evo.validation.estimates import Draws, drawn_rms
 
 WORSE = 1.25
 """Test error over training error that must be exceeded for sure: two recordings of one kind differ by less."""
@@ -22,7 +22,6 @@ HELPS = 1.05
 """Error with half the data over that with all, that must be exceeded for sure: a twentieth."""
 PIECE = 200
 """Steps of each piece, of which every other one is left out."""
-CONFIDENCE = 0.95
 
 
 def overfit(evidence: Evidence) -> Remark | None:
@@ -35,8 +34,8 @@ def overfit(evidence: Evidence) -> Remark | None:
     before, after = seen.n(evidence.std), new.n(evidence.std)
     if before < REMEMBERED:
         return None
-    ratios = new.drawn_n(evidence.std, seed=1) / seen.drawn_n(evidence.std, seed=2)
-    if interval(ratios, CONFIDENCE).low < WORSE:
+    ratio = new.drawn_n(evidence.std, seed=1).times(seen.drawn_n(evidence.std, seed=2))
+    if not ratio.low >= WORSE:
         return None
     return Remark(
         "overfit",
@@ -55,8 +54,7 @@ def too_few_data(evidence: Evidence, half: DynamicsModel) -> Remark | None:
     if evidence.test is None or not paired:
         return None
     with_all, with_half = whole.n(evidence.std), fewer.n(evidence.std)
-    ratios = fewer.drawn_n(evidence.std) / whole.drawn_n(evidence.std)
-    if interval(ratios, CONFIDENCE).low < HELPS:
+    if not fewer.drawn_n(evidence.std).times(whole.drawn_n(evidence.std)).low >= HELPS:
         return None
     return Remark(
         "few data",
@@ -88,9 +86,6 @@ FEWEST, FEWEST_BLOCKS = 40, 4
 """Windows from which a correction is learned, and on which and on how many blocks of which it is judged."""
 RIDGE = 3.0
 NEIGHBOURS = 10
-RESAMPLES = 500
-LUCK = 0.05
-"""How often one of all recordings may be called different by luck."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +140,7 @@ def shift(evidence: Evidence) -> Remark | None:
     gains = {}
     names = list(dict.fromkeys(windows.recordings))
     for name in names:
-        gain = _gain(windows, windows.recordings == name, 1.0 - LUCK / len(names))
+        gain = _gain(windows, windows.recordings == name, len(names))
         if gain is not None:
             gains[str(name)] = gain
     found = {name: gain for name, gain in gains.items() if gain >= BETTER}
@@ -163,8 +158,11 @@ def shift(evidence: Evidence) -> Remark | None:
     )
 
 
-def _gain(windows: RecordingErrors, own: BoolArray, confidence: float) -> float | None:
-    """Return the share of the error that only an own correction takes off, 0 if that is luck; None if none can tell."""
+def _gain(windows: RecordingErrors, own: BoolArray, recordings: int) -> float | None:
+    """Return the share of the error that only an own correction takes off, 0 if that is luck; None if none can tell.
+
+    It is one of so many ``recordings`` that are looked at.
+    """
     others, learned, judged = ~own & windows.first, own & windows.first, own & ~windows.first
     if min(others.sum(), learned.sum(), judged.sum()) < FEWEST:
         return None
@@ -180,8 +178,7 @@ def _gain(windows: RecordingErrors, own: BoolArray, confidence: float) -> float 
     best = min((((left - rival) ** 2)[alike] for rival in rivals), key=lambda squares: _size(squares))
     if _size(best) == 0.0:
         return 0.0
-    ratios = _drawn(corrected, blocks) / np.maximum(_drawn(best, blocks), 1e-300)
-    sure = interval(ratios, confidence).high < 1.0
+    sure = _drawn(corrected, blocks).times(_drawn(best, blocks), figures=recordings).high < 1.0
     return 1.0 - _size(corrected) / _size(best) if sure else 0.0
 
 
@@ -189,6 +186,6 @@ def _size(squares: Array) -> float:
     return float(np.sqrt(squares.mean(axis=0)).mean())
 
 
-def _drawn(squares: Array, blocks: IntArray) -> Array:
-    """Return the mean RMSE over channels of each draw of blocks, the same draws for the same blocks."""
-    return BlockErrors.of(np.sqrt(squares), blocks).resampled_n(np.ones(squares.shape[1]), RESAMPLES, 0)
+def _drawn(squares: Array, blocks: IntArray) -> Draws:
+    """Return the mean RMSE over channels with its draws of blocks."""
+    return Draws(drawn_rms(np.sqrt(squares), blocks).mean(axis=1), len(np.unique(blocks)))

@@ -183,13 +183,10 @@ def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> tu
     return float(weights[0]), float(np.sqrt(variance))
 
 
-RESAMPLES = 300
-
-
 def weak_region(evidence: Evidence) -> Remark | None:
     """Return the region where the error is clearly larger than elsewhere, see `region_errors`."""
     lags = evidence.model.n_lags
-    protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags), resamples=RESAMPLES)
+    protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags))
     cases = measured_cases(evidence.training, evidence.judged, protocol)
     steps = cases.near_horizon
     if steps is None:
@@ -203,8 +200,8 @@ def weak_region(evidence: Evidence) -> Remark | None:
     return Remark(
         "weak region",
         f"{evidence.name} is worst with {worst.region.words}, {percent(worst.share)} of the windows: N {worst.n:.3f} "
-        f"after {steps * evidence.system.dt:g} s, {worst.ratio:.1f} times that of all. Record more there, and see what "
-        "is different.",
-        worst.share * (1.0 - 1.0 / worst.ratio),
-        {"ratio": worst.ratio, "share": worst.share},
+        f"after {steps * evidence.system.dt:g} s, {worst.ratio.value:.1f} times that of all. Record more there, and "
+        "see what is different.",
+        worst.share * (1.0 - 1.0 / worst.ratio.value),
+        {"ratio": worst.ratio.value, "share": worst.share},
     )

@@ -14,7 +14,6 @@ from evaluation.prediction.scores import (
     Prediction,
 )
 from evaluation.prediction.scoring import Persistence, assess_model, assess_prediction, score_model
-from sysid_evo.validation.bootstrap import Interval
 
 __all__ = [
     "PERSISTENCE",
@@ -23,7 +22,6 @@ __all__ = [
     "Divergence",
     "EpisodeError",
     "ErrorScore",
-    "Interval",
     "MeasuredCases",
     "ModelPrediction",
     "Persistence",

@@ -11,7 +11,7 @@ from evaluation.prediction.cases import MeasuredCases
 from sysid_evo.data.units import spelled
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
-from sysid_evo.validation.bootstrap import Interval, block_sums, draw_blocks, interval, resampled_sums
+from sysid_evo.validation.estimates import Draws, Estimate, drawn_sums
 
 LOW, HIGH = 20.0, 80.0
 """Percentiles that bound the regions of a continuous channel."""
@@ -70,19 +70,18 @@ class Region:
 class RegionError:
     """N of the windows that start in ``region``, a ``share`` of all: ``ratio`` times that of all of them.
 
-    ``interval`` is that of the ratio, so wide that of all regions looked at together one in twenty is outside.
+    The interval of the ratio is so wide that those of all regions looked at hold the truth together.
     """
 
     region: Region
     share: float
     n: float
-    ratio: float
-    interval: Interval
+    ratio: Estimate
 
     @property
     def words(self) -> str:
         """Region and size of its error, in words."""
-        return f"with {self.region.words}, N is {self.ratio:.1f} times that of all windows"
+        return f"with {self.region.words}, N is {self.ratio.value:.1f} times that of all windows"
 
 
 def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple[RegionError, ...]:
@@ -104,23 +103,19 @@ def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple
             columns.append(columns[0] * chosen[:, None])
     if not places:
         return ()
-    sums = block_sums(np.concatenate(columns, axis=1), blocks)
-    picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
-    whole, *each = cases.n_of_sums(sums.sum(axis=0)[None])[0]
-    drawn = cases.n_of_sums(resampled_sums(sums, picks))
-    ratios = np.divide(drawn, drawn[:, :1], out=np.full_like(drawn, np.nan), where=drawn[:, :1] > 0.0)
-    confidence = 1.0 - (1.0 - cases.protocol.confidence) / len(places)
+    drawn = cases.n_of_sums(drawn_sums(np.concatenate(columns, axis=1), blocks))
+    whole, *each = (Draws(column, len(np.unique(blocks))) for column in drawn.T)
     found = [
-        RegionError(region, share, n, n / whole, interval(ratios[:, number], confidence))
-        for number, ((region, share), n) in enumerate(zip(places, each, strict=True), start=1)
-        if whole > 0.0 and np.isfinite(n)
+        RegionError(region, share, one.value, one.times(whole, figures=len(places)))
+        for (region, share), one in zip(places, each, strict=True)
+        if whole.value > 0.0 and np.isfinite(one.value)
     ]
-    return tuple(sorted(found, key=lambda one: -one.ratio))
+    return tuple(sorted(found, key=lambda one: -one.ratio.value))
 
 
 def worst_region(regions: tuple[RegionError, ...]) -> RegionError | None:
     """Return the region with the largest N of those that are clearly above all windows; None if there is none."""
-    return next((one for one in regions if one.interval.low > 1.0 and one.ratio >= NOTABLE), None)
+    return next((one for one in regions if one.ratio.low > 1.0 and one.ratio.value >= NOTABLE), None)
 
 
 def candidate_regions(system: System, states: Array, controls: Array) -> Iterator[tuple[Region, BoolArray]]:

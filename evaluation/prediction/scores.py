@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from evaluation.prediction.residuals import Residuals
 from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.types import Array
-from sysid_evo.validation.bootstrap import Interval, interval
+from sysid_evo.validation.estimates import Draws, Estimate
 from sysid_evo.validation.measures import mean_over_channels
 
 PERSISTENCE = "persistence"
@@ -61,7 +62,7 @@ class ErrorScore:
 
     Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE
     of the signal's RMS), ``nrmse`` (RMSE of the truth's standard deviation). ``samples`` were scored.
-    ``resampled_n`` (R,) is N for every draw of the block bootstrap.
+    ``draws`` are those of N over blocks, the same for every model that is scored on the same windows.
     """
 
     horizon: int | None
@@ -70,8 +71,12 @@ class ErrorScore:
     error_std: Array
     relative_percent: Array
     nrmse: Array
-    interval: Interval
-    resampled_n: Array = field(repr=False)
+    draws: Draws = field(repr=False)
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """N with its interval."""
+        return self.draws.estimate.clipped(low=0.0)
 
     @property
     def n(self) -> float:
@@ -184,8 +189,7 @@ class Prediction(Displayed):
         a, b = self.model(first).score(horizon), self.model(second).score(horizon)
         if a is None or b is None:
             return None
-        spread = interval(a.resampled_n - b.resampled_n, self.cases.protocol.confidence)
-        return Difference(first, second, horizon, a.n - b.n, spread)
+        return Difference(first, second, horizon, (a.draws - b.draws).estimate)
 
     def ranking(self, horizon: int | None) -> tuple[ModelPrediction, ...]:
         """Return the models that have a score at ``horizon``, lowest N first."""
@@ -202,25 +206,24 @@ class Prediction(Displayed):
 
 @dataclass(frozen=True)
 class Difference:
-    """N of ``first`` minus N of ``second`` on the same windows, with its paired interval."""
+    """N of ``first`` minus N of ``second`` on the same windows."""
 
     first: str
     second: str
     horizon: int | None
-    difference: float
-    interval: Interval
+    difference: Estimate
 
     @property
     def significant(self) -> bool:
         """Whether the interval excludes zero."""
-        return not self.interval.spans(0.0)
+        return self.difference.differs_from(0.0)
 
     @property
     def verdict(self) -> str:
         """The comparison in words."""
         if not self.significant:
             return "no significant difference"
-        better, worse = (self.first, self.second) if self.difference < 0 else (self.second, self.first)
+        better, worse = (self.first, self.second) if self.difference.value < 0 else (self.second, self.first)
         return f"{better} better than {worse}"
 
 

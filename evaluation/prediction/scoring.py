@@ -28,7 +28,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.progress import Counter, Progress, told
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation import measures
-from sysid_evo.validation.bootstrap import BlockErrors, block_sums, draw_blocks, interval, resampled_sums
+from sysid_evo.validation.estimates import Draws, drawn_rms, drawn_sums
 from sysid_evo.validation.measures import mean_over_channels
 
 
@@ -190,11 +190,9 @@ def _score(
     horizon: int | None, true: Array, predicted: Array, scored: BoolArray, blocks: IntArray, cases: MeasuredCases
 ) -> ErrorScore:
     """Score the rows ``scored`` (N,) of (N, nx); blocks without such a row are not drawn."""
-    protocol = cases.protocol
     truth = true[scored]
     guess = cases.system.near(predicted[scored], truth)
-    errors = BlockErrors.of(guess - truth, blocks[scored])
-    resampled = errors.resampled_n(cases.std, protocol.resamples, protocol.seed)
+    drawn = mean_over_channels(drawn_rms(guess - truth, blocks[scored]) / cases.scale)
     return ErrorScore(
         horizon=horizon,
         samples=len(truth),
@@ -202,8 +200,7 @@ def _score(
         error_std=measures.error_std(truth, guess),
         relative_percent=measures.relative_percent(truth, guess, rms=cases.rms),
         nrmse=measures.nrmse(truth, guess, std=cases.std),
-        interval=interval(resampled, protocol.confidence),
-        resampled_n=resampled,
+        draws=Draws(drawn, len(np.unique(blocks[scored]))),
     )
 
 
@@ -213,11 +210,10 @@ def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
     squares = np.where(cases.moving[:, :, None], errors**2, 0.0)
     steps, nx = squares.shape[1:]
     columns = np.concatenate([squares, cases.moving[:, :steps, None]], axis=2)
-    sums = block_sums(columns.reshape(len(squares), steps * (nx + 1)), cases.window_block)
-    picks = draw_blocks(len(sums), cases.protocol.resamples, cases.protocol.seed)
-    drawn = cases.n_of_sums(resampled_sums(sums, picks))
-    band = [interval(column, cases.protocol.confidence) for column in drawn.T]
-    return cases.n_of_sums(sums.sum(axis=0)[None])[0], np.array(band).reshape(steps, 2).T
+    drawn = cases.n_of_sums(drawn_sums(columns.reshape(len(squares), steps * (nx + 1)), cases.window_block))
+    count = len(np.unique(cases.window_block))
+    band = [Draws(column, count).estimate.clipped(low=0.0).interval for column in drawn.T]
+    return drawn[0], np.array(band).reshape(steps, 2).T
 
 
 SHARE = 0.9

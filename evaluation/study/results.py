@@ -369,7 +369,7 @@ def _achieved(matrix: TransferMatrix, controller: str) -> float | None:
 
 def _error(score: ErrorScore) -> Error:
     assert score.horizon is not None
-    return Error(score.horizon, score.n, score.interval.low, score.interval.high)
+    return Error(score.horizon, score.n, *score.estimate.interval)
 
 
 POINT_COLUMNS = {

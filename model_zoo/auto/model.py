@@ -20,7 +20,6 @@ from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
-from sysid_evo.validation.bootstrap import paired_interval
 from sysid_evo.validation.folds import folds_of
 from sysid_evo.validation.simulation_error import HeldOutTest, Judge, history_of, horizons_of
 
@@ -182,7 +181,7 @@ class CandidateRanking:
         kind = {n: structure_of(own[0]) for n, own in zip(choice.kept, choice.models, strict=True)}
         above = f"above {choice.passed.gate:.2f} x the best"
         usable = [number for number in order if not choice.reasons[number]]
-        ahead = paired_interval(known[usable[0]], known[usable[1]]) if len(usable) > 1 else ()
+        ahead = known[usable[1]].above(known[usable[0]]).interval if len(usable) > 1 else ()
         failed = [
             f"{one.name}: {choice.reasons[number]}" for number, one in enumerate(candidates) if number not in known
         ]

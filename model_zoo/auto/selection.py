@@ -18,8 +18,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.ensemble import MeanOfMembers
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import inside
-from sysid_evo.validation.bootstrap import Errors, paired_interval
-from sysid_evo.validation.simulation_error import Judge
+from sysid_evo.validation.simulation_error import Errors, Judge
 
 MOST_DIVERGED = 0.05
 """Share of the free runs of a candidate that may end at its envelope."""
@@ -97,7 +96,7 @@ class Choosing:
 
         numbers = list(usable)
         best = min(usable.values(), key=lambda error: error.mean)
-        ties = [i for i, number in enumerate(numbers) if paired_interval(best, usable[number])[0] <= 0.0]
+        ties = [i for i, number in enumerate(numbers) if not usable[number].above(best).low > 0.0]
         group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
         kept: dict[int, list[DynamicsModel]] = {}
@@ -176,7 +175,7 @@ class Choosing:
         for number, error in enumerate(errors):
             if best is None or error is None or len(self.pairs) == 1:
                 continue
-            if error.mean > gate * best.mean and paired_interval(best, error)[0] > 0.0:
+            if error.mean > gate * best.mean and error.above(best).low > 0.0:
                 times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
                 reasons[number] = reasons[number] or times
         return errors, reasons

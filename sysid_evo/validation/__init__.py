@@ -4,7 +4,7 @@ Validation knows data and arrays; a model is what keeps the protocol `Simulator`
 `sysid_evo.validation.simulation_error.simulation_error`, which has the name of its module.
 """
 
-from sysid_evo.validation.bootstrap import Interval, interval, paired_interval
+from sysid_evo.validation.estimates import CONFIDENCE, Draws, Estimate, across, paired
 from sysid_evo.validation.folds import (
     ConditionFold,
     EpisodeFold,
@@ -19,8 +19,8 @@ from sysid_evo.validation.measures import error_std, fit_percent, mean_over_chan
 from sysid_evo.validation.simulation_error import HeldOutTest, Judge, Simulator, judging_windows, relative_error
 
 __all__ = [
-    "ConditionFold", "EpisodeFold", "HeldOut", "HeldOutTest", "Interval", "Judge", "Simulator", "best",
-    "conformal_scale", "error_std", "fit_percent", "folds_of", "horizon_scales", "interval", "judging_windows",
-    "lag_candidates", "mean_over_channels", "nrmse", "paired_interval", "relative_error", "relative_percent", "rmse",
-    "time_blocks", "unseen_parts", "unseen_recordings",
+    "CONFIDENCE", "ConditionFold", "Draws", "EpisodeFold", "Estimate", "HeldOut", "HeldOutTest", "Judge",
+    "Simulator", "across", "best", "conformal_scale", "error_std", "fit_percent", "folds_of", "horizon_scales",
+    "judging_windows", "lag_candidates", "mean_over_channels", "nrmse", "paired", "relative_error",
+    "relative_percent", "rmse", "time_blocks", "unseen_parts", "unseen_recordings",
 ]  # fmt: skip

@@ -9,17 +9,19 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from sysid_evo.types import Array, IntArray
+from sysid_evo.validation.estimates import paired
 from sysid_evo.validation.simulation_error import error_of
 
 BETTER = 0.15
 """Share by which the error must be lower than without a correction,"""
 IN_EACH = 0.05
-"""that by which it must be lower in every block,"""
-CONFIDENCE = 0.975
-"""and the probability that it is lower at all, from the differences second by second (Student's t);"""
-BETTER_OF_TRAINING, CONFIDENCE_OF_TRAINING = 1.0, 0.99
-"""those of more training and of means, of which many are tried and each can learn much from little: this share is
-divided by the root of the seconds that are compared (19 % of 28, 38 % of 7), and is `BETTER` at least."""
+"""that by which it must be lower in every block (second by second it must be surely lower, too, see `paired`),"""
+BETTER_OF_TRAINING = 1.0
+"""and the share for more training and for means, of which many are tried and each can learn much from little: this over
+the root of the seconds that are compared (19 % of 28, 38 % of 7), and `BETTER` at least."""
+
+FEWEST = 3
+"""Seconds that must be compared."""
 
 LEAST = 1e-12
 """An error that others are divided by is no smaller."""
@@ -89,26 +91,16 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Ki
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    asked, confidence = BETTER, CONFIDENCE
+    asked = BETTER
     if kind in ("further", "mean"):
-        asked, confidence = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), CONFIDENCE_OF_TRAINING
-    sure = surely_positive(np.array(gains), confidence)
+        asked = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains))))
+    sure = len(gains) >= FEWEST and paired(np.array(gains)).low > 0.0
     return Trial(name, whole / max(before, LEAST), each, sure, kind, float(asked))
 
 
 def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
     """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
     return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(plain, corrected, strict=False))
-
-
-def surely_positive(gains: Array, confidence: float = CONFIDENCE) -> bool:
-    """Whether the mean of ``gains`` (N,) is above zero by more than chance explains."""
-    from scipy.special import stdtrit
-
-    if len(gains) < 3:
-        return False
-    error = gains.std(ddof=1) / np.sqrt(len(gains))
-    return bool(gains.mean() > stdtrit(len(gains) - 1, confidence) * error)
 
 
 def inside(errors: Sequence[float], gate: float) -> list[int]:

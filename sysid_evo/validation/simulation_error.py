@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.errors import InvalidData
 from sysid_evo.system import System
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.bootstrap import Errors
+from sysid_evo.validation.estimates import Draws, Estimate
 
 SECOND, FEWEST_STEPS = 1.0, 10
 """How long a model runs freely where nothing else is asked for, in s, and in steps at least."""
@@ -137,6 +138,40 @@ class HeldOutTest:
         if model.envelope is not None:
             off |= (simulated <= model.envelope[0]) | (simulated >= model.envelope[1])
         return float(off.any(axis=(1, 2)).mean())
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Squares of errors, each in units of its state's spread, summed over K blocks of time: (K, H, nx).
+
+    ``counts`` (K,) are the windows in each block.
+    """
+
+    squares: Array
+    counts: IntArray
+
+    @property
+    def at(self) -> Array:
+        """The error (H,) at each horizon: RMSE / spread, the mean over the states."""
+        return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.counts.sum()).mean(axis=-1))
+
+    @property
+    def mean(self) -> float:
+        """The error in one number: the mean over the horizons; infinite where it is no number."""
+        found = float(self.at.mean())
+        return found if np.isfinite(found) else float("inf")
+
+    @cached_property
+    def draws(self) -> Draws:
+        """`mean` with its draws of blocks, the same for all models that ran in the same trials."""
+        count = len(self.counts)
+        rows = np.concatenate([self.squares.reshape(count, -1), self.counts[:, None]], axis=1)
+        mean = lambda sums: np.asarray(np.sqrt(sums[:, :-1] / sums[:, -1:]).mean(axis=1))  # noqa: E731
+        return Draws.of(rows, np.arange(count), mean)
+
+    def above(self, other: Errors) -> Estimate:
+        """Return by how much it is above ``other``, in the same trials."""
+        return (self.draws - other.draws).estimate
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
+from sysid_evo.validation.estimates import Draws
 
 TEST_EPISODE = {"slippery_20hz": "2025-04-16-17-36-01", "free_20hz": "car_1_Datarecording_09_16_2024_10_12_05"}
 EMULATED, RECORDED_TIME, HELD_BACK = "emulated_car", 360.0, 0.25
@@ -41,7 +42,6 @@ def recording(log: str) -> tuple[Dataset, Dataset]:
     return Dataset.from_arrays(CAR, states, controls, names=names).split([TEST_EPISODE[log]])
 
 
-def pooled(rows: list[ModelPrediction], horizon: int | None) -> tuple[float, np.ndarray]:
-    """Return the mean N over seeds and its resamples (R,); N is RMSE / standard deviation, the mean over states."""
-    scores = [score for row in rows if (score := row.score(horizon)) is not None]
-    return float(np.mean([s.n for s in scores])), np.mean([s.resampled_n for s in scores], axis=0)
+def pooled(rows: list[ModelPrediction], horizon: int | None) -> Draws:
+    """Return the mean N over seeds with its draws; N is RMSE / standard deviation, the mean over states."""
+    return Draws.joined(np.mean, [score.draws for row in rows if (score := row.score(horizon)) is not None])

@@ -54,7 +54,7 @@ def test_errors_of_models_are_those_that_were_measured(study_folder, planned):
     rows = {row.model: row for row in results.models if row.point == point.name}
     for name in rows:
         found = store.load(comparison.predictions[name]).at
-        measured = [(one.horizon, one.n, one.interval.low, one.interval.high) for one in found]
+        measured = [(one.horizon, one.n, *one.estimate.interval) for one in found]
         assert [(error.horizon, error.n, error.low, error.high) for error in rows[name].errors] == measured
         assert rows[name].seconds
     own = {row.controller: row for row in results.controllers if row.point == point.name}

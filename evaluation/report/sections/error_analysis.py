@@ -26,8 +26,7 @@ def region_sheet(prediction: Prediction) -> Sheet | None:
         if worst is None:
             rows.append((model.name, "nowhere clearly", "–", "–"))
             continue
-        low, high = worst.interval
-        times = lines(f"{worst.ratio:.1f}", f"{low:.1f}-{high:.1f}")
+        times = lines(f"{worst.ratio.value:.1f}", f"{worst.ratio.low:.1f}-{worst.ratio.high:.1f}")
         rows.append((model.name, worst.region.words, times, percent(worst.share)))
     return Sheet(
         "Where the error is largest",

@@ -38,6 +38,7 @@ from evaluation.sufficiency import (
     tells_apart,
     too_little,
 )
+from sysid_evo.validation.estimates import CONFIDENCE
 from sysid_evo.validation.measures import mean_over_channels
 
 if TYPE_CHECKING:
@@ -128,7 +129,7 @@ def _n_cell(prediction: Prediction, model: ModelPrediction, horizon: int | None)
         return "failed"
     if score is None:
         return "–"
-    low, high = score.interval
+    low, high = score.estimate.interval
     between = f"{three_digits(low)}-{three_digits(high)}" if tells_apart(prediction, horizon) else ""
     return lines(f"{'* ' if leads(prediction, model, horizon) else ''}{three_digits(score.n)}", between)
 
@@ -198,24 +199,22 @@ def difference_sheet(prediction: Prediction) -> Sheet | None:
         (name, *(_against(compared[h].get(name), bool(rankings[h]) and rankings[h][0].name == name) for h in horizons))
         for name in names
     ]
-    confidence = percent(prediction.cases.protocol.confidence)
     return Sheet(
         "N above the best",
         ("model", *_heads(prediction, horizons)),
         tuple(rows),
-        note=f"N minus that of the best model there, with its {confidence} interval by paired block bootstrap: both "
-        "meet the same windows in every draw. An interval that holds 0 is no significant difference.",
+        note=f"N minus that of the best model there, with its {percent(CONFIDENCE)} interval by paired block "
+        "bootstrap: both meet the same windows in every draw. An interval that holds 0 is no significant difference.",
     )
 
 
 def _against(difference: Difference | None, best: bool) -> str:
     if difference is None:
         return "best" if best else "–"
-    low, high = difference.interval
+    low, high = difference.difference.interval
     between = f"{_signed(low)} to {_signed(high)}"
-    return lines(
-        _signed(difference.difference), between, "" if difference.significant else "no significant\ndifference"
-    )
+    same = "" if difference.significant else "no significant\ndifference"
+    return lines(_signed(difference.difference.value), between, same)
 
 
 def _signed(value: float) -> str:
@@ -311,7 +310,8 @@ def headline(report: Report) -> Headline:
     if few_data := too_little(prediction, horizon):
         lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
         return Headline(question, "Not known", f"{few_data} {lowest}", "open")
-    size = f"N {three_digits(score.n)} ({three_digits(score.interval.low)} to {three_digits(score.interval.high)})"
+    between = " to ".join(map(three_digits, score.estimate.interval))
+    size = f"N {three_digits(score.n)} ({between})"
     where = horizon_name(horizon, prediction.cases.system.dt)
     good = [model.name for model in models if predicts(prediction, model, horizon)]
     if not good:
@@ -391,7 +391,7 @@ def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: 
     best, score = models[0], _score(models[0], horizon)
     still = prediction.model(PERSISTENCE).score(horizon)
     where = _at(prediction, horizon)
-    size = f"{score.n:.3f} ({score.interval.low:.3f} to {score.interval.high:.3f})"
+    size = f"{score.n:.3f} ({score.estimate.low:.3f} to {score.estimate.high:.3f})"
     beside = f"; persistence has {still.n:.3f}" if still else ""
     if any(predicts(prediction, model, horizon) for model in models):
         return f"{where.capitalize()}, {best.name} is best: N, {N_IN_WORDS}, is {size}{beside}."
@@ -429,8 +429,8 @@ def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
                 "first": difference.first,
                 "second": difference.second,
                 "steps": difference.horizon,
-                "difference": difference.difference,
-                "interval": list(difference.interval),
+                "difference": difference.difference.value,
+                "interval": list(difference.difference.interval),
                 "verdict": difference.verdict,
             }
             for horizon in prediction.horizons
@@ -453,7 +453,10 @@ def _model_to_json(model: ModelPrediction, prediction: Prediction) -> dict[str, 
         "curve": model.curve,
         "curve_interval": band,
         "residuals": None if model.residuals is None else residuals_to_json(model.residuals, system),
-        "regions": [{"words": region.words, **asdict(region)} for region in model.regions],
+        "regions": [
+            {"words": one.words, **asdict(one), "ratio": one.ratio.value, "interval": list(one.ratio.interval)}
+            for one in model.regions
+        ],
         "episodes": [episode_to_json(episode, horizons, system) for episode in model.episodes],
         "divergence": None if model.divergence is None else asdict(model.divergence),
         "coverage": [
@@ -491,6 +494,6 @@ def _score_to_json(score: ErrorScore, prediction: Prediction) -> dict[str, Any]:
         "initialisation": "measured states and controls",
         "samples": score.samples,
         "n": score.n,
-        "interval": list(score.interval) if tells_apart(prediction, score.horizon) else [None, None],
+        "interval": list(score.estimate.interval) if tells_apart(prediction, score.horizon) else [None, None],
         "channels": channels,
     }

@@ -34,7 +34,6 @@ from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec, make_robot
-from sysid_evo.validation.bootstrap import interval
 from tests.benchmarks.cars import SECOND, TEST_EPISODE, pooled
 from tests.benchmarks.cars import recording as car_recording
 from tests.benchmarks.choosing.systems import SIMULATED
@@ -96,10 +95,9 @@ def _as_file_name(spec: Spec) -> str:
 
 def difference(first: list[ModelPrediction], second: list[ModelPrediction], horizon: int) -> str:
     """Return by how much the first are worse than the second at a horizon, marked if that is sure."""
-    own, own_draws = pooled(first, horizon)
-    other, other_draws = pooled(second, horizon)
-    between = interval(own_draws - other_draws, 0.95)
-    return f"{100.0 * (own / other - 1.0):+.1f} %{'' if between.spans(0.0) else ' *'}"
+    own, other = pooled(first, horizon), pooled(second, horizon)
+    mark = " *" if (own - other).estimate.differs_from(0.0) else ""
+    return f"{100.0 * (own.value / other.value - 1.0):+.1f} %{mark}"
 
 
 def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | None) -> None:
@@ -109,7 +107,7 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
     write(f"\n{name}: N after {', '.join(map(str, horizons))} steps\n")
 
     def line(rows: list[ModelPrediction]) -> str:
-        return "  ".join(f"{pooled(rows, horizon)[0]:.3f}" for horizon in horizons)
+        return "  ".join(f"{pooled(rows, horizon).value:.3f}" for horizon in horizons)
 
     auto = with_preset(Spec("auto"), preset)
     found = []
@@ -121,7 +119,7 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
     if found:
         write(f"  auto, mean of {seeds} seeds:  {line(found)}\n")
     for horizon, peer in PEERS.get(name, {}).items() if found else ():
-        own = pooled(found, horizon)[0]
+        own = pooled(found, horizon).value
         write(f"    after {horizon} steps {own:.3f}, the best peer {peer:.3f}: {100.0 * (own / peer - 1.0):+.1f} %\n")
     rivals: dict[str, list[ModelPrediction]] = {}
     for candidate in SHIPPED if alone else ():
@@ -130,7 +128,7 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
             write(f"  {line(rivals[candidate.name])}  {candidate.name}\n")
             sys.stdout.flush()
     if rivals and found:
-        best = min(rivals, key=lambda one: pooled(rivals[one], SECOND)[0])
+        best = min(rivals, key=lambda one: pooled(rivals[one], SECOND).value)
         told = ", ".join(f"{horizon}: {difference(found, rivals[best], horizon)}" for horizon in horizons)
         write(f"  auto against the best alone in hindsight, {best}: {told}\n")
 

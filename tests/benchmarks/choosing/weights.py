@@ -70,8 +70,8 @@ def benchmark(name: str, preset: str, seeds: int) -> None:
             write(f"  seed {seed}, {rule}: {model.fit_note}\n")
             sys.stdout.flush()
     for rule, found in rows.items():
-        each = [pooled(found, horizon)[0] for horizon in horizons]
-        ratios = [one / pooled(rows[OWN], horizon)[0] for one, horizon in zip(each, horizons, strict=True)]
+        each = [pooled(found, horizon).value for horizon in horizons]
+        ratios = [one / pooled(rows[OWN], horizon).value for one, horizon in zip(each, horizons, strict=True)]
         shown = ("  ".join(f"{one:.3f}" for one in numbers) for numbers in (each, ratios))
         write(f"  {'   x '.join(shown)}   {rule if rule == ALONE else f'P = {rule}'}\n")
 

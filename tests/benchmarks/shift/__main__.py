@@ -32,7 +32,7 @@ from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.types import Array
-from sysid_evo.validation.bootstrap import BlockErrors, interval
+from sysid_evo.validation.estimates import Draws, drawn_rms
 from tests.benchmarks.shift.recordings import GROUPS, Case, cases
 from tests.benchmarks.shift.rows import MARKED, Row, errors_table, read_rows, verdicts_table, write_rows
 
@@ -44,20 +44,16 @@ def new_model(name: str, preset: str) -> DynamicsModel:
     return make_model(with_preset(Spec(name), preset))
 
 
-def resampled(measured: MeasuredCases, predicted: Array) -> dict[int, Array]:
-    """Return N at each horizon, first over all windows and then for every draw of blocks, (1 + R,)."""
+def resampled(measured: MeasuredCases, predicted: Array) -> dict[int, Draws]:
+    """Return N at each horizon with its draws of blocks."""
     low, high = measured.guard
     predicted = np.clip(np.where(np.isfinite(predicted), predicted, high), low, high)
     found = {}
     for horizon in (h for h in HORIZONS if h in measured.horizons):
         rows = measured.moving[:, horizon - 1]
         errors = predicted[rows, horizon - 1] - measured.windows.states[rows, horizon - 1]
-        protocol = measured.protocol
-        draws = BlockErrors.of(errors, measured.window_block[rows]).resampled_n(
-            measured.std, protocol.resamples, protocol.seed
-        )
-        n = float(np.mean(np.sqrt(np.mean(errors**2, axis=0)) / measured.std))
-        found[horizon] = np.concatenate([[n], draws])
+        blocks = measured.window_block[rows]
+        found[horizon] = Draws((drawn_rms(errors, blocks) / measured.std).mean(axis=1), len(np.unique(blocks)))
     return found
 
 
@@ -99,7 +95,7 @@ class Fits:
         return load_model(stored)
 
 
-def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[dict[str, dict[int, Array]], str]:
+def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[dict[str, dict[int, Draws]], str]:
     """Return N of every way to meet the other condition, and what was decided after 30 s."""
     protocol, base = PredictionProtocol(), fits.fitted(case.training, seed)
     measured = measured_cases(case.training, case.test, protocol)
@@ -123,17 +119,16 @@ def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[d
     return found, there().fit_note if "30 s" in wanted else ""
 
 
-def table(case: Case, name: str, runs: list[dict[str, dict[int, Array]]]) -> str:
+def table(case: Case, name: str, runs: list[dict[str, dict[int, Draws]]]) -> str:
     """Return a line for every way, means over the seeds."""
-    before = np.mean([run["before"][MARKED] for run in runs], axis=0)
+    before = Draws.joined(np.mean, [run["before"][MARKED] for run in runs])
     lines = [f"{case.name}, {name}{'' if case.shifted else ' (nothing shifted)'}"]
     for way in runs[0]:
         of_way = [run[way] for run in runs if way in run]
-        mean = {h: np.mean([one[h] for one in of_way], axis=0) for h in of_way[0]}
-        figures = "/".join(f"{mean[h][0]:.3f}" for h in mean)
-        gain = mean[MARKED][0] / before[0] - 1.0
-        spread = interval(mean[MARKED][1:] - before[1:], 0.95)
-        star = "" if way == "before" or spread.spans(0.0) else " *"
+        mean = {h: Draws.joined(np.mean, [one[h] for one in of_way]) for h in of_way[0]}
+        figures = "/".join(f"{mean[h].value:.3f}" for h in mean)
+        gain = mean[MARKED].value / before.value - 1.0
+        star = " *" if way != "before" and (mean[MARKED] - before).estimate.differs_from(0.0) else ""
         lines.append(f"    {way:20s} {figures}  {100.0 * gain:+.0f} %{star}")
     return "\n".join(lines)
 
@@ -141,12 +136,12 @@ def table(case: Case, name: str, runs: list[dict[str, dict[int, Array]]]) -> str
 def report(case: Case, fits: Fits, seeds: int, ways: Sequence[str]) -> list[Row]:
     """Print what is measured in ``case`` with each seed, and return it; nothing where the family cannot be fitted."""
     write, began = sys.stdout.write, time.process_time()
-    runs, rows = list[dict[str, dict[int, Array]]](), list[Row]()
+    runs, rows = list[dict[str, dict[int, Draws]]](), list[Row]()
     try:
         for seed in range(seeds):
             run, note = measure(case, fits, seed, ways)
             runs.append(run)
-            n = {way: {steps: float(found[0]) for steps, found in at.items()} for way, at in run.items()}
+            n = {way: {steps: found.value for steps, found in at.items()} for way, at in run.items()}
             rows.append(Row(case.name, case.shifted, fits.name, fits.preset, seed, n, note))
     except InvalidData as error:
         write(f"{case.name}, {fits.name}: {error}\n")

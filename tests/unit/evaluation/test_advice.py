@@ -78,7 +78,6 @@ def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spok
         (hidden_state, Fault(measured=0.03), "noisy states", ["state_lags=2"]),
         (shift, Fault(grip=0.4), "shift", ["day 3 behaves unlike the other recordings: "]),
         (dead_command, Fault(dead=True), "dead command", ["steer has no effect on turn with speed below -0."]),
-        (weak_region, Fault(loud=4.0), "weak region", ["linear is worst with speed above 0.3"]),
     ],
 )
 def test_a_fault_is_named(look, fault, topic, said):
@@ -86,6 +85,13 @@ def test_a_fault_is_named(look, fault, topic, said):
     assert remark.topic == topic
     for words in said:
         assert words in remark.sentence
+
+
+def test_a_weak_region_is_named_where_there_are_blocks_enough_to_be_sure():
+    remark = weak_region(linear(*recorded(Fault(loud=4.0)).split(0.5)))
+    assert remark.topic == "weak region"
+    assert "linear is worst with speed above 0.3" in remark.sentence
+    assert weak_region(linear(*recorded().split(0.5))) is None
 
 
 def recorded_again(usual, other, seed):

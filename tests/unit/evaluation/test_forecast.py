@@ -9,7 +9,7 @@ import pytest
 from evaluation.cells.data import GivenData, Split
 from evaluation.cells.models import PredictCell
 from evaluation.cells.plants import Plant, believed
-from evaluation.prediction import ErrorScore, Interval, ModelPrediction
+from evaluation.prediction import ErrorScore, ModelPrediction
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from evaluation.transfer.forecast import (
     RULE,
@@ -24,6 +24,7 @@ from evaluation.transfer.forecast import (
 from evaluation.transfer.summary import summary_of
 from sysid_evo.plan import Work
 from sysid_evo.testing import example_dataset
+from sysid_evo.validation.estimates import Draws
 from tests.fixtures.reports import evolved, matrix
 
 INF, NAN = float("inf"), float("nan")
@@ -233,7 +234,7 @@ def names(*columns):
 
 
 def score(horizon, n):
-    return ErrorScore(horizon, 10, *[np.full(3, n)] * 4, Interval(n, n), np.array([n]))
+    return ErrorScore(horizon, 10, *[np.full(3, n)] * 4, Draws(np.full(2, n), 2))
 
 
 def nowhere(cell):

@@ -14,7 +14,7 @@ from sysid_evo.system import Channel, System
 from tests.fixtures import known_models as models
 from tests.fixtures.known_models import SYSTEM, Known, Weak, fitted, recording
 
-PROTOCOL = PredictionProtocol(resamples=200)
+PROTOCOL = PredictionProtocol()
 
 
 def assessed(test, **compared):
@@ -71,14 +71,14 @@ def test_identical_models_have_no_significant_difference():
     prediction = assessed(recording(2, seed=5), one=Weak(), two=Weak())
     for horizon in prediction.horizons:
         difference = prediction.compare("one", "two", horizon)
-        assert difference.difference == 0.0
+        assert difference.difference.value == 0.0
         assert difference.verdict == "no significant difference"
 
 
 def test_a_better_model_is_significantly_better():
     prediction = assessed(recording(2, seed=5), weak=Weak(), known=Known())
     difference = prediction.compare("weak", "known", 20)
-    assert difference.difference > 0
+    assert difference.difference.value > 0
     assert difference.verdict == "known better than weak"
     assert prediction.ranking(20)[0].name == "known"
     others = [(one.first, one.second) for one in prediction.differences(20)]
@@ -166,14 +166,14 @@ def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery):
     row = assess_prediction({}, *slippery, protocol=PROTOCOL).model(PERSISTENCE)
     assert [round(score.n, 3) for score in row.at] == [0.197, 1.127, 1.339, 1.447]
     assert row.free_run.n == pytest.approx(1.903, abs=5e-4)
-    assert row.at[2].interval == pytest.approx((1.19, 1.48), abs=0.04)
+    assert row.at[2].estimate.interval == pytest.approx((1.19, 1.48), abs=0.04)
 
 
 TURN = 2.0 * np.pi
 PENDULUM = System(
     (Channel("angle", "rad", period=TURN), Channel("rate", "rad/s")), (Channel("torque", "N m", -1.0, 1.0),), 0.05
 )
-OF_ANGLES = PredictionProtocol(resamples=50)
+OF_ANGLES = PredictionProtocol()
 
 
 class TurnedRound(DynamicsModel):

@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 from evaluation.prediction import (
-    Interval,
     PredictionProtocol,
     Region,
     StepErrors,
@@ -22,7 +21,7 @@ from evaluation.prediction.scores import ModelPrediction
 from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.testing.examples import pendulum
-from sysid_evo.validation.bootstrap import BlockErrors, interval
+from sysid_evo.validation.estimates import Draws, drawn_rms
 from tests.fixtures.known_models import SYSTEM, Known, LosesGrip, Remembering, Sliding, Weak, fitted, noisy, recording
 
 STEPS = 400
@@ -133,7 +132,7 @@ def test_too_few_steps_for_a_band_have_no_missing_control():
     assert found.cross.shape == (AHEAD + 1 + LAGS, 2, 1)
 
 
-PROTOCOL = PredictionProtocol(horizons=(1, 10, 20), resamples=200)
+PROTOCOL = PredictionProtocol(horizons=(1, 10, 20))
 
 
 def assessed(model, test):
@@ -144,9 +143,9 @@ def test_the_region_where_a_model_fails_is_named_with_its_size():
     row = assessed(LosesGrip(), noisy(2, 4))
     worst = worst_region(row.regions)
     assert (worst.region.channel, worst.region.kind) == ("forward_speed", "above")
-    assert worst.ratio > 1.3
+    assert worst.ratio.value > 1.3
     assert worst.words.startswith(f"with forward_speed above {worst.region.limit:.2g} m/s, N is 1.")
-    assert worst.n == pytest.approx(worst.ratio * row.curve[4])
+    assert worst.n == pytest.approx(worst.ratio.value * row.curve[4])
     assert worst.share == pytest.approx(0.2, abs=0.02)
 
 
@@ -205,7 +204,7 @@ def test_the_interval_of_the_curve_is_that_of_the_scores():
     row = assessed(Weak(), noisy(3))
     assert row.curve_interval.shape == (2, 20)
     for score in row.at:
-        assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.interval)
+        assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.estimate.interval)
     assert (row.curve_interval[0] < row.curve).all()
     assert (row.curve < row.curve_interval[1]).all()
 
@@ -214,8 +213,8 @@ def test_two_equally_good_models_have_no_significant_difference_nineteen_times_o
     rng, blocks, found = np.random.default_rng(7), np.repeat(np.arange(40), 15), []
     for seed in range(100):
         errors = (np.repeat(rng.normal(size=(40, 1)), 15, axis=0) for _ in range(2))
-        one, other = (BlockErrors.of(each, blocks).resampled_n(np.ones(1), 300, seed) for each in errors)
-        found.append(interval(one - other, 0.95).spans(0.0))
+        one, other = (Draws(drawn_rms(each, blocks, seed=seed)[:, 0], 40) for each in errors)
+        found.append(not (one - other).estimate.differs_from(0.0))
     assert 0.87 <= np.mean(found) <= 0.99
 
 
@@ -227,13 +226,11 @@ def test_what_is_stored_comes_back(tmp_path):
         np.testing.assert_array_equal(getattr(again.residuals, name), getattr(row.residuals, name))
     assert again.residuals.samples == row.residuals.samples
     assert again.regions == row.regions
-    assert isinstance(again.regions[0].interval, Interval)
     np.testing.assert_array_equal(again.curve_interval, row.curve_interval)
     assert [episode.name for episode in again.episodes] == [episode.name for episode in row.episodes]
     np.testing.assert_array_equal(again.episodes[0].fit, row.episodes[0].fit)
     for found, kept in zip((*again.at, again.free_run), (*row.at, row.free_run), strict=True):
-        assert (found.horizon, found.samples, found.interval) == (kept.horizon, kept.samples, kept.interval)
-        np.testing.assert_array_equal(found.resampled_n, kept.resampled_n)
+        assert (found.horizon, found.samples, found.estimate) == (kept.horizon, kept.samples, kept.estimate)
     failed = ModelPrediction("failed", "linear")  # no free run, no residuals
     save_result(failed, tmp_path / "failed")
     again = load_result(ModelPrediction, tmp_path / "failed")

@@ -8,7 +8,6 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
-from sysid_evo.validation.bootstrap import paired_interval as interval
 from sysid_evo.validation.folds import FOLDS, folds_of
 from sysid_evo.validation.held_out import DIVERGED, GOOD, HeldOut
 from sysid_evo.validation.simulation_error import (
@@ -36,9 +35,9 @@ def test_an_error_is_that_of_free_runs_and_a_copy_is_no_significant_improvement(
     off = data.system.difference(np.repeat(trial.windows.start_states[:, None], 2, axis=1), trial.truth)
     np.testing.assert_allclose(still.at, np.sqrt((off**2).mean(axis=0) / judge.spread**2).mean(axis=1))
     close = judge.errors([trial.truth + 0.01])
-    assert interval(close, still)[0] > 0.0
+    assert still.above(close).low > 0.0
     shifted = judge.errors([trial.truth - 0.01])
-    np.testing.assert_allclose(interval(close, shifted), 0.0, atol=1e-12)
+    np.testing.assert_allclose(shifted.above(close).interval, 0.0, atol=1e-12)
 
 
 def test_free_runs_are_given_a_third_of_what_the_horizon_leaves_as_history():

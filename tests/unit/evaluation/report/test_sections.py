@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.exploitability import ProbeResult
 from evaluation.exploitability.optimism import Optimism
-from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_prediction
+from evaluation.prediction import PERSISTENCE, assess_prediction
 from evaluation.report import to_json
 from evaluation.report.render.svg import drawn
 from evaluation.report.render.terminal import to_rich
@@ -185,7 +185,7 @@ def test_the_free_run_shows_the_best_models_and_says_how_many_can_be_switched_on
 @pytest.fixture(scope="module")
 def assessed():
     models = {"known": fitted(Known()), "grip": fitted(LosesGrip())}
-    return assess_prediction(models, recording(), noisy(2, 4), protocol=PredictionProtocol(resamples=200))
+    return assess_prediction(models, recording(), noisy(2, 4))
 
 
 def test_each_model_stands_beside_the_best_with_the_words_where_there_is_no_difference():

@@ -1,0 +1,196 @@
+"""A figure with its uncertainty: over blocks of one recording or trials, or over robots and seeds.
+
+There are two intervals, both Student's (1908), of the same confidence::
+
+    value - t * standard_error  to  value + t * standard_error,    t = Student's quantile of n - 1 degrees
+
+`paired`, and `Draws` of any figure that is no mean, are for one recording or one set of trials. Errors of overlapping
+windows hang together, and so do neighbours in time, so the n things are blocks (Kuensch 1989). The standard error is
+the standard deviation of the figure over draws of n blocks with replacement, times sqrt(n / (n - 1)), since a sample
+spreads less about its own mean (Efron and Tibshirani 1993, chapter 6; Hesterberg 2015, section 4). The draws follow
+from the number of blocks alone, so that figures over the same blocks are paired: their difference has draws of its own.
+
+`across` is for studies. The n things are robots: what holds for other robots is told by how robots differ, however many
+seeds each has.
+
+Percentiles of the draws would be too narrow: of five normal blocks those for 95 % hold the truth in 83 %, these
+intervals in 94 to 96 % of two or more. Of few very skewed blocks they hold somewhat less: ten squares of normal
+numbers, whose root is taken, 90 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.types import Array, IntArray
+
+CONFIDENCE = 0.95
+"""How often an interval holds the truth. What must be surely better is better at its less favourable end."""
+
+RESAMPLES = 1000
+"""Draws of blocks."""
+
+PICKS = 2**20
+"""Blocks that are looked up at a time, of all draws together."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure, its standard error and its interval, all in its unit; nan where the uncertainty is not known."""
+
+    value: float
+    standard_error: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The low and the high end."""
+        return self.low, self.high
+
+    def clipped(self, low: float = -math.inf, high: float = math.inf) -> Estimate:
+        """Return it with its value and the ends of its interval between what such a figure can be."""
+        value, *ends = (float(np.clip(one, low, high)) for one in (self.value, self.low, self.high))
+        return Estimate(value, self.standard_error, *ends)
+
+    def differs_from(self, value: float) -> bool:
+        """Whether ``value`` lies outside of the interval; False where there is none."""
+        return self.low > value or self.high < value
+
+
+@dataclass(frozen=True)
+class Draws:
+    """A figure of ``blocks`` independent blocks, or trials: ``values`` (1 + R,) are its value, then that of each draw.
+
+    A draw is one of as many blocks, with replacement. Figures over the same blocks have the same draws, so that
+    differences, ratios and means of them are paired; of figures over other numbers of blocks the fewest count.
+    """
+
+    values: Array
+    blocks: int
+
+    @classmethod
+    def of(
+        cls,
+        rows: Array,
+        blocks: IntArray,
+        figure: Callable[[Array], Array],
+        *,
+        resamples: int = RESAMPLES,
+        seed: int = 0,
+    ) -> Draws:
+        """Return the draws of what ``figure`` makes (R,) of sums (R, C) over the ``rows`` (N, C) of blocks (N,)."""
+        return cls(figure(drawn_sums(rows, blocks, resamples=resamples, seed=seed)), len(np.unique(blocks)))
+
+    @classmethod
+    def joined(cls, rule: Callable[..., Array], figures: Sequence[Draws]) -> Draws:
+        """Return what ``rule``, such as ``np.median``, makes of several figures along its ``axis`` 0."""
+        return cls(rule(np.stack([one.values for one in figures]), axis=0), min(one.blocks for one in figures))
+
+    def __sub__(self, other: Draws) -> Draws:
+        return Draws(self.values - other.values, min(self.blocks, other.blocks))
+
+    def __truediv__(self, other: Draws) -> Draws:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return Draws(self.values / other.values, min(self.blocks, other.blocks))
+
+    def times(self, other: Draws, *, figures: int = 1) -> Estimate:
+        """Return how many times ``other`` it is, of errors: the interval is that of the difference of logarithms."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log = Draws(np.log(self.values) - np.log(other.values), min(self.blocks, other.blocks)).one_of(figures)
+        ratio = math.exp(log.value)
+        return Estimate(ratio, ratio * log.standard_error, math.exp(log.low), math.exp(log.high))
+
+    @property
+    def value(self) -> float:
+        """The figure over all blocks."""
+        return float(self.values[0])
+
+    @property
+    def estimate(self) -> Estimate:
+        """The figure with its interval, nan for a single block."""
+        return self.one_of(1)
+
+    def one_of(self, figures: int) -> Estimate:
+        """Return it with an interval so wide that all of so many ``figures`` hold the truth together (Bonferroni)."""
+        return _students(self.value, float(standard_errors(self.values, self.blocks)), self.blocks, figures)
+
+
+def paired(differences: Array, blocks: IntArray | None = None) -> Estimate:
+    """Return the mean of ``differences`` (N,), or of any paired numbers, over blocks (N,); each its own by default."""
+    count = len(differences)
+    numbers = np.arange(count) if blocks is None else blocks
+    rows = np.stack([differences, np.ones(count)], axis=1)
+    return Draws.of(rows, numbers, lambda sums: np.asarray(sums[:, 0] / sums[:, 1])).estimate
+
+
+def across(values: Sequence[float], by: Sequence[Hashable]) -> Estimate:
+    """Return the mean over robots of the mean over the seeds of each, with its interval over robots.
+
+    ``values`` (N,) are one for each robot and seed, ``by`` (N,) their robots. Robots count alike, however many seeds
+    they have. Of a single robot the interval is over its seeds, and says nothing about other robots.
+    """
+    groups: dict[Hashable, list[float]] = {}
+    for value, robot in zip(values, by, strict=True):
+        groups.setdefault(robot, []).append(value)
+    means = np.array([np.mean(group) for group in groups.values()] if len(groups) > 1 else values, dtype=np.float64)
+    error = float(means.std(ddof=1) / np.sqrt(len(means))) if len(means) > 1 else math.nan
+    return _students(float(means.mean()), error, len(means))
+
+
+def _students(value: float, error: float, count: int, figures: int = 1) -> Estimate:
+    """Return a figure with Student's interval; it has no width where the error is 0, and nan where that is."""
+    from scipy.special import stdtrit
+
+    if count < 2 or not np.isfinite(error):
+        return Estimate(value)
+    reach = float(stdtrit(count - 1, 1.0 - 0.5 * (1.0 - CONFIDENCE) / figures)) * error if error > 0.0 else 0.0
+    return Estimate(value, error, value - reach, value + reach)
+
+
+def standard_errors(values: Array, blocks: int) -> Array:
+    """Return the standard error (...) of figures from their ``values`` (1 + R, ...), see `Draws`.
+
+    Draws that are no numbers are left out; it is nan where none is one, and for a single block.
+    """
+    drawn = np.where(np.isfinite(values[1:]), values[1:], np.nan)
+    known = np.isfinite(drawn).any(axis=0)
+    if blocks < 2:
+        return np.full(drawn.shape[1:], np.nan)
+    spread = np.nanstd(np.where(known, drawn, 0.0), axis=0) * np.sqrt(blocks / (blocks - 1.0))
+    return np.asarray(np.where(known, spread, np.nan))
+
+
+def drawn_rms(errors: Array, blocks: IntArray, *, seed: int = 0) -> Array:
+    """Return the RMSE (1 + R, C) of ``errors`` (N, C) over all rows, then over those of each draw of blocks (N,)."""
+    sums = drawn_sums(np.concatenate([errors**2, np.ones((len(errors), 1))], axis=1), blocks, seed=seed)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(sums[:, :-1] / sums[:, -1:]))
+
+
+def drawn_sums(rows: Array, blocks: IntArray, *, resamples: int = RESAMPLES, seed: int = 0) -> Array:
+    """Return the sums (1 + R, C) of ``rows`` (N, C) over all of them, then over those of each draw of blocks (N,)."""
+    if not len(rows):
+        return np.zeros((1 + resamples, rows.shape[1]))
+    order = np.argsort(blocks, kind="stable")
+    ranked = blocks[order]
+    sums = np.add.reduceat(rows[order], np.flatnonzero(np.diff(ranked, prepend=ranked[0] - 1)), axis=0)
+    picks = draw_blocks(len(sums), resamples, seed)
+    few = max(1, PICKS // len(sums))
+    found = [sums.sum(axis=0)[None]]
+    for begin in range(0, resamples, few):
+        part = picks[begin : begin + few]
+        places = part + len(sums) * np.arange(len(part))[:, None]
+        times = np.bincount(places.ravel(), minlength=len(sums) * len(part)).reshape(len(part), len(sums))
+        found.append(times @ sums)
+    return np.concatenate(found)
+
+
+def draw_blocks(blocks: int, resamples: int = RESAMPLES, seed: int = 0) -> IntArray:
+    """Return ``resamples`` draws of ``blocks`` from as many, with replacement, (R, blocks)."""
+    rng = np.random.default_rng([seed, blocks])
+    return rng.integers(0, max(blocks, 1), (resamples, blocks), dtype=np.int64)
