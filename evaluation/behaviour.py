@@ -15,17 +15,17 @@ import numpy as np
 
 from evaluation.formatting import percent
 from evaluation.transfer.matrix import Trace, TransferMatrix
-from evaluation.transfer.uncertainty import PairedEstimate
 from sysid_evo.angles import TURN
 from sysid_evo.data import Trajectory
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
+from sysid_evo.validation.estimates import paired
 
 
 @dataclass(frozen=True)
 class Measure:
-    """The mean over ``trials`` that have the number, and its 90 % interval (nan for a single trial)."""
+    """The mean over ``trials`` that have the number, and its interval (nan for a single trial)."""
 
     value: float
     low: float
@@ -82,16 +82,9 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
     for name in names:
         values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
         if len(values):
-            enough = len(values) >= FEWEST_TRIALS
-            low, high = PairedEstimate.of(controller, values[None]).interval() if enough else (np.nan,) * 2
-            # nothing measured is below 0, and no share above 1
-            low, high = float(np.maximum(0.0, low)), high if unit_of(name) else float(np.minimum(1.0, high))
-            measures[name] = Measure(float(values.mean()), low, high, len(values))
+            found_here = paired(values).clipped(0.0, np.inf if unit_of(name) else 1.0)  # nothing measured is below 0
+            measures[name] = Measure(found_here.value, *found_here.interval, len(values))
     return Manner(controller, column, len(traces), measures)
-
-
-FEWEST_TRIALS = 2
-"""Trials from which on a measure has an interval."""
 
 
 UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:  # the command line imports this module before it knows what else it needs
-    from evaluation.transfer.uncertainty import Estimate, PairedEstimate
+    from sysid_evo.validation.estimates import Estimate
 
 
 def number(value: float | None, digits: int = 1) -> str:
@@ -53,7 +53,7 @@ def percent(share: float | None) -> str:
     return f"{100 * share:.1f} %" if 0 < share < 0.0995 else f"{100 * share:.0f} %"
 
 
-def plus_minus(estimate: Estimate | PairedEstimate | None) -> str:
+def plus_minus(estimate: Estimate | None) -> str:
     """Return ``11.5 ±0.3``, the value and its standard error, where it is known; a dash for None."""
     if estimate is None:
         return "–"
@@ -62,7 +62,7 @@ def plus_minus(estimate: Estimate | PairedEstimate | None) -> str:
     return f"{value} ±{by_error(error, error) if error > 0.0 else 0}" if np.isfinite(error) else value
 
 
-def value_of(estimate: Estimate | PairedEstimate) -> str:
+def value_of(estimate: Estimate) -> str:
     """Return ``11.5``, the value alone with the digits that its standard error leaves."""
     return by_error(estimate.value, estimate.standard_error)
 
@@ -77,12 +77,12 @@ def within(estimate: Estimate | None) -> str:
     return lines(value_of(estimate), between)
 
 
-ERRORS_WIDE = 3.3
-"""Standard errors in the width of a 90 % interval of a normal figure."""
+ERRORS_WIDE = 3.9
+"""Standard errors in the width of a 95 % interval of a normal figure."""
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return ``11.5 (11.2 to 11.9)``; the value alone where the 90 % interval is not known or has no width."""
+    """Return ``11.5 (11.2 to 11.9)``; the value alone where the interval is not known or has no width."""
     error = (high - low) / ERRORS_WIDE
     if not error > 0.0:
         return three_digits(value)

@@ -68,7 +68,7 @@ def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
 
 
 def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
-    """Draw, for each controller, claimed fitness and fitness elsewhere, with 90 % intervals.
+    """Draw, for each controller, claimed fitness and fitness elsewhere, with intervals.
 
     Ticks below a claim are the champions of several evolution runs. Names are folded to ``name_width``.
     """
@@ -77,7 +77,7 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
         found = [
             (row, estimate)
             for row, controller in enumerate(summary.controllers)
-            if (estimate := controller.shown.get(kind)) is not None
+            if (estimate := getattr(controller, kind)) is not None
         ]
         if found:
             value, low, high = np.array([(one.value, one.low, one.high) for _, one in found]).T
@@ -94,7 +94,7 @@ def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str =
                 label=label,
             )
     for row, controller in enumerate(summary.controllers):
-        values = [estimate.value for estimate in controller.shown.values()]
+        values = [one.value for kind, *_ in MARKS if (one := getattr(controller, kind)) is not None]
         if len(values) > 1:
             ax.plot([min(values), max(values)], [row, row], color=REFERENCE, linewidth=0.8, zorder=0)
         if len(controller.seed_fitness) > 1:

@@ -99,16 +99,15 @@ def from_plain(kind: Any, value: Any, arrays: Mapping[str, Array] | None = None,
         return _array(kind, value, arrays, place)
     if is_dataclass(kind):
         return _object(kind, value, arrays, place)
-    if origin is tuple or (isinstance(kind, type) and issubclass(kind, tuple)):
+    if origin is tuple:
         _check(isinstance(value, list), "a list", value, place)
-        named = get_type_hints(kind).values() if origin is None else parts
-        types_of = [parts[0]] * len(value) if parts[1:] == (...,) else list(named)
+        types_of = [parts[0]] * len(value) if parts[1:] == (...,) else list(parts)
         _check(len(types_of) == len(value), f"{len(types_of)} values", value, place)
         found = [
             from_plain(part, item, arrays, _at(place, i))
             for i, (part, item) in enumerate(zip(types_of, value, strict=True))
         ]
-        return tuple(found) if origin is tuple else kind(*found)
+        return tuple(found)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         _check(isinstance(value, dict), "an object", value, place)
         return {key: from_plain(parts[1], item, arrays, _at(place, key)) for key, item in value.items()}

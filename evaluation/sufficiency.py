@@ -15,8 +15,8 @@ from evaluation.formatting import percent
 from evaluation.prediction.scores import PERSISTENCE, ErrorScore, ModelPrediction, Prediction
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import Figures
-from evaluation.transfer.uncertainty import PairedEstimate
 from sysid_evo.evolution.aggregates import mean
+from sysid_evo.validation.estimates import Estimate
 
 FEWEST_BLOCKS = 10
 """Independent blocks of time needed to compare models.
@@ -85,7 +85,7 @@ def beats_persistence(prediction: Prediction, model: ModelPrediction, horizon: i
     return difference is not None and difference.significant and difference.difference.value < 0
 
 
-def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:
+def gain_over_rest(matrix: TransferMatrix, name: str) -> Estimate | None:
     """Return the fitness gain of a controller over neutral controls; None if unknown.
 
     It is measured on the robot, else on average over the models that the controller was not evolved in, else over all
@@ -98,9 +98,9 @@ def gain_over_rest(matrix: TransferMatrix, name: str) -> PairedEstimate | None:
         own = figures.on(champions[name], columns, mean)
         rest = figures.on(champions[matrix.at_rest[0]], columns, mean) if matrix.at_rest else None
         if own is not None and rest is not None:
-            return own - rest
+            return (own - rest).estimate
         if own is not None and not matrix.at_rest:
-            return own if all(cell.mean >= 0.0 for cell in matrix.cells.values() if not cell.failed) else None
+            return own.estimate if all(cell.mean >= 0.0 for cell in matrix.cells.values() if not cell.failed) else None
     return None
 
 
@@ -109,8 +109,7 @@ def beats_rest(matrix: TransferMatrix, name: str) -> bool | None:
     gain = gain_over_rest(matrix, name)
     if gain is None:
         return None
-    low = gain.interval()[0]
-    return (low if np.isfinite(low) else gain.value) > 0.0
+    return (gain.low if np.isfinite(gain.low) else gain.value) > 0.0
 
 
 def none_beats_rest(matrix: TransferMatrix) -> bool:

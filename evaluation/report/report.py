@@ -94,7 +94,7 @@ def save_report(
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 
-SCHEMA = "sysid-evo/report/4"
+SCHEMA = "sysid-evo/report/5"
 """What ``report.schema.json`` describes."""
 
 

@@ -18,7 +18,7 @@ from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
 from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import ControllerScores, is_exploited, standings
+from evaluation.transfer.summary import ControllerSummary, summarise
 from sysid_evo.display import Displayed
 from sysid_evo.files import write_atomically
 from sysid_evo.plan import Cell, Record, Store
@@ -269,7 +269,7 @@ class _Gathered:
         found = {} if matrix is None else forecasts(matrix, errors)
         found = {name: forecast for name, forecast in found.items() if name in ran}
         resting = None if matrix is None else next(iter(matrix.at_rest), None)
-        standing = {} if matrix is None else standings(matrix, resting)
+        summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}
         floor = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
         in_models = [cell.name for cell in planned.champions if self._kind(cell) in ("single", "ensemble", "polished")]
@@ -277,14 +277,14 @@ class _Gathered:
         for cell in planned.champions:
             if self._state(cell) == "missing":
                 continue
-            row = self._controller(cell, standing.get(cell.name), found.get(cell.name), errors)
+            row = self._controller(cell, summaries.get(cell.name), found.get(cell.name), errors)
             achieved = None if matrix is None else _achieved(matrix, cell.name)
             yield replace(row, achieved=achieved, floor=floor, chosen=cell.name == chosen)
 
     def _controller(
         self,
         cell: ChampionCell | HandWrittenCell,
-        standing: ControllerScores | None,
+        summary: ControllerSummary | None,
         forecast: Forecast | None,
         errors: dict[str, float | None],
     ) -> ControllerRow:
@@ -302,16 +302,16 @@ class _Gathered:
             else f"{self.store.where(cell).relative_to(self.store.path).as_posix()}.json",
             reason=self._reason(cell),
         )
-        if standing is not None:
-            claimed, worst, achieved = standing.claimed, standing.worst, standing.achieved
+        if summary is not None:
+            claimed, worst, achieved = summary.claimed, summary.worst, summary.elsewhere
             on_robot = self.comparison.matrix is not None and self.comparison.matrix.robot is not None
             row = replace(
                 row,
                 claimed=None if claimed is None else claimed.value,
                 achieved_error=achieved.standard_error if achieved is not None and on_robot else None,
                 worst=None if worst is None else worst.value,
-                worst_on=standing.worst_on,
-                exploited=is_exploited(claimed, standing.gap) if row.in_models else None,
+                worst_on=summary.worst_on,
+                exploited=summary.exploited if row.in_models else None,
                 expected=forecast.holds(achieved) if forecast and achieved and on_robot else None,
             )
         if forecast is not None:

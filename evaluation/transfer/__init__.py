@@ -20,17 +20,14 @@ from evaluation.transfer.matrix import (
 )
 from evaluation.transfer.matrix import TransferResult as Cell
 from evaluation.transfer.summary import (
-    ControllerScores,
     ControllerSummary,
     Figures,
     RankCorrelation,
     TransferSummary,
-    fitness_on,
     is_exploited,
-    standings,
     summarise,
 )
-from evaluation.transfer.uncertainty import Estimate, PairedEstimate
+from sysid_evo.validation.estimates import Estimate
 
 __all__ = [
     "AT_REST",
@@ -40,15 +37,12 @@ __all__ = [
     "Estimate",
     "Figures",
     "MeasuredResult",
-    "PairedEstimate",
     "RankCorrelation",
-    "ControllerScores",
     "Trace",
     "TransferMatrix",
     "TransferResult",
     "TransferSummary",
     "cell_of",
-    "fitness_on",
     "is_exploited",
     "kept_traces",
     "load_measured",
@@ -56,7 +50,6 @@ __all__ = [
     "run_cell",
     "run_on",
     "save_measured",
-    "standings",
     "summarise",
     "transfer",
     "transfer_seeds",

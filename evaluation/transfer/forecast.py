@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.uncertainty import Estimate
 from sysid_evo.evolution import Champion, Judgement
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.types import Array, BoolArray
+from sysid_evo.validation.estimates import Estimate
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.uncertainty import Estimate, PairedEstimate
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
 from sysid_evo.types import Array
+from sysid_evo.validation.acceptance import surely_more
+from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks
 
 
 @dataclass(frozen=True)
@@ -34,39 +35,21 @@ class TransferSummary:
 
 
 @dataclass(frozen=True)
-class ControllerScores:
-    """What a controller does in the matrix; None where nothing is known.
-
-    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``achieved`` that on
-    the robot, without one the mean over the other models, and ``gap`` the first less the second. ``kept`` is the share
-    of the claim that is achieved, both measured from controls at rest where those were run. ``worst`` is the fitness
-    on ``worst_on``, the system where it is lowest, of all that it was not evolved against. ``regret`` is what the best
-    other controller achieves more, at least 0; without a robot the most that this is on one of the other models,
-    where only controllers that were not evolved there count. What was evolved on the robot itself has no regret and
-    is regretted by none.
-    """
-
-    claimed: Estimate | None = None
-    achieved: Estimate | None = None
-    gap: Estimate | None = None
-    kept: Estimate | None = None
-    worst: Estimate | None = None
-    worst_on: str = ""
-    regret: Estimate | None = None
-
-
-@dataclass(frozen=True)
 class ControllerSummary:
-    """One controller: fitness where it was evolved, elsewhere, and on the robot.
+    """One controller: fitness where it was evolved, elsewhere, and on the robot; None where there is nothing to tell.
 
-    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution;
-    ``others`` the mean over all other models; ``other_families`` the median over the
-    ``judges``, the models of families that it was not evolved against; ``achieved`` that on the
-    robot. ``exploitation_gap`` is claimed minus others, ``reality_gap`` claimed minus achieved.
-    None where there is nothing to tell. ``seed_fitness`` is that of the champion of each evolution run;
-    ``polished`` as in `Champion`. ``floor`` is what controls at rest achieve on the robot, if that was run: shares
-    are measured from there, since fitness may be negative; else from 0. ``standing`` says with intervals over trials
-    what is to be expected of it.
+    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``others`` the mean
+    over all other models; ``other_families`` the median over the ``judges``, the models of families that it was not
+    evolved against; ``achieved`` that on the robot. ``exploitation_gap`` is claimed minus others, ``reality_gap``
+    claimed minus achieved. ``kept`` is the share of the claim that is achieved on the robot, or else on other models,
+    both measured from controls at rest where those were run, since fitness may be negative. ``worst`` is the mean
+    fitness on ``worst_on``, the system where it is lowest, of all that it was not evolved against. ``regret`` is what
+    the best other controller achieves more on the robot, at least 0; without a robot the most that this is on one of
+    the other models, where only controllers that were not evolved there count. What was evolved on the robot itself
+    has no regret and is regretted by none.
+
+    ``seed_fitness`` is that of the champion of each evolution run; ``polished`` as in `Champion`. ``floor`` is what
+    controls at rest achieve on the robot, if that was run.
     """
 
     name: str
@@ -78,12 +61,15 @@ class ControllerSummary:
     achieved: Estimate | None
     exploitation_gap: Estimate | None
     reality_gap: Estimate | None
+    kept: Estimate | None
+    worst: Estimate | None
+    worst_on: str
+    regret: Estimate | None
     judges: tuple[str, ...]
     on_robot: bool
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
     floor: float | None = None
-    standing: ControllerScores = field(default_factory=ControllerScores)
 
     @property
     def elsewhere(self) -> Estimate | None:
@@ -91,24 +77,14 @@ class ControllerSummary:
         return self.others if self.achieved is None else self.achieved
 
     @property
-    def shown(self) -> Mapping[str, Estimate]:
-        """What there is of claimed, others, other_families and achieved, with the intervals of its scores."""
-        at, elsewhere = self.standing, "others" if self.achieved is None else "achieved"
-        found = {"claimed": self.claimed, "others": self.others, "other_families": self.other_families}
-        found |= {"achieved": self.achieved, "claimed": at.claimed or self.claimed}
-        found[elsewhere] = at.achieved or found[elsewhere]
-        return {name: estimate for name, estimate in found.items() if estimate is not None}
+    def gap(self) -> Estimate | None:
+        """What it claims less what it achieves there."""
+        return self.exploitation_gap if self.achieved is None else self.reality_gap
 
     @property
     def exploited(self) -> bool | None:
         """Whether its claim is exploited; None where that cannot be said, or it was evolved on the robot itself."""
-        gap = self.exploitation_gap if self.achieved is None else self.reality_gap
-        return None if self.on_robot else is_exploited(self.claimed, gap)
-
-    @property
-    def kept(self) -> float | None:
-        """The share of the claim that the robot shows."""
-        return None if self.claimed is None else self.share_of(self.claimed.value)
+        return None if self.on_robot else is_exploited(self.claimed, self.gap)
 
     def share_of(self, fitness: float) -> float | None:
         """Return the share of ``fitness`` that is achieved on the robot, both measured from the floor."""
@@ -152,13 +128,10 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
     return replace(summary, pick=best, correlations=(*summary.correlations, *ranked))
 
 
-def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
-    """Condense the matrix, nothing picked yet; ``seed`` is that of the bootstrap over trials."""
-    controllers = tuple(_controller(champion, matrix, seed) for champion in matrix.champions)
-    at_rest = matrix.at_rest
-    floor = next((c.achieved.value for c in controllers if c.name in at_rest and c.achieved is not None), None)
-    standing = standings(matrix, next(iter(at_rest), None))
-    controllers = tuple(replace(one, floor=floor, standing=standing[one.name]) for one in controllers)
+def summarise(matrix: TransferMatrix) -> TransferSummary:
+    """Condense the matrix, nothing picked yet."""
+    figures = Figures(matrix)
+    controllers = tuple(figures.summary(champion) for champion in matrix.champions)
     elsewhere = [c for c in controllers if c.against and not c.on_robot]
     correlations = []
     for figure, name in (("claimed", "claimed"), ("median on other families", "other_families")):
@@ -173,76 +146,18 @@ def summarise(matrix: TransferMatrix, *, seed: int = 0) -> TransferSummary:
     )
 
 
-def _controller(champion: Champion, matrix: TransferMatrix, seed: int) -> ControllerSummary:
-    name, against = champion.name, champion.against
-    judges = judges_of(champion, matrix)
-    others = [column for column in matrix.models if column not in against]
-
-    def alone(columns: Sequence[str]) -> list[Array]:
-        found = [fitness_on(champion, [column], matrix, seed=seed) for column in columns]
-        return [draws for draws in found if draws is not None]
-
-    claimed = fitness_on(champion, against, matrix, seed=seed)
-    elsewhere, judged = alone(others), alone(judges)
-    mean = np.mean(elsewhere, axis=0) if elsewhere else None
-    median = np.median(judged, axis=0) if judged else None
-    achieved = None if matrix.robot is None else fitness_on(champion, [matrix.robot], matrix, seed=seed)
-    return ControllerSummary(
-        name=name,
-        against=against,
-        aggregate=champion.aggregate,
-        claimed=Estimate.of(claimed),
-        others=Estimate.of(mean),
-        other_families=Estimate.of(median),
-        achieved=Estimate.of(achieved),
-        exploitation_gap=Estimate.of(None if claimed is None or mean is None else claimed - mean),
-        reality_gap=Estimate.of(None if claimed is None or achieved is None else claimed - achieved),
-        judges=judges,
-        on_robot=matrix.robot is not None and matrix.robot in against,
-        seed_fitness=tuple(champion.seed_fitness),
-        polished=champion.polished,
-    )
-
-
-RESAMPLES = 1000
 LEAST_GAP = 0.1
 """A claim is exploited only if the gap is more than this share of it."""
-SURE = 2.0
-"""A claim is exploited only if the gap is more than this many standard errors."""
-
-
-def fitness_on(champion: Champion, columns: Sequence[str], matrix: TransferMatrix, *, seed: int = 0) -> Array | None:
-    """Return a controller's fitness on ``columns``, then that of every bootstrap draw of trials, (1 + RESAMPLES,).
-
-    On the models it was evolved against this is its claim. Several systems are made one by the rule of its
-    evolution; one system goes through the same rule, so that any two of these figures can be compared. None
-    unless the controller was run on all of them.
-
-    Each of E trials is drawn E - 1 times, which makes the spread of a mean that of n - 1 (Rao and Wu 1988).
-    Systems with as many trials meet the same draws, so that differences between them are paired. A single
-    trial has no spread: its draws are nan.
-    """
-    cells = [matrix.cell(champion.name, column) for column in columns if column in matrix.columns]
-    if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
-        return None
-    trials = min(cell.trials for cell in cells)
-    fitness = np.stack([cell.fitness[:trials] for cell in cells])
-    rule = make_aggregate(champion.aggregate)
-    value = rule(fitness[:, None])
-    if trials < 2:
-        return np.concatenate([value, np.full(RESAMPLES, np.nan)])
-    picks = np.random.default_rng(seed).integers(0, trials, (RESAMPLES, trials - 1))
-    return np.concatenate([value, rule(fitness[:, picks])])
 
 
 def is_exploited(claimed: Estimate | None, gap: Estimate | None) -> bool | None:
-    """Say whether a claim exceeds what is achieved elsewhere by a tenth of it and by two standard errors.
+    """Say whether a claim exceeds what is achieved elsewhere by a tenth of it, and surely.
 
     None where nothing is claimed, there is nowhere else, or a single trial leaves the error unknown.
     """
     if claimed is None or gap is None or not np.isfinite(gap.standard_error):
         return None
-    return gap.value > max(LEAST_GAP * abs(claimed.value), SURE * gap.standard_error)
+    return surely_more(gap, LEAST_GAP * abs(claimed.value))
 
 
 FEWEST = 3
@@ -266,17 +181,85 @@ def mean_ranks(values: Sequence[float]) -> Array:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of the controllers of a matrix.
+    """Figures of the controllers of a matrix, with their draws of trials.
 
-    Shares of the claim are measured from the fitness of ``at_rest``, the name of the controller that does nothing; None
-    to measure from 0.
+    All systems meet the same trials, so that figures over as many of them are paired. On a robot trials may be missing,
+    and those after them are others: of other numbers of trials the draws are independent.
     """
 
     matrix: TransferMatrix
-    at_rest: str | None = None
+
+    def on(self, champion: Champion, columns: Sequence[str], rule: Aggregate | None = None) -> Draws | None:
+        """Return the fitness on ``columns``, over the trials that were run on all; None if one was not run.
+
+        ``rule`` makes several systems one, by default that of the controller's evolution: on what it was evolved
+        against this is its claim. One system goes through the same rule, so that the two can be compared.
+        """
+        cells = [self.matrix.cell(champion.name, column) for column in columns if column in self.matrix.columns]
+        if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
+            return None
+        trials = min(cell.trials for cell in cells)
+        fitness = np.stack([cell.fitness[:trials] for cell in cells])
+        rule = make_aggregate(champion.aggregate) if rule is None else rule
+        return Draws(np.concatenate([rule(fitness[:, None]), rule(fitness[:, draw_blocks(trials)])]), trials)
+
+    def on_each(self, champion: Champion, columns: Sequence[str]) -> list[Draws]:
+        """Return the fitness on each of ``columns`` that it was run on, by the rule of its evolution."""
+        return [found for column in columns if (found := self.on(champion, [column])) is not None]
+
+    def elsewhere(self, champion: Champion) -> Draws | None:
+        """Return the fitness on the robot, without one the mean over the models that it was not evolved against."""
+        return self.others(champion) if self.matrix.robot is None else self.on(champion, [self.matrix.robot])
+
+    def others(self, champion: Champion) -> Draws | None:
+        """Return the mean fitness over the models that it was run on and not evolved against."""
+        others = self.on_each(champion, [column for column in self.matrix.models if column not in champion.against])
+        return Draws.joined(np.mean, others) if others else None
+
+    def summary(self, champion: Champion) -> ControllerSummary:
+        """Return all of one controller."""
+        robot, judges = self.matrix.robot, judges_of(champion, self.matrix)
+        judged = self.on_each(champion, judges)
+        claimed, others = self.on(champion, champion.against), self.others(champion)
+        achieved = None if robot is None else self.on(champion, [robot])
+        worst, worst_on = self.worst(champion)
+        regret = self.regret(champion)
+        return ControllerSummary(
+            name=champion.name,
+            against=champion.against,
+            aggregate=champion.aggregate,
+            claimed=_estimate(claimed),
+            others=_estimate(others),
+            other_families=_estimate(Draws.joined(np.median, judged) if judged else None),
+            achieved=_estimate(achieved),
+            exploitation_gap=_gap(claimed, others),
+            reality_gap=_gap(claimed, achieved),
+            kept=self._kept(claimed, self.elsewhere(champion)),
+            worst=_estimate(worst),
+            worst_on=worst_on,
+            regret=None if regret is None else regret.estimate.clipped(low=0.0),
+            judges=judges,
+            on_robot=robot is not None and robot in champion.against,
+            seed_fitness=tuple(champion.seed_fitness),
+            polished=champion.polished,
+            floor=None if self._rest is None or robot is None else _value(self.on(self._rest, [robot])),
+        )
 
     @cached_property
-    def singles(self) -> Mapping[tuple[str, str], PairedEstimate]:
+    def _rest(self) -> Champion | None:
+        return next((one for one in self.matrix.champions if one.name in self.matrix.at_rest), None)
+
+    def _kept(self, claimed: Draws | None, achieved: Draws | None) -> Estimate | None:
+        """Return the share of a positive claim that is achieved, both measured from controls at rest."""
+        if claimed is None or achieved is None:
+            return None
+        floor = None if self._rest is None else self.elsewhere(self._rest)
+        if floor is not None:
+            claimed, achieved = claimed - floor, achieved - floor
+        return (achieved / claimed).estimate if claimed.value > 0.0 else None
+
+    @cached_property
+    def singles(self) -> Mapping[tuple[str, str], Draws]:
         """The mean fitness of every controller on every column that it was run on."""
         return {
             (one.name, column): figure
@@ -285,57 +268,18 @@ class Figures:
             if (figure := self.on(one, [column], mean)) is not None
         }
 
-    def on(self, champion: Champion, columns: Sequence[str], rule: Aggregate) -> PairedEstimate | None:
-        """Return the figure on ``columns``, over the trials that were run on all; None if one was not run."""
-        cells = [self.matrix.cell(champion.name, column) for column in columns if column in self.matrix.columns]
-        if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
-            return None
-        trials = min(cell.trials for cell in cells)
-        return PairedEstimate.of(champion.name, np.stack([cell.fitness[:trials] for cell in cells]), rule)
-
-    @cached_property
-    def claimed(self) -> Mapping[str, PairedEstimate]:
-        """The fitness of each on what it was evolved against, by the rule of its evolution."""
-        return self._of_all(lambda one: self.on(one, one.against, make_aggregate(one.aggregate)))
-
-    @cached_property
-    def elsewhere(self) -> Mapping[str, PairedEstimate]:
-        """The fitness of each on the robot, without one the mean over the models that it was not evolved against."""
-        robot = self.matrix.robot
-        if robot is not None:
-            return {name: figure for (name, column), figure in self.singles.items() if column == robot}
-        return self._of_all(lambda one: self.on(one, self._run(one, self.matrix.models), mean))
-
-    @cached_property
-    def gap(self) -> Mapping[str, PairedEstimate]:
-        """What each claims less what it achieves."""
-        return {name: self.claimed[name] - self.elsewhere[name] for name in self._with_both}
-
-    @cached_property
-    def kept(self) -> Mapping[str, PairedEstimate]:
-        """The share of a positive claim that each achieves, both measured from controls at rest."""
-        floor = None if self.at_rest is None else self.elsewhere.get(self.at_rest)
-        found = {}
-        for name in self._with_both:
-            claimed, achieved = self.claimed[name], self.elsewhere[name]
-            if floor is not None:
-                claimed, achieved = claimed - floor, achieved - floor
-            if claimed.value > 0.0:
-                found[name] = achieved.over(claimed)
-        return found
-
-    def consensus(self, champion: Champion) -> PairedEstimate | None:
+    def consensus(self, champion: Champion) -> Draws | None:
         """Return the median over the models of families that it was not evolved in."""
         return self.on(champion, judges_of(champion, self.matrix), median)
 
-    def worst(self, champion: Champion) -> tuple[PairedEstimate | None, str]:
+    def worst(self, champion: Champion) -> tuple[Draws | None, str]:
         """Return the fitness on the system where it is lowest, and which one that is."""
         columns = self._run(champion, self.matrix.columns)
         found = {column: self.singles[key] for column in columns if (key := (champion.name, column)) in self.singles}
         lowest = min(found, key=lambda column: found[column].value, default="")
         return found.get(lowest), lowest
 
-    def regret(self, champion: Champion) -> PairedEstimate | None:
+    def regret(self, champion: Champion) -> Draws | None:
         """Return what the best other controller has more: on the robot, else where it is most.
 
         Where several are equally good the best is so by chance, too, and what it is better by is a little too much.
@@ -357,16 +301,6 @@ class Figures:
                 found.append(max(others, key=lambda other: other.value) - own)
         return max(found, key=lambda figure: figure.value, default=None)
 
-    @property
-    def _with_both(self) -> list[str]:
-        """Return the controllers whose claim is known, and what they achieve."""
-        return [name for name in self.claimed if name in self.elsewhere]
-
-    def _of_all(self, figure: Callable[[Champion], PairedEstimate | None]) -> dict[str, PairedEstimate]:
-        """Return a figure of every controller that has it."""
-        found = {one.name: figure(one) for one in self.matrix.champions}
-        return {name: one for name, one in found.items() if one is not None}
-
     def _run(self, champion: Champion, columns: Sequence[str]) -> list[str]:
         """Return those of ``columns`` that it was run on and not evolved against."""
         others = [column for column in columns if column not in champion.against]
@@ -380,32 +314,13 @@ def judges_of(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
     return tuple(column for column in others if not matrix.cell(champion.name, column).failed)
 
 
-def standings(matrix: TransferMatrix, at_rest: str | None = None) -> Mapping[str, ControllerScores]:
-    """Return how the controllers of ``matrix`` stand, by name.
-
-    ``at_rest`` names the controller that does nothing, from whose fitness shares are measured; None to measure from 0.
-    """
-    figures = Figures(matrix, at_rest)
-    found = {}
-    for champion in matrix.champions:
-        name, (worst, worst_on) = champion.name, figures.worst(champion)
-        found[name] = ControllerScores(
-            claimed=_estimate(figures.claimed.get(name)),
-            achieved=_estimate(figures.elsewhere.get(name)),
-            gap=_estimate(figures.gap.get(name)),
-            kept=_estimate(figures.kept.get(name)),
-            worst=_estimate(worst),
-            worst_on=worst_on,
-            regret=_estimate(figures.regret(champion), least=0.0),
-        )
-    return found
+def _value(figure: Draws | None) -> float | None:
+    return None if figure is None else figure.value
 
 
-def _estimate(figure: PairedEstimate | None, *, least: float = -np.inf) -> Estimate | None:
-    """Return value, standard error and interval of a figure that cannot be below ``least``."""
-    if figure is None:
-        return None
-    low, high = figure.interval()
-    return Estimate(
-        max(least, figure.value), figure.standard_error, float(np.maximum(least, low)), float(np.maximum(least, high))
-    )
+def _estimate(figure: Draws | None) -> Estimate | None:
+    return None if figure is None else figure.estimate
+
+
+def _gap(claimed: Draws | None, achieved: Draws | None) -> Estimate | None:
+    return None if claimed is None or achieved is None else (claimed - achieved).estimate

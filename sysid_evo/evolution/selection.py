@@ -23,6 +23,7 @@ from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
+from sysid_evo.validation.acceptance import within_margin
 
 Judgement: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
 """What a champion's finalists are worth, (P,), by their fitness (M, P) on the models of these labels."""
@@ -86,8 +87,8 @@ def worth(finalist: Finalist) -> float:
 
 
 POLISHED = "polished"
-CREDIBLE = 0.7
-"""Share of its median fitness over all models that a controller must have on one for that one to be believed."""
+DENIED = 0.3
+"""A model on which a controller has less than its median over all models by more than this share is not believed."""
 
 
 def polish(
@@ -108,7 +109,7 @@ def polish(
     How the fitnesses on the models become one is the aggregate of ``settings``, and so are trials, task and
     controller. The step is short, ``sigma`` at the start, since the starts are good drivers already: what
     changes is what they owe to the faults of single models. A start that nothing beats stays as it is. Models
-    that deny the best start, on which it has less than `CREDIBLE` of its median over all, are left out, so that
+    that deny the best start, on which it has less than its median over all by more than `DENIED`, are left out, so that
     one bad model does not forbid good driving; ``against`` names those that were used. ``checkpoint`` and ``progress``
     as for `evolve_controller`.
     """
@@ -122,8 +123,7 @@ def polish(
     everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
     by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
     assert by_model is not None
-    fitness, median = by_model[:, 0], np.median(by_model[:, 0])
-    credible = fitness >= median - (1.0 - CREDIBLE) * abs(median)
+    credible = within_margin(-by_model[:, 0], -float(np.median(by_model[:, 0])), DENIED)
     used = tuple(label for label, kept in zip(late, credible, strict=True) if kept)
     believed = tuple(met({label: runners[label] for label in used}, settings).values())
 

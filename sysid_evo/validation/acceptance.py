@@ -8,8 +8,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.estimates import paired
+from sysid_evo.types import Array, BoolArray, IntArray
+from sysid_evo.validation.estimates import Estimate, paired
 from sysid_evo.validation.simulation_error import error_of
 
 BETTER = 0.15
@@ -94,7 +94,7 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Ki
     asked = BETTER
     if kind in ("further", "mean"):
         asked = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains))))
-    sure = len(gains) >= FEWEST and paired(np.array(gains)).low > 0.0
+    sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains)))
     return Trial(name, whole / max(before, LEAST), each, sure, kind, float(asked))
 
 
@@ -103,7 +103,17 @@ def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
     return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(plain, corrected, strict=False))
 
 
+def surely_more(gain: Estimate, margin: float = 0.0) -> bool:
+    """Whether a gain exceeds ``margin``, and is above zero by more than chance explains."""
+    return bool(gain.value > margin and gain.low > 0.0)
+
+
 def inside(errors: Sequence[float], gate: float) -> list[int]:
     """Return the numbers of those whose error is at most ``gate`` times the lowest, in their order."""
-    lowest = min(errors)
-    return [number for number, error in enumerate(errors) if np.isfinite(error) and error <= gate * lowest]
+    found: list[int] = np.flatnonzero(within_margin(np.array(errors), min(errors), gate - 1.0)).tolist()
+    return found
+
+
+def within_margin(losses: Array, reference: float, margin: float) -> BoolArray:
+    """Return which ``losses`` (N,), errors or negative fitness, exceed ``reference`` by at most that share of it."""
+    return np.isfinite(losses) & (losses <= reference + margin * abs(reference))

@@ -34,6 +34,9 @@ CONFIDENCE = 0.95
 RESAMPLES = 1000
 """Draws of blocks."""
 
+ROUNDING = 1e-12
+"""Share of its size below which what is left of a figure, or varies of it, is rounding."""
+
 PICKS = 2**20
 """Blocks that are looked up at a time, of all draws together."""
 
@@ -92,7 +95,9 @@ class Draws:
         return cls(rule(np.stack([one.values for one in figures]), axis=0), min(one.blocks for one in figures))
 
     def __sub__(self, other: Draws) -> Draws:
-        return Draws(self.values - other.values, min(self.blocks, other.blocks))
+        left = self.values - other.values
+        left = np.where(np.abs(left) > ROUNDING * np.abs(self.values), left, 0.0)
+        return Draws(left, min(self.blocks, other.blocks))
 
     def __truediv__(self, other: Draws) -> Draws:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -162,6 +167,7 @@ def standard_errors(values: Array, blocks: int) -> Array:
     if blocks < 2:
         return np.full(drawn.shape[1:], np.nan)
     spread = np.nanstd(np.where(known, drawn, 0.0), axis=0) * np.sqrt(blocks / (blocks - 1.0))
+    spread = np.where(spread > ROUNDING * np.abs(np.where(known, values[0], 0.0)), spread, 0.0)
     return np.asarray(np.where(known, spread, np.nan))
 
 

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
 
-from evaluation.transfer import TransferMatrix, fitness_on, transfer
+from evaluation.transfer import Figures, TransferMatrix, transfer
 from hardware.robot import Robot, find_robot
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.environments import champion_of, make_vector_env
@@ -113,8 +113,8 @@ def main(arguments: list[str] | None = None) -> None:
     matrix = compared(entries, members, robot, trials=given.judged)
     table = Table("", "claimed", "achieved", "processor s", "samples", box=None)
     for entry in entries:
-        claim = fitness_on(entry.champion, tuple(members), matrix)
-        claimed = float("nan") if claim is None else claim[0]
+        claim = Figures(matrix).on(entry.champion, tuple(members))
+        claimed = float("nan") if claim is None else claim.value
         achieved = matrix.cell(entry.champion.name, robot.name).mean
         figures = (f"{claimed:.1f}", f"{achieved:.1f}", f"{entry.seconds:.1f}", f"{entry.samples:,}")
         table.add_row(entry.champion.name, *figures)

@@ -112,7 +112,7 @@ def test_every_controller_of_a_run_is_run_on_every_model_with_intervals(there):
     first, second = told["controllers"]["controllers"]
     assert first["against"] == ["linear"]
     assert set(first["judges"]) == {"nearest_neighbour", "k_neighbours"}
-    assert first["standing"]["claimed"]["value"] is not None
+    assert first["claimed"]["value"] is not None
     assert [len(one["seed_fitness"]) for one in (first, second)] == [2, 1]
 
 
@@ -140,7 +140,7 @@ def test_a_model_that_is_not_among_the_systems_is_no_claim_but_still_of_its_fami
     told = transferred(there, "one", "--on", "nearest_neighbour,k_neighbours", "--run", "one", "--trials", "2")
     first = told["controllers"]["controllers"][0]
     assert first["against"] == ["one/linear"]
-    assert first["standing"]["claimed"] is None
+    assert first["claimed"] is None
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, gu
 from evaluation.transfer.forecast import RULE, Forecast, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, TransferSummary
-from evaluation.transfer.uncertainty import Estimate
+from sysid_evo.validation.estimates import CONFIDENCE, Estimate
 
 
 def section(report: Report) -> Section | None:
@@ -196,7 +196,7 @@ def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[s
     runs = {len(c.seed_fitness) for c in controllers if c.claimed is not None}
     if any(count > 1 for count in runs):
         notes.append(f"Below it: the champion of each of {number(max(runs), 0)} evolution runs.")
-    return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth and two standard errors."]
+    return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth, and surely."]
 
 
 def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
@@ -217,7 +217,7 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
     ticks = " Ticks: the champion of each evolution run." if several else ""
     return Picture(
         "Claimed and achieved",
-        f"Bars are 90 % intervals over trials, those of the table below.{ticks}",
+        f"Bars are {percent(CONFIDENCE)} intervals over trials, those of the table below.{ticks}",
         (DrawingPair(drawing("claims", WIDE, 26), drawing("claims-narrow", NARROW, 13)),),
     )
 
@@ -226,7 +226,7 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     """Claimed, achieved, worst case and regret of each controller, with intervals."""
     robot = matrix.robot is not None
     return Sheet(
-        title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, 90 % intervals)",
+        title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, {percent(CONFIDENCE)} intervals)",
         columns=(
             "controller",
             "claimed",
@@ -238,11 +238,11 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
         rows=tuple(
             (
                 lines(one.name, "(chosen)" if one.name == summary.pick else ""),
-                within(one.standing.claimed),
-                within(one.standing.achieved),
-                _share(one.standing.kept),
-                lines(within(one.standing.worst), folded(one.standing.worst_on, 12)),
-                within(one.standing.regret),
+                within(one.claimed),
+                within(one.achieved if robot else one.others),
+                _share(one.kept),
+                lines(within(one.worst), folded(one.worst_on, 12)),
+                within(one.regret),
             )
             for one in summary.controllers
         ),
@@ -361,14 +361,13 @@ def headline(report: Report) -> Headline:
     pick = summary.controller(summary.pick)
     command = use_command(report, pick.name) or ""
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
-    shown = pick.shown
-    claim = f"Claims {sized(shown['claimed'])}{unit}" if "claimed" in shown else ""
+    claim = "" if pick.claimed is None else f"Claims {sized(pick.claimed)}{unit}"
     found = report.forecasts.get(pick.name)
     claim += "" if found is None else f", forecast {forecast_text(found)}"
-    if "achieved" in shown:
-        worth = f"{claim}, achieves {sized(shown['achieved'])} on the robot.{_better(pick, report)}"
-    elif "others" in shown:
-        worth = f"{claim}, reaches {sized(shown['others'])} on the other models. Nothing was run on the robot."
+    if pick.achieved is not None:
+        worth = f"{claim}, achieves {sized(pick.achieved)} on the robot.{_better(pick, report)}"
+    elif pick.others is not None:
+        worth = f"{claim}, reaches {sized(pick.others)} on the other models. Nothing was run on the robot."
     else:
         worth = f"{claim}. Nothing was run on the robot."
     idle, guess = _idle(report.matrix, pick.name), guess_warning(report.exploitability, pick.name)
@@ -386,7 +385,7 @@ def _idle(matrix: TransferMatrix, name: str) -> str:
     gain = gain_over_rest(matrix, name)
     if gain is None or beats_rest(matrix, name) is not False:
         return ""
-    worse = "worse" if gain.interval()[1] < 0.0 else "no better"
+    worse = "worse" if gain.high < 0.0 else "no better"
     return f"{name} is {worse} than controls at rest (difference {plus_minus(gain)}): do not use it."
 
 
@@ -394,9 +393,9 @@ def _better(pick: ControllerSummary, report: Report) -> str:
     """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
     assert report.transfer is not None
     others = [c for c in report.transfer.controllers if c.against and not c.on_robot and c.name != pick.name]
-    reached = [(c.shown["achieved"], c.name) for c in others if "achieved" in c.shown]
+    reached = [(c.achieved, c.name) for c in others if c.achieved is not None]
     best = max(reached, key=lambda one: one[0].value, default=None)
-    if best is None or not best[0].low > pick.shown["achieved"].high:
+    if best is None or pick.achieved is None or not best[0].low > pick.achieved.high:
         return ""
     return f" {best[1]} does better there: {sized(best[0])}."
 
@@ -437,7 +436,7 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         if pick is not None and share is not None:  # one search is no upper limit: 107 % would mislead
             told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no upper limit"
             answers.append(f"{pick.name} achieves {told}.")
-    shares = [(c.name, c.kept) for c in tested if not c.on_robot and c.kept is not None]
+    shares = [(c.name, c.kept.value) for c in tested if not c.on_robot and c.kept is not None]
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]
         answers.append(
@@ -476,11 +475,11 @@ def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
 
 def _achieved(controller: ControllerSummary, unit: str) -> str:
     assert controller.achieved is not None
-    return f"{controller.name}, {sized(controller.shown['achieved'])}{unit}"
+    return f"{controller.name}, {sized(controller.achieved)}{unit}"
 
 
 def sized(estimate: Estimate) -> str:
-    """Return a value with its 90 % interval, alone where it has none."""
+    """Return a value with its interval, alone where it has none."""
     return with_interval(estimate.value, estimate.low, estimate.high)
 
 
@@ -552,7 +551,7 @@ def seeds_unknown(summary: TransferSummary) -> str:
 def summary_to_json(summary: TransferSummary) -> dict[str, Any]:
     """Return what the document holds under ``controllers``."""
     return {
-        "controllers": [{**asdict(c), "kept": c.kept, "exploited": c.exploited} for c in summary.controllers],
+        "controllers": [{**asdict(c), "exploited": c.exploited} for c in summary.controllers],
         "pick": summary.pick,
         "best_on": summary.best_on,
         "correlations": [asdict(correlation) for correlation in summary.correlations],

@@ -19,7 +19,7 @@ from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
 from evaluation.results import Report
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import Figures, judges_of
-from evaluation.transfer.uncertainty import SHARE
+from sysid_evo.validation.estimates import CONFIDENCE
 
 
 def section(report: Report) -> Section:
@@ -76,7 +76,8 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
     )
     figures = Figures(matrix)
-    medians = {champion.name: figures.consensus(champion) for champion in matrix.champions}
+    drawn = {champion.name: figures.consensus(champion) for champion in matrix.champions}
+    medians = {name: None if found is None else found.estimate for name, found in drawn.items()}
     median = {name: np.nan if found is None else found.value for name, found in medians.items()}
     rows = [
         (
@@ -224,14 +225,14 @@ def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "robot": matrix.robot,
         "other_robots": matrix.other_robots,
         "families": matrix.families,
-        "interval": SHARE,
+        "interval": CONFIDENCE,
         "cells": [_cell_to_json(matrix.cell(row, column), figures) for row in matrix.rows for column in matrix.columns],
         "consensus": [
             {
                 "champion": champion.name,
                 "models": judges_of(champion, figures.matrix),
                 "median": None if median is None else median.value,
-                "interval": None if median is None else median.interval(),
+                "interval": None if median is None else median.estimate.interval,
             }
             for champion in matrix.champions
             for median in [figures.consensus(champion)]
@@ -248,7 +249,7 @@ def _cell_to_json(cell: TransferResult, figures: Figures) -> dict[str, Any]:
         "mean": cell.mean,
         "std": cell.std,
         "standard_error": cell.standard_error,
-        "interval": None if figure is None else figure.interval(),
+        "interval": None if figure is None else figure.estimate.interval,
         "clipped_share": cell.clipped_share,
         "diverged_share": cell.diverged_share,
         "engine": cell.engine,

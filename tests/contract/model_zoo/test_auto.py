@@ -162,14 +162,17 @@ def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_t
     assert "do differ significantly" in model.fit_note
 
 
-def test_what_may_be_behind_by_chance_is_judged_in_every_turn():
-    """In the first turn of few data one candidate is 1.3 times as far off as the best, another 1.7 times, by chance."""
+@pytest.mark.parametrize(
+    ("steps", "neighbour"), [(130, "above 1.00 x the best"), (260, "2.2 x the best in the first of")]
+)
+def test_what_may_be_behind_by_chance_is_judged_in_every_turn(steps, neighbour):
+    """In the first turn of 130 steps one candidate is 1.3 times as far off as the best, another 1.7, by chance."""
     near = "linear(state_lags=1, control_lags=2)"
     model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], gate=1.0)
-    model.fit(example_dataset(seed=1, episodes=1, steps=130), rng=0)
+    model.fit(example_dataset(seed=1, episodes=1, steps=steps), rng=0)
     remarks = {row["candidate"]: row["remark"] for row in model.standing()}
-    assert remarks[near] == "1.3 x the best in the first of 3 turns"
-    assert remarks["nearest_neighbour"] == "above 1.00 x the best"
+    assert "turns" not in remarks[near]
+    assert remarks["nearest_neighbour"].startswith(neighbour)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ from evaluation.report import to_json
 from evaluation.report.render.terminal import WIDTH, to_rich
 from evaluation.report.sections.controllers import standing_sheet
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import Cell, Figures, TransferMatrix, standings, summarise
-from evaluation.transfer.summary import ControllerScores
+from evaluation.transfer import Cell, Figures, TransferMatrix, summarise
+from sysid_evo.validation.estimates import CONFIDENCE
 from tests.fixtures import reports as made_up
 from tests.fixtures.reports import champion
 
@@ -22,8 +22,12 @@ FITNESS = {
 }
 
 
+def summaries(matrix):
+    return {one.name: one for one in summarise(matrix).controllers}
+
+
 def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against():
-    found = standings(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
+    found = summaries(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
     assert {name: (one.worst.value, one.worst_on) for name, one in found.items() if one.worst} == {
         "a": (2.0, "c"),
         "b": (4.0, "c"),
@@ -36,45 +40,36 @@ def test_worst_case_and_regret_leave_out_what_a_controller_was_evolved_against()
 
 def test_without_a_robot_regret_is_the_most_on_a_model_that_neither_was_evolved_against():
     fitness = {row: {c: v for c, v in values.items() if c != "car"} for row, values in FITNESS.items()}
-    found = standings(made_up.matrix(fitness, against={"hand": ()}))
+    found = summaries(made_up.matrix(fitness, against={"hand": ()}))
     # on a, b and c: b could have had 5 on c, a 4 and 5 on b and c, and nobody but b and hand was judged on a
     assert {name: one.regret.value for name, one in found.items() if one.regret} == {"a": 3.0, "b": 1.0, "hand": 4.5}
-    assert found["a"].achieved.value == 6.5
+    assert found["a"].others.value == 6.5
 
 
 def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted():
     fitness = {**FITNESS, "own": {"a": 1.0, "b": 1.0, "c": 1.0, "car": 15.0}}
-    found = standings(made_up.matrix(fitness, robot="car", against={"hand": (), "own": ("car",)}))
+    found = summaries(made_up.matrix(fitness, robot="car", against={"hand": (), "own": ("car",)}))
     assert found["own"].regret is None
     assert found["b"].regret.value == 0.0
 
 
 def test_shares_are_measured_from_controls_at_rest():
-    found = standings(made_up.matrix(FITNESS, robot="car", against={"hand": ()}), "hand")
+    fitness = {"rest" if row == "hand" else row: values for row, values in FITNESS.items()}
+    found = summaries(made_up.matrix(fitness, robot="car"))
     assert found["a"].kept.value == pytest.approx((9.0 - 7.0) / (12.0 - 7.0))
 
 
 def test_a_claim_that_is_that_of_controls_at_rest_has_no_share():
-    fitness = {"a": {"a": 7.0, "car": 9.0}, "hand": {"a": 6.0, "car": 7.0}}
-    made = made_up.matrix(fitness, robot="car", against={"hand": ()})
-    assert standings(made)["a"].kept.value == pytest.approx(9.0 / 7.0)
-    assert standings(made, "hand")["a"].kept is None
-
-
-def test_estimates_are_shown_with_the_intervals_of_the_scores_where_there_are_some():
-    for robot, elsewhere in (("car", "achieved"), (None, "others")):
-        one = summarise(made_up.matrix(FITNESS, robot=robot, against={"hand": ()})).controller("a")
-        assert (one.shown["claimed"], one.shown[elsewhere]) == (one.standing.claimed, one.standing.achieved)
-        assert one.standing.claimed != one.claimed
-        assert one.standing.achieved != one.elsewhere
-        plain = replace(one, standing=ControllerScores())
-        assert (plain.shown["claimed"], plain.shown[elsewhere]) == (one.claimed, one.elsewhere)
+    for name, kept in (("hand", pytest.approx(9.0 / 7.0)), ("rest", None)):
+        fitness = {"a": {"a": 7.0, "car": 9.0}, name: {"a": 6.0, "car": 7.0}}
+        found = summaries(made_up.matrix(fitness, robot="car", against={name: ()}))["a"].kept
+        assert (found and found.value) == kept
 
 
 def test_intervals_are_over_trials_and_say_so():
     matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     summary = summarise(matrix)
-    achieved = summary.controller("a").standing.achieved
+    achieved = summary.controller("a").achieved
     assert achieved.value == 9.0
     assert achieved.high - achieved.low < 0.2
     sheet = standing_sheet(matrix, summary)
@@ -118,11 +113,10 @@ def test_the_table_of_what_to_expect_fits_eighty_columns():
 def test_report_json_holds_every_interval():
     matrix = made_up.matrix(FITNESS, robot="car", against={"hand": ()})
     document = json.loads(json.dumps(to_json(made_up.report(transfer=matrix)), allow_nan=False))
-    assert document["schema"] == "sysid-evo/report/4"
-    assert document["transfer"]["interval"] == 0.9
+    assert document["schema"] == "sysid-evo/report/5"
+    assert document["transfer"]["interval"] == CONFIDENCE
     cell = document["transfer"]["cells"][0]
     assert cell["interval"][0] < cell["mean"] < cell["interval"][1]
     consensus = document["transfer"]["consensus"][0]
     assert (consensus["models"], consensus["median"]) == (["b", "c"], 6.5)
-    standing = document["controllers"]["controllers"][0]["standing"]
-    assert standing["regret"]["low"] >= 0.0
+    assert document["controllers"]["controllers"][0]["regret"]["low"] >= 0.0

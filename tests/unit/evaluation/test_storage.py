@@ -12,7 +12,7 @@ from evaluation.storage import from_plain, load_result, plain, save_result
 from sysid_evo.errors import ArtefactError, InvalidData
 from sysid_evo.system import Channel
 from sysid_evo.types import Array, BoolArray
-from sysid_evo.validation.bootstrap import Interval
+from sysid_evo.validation.estimates import Estimate
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Whole:
     sure: bool
     kind: Literal["a", "b"]
     channel: Channel
-    interval: Interval
+    estimate: Estimate
     curve: Array
     parts: tuple[Part, ...]
     pairs: tuple[tuple[str, float], ...]
@@ -48,7 +48,7 @@ WHOLE = Whole(
     sure=True,
     kind="b",
     channel=Channel("angle", "rad", period=2 * np.pi),
-    interval=Interval(float("nan"), 1 / 3),
+    estimate=Estimate(float("nan"), 1 / 3),
     curve=np.array([[1.0, np.nan], [np.inf, 1e-300]]),
     parts=(Part(1, np.array([True, False])), Part(0.1, np.zeros(0, bool))),
     pairs=(("a", 1.0),),
@@ -71,7 +71,6 @@ def test_a_result_comes_back_from_disk_bit_by_bit(tmp_path, value):
     assert [file.name for file in files] == ["one@a.b.safetensors", "one@a.b.json"]
     again = load_result(Whole, tmp_path / "run" / "one@a.b")
     assert stored(again) == stored(value)
-    assert isinstance(again.interval, Interval)
     assert again.channel == value.channel
     assert type(again.parts) is tuple
 
@@ -97,10 +96,10 @@ def test_arrays_in_the_text_come_back_too():
         ({"count": 1.5}, "count: expected int, got 1.5"),
         ({"sure": 1}, "sure: expected bool, got 1"),
         ({"kind": "c"}, "kind: expected one of ('a', 'b'), got 'c'"),
-        ({"interval": [1.0]}, "interval: expected 2 values, got [1.0]"),
-        ({"interval": {"low": 1.0}}, "interval: expected a list, got {'low': 1.0}"),
-        ({"interval": [1.0, "2"]}, "interval.1: expected a number, got '2'"),
-        ({"interval": [False, 2.0]}, "interval.0: expected a number, got False"),
+        ({"pairs": [["a"]]}, "pairs.0: expected 2 values, got ['a']"),
+        ({"pairs": [{"a": 1.0}]}, "pairs.0: expected a list, got {'a': 1.0}"),
+        ({"estimate": {"value": "2"}}, "estimate.value: expected a number, got '2'"),
+        ({"estimate": {"value": False}}, "estimate.value: expected a number, got False"),
         ({"parts": [[1.0]]}, "parts.0: expected an object, got [1.0]"),
         ({"parts": [{"size": 1.0}]}, "parts.0: expected an object with size, inside, got ['size']"),
         ({"best": {"size": 1.0, "inside": None}}, "best.inside: expected an array of bool, got None"),

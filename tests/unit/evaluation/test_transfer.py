@@ -81,7 +81,7 @@ def test_the_papers_table_gives_the_papers_gaps():
     assert bp27c.exploitation_gap.value == pytest.approx(18.6 - (9 + 1.3 + 14) / 3)
     assert mm1c.claimed.value == pytest.approx(12.0)
     assert mm1c.others.value == pytest.approx(7.5)
-    assert mm1c.kept == pytest.approx(8.33 / 12.0)
+    assert mm1c.kept.value == pytest.approx(8.33 / 12.0)
 
 
 def test_the_median_on_other_families_is_highest_for_the_best_controller_of_the_paper():

@@ -50,7 +50,7 @@ HOLDS = Estimate(0.5, 0.1)
         (exploited(visited=0.0), SMALL_ERRORS),
         (exploited(gap=HOLDS), "the claim holds: its controllers claim 10.00 waypoints and achieve 4.00"),
         (
-            exploited(achieved=None, gap=Estimate(2.0, 0.1)),
+            exploited(achieved=None, gap=Estimate(2.0, 0.1, 1.8, 2.2)),
             "claim 10.00 waypoints and achieve 8.00 on the other models.",
         ),
         (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),

@@ -98,7 +98,7 @@ SENTENCES = {
         driven,
     ),
     "No controller could be run on the robot.": (lambda: on_robot({"a": {"a": 9.0, "car": float("nan")}}), driven),
-    "Most on the robot: a, 9.50 (9.44 to 9.56) waypoints.": (driven, lambda: driven(robot_trials=1)),
+    "Most on the robot: a, 9.50 (9.43 to 9.57) waypoints.": (driven, lambda: driven(robot_trials=1)),
     "Most on the robot: a, 9.50 waypoints.": (lambda: driven(robot_trials=1), driven),
     "At least nine tenths of their claim is kept on the robot by a.": (
         driven,
@@ -261,7 +261,7 @@ POLISHED = {
         pytest.param(
             lambda: on_robot(POLISHED, against={"best": ("a", "b")}),
             [
-                "Chosen without the robot: best, the highest of 3 forecasts: 9.2 (",
+                "Chosen without the robot: best, the highest of 3 forecasts: 9.25 (",
                 "Chosen with the robot: b, 8.50 on it.",
             ],
             [],
@@ -366,9 +366,9 @@ def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named():
 def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that_drives_it():
     taken = answers(judged())["Which controller to take?"]
     assert taken.answer == "a"
-    assert taken.sentence.startswith("Claims 10.00 (9.94 to 10.06) waypoints, forecast ")
+    assert taken.sentence.startswith("Claims 10.00 (9.93 to 10.07) waypoints, forecast ")
     assert taken.sentence.endswith(
-        "), achieves 4.00 (3.94 to 4.06) on the robot. b does better there: 8.10 (8.04 to 8.16)."
+        "), achieves 4.00 (3.93 to 4.07) on the robot. b does better there: 8.10 (8.03 to 8.17)."
     )
     assert taken.command == "sysid-evo drive --controller controllers/a.json --robot car"
     assert taken.tone == "bad"
@@ -376,7 +376,7 @@ def test_the_controller_to_take_comes_with_what_it_achieves_and_the_command_that
 
 def test_without_a_robot_the_answers_say_what_they_rest_on():
     taken = answers(judged(None))["Which controller to take?"]
-    assert taken.sentence.endswith("reaches 9.00 (8.94 to 9.06) on the other models. Nothing was run on the robot.")
+    assert taken.sentence.endswith("reaches 9.00 (8.93 to 9.07) on the other models. Nothing was run on the robot.")
     assert taken.command == "sysid-evo export controllers/a.json --to c"
 
 
