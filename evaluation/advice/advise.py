@@ -83,7 +83,7 @@ def advise_recording(
     ``quality`` is that of the recording, with its logs if their time stamps are to be looked at. ``visited`` is what
     controllers do in models and on robots.
     """
-    where = Recordings(training=dataset, visited=_steps(dataset, visited), known=quality)
+    where = Recordings(training=dataset, visited=Steps.of(dataset.system, visited) or None, known=quality)
     return ranked(look(where) for look in (*CHECKS, late_answers, outside_the_data, *OF_PLACES))
 
 
@@ -108,7 +108,7 @@ def advise_model(
         model=model.without_noise(),
         training=training,
         test=test,
-        visited=_steps(training, visited),
+        visited=Steps.of(training.system, visited) or None,
         known=recording_quality(training),
     )
     judged_on = "the test part"
@@ -126,11 +126,6 @@ def advise_model(
     if not enough_blocks(len(np.unique(where.test_windows.blocks))):
         remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
     return ModelAdvice(name, judged_on, ranked(remarks)[:MOST])
-
-
-def _steps(dataset: Dataset, visited: Iterable[Trajectory]) -> Steps | None:
-    steps = Steps.of(dataset.system, visited)
-    return steps if len(steps) else None
 
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:

@@ -37,28 +37,23 @@ def too_short(recordings: Recordings) -> Remark | None:
     return Remark("length", sentence, RULE * (1.0 - driven / wanted)) if driven < NEARLY * wanted else None
 
 
-def nothing_moves(recordings: Recordings) -> Remark | None:
-    """Return in which episodes nothing moves."""
-    idle, episodes = recordings.quality.idle, recordings.quality.episodes
-    sentence = (
-        f"Nothing moves in {len(idle)} of {episodes} episodes: {few(idle)}. Leave them out, and see whether the robot "
-        "was switched on and its sensors alive."
-    )
-    return Remark("idle episodes", sentence, RULE * len(idle) / episodes) if idle else None
-
-
 IDLE = 0.3
 """Share of the time that a robot may stand still."""
 
 
 def standstill(recordings: Recordings) -> Remark | None:
-    """Return that the robot stands still for much of the time."""
-    still = 1.0 - recordings.quality.moving
-    sentence = (
+    """Return that the robot stands still for much of the time, and in which episodes nothing moves."""
+    idle, episodes, still = recordings.quality.idle, recordings.quality.episodes, 1.0 - recordings.quality.moving
+    in_episodes = (
+        f"Nothing moves in {len(idle)} of {episodes} episodes: {few(idle)}. Leave them out, and see whether the robot "
+        "was switched on and its sensors alive."
+    )
+    for_long = (
         f"The robot stands still {percent(still)} of the time: little can be learned there, and prediction errors "
         "leave such stretches out."
     )
-    return Remark("standstill", sentence, RULE * still) if still > IDLE else None
+    sentence = " ".join([in_episodes] * bool(idle) + [for_long] * (still > IDLE))
+    return Remark("standstill", sentence, RULE * max(still, len(idle) / episodes)) if sentence else None
 
 
 RARE, RARE_TOGETHER = 0.02, 0.01
@@ -173,7 +168,6 @@ def uneven_stamps(recordings: Recordings) -> Remark | None:
 
 CHECKS: tuple[Callable[[Recordings], Remark | None], ...] = (
     too_short,
-    nothing_moves,
     standstill,
     rare_commands,
     slow_switching,
