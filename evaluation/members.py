@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evaluation.cells.controllers import EvolveCell
-from evaluation.cells.data import GivenData
-from evaluation.cells.models import FitCell, PredictCell, StoredModel
+from evaluation.cells.models import Predict, StoredModel
 from evaluation.cells.plants import Plant, emulated, runner_of
 from evaluation.experiment import FILE, usual_task
 from evaluation.planning import comparison_of
@@ -22,8 +20,8 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.evolution.controller_evolution import farthest_driven
-from sysid_evo.models import Dynamics
-from sysid_evo.plan import Record, Store, StoredCell
+from sysid_evo.models import Dynamics, load_model
+from sysid_evo.plan import Record, Store, stored
 from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
@@ -170,7 +168,7 @@ def _of_run(run: Path) -> list[Champion]:
     others = [record for record in made if record.digest not in needed]
     found = [store.load(cell) for cell in rows]
     others.sort(key=lambda record: CONTROLLER_KINDS.index(record.kind))
-    found += [store.load(StoredCell(record, EvolveCell)) for record in others]
+    found += [store.load(stored(record)) for record in others]
     if not found:
         raise InvalidArgument(f"the run {run} holds no controller: evolve one first")
     return found
@@ -238,7 +236,7 @@ def find_column(store: Store, name: str) -> Plant:
         if own is not None:
             return column_of(store, own)
         model = StoredModel(file)
-        return Plant(model.name, model.family, model=model)
+        return Plant(model.cell().name, model.family, model.cell())
     if is_robot(name):
         spec = robot_spec(name)
         runner_of(spec)
@@ -248,11 +246,11 @@ def find_column(store: Store, name: str) -> Plant:
 
 def column_of(store: Store, record: Record) -> Plant:
     """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
-    model, family = StoredCell(record, FitCell), record.inputs["model"]["name"]
+    model, family = stored(record), record.inputs["model"]["name"]
     data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
     if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
         return Plant(record.name, family, model=model)
-    prediction = PredictCell(record.name, family, StoredCell(data, GivenData), model)
+    prediction = Predict(record.name, family, stored(data), model).cell()
     return Plant(record.name, family, model=model, prediction=prediction)
 
 
@@ -296,9 +294,8 @@ def dynamics_of(store: Store, column: Plant) -> Dynamics:
     if column.robot is not None:
         return emulated(column.robot)
     assert column.model is not None
-    model: Dynamics = (
-        column.model.load(column.model.path) if isinstance(column.model, StoredModel) else store.load(column.model)
-    )
+    settings = column.model.settings
+    model: Dynamics = load_model(settings.path) if isinstance(settings, StoredModel) else store.load(column.model)
     return model
 
 

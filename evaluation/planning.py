@@ -8,12 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from evaluation.cells.assessment import AdviseCell, ExploitCell, Matrix, RunCell
+from evaluation.cells.assessment import Advise, AssessExploitability, Matrix, Run
 from evaluation.cells.controllers import (
     POLISHED,
-    ChampionCell,
-    EvolveCell,
-    HandWrittenCell,
+    ByHand,
+    ControllerCell,
+    Evolve,
     chosen_cell,
     controller_cell,
     evolution_on,
@@ -21,10 +21,11 @@ from evaluation.cells.controllers import (
     labels_inside,
 )
 from evaluation.cells.data import GivenData, RecordedData, Split
-from evaluation.cells.models import ConditionsCell, FitCell, JudgeCell, PredictCell
+from evaluation.cells.models import Fit, JudgeFit, LeaveConditionsOut, Predict
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
+from evaluation.prediction.scores import PERSISTENCE
 from evaluation.transfer.matrix import AT_REST, FOLDER, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
@@ -42,7 +43,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
 from sysid_evo.models import DynamicsModel
-from sysid_evo.plan import Again, Cell, Plan, Store, StoredCell
+from sysid_evo.plan import Again, Cell, Plan, Store, stored
 from sysid_evo.registry import (
     Registry,
     Spec,
@@ -73,13 +74,13 @@ class Comparison:
     experiment: Experiment
     plan: Plan
     data: Cell
-    fits: dict[str, FitCell]
-    predictions: dict[str, PredictCell]
-    advice: AdviseCell
+    fits: dict[str, Cell[Fit]]
+    predictions: dict[str, Cell[Predict]]
+    advice: Cell[Advise]
     matrix: Matrix | None = None
-    exploitability: ExploitCell | None = None
-    conditions: Mapping[str, ConditionsCell] = field(default_factory=dict)
-    judged: Mapping[str, JudgeCell] = field(default_factory=dict)
+    exploitability: Cell[AssessExploitability] | None = None
+    conditions: Mapping[str, Cell[LeaveConditionsOut]] = field(default_factory=dict)
+    judged: Mapping[str, Cell[JudgeFit]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -92,39 +93,37 @@ def plan_comparison(
     experiment: Experiment,
     *,
     dataset: Dataset | None = None,
-    stored: tuple[Cell, System] | None = None,
+    held: tuple[Cell, System] | None = None,
     measured: Sequence[MeasuredResult] = (),
 ) -> Comparison:
     """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
 
-    ``stored`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
+    ``held`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
 
     Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
     and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
     (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
     """
     remarks: list[str] = []
-    check_settings(experiment, has_data=dataset is not None or stored is not None)
-    robot = _robot(experiment, has_data=dataset is not None or stored is not None)
+    check_settings(experiment, has_data=dataset is not None or held is not None)
+    robot = _robot(experiment, has_data=dataset is not None or held is not None)
     if experiment.only is None:
         experiment = with_task(experiment, (robot,))
     evolution = evolution_settings(experiment)
     _constructible(evolution)
-    if stored is not None:
-        data, system = stored
+    if held is not None:
+        data, system = held
     else:
         system = dataset.system if dataset is not None else make_robot(robot or robot_spec(DEFAULT_ROBOT)).system
         data = _data(experiment, robot, dataset)
     specs = models_of(experiment, system, remarks)
     ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
-    fits = {spec.label: FitCell(spec, data, experiment.seed, experiment.preset) for spec in specs}
-    predictions: dict[str, PredictCell] = {}
+    fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
+    predictions: dict[str, Cell[Predict]] = {}
     if experiment.only != "fit":
-        still = PredictCell.persistence(data)
-        predictions = {
-            still.label: still,
-            **{label: PredictCell(label, fit.spec.name, data, fit) for label, fit in fits.items()},
-        }
+        predictions[PERSISTENCE] = Predict(PERSISTENCE, PERSISTENCE, data).cell()
+        for label, fit in fits.items():
+            predictions[label] = Predict(label, fit.settings.spec.name, data, fit).cell()
     matrix, exploitability = None, None
     if experiment.only is None:
         column = _robot_column(experiment, robot, system, remarks)
@@ -133,12 +132,14 @@ def plan_comparison(
         if farthest is not None:
             remarks += evolution.make_task(system).doubts(farthest)
         # recorded here, or when the run was made
-        recorded = isinstance(data, RecordedData) or "robot" in data.inputs()
+        recorded = "robot" in data.settings.inputs()
         yardstick = _has_yardstick(experiment, column, remarks, recorded=recorded)
         matrix = _matrix(
             experiment,
             evolution,
-            tuple(Plant(label, fit.spec.name, model=fit, prediction=predictions[label]) for label, fit in fits.items()),
+            tuple(
+                Plant(label, fit.settings.spec.name, fit, prediction=predictions[label]) for label, fit in fits.items()
+            ),
             column,
             ensembles,
             tuple(measured),
@@ -147,10 +148,10 @@ def plan_comparison(
         )
         if column is not None and column.timed:
             experiment = experiment.model_copy(update={"yardstick": yardstick})  # it is not decided again elsewhere
-        exploitability = ExploitCell(matrix, data, experiment.seed)
-    judged = {label: JudgeCell(fit) for label, fit in fits.items()} if experiment.only == "fit" else {}
+        exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
+    judged = {label: JudgeFit(fit).cell() for label, fit in fits.items()} if experiment.only == "fit" else {}
     several = _conditions(experiment, dataset)
-    without = {label: ConditionsCell(fit, several) for label, fit in fits.items()} if several else {}
+    without = {label: LeaveConditionsOut(fit, several).cell() for label, fit in fits.items()} if several else {}
     settled = experiment.model_copy(
         update={
             **experiment.budget.model_dump(),
@@ -160,7 +161,7 @@ def plan_comparison(
             "data_digest": data.digest,
         }
     )
-    advice = AdviseCell(data, fits, predictions, matrix, experiment.seed)
+    advice = Advise(data, fits, predictions, matrix, experiment.seed).cell()
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *judged.values()]
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
@@ -196,12 +197,12 @@ def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tup
     """
     store = Store(run)
     record = store.find(experiment.data_digest or "")
-    data = None if record is None else StoredCell(record, GivenData)
+    data = None if record is None else stored(record)
     if data is None or not store.done(data):
         raise ArtefactError(f"{run}: the data of this run are missing or damaged; repeat its command to prepare them")
     measured, damaged = load_measured(run)
     system = store.load(data).training.system
-    return plan_comparison(experiment, stored=(data, system), measured=measured), tuple(damaged)
+    return plan_comparison(experiment, held=(data, system), measured=measured), tuple(damaged)
 
 
 def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
@@ -279,7 +280,8 @@ def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[st
     if robot is None or robot.robot is None or experiment.yardstick is not None:
         return robot is not None and bool(experiment.yardstick)
     usual = recorded and experiment.budget.recipe == "recommended" and make_robot(robot.robot).dynamics is not None
-    about = EvolveCell((robot,), evolution_on(experiment, (robot,)), experiment.seed).seconds() if usual else 0.0
+    own = Evolve((robot,), evolution_on(experiment, (robot,)), experiment.seed)
+    about = own.cell().seconds if usual else 0.0
     if about > LONGEST_YARDSTICK:
         remarks.append(
             f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
@@ -332,7 +334,7 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
     if dataset is None:
         recorded = robot or robot_spec(DEFAULT_ROBOT)
         make_robot(recorded).check()
-        return RecordedData(recorded, experiment.seed, experiment.minutes, split)
+        return RecordedData(recorded, experiment.seed, experiment.minutes, split).cell()
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
     if parts.test is not None and experiment.only != "fit":
@@ -342,7 +344,7 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
                 f"test: no model can be measured on the part held back: {cases.notes[0]}. "
                 "Record more, or name a longer episode with --test"
             )
-    return GivenData(dataset, split)
+    return GivenData(dataset, split).cell()
 
 
 def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
@@ -362,8 +364,8 @@ def _by_hand(
     experiment: Experiment,
     evolution: ControllerEvolution,
     system: System,
-    fits: Mapping[str, FitCell],
-) -> tuple[HandWrittenCell, ...]:
+    fits: Mapping[str, Cell[Fit]],
+) -> tuple[ControllerCell, ...]:
     """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
 
     Whether one can do the task with a model that is still to be fitted inside is found when it is made. Controls at
@@ -385,7 +387,7 @@ def _by_hand(
                 Champion.hand_written(spec, evolution.task, system)
             except UnknownName as error:
                 raise UnknownName(f"by_hand: {spec}: {error}; the models compared are {', '.join(fits)}") from error
-        cells.append(HandWrittenCell(spec, evolution.task, system, inside))
+        cells.append(ByHand(spec, evolution.task, system, inside).cell())
     return tuple(cells)
 
 
@@ -396,7 +398,7 @@ def _matrix(
     robot: Plant | None,
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[MeasuredResult, ...],
-    by_hand: tuple[HandWrittenCell, ...],
+    by_hand: tuple[ControllerCell, ...],
     *,
     yardstick: bool,
 ) -> Matrix:
@@ -406,12 +408,12 @@ def _matrix(
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if robot is not None and yardstick:
         groups.append((robot,))
-    evolved = tuple(EvolveCell(members, evolution_on(experiment, members), experiment.seed) for members in groups)
-    champions: tuple[ChampionCell | HandWrittenCell, ...] = evolved
+    evolved = tuple(Evolve(members, evolution_on(experiment, members), experiment.seed).cell() for members in groups)
+    champions: tuple[ControllerCell, ...] = evolved
     if experiment.budget.recipe == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
-            several = tuple(cell for cell in evolved if len(cell.members) > 1)
+            several = tuple(cell for cell in evolved if len(cell.settings.members) > 1)
             champions += (
                 controller_cell(experiment, models, judges=models, label=POLISHED, sift=True, further=several),
             )
@@ -423,14 +425,16 @@ def _matrix(
             f"by_hand: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
         )
     runs = tuple(
-        RunCell(
+        Run(
             champion,
             column,
             delay=evolution.estimator_delay,
             trials=experiment.transfer_trials,
-            traces=kept_traces(experiment.traces, own=column == robot or any(map(column.is_same, champion.members))),
+            traces=kept_traces(
+                experiment.traces, own=column == robot or any(map(column.is_same, champion.settings.members))
+            ),
             seed=experiment.seed,
-        )
+        ).cell()
         for champion in champions
         for column in columns
     )

@@ -9,9 +9,8 @@ from typing import Any
 
 from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
-from evaluation.cells.assessment import RunCell, SearchCell
-from evaluation.cells.controllers import ChampionCell, ChooseCell, PolishCell, controller_cell, evolution_settings
-from evaluation.cells.data import GivenData
+from evaluation.cells.assessment import Run, SearchExploit
+from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
 from evaluation.cells.models import files_of
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment, with_task
@@ -40,7 +39,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
-from sysid_evo.plan import Again, Plan, Store, StoredCell
+from sysid_evo.plan import Again, Cell, Plan, Store, stored
 from sysid_evo.registry import load_plugins_again
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
@@ -62,9 +61,9 @@ class EvolutionPlan:
     """
 
     columns: tuple[Plant, ...]
-    champion: ChampionCell
-    claims: tuple[RunCell, ...]
-    elsewhere: tuple[RunCell, ...]
+    champion: ControllerCell
+    claims: tuple[Cell[Run], ...]
+    elsewhere: tuple[Cell[Run], ...]
     plan: Plan
     remarks: tuple[str, ...] = ()
 
@@ -132,8 +131,8 @@ def _planned(
     others = other_models(store, columns)
     champion = controller_cell(experiment, columns, judges=columns + others)
 
-    def on(column: Plant) -> RunCell:
-        return RunCell(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed)
+    def on(column: Plant) -> Cell[Run]:
+        return Run(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed).cell()
 
     labels = {column.label for column in columns}
     first = list({column.label: column for column in reversed(others)}.values())[::-1]  # of each label
@@ -141,7 +140,7 @@ def _planned(
     claims = tuple(map(on, columns))
     elsewhere = tuple(on(column) for column in first if on_models and column.label not in labels)
     judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
-    predictions = [run.column.prediction for run in judged if run.column.prediction is not None]
+    predictions = [found for run in judged if (found := run.settings.column.prediction) is not None]
     plan = Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
 
@@ -167,11 +166,14 @@ def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
     """Return what ``store`` has of an evolution whose controller is there."""
     champion, columns = store.outcome(planned.champion).value, planned.columns
-    claims = {cell.column.label: claim for cell in planned.claims if (claim := store.outcome(cell).value) is not None}
+    claims = {
+        cell.settings.column.label: claim for cell in planned.claims if (claim := store.outcome(cell).value) is not None
+    }
     on_models = all(column.robot is None for column in columns)
     models = {column.label: dynamics_of(store, column) for column in columns if has_dynamics(column)}
-    choice = planned.champion.chosen if isinstance(planned.champion, PolishCell) else planned.champion
-    finalists = store.outcome(choice).value.finalists if isinstance(choice, ChooseCell) else ()
+    settings = planned.champion.settings
+    choice = settings.chosen if isinstance(settings, Polish) else planned.champion
+    finalists = store.outcome(choice).value.finalists if isinstance(choice.settings, Choose) else ()
     return EvolutionResult(
         claims=claims,
         unit=next((claim.unit for claim in reversed(claims.values())), ""),
@@ -181,9 +183,13 @@ def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
     )
 
 
-def forecast_from(store: Store, champion: Champion, runs: Sequence[RunCell]) -> Forecast | None:
+def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -> Forecast | None:
     """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
-    found = {run.column.label: (run.column, cell) for run in runs if (cell := store.outcome(run).value) is not None}
+    found = {
+        run.settings.column.label: (run.settings.column, cell)
+        for run in runs
+        if (cell := store.outcome(run).value) is not None
+    }
     predicted = {
         label: None if column.prediction is None else store.outcome(column.prediction).value
         for label, (column, _) in found.items()
@@ -242,7 +248,7 @@ class ExploitPlan:
 
     target: Plant
     others: tuple[Plant, ...]
-    cell: SearchCell
+    cell: Cell[SearchExploit]
 
 
 def plan_exploit(experiment: Experiment, store: Store, model: str) -> ExploitPlan:
@@ -251,7 +257,7 @@ def plan_exploit(experiment: Experiment, store: Store, model: str) -> ExploitPla
     others = tuple(one for one in other_models(store, (target,)) if one.registered != target.registered)
     evolution = evolution_settings(experiment)
     check_evolution(store, (target,), evolution)
-    return ExploitPlan(target, others, SearchCell(target, others, evolution, experiment.seed))
+    return ExploitPlan(target, others, SearchExploit(target, others, evolution, experiment.seed).cell())
 
 
 def exploit_result(
@@ -277,7 +283,7 @@ def exploit_result(
     data = next((one for one in records if own is not None and one.digest in own.needs and one.status == "done"), None)
     if data is None:
         return matrix, None
-    parts = store.load(StoredCell(data, GivenData))
+    parts = store.load(stored(data))
     fitted = {label: dynamics for label, dynamics in models.items() if label != on_robot}
     looked = assess_exploitability(matrix, parts.training, parts.test, models=fitted, seed=seed)
     return matrix, next(one for one in looked if one.model == target.label)

@@ -196,7 +196,8 @@ def gather_results(comparison: Comparison, store: Store) -> Report:
         title=comparison.title,
         data=DataSummary.of(training, training if test is None else test),
         models=tuple(
-            ModelSummary.of(label, model, family=comparison.fits[label].spec.name) for label, model in models.items()
+            ModelSummary.of(label, model, family=comparison.fits[label].settings.spec.name)
+            for label, model in models.items()
         ),
         prediction=_prediction(comparison, store),
         matrix=matrix,
@@ -241,8 +242,8 @@ def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
         if outcome.value is not None:
             rows.append(outcome.value)
         elif label not in comparison.fits or store.outcome(comparison.fits[label]).value is not None:
-            rows.append(ModelPrediction(label, cell.family, reason=outcome.reason or ""))
-    protocol = next(iter(comparison.predictions.values())).protocol
+            rows.append(ModelPrediction(label, cell.settings.family, reason=outcome.reason or ""))
+    protocol = next(iter(comparison.predictions.values())).settings.protocol
     return Prediction(measured_cases(parts.training, parts.test, protocol), tuple(rows))
 
 

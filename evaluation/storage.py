@@ -11,7 +11,7 @@ import math
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,7 @@ from safetensors.numpy import load_file, save
 
 from sysid_evo.errors import ArtefactError, InvalidData, SysidEvoError
 from sysid_evo.files import write_atomically
+from sysid_evo.plan import ResultType
 from sysid_evo.types import Array
 
 R = TypeVar("R")
@@ -38,6 +39,11 @@ def save_result(value: Any, path: Path) -> list[Path]:
         payload = save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
         written.append(write_atomically(_with(path, ".safetensors"), lambda file: file.write_bytes(payload)))
     return [*written, write_atomically(_with(path, ".json"), lambda file: file.write_text(text, encoding="utf-8"))]
+
+
+def result_of(kind: Any) -> ResultType:
+    """Return how the results of cells are stored that are a ``kind``, see `save_result`."""
+    return ResultType("results", lambda value, path, _: save_result(value, path), partial(load_result, kind))
 
 
 def load_result(kind: type[R], path: Path) -> R:

@@ -1,15 +1,16 @@
-"""The cells of a comparison: each computes one result, which is stored and found again by its digest.
+"""The cells of a comparison. Each module holds the settings of some kinds and enters these into `CELL_KINDS`.
 
-| cell | kind | result | needs |
+| settings | kind | result | needs |
 |---|---|---|---|
-| `data.RecordedData`, `data.GivenData` | data | `Parts` | |
-| `models.FitCell`, `models.StoredModel` | fit, model | a model | data |
-| `models.PredictCell` | predict | `ModelPrediction` | data, fit |
-| `models.ConditionsCell` | conditions | `ConditionErrors` of each condition | data, fit |
-| `controllers.EvolveCell`, `controllers.HandWrittenCell` | evolve, by_hand | `Champion` | fits |
-| `controllers.ChooseCell`, `controllers.PolishCell` | choose, polish | `Champion` | controllers, fits, predictions |
-| `assessment.RunCell` | run | `TransferResult` | a controller, a fit |
-| `assessment.ExploitCell` | exploit | `ModelExploitability` of each model | data, fits, controllers, runs |
-| `assessment.AdviseCell` | advise | `ModelAdvice` | data, fits, predictions, runs |
-| `assessment.SearchCell` | search | `Champion` | fits, predictions |
+| `data.GivenData`, `data.RecordedData` | data | `Parts` | - |
+| `models.Fit`, `models.StoredModel` | fit, model | a model | data; - |
+| `models.Predict` | predict | `ModelPrediction` | data, fit |
+| `models.JudgeFit` | judge | `HeldOutScore` | data, fit |
+| `models.LeaveConditionsOut` | conditions | `ConditionErrors` of each condition | data, fit |
+| `controllers.Evolve`, `controllers.ByHand` | evolve, by_hand | `Champion` | fits |
+| `controllers.Choose`, `controllers.Polish` | choose, polish | `Champion` | controllers, fits, predictions |
+| `assessment.Run` | run | `TransferResult` | a controller, a fit |
+| `assessment.AssessExploitability` | exploit | `ModelExploitability` of each model | data, fits, controllers, runs |
+| `assessment.Advise` | advise | `ModelAdvice` | data, fits, predictions, controllers, runs |
+| `assessment.SearchExploit` | search | `Champion` | fits, predictions |
 """

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
@@ -16,7 +15,7 @@ from sysid_evo.engine import Runner
 from sysid_evo.errors import Blocked, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.evolution.champion import load_champion, save_champion
-from sysid_evo.plan import Cell, Work, blocked_by, cell_seed
+from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work, blocked_by, cell_seed
 from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
 from sysid_evo.registry.registry import cautions, noises
 from sysid_evo.system import System
@@ -31,16 +30,9 @@ def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
     return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
 
 
-class ControllerFiles(Cell):
-    """A cell whose result is a controller."""
-
-    place = "controllers"
-
-    def save(self, value: Champion, path: Path) -> list[Path]:
-        return files_of(save_champion(value, path))
-
-    def load(self, path: Path) -> Champion:
-        return load_champion(path)
+def labels_of(members: Sequence[Plant]) -> tuple[str, ...]:
+    """Return how the columns ``members`` are called."""
+    return tuple(member.label for member in members)
 
 
 def conditions(settings: ControllerEvolution) -> dict[str, Any]:
@@ -55,54 +47,56 @@ def conditions(settings: ControllerEvolution) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True, eq=False)
-class EvolveCell(ControllerFiles):
+@dataclass(frozen=True)
+class Evolve(CellSettings):
     """Evolves one controller against all of ``members`` at once."""
 
-    kind = "evolve"
-    resumable = True
-
     members: tuple[Plant, ...]
-    settings: ControllerEvolution
+    evolution: ControllerEvolution
     seed: int
 
-    @property
-    def title(self) -> str:
-        return f"evolve {self.name}"
+    def cell(self) -> Cell[Evolve]:
+        """Return the cell of the controller."""
+        evolution = self.evolution
+        rollouts = evolution.runs * evolution.generations * evolution.trials * 100
+        return Cell(
+            kind="evolve",
+            name=self.name,
+            title=f"evolve {self.name}",
+            settings=self,
+            needs=tuple(cell for member in self.members for cell in member.needs),
+            labels={"name": self.name, "against": labels_of(self.members)},
+            seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            resumable=True,
+            at_home=any(named_files(evolution.controller)),
+        )
 
     @property
     def name(self) -> str:
-        return ensemble_name(tuple(member.label for member in self.members), self.settings.aggregate)
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return tuple(cell for member in self.members for cell in member.needs)
-
-    @property
-    def at_home(self) -> bool:
-        return any(named_files(self.settings.controller))
+        """How the controller is called."""
+        return ensemble_name(labels_of(self.members), self.evolution.aggregate)
 
     def inputs(self) -> dict[str, Any]:
-        settings = self.settings
+        evolution = self.evolution
         return {
             "members": [member.inputs() for member in self.members],
-            "controller": controllers.identity(settings.controller),
-            "task": tasks.identity(settings.task),
-            "strategy": strategies.identity(settings.strategy),
-            **conditions(settings),
-            "generations": settings.generations,
-            "runs": settings.runs,
-            "schedule": [self._stage(stage) for stage in settings.schedule],
+            "controller": controllers.identity(evolution.controller),
+            "task": tasks.identity(evolution.task),
+            "strategy": strategies.identity(evolution.strategy),
+            **conditions(evolution),
+            "generations": evolution.generations,
+            "runs": evolution.runs,
+            "schedule": [self._stage(stage) for stage in evolution.schedule],
             "seed": self.seed,
         }
 
     def _stage(self, stage: Stage) -> dict[str, Any]:
         """Return what a stage is, its models by their places, as labels are no part of what decides."""
-        labels = [member.label for member in self.members]
+        labels = labels_of(self.members)
         missing = [model for model in stage.models if model not in labels]
         if missing:
             raise InvalidArgument(
-                f"schedule: {missing[0]!r} is not among the models of {self.title}. With the recipe 'plain' "
+                f"schedule: {missing[0]!r} is not among the models of evolve {self.name}. With the recipe 'plain' "
                 "a controller is evolved on all its models at once"
             )
         return {
@@ -122,60 +116,49 @@ class EvolveCell(ControllerFiles):
             self.name,
             runners,
             system,
-            self.settings,
+            self.evolution,
             seed=seed,
             checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
         )
 
-    def named(self, value: Champion) -> Champion:
-        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
 
-    def seconds(self) -> float:
-        settings = self.settings
-        rollouts = settings.runs * settings.generations * settings.trials * 100
-        return rollouts * STEPS * sum(member.step_seconds() for member in self.members)
-
-
-@dataclass(frozen=True, eq=False)
-class ChooseCell(ControllerFiles):
+@dataclass(frozen=True)
+class Choose(CellSettings):
     """Chooses among the finalists of all ``contenders`` by their forecasts, see `worth_by`.
 
     ``judges`` are the columns of models; a contender is judged where one of them is of another family than it was
     evolved in. What failed among contenders and judges is left out.
     """
 
-    kind = "choose"
-    tolerant = True
-
-    contenders: tuple[EvolveCell, ...]
+    contenders: tuple[Cell[Evolve], ...]
     judges: tuple[Plant, ...]
     trials: int
     seed: int
 
+    def cell(self) -> Cell[Choose]:
+        """Return the cell of the controller."""
+        only = self.contenders[0] if len(self.contenders) == 1 else None
+        name = f"best of {'+'.join(labels_of(self.members))}" if only is None else only.name
+        return Cell(
+            kind="choose",
+            name=name,
+            title=f"choose {name}",
+            settings=self,
+            needs=(*self.contenders, *(cell for judge in self.judges for cell in judge.believing)),
+            labels={} if only is None else only.labels,
+            seconds=0.1 * len(self.judges),
+        )
+
     @property
     def members(self) -> tuple[Plant, ...]:
         """Everything that one of the contenders was evolved against."""
-        found = (member for contender in self.contenders for member in contender.members)
+        found = (member for contender in self.contenders for member in contender.settings.members)
         return tuple({member.label: member for member in found}.values())
-
-    @property
-    def title(self) -> str:
-        return f"choose {self.name}"
-
-    @property
-    def name(self) -> str:
-        if len(self.contenders) == 1:
-            return self.contenders[0].name
-        return f"best of {'+'.join(member.label for member in self.members)}"
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (*self.contenders, *(cell for judge in self.judges for cell in judge.believing))
 
     def inputs(self) -> dict[str, Any]:
         return {
-            "contenders": [sorted({member.registered for member in one.members}) for one in self.contenders],
+            "contenders": [sorted({member.registered for member in one.settings.members}) for one in self.contenders],
             "judges": [judge.registered for judge in self.judges],
             "rule": [RULE.power, RULE.own],
             "trials": self.trials,
@@ -189,7 +172,7 @@ class ChooseCell(ControllerFiles):
         for contender in self.contenders:
             champion = work.result(contender)
             if champion is not None:
-                own = {member.registered for member in contender.members}
+                own = {member.registered for member in contender.settings.members}
                 contenders.append((champion, judging if any(judge.registered not in own for judge in fitted) else {}))
         if not contenders:
             raise Blocked(blocked_by(self.contenders[0]))
@@ -202,52 +185,42 @@ class ChooseCell(ControllerFiles):
             judgement=worth_by(errors, families),
         )
 
-    def named(self, value: Champion) -> Champion:
-        if len(self.contenders) > 1:
-            return value
-        return replace(value, name=self.name, against=tuple(member.label for member in self.members))
 
-    def seconds(self) -> float:
-        return 0.1 * len(self.judges)
-
-
-@dataclass(frozen=True, eq=False)
-class PolishCell(ControllerFiles):
+@dataclass(frozen=True)
+class Polish(CellSettings):
     """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
 
     Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `believed`.
     """
 
-    kind = "polish"
-    resumable = True
-    tolerant = True
-
-    chosen: ChooseCell
+    chosen: Cell[Choose]
     members: tuple[Plant, ...]
-    settings: ControllerEvolution
+    evolution: ControllerEvolution
     generations: int
     starts: int
     seed: int
     label: str = POLISHED
     sift: bool = False
 
-    @property
-    def title(self) -> str:
-        return "polish the best" if self.label == POLISHED else f"polish {self.name}"
-
-    @property
-    def name(self) -> str:
-        return self.label
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (self.chosen, *(cell for m in self.members for cell in (m.believing if self.sift else m.needs)))
+    def cell(self) -> Cell[Polish]:
+        """Return the cell of the controller."""
+        rollouts = self.starts * self.generations * self.evolution.trials * 50
+        return Cell(
+            kind="polish",
+            name=self.label,
+            title="polish the best" if self.label == POLISHED else f"polish {self.label}",
+            settings=self,
+            needs=(self.chosen, *(cell for m in self.members for cell in (m.believing if self.sift else m.needs))),
+            labels={"name": self.label, "against": labels_of(self.members)},
+            seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            resumable=True,
+        )
 
     def inputs(self) -> dict[str, Any]:
         return {
             "members": [member.inputs() for member in self.members],
             "believed": BELIEVED if self.sift else None,
-            **conditions(self.settings),
+            **conditions(self.evolution),
             "generations": self.generations,
             "starts": self.starts,
             "seed": self.seed,
@@ -262,10 +235,10 @@ class PolishCell(ControllerFiles):
             fitted = list(believed(fitted, work))
         runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
         return polish(
-            self.name,
+            self.label,
             champion,
             runners,
-            self.settings,
+            self.evolution,
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
             generations=self.generations,
@@ -273,30 +246,18 @@ class PolishCell(ControllerFiles):
             progress=work.progress,
         )
 
-    def named(self, value: Champion) -> Champion:
-        labels = tuple(member.label for member in self.members)
-        return replace(value, name=self.name, against=labels if len(labels) == len(value.against) else value.against)
-
-    def seconds(self) -> float:
-        rollouts = self.starts * self.generations * self.settings.trials * 50
-        return rollouts * STEPS * sum(member.step_seconds() for member in self.members)
-
-
-ChampionCell: TypeAlias = EvolveCell | ChooseCell | PolishCell
-"""A cell that gives a controller; its ``members`` are what this one was evolved against."""
 
 MODEL = "model"
 """The parameter by which a controller names the models inside it."""
 
 
-@dataclass(frozen=True, eq=False)
-class HandWrittenCell(ControllerFiles):
+@dataclass(frozen=True)
+class ByHand(CellSettings):
     """Makes a controller that is run as it is on ``system``; files that it names count by what is in them.
 
     ``models`` are the cells of the models of the comparison that its parameter ``model`` names by their labels.
     """
 
-    kind = "by_hand"
     members: ClassVar[tuple[Plant, ...]] = ()
 
     spec: Spec
@@ -304,21 +265,17 @@ class HandWrittenCell(ControllerFiles):
     system: System
     models: Mapping[str, Cell] = field(default_factory=dict)
 
-    @property
-    def title(self) -> str:
-        return f"make {self.name}"
-
-    @property
-    def name(self) -> str:
-        return self.spec.label
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return tuple(self.models.values())
-
-    @property
-    def at_home(self) -> bool:
-        return bool(self.models) or any(named_files(self.spec))
+    def cell(self) -> Cell[ByHand]:
+        """Return the cell of the controller."""
+        return Cell(
+            kind="by_hand",
+            name=self.spec.label,
+            title=f"make {self.spec.label}",
+            settings=self,
+            needs=tuple(self.models.values()),
+            labels={"name": self.spec.label},
+            at_home=bool(self.models) or any(named_files(self.spec)),
+        )
 
     def inputs(self) -> dict[str, Any]:
         spec = named_models(self.spec, {label: cell.digest for label, cell in self.models.items()})
@@ -333,8 +290,13 @@ class HandWrittenCell(ControllerFiles):
         files = {label: f"{work.where(cell).resolve()}.json" for label, cell in self.models.items()}
         return Champion.hand_written(named_models(self.spec, files), self.task, self.system)
 
-    def named(self, value: Champion) -> Champion:
-        return replace(value, name=self.name)
+
+ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | ByHand]
+"""A cell that gives a controller; the ``members`` of its settings are what this one was evolved against."""
+
+CONTROLLERS = ResultType("controllers", lambda value, path, _: files_of(save_champion(value, path)), load_champion)
+CELL_KINDS["evolve"] = CELL_KINDS["by_hand"] = CellKind(CONTROLLERS)
+CELL_KINDS["choose"] = CELL_KINDS["polish"] = CellKind(CONTROLLERS, tolerant=True)
 
 
 def labels_inside(spec: Spec, labels: Collection[str]) -> tuple[str, ...]:
@@ -402,8 +364,8 @@ def controller_cell(
     judges: tuple[Plant, ...],
     label: str | None = None,
     sift: bool = False,
-    further: tuple[EvolveCell, ...] = (),
-) -> ChampionCell:
+    further: tuple[Cell[Evolve], ...] = (),
+) -> ControllerCell:
     """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
 
     By the recommended one each member is searched alone, the best are chosen by their median on those of
@@ -413,24 +375,27 @@ def controller_cell(
     """
     evolution = evolution_on(experiment, members)
     if experiment.budget.recipe == "plain":
-        return EvolveCell(members, evolution, experiment.seed)
+        return Evolve(members, evolution, experiment.seed).cell()
     models = tuple(column for column in judges if column.robot is None)
-    singles = tuple(EvolveCell((one,), evolution_on(experiment, (one,)), experiment.seed) for one in members)
+    singles = tuple(Evolve((one,), evolution_on(experiment, (one,)), experiment.seed).cell() for one in members)
     if len(members) == 1:
         return chosen_cell(experiment, singles, models)
-    chosen = ChooseCell((*singles, *further), models, experiment.selection_trials, experiment.seed)
-    name = label or ensemble_name(tuple(member.label for member in members), experiment.aggregate)
-    return PolishCell(chosen, members, evolution, experiment.budget.polish, MOST_POLISHED, experiment.seed, name, sift)
+    chosen = Choose((*singles, *further), models, experiment.selection_trials, experiment.seed).cell()
+    name = label or ensemble_name(labels_of(members), experiment.aggregate)
+    polished = Polish(chosen, members, evolution, experiment.budget.polish, MOST_POLISHED, experiment.seed, name, sift)
+    return polished.cell()
 
 
-def chosen_cell(experiment: Experiment, contenders: tuple[EvolveCell, ...], judges: tuple[Plant, ...]) -> ChampionCell:
+def chosen_cell(
+    experiment: Experiment, contenders: tuple[Cell[Evolve], ...], judges: tuple[Plant, ...]
+) -> ControllerCell:
     """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
 
     What was evolved on a robot itself is chosen by that robot.
     """
-    members = [member for cell in contenders for member in cell.members]
+    members = [member for cell in contenders for member in cell.settings.members]
     own = {member.registered for member in members}
     known = all(member.model is None for member in members) or all(judge.registered in own for judge in judges)
     if len(contenders) == 1 and known:
         return contenders[0]
-    return ChooseCell(contenders, judges, experiment.selection_trials, experiment.seed)
+    return Choose(contenders, judges, experiment.selection_trials, experiment.seed).cell()

@@ -9,7 +9,7 @@ from typing import Any
 from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, LinkLost
-from sysid_evo.plan import Cell, Work
+from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work
 from sysid_evo.registry import Spec, make_robot, robots
 
 TRAINING, TEST = "training", "test"
@@ -68,39 +68,17 @@ def whole_episodes(dataset: Dataset, share: float) -> list[str]:
     return names
 
 
-class DataCell(Cell):
-    """A cell whose result is `Parts`, stored as two data sets."""
-
-    kind = "data"
-    place = "data"
-
-    def save(self, value: Parts, path: Path) -> list[Path]:
-        written = []
-        for name, part in ((TRAINING, value.training), (TEST, value.test)):
-            if part is not None:
-                folder = part.save(path / name)
-                written += sorted(file for file in folder.iterdir() if file.is_file())
-        return written
-
-    def load(self, path: Path) -> Parts:
-        test = path / TEST
-        return Parts(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
-
-
-@dataclass(frozen=True, eq=False)
-class GivenData(DataCell):
-    """Recordings that were read already."""
+@dataclass(frozen=True)
+class GivenData(CellSettings):
+    """Recordings that were read already, split."""
 
     dataset: Dataset
     split: Split
 
-    @property
-    def title(self) -> str:
-        return f"prepare {self.name}"
-
-    @property
-    def name(self) -> str:
-        return self.dataset.system.name or "data"
+    def cell(self) -> Cell[GivenData]:
+        """Return the cell of both parts."""
+        name = self.dataset.system.name or "data"
+        return Cell(kind=DATA, name=name, title=f"prepare {name}", settings=self)
 
     def inputs(self) -> dict[str, Any]:
         named = [episode.condition for episode in self.dataset]
@@ -111,8 +89,8 @@ class GivenData(DataCell):
         return self.split.of(self.dataset)
 
 
-@dataclass(frozen=True, eq=False)
-class RecordedData(DataCell):
+@dataclass(frozen=True)
+class RecordedData(CellSettings):
     """Manoeuvres driven on a robot for ``minutes``; the journals of a physical one are kept beside the data."""
 
     robot: Spec
@@ -120,13 +98,14 @@ class RecordedData(DataCell):
     minutes: float
     split: Split
 
-    @property
-    def title(self) -> str:
-        return f"record {self.robot.label}"
-
-    @property
-    def name(self) -> str:
-        return self.robot.label
+    def cell(self) -> Cell[RecordedData]:
+        """Return the cell of both parts."""
+        robot, seconds = make_robot(self.robot), 60.0 * self.minutes
+        if not robot.physical:
+            plant = Plant(self.robot.label, self.robot.name, robot=self.robot)
+            seconds = 0.5 * self.minutes + 60.0 * self.minutes / robot.system.dt * plant.step_seconds()
+        label = self.robot.label
+        return Cell(kind=DATA, name=label, title=f"record {label}", settings=self, seconds=seconds)
 
     def inputs(self) -> dict[str, Any]:
         return {
@@ -148,9 +127,20 @@ class RecordedData(DataCell):
             raise LinkLost(f"{self.robot.label}: {recorded.report.sentence}")
         return self.split.of(recorded.dataset)
 
-    def seconds(self) -> float:
-        robot = make_robot(self.robot)
-        if robot.physical:
-            return 60.0 * self.minutes
-        steps = 60.0 * self.minutes / robot.system.dt
-        return 0.5 * self.minutes + steps * Plant(self.robot.label, self.robot.name, robot=self.robot).step_seconds()
+
+def _save(value: Parts, path: Path, _: Cell) -> list[Path]:
+    written = []
+    for name, part in ((TRAINING, value.training), (TEST, value.test)):
+        if part is not None:
+            folder = part.save(path / name)
+            written += sorted(file for file in folder.iterdir() if file.is_file())
+    return written
+
+
+def _load(path: Path) -> Parts:
+    test = path / TEST
+    return Parts(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
+
+
+DATA = "data"
+CELL_KINDS[DATA] = CellKind(ResultType("data", _save, _load))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,17 @@ import numpy as np
 from evaluation.cells.data import Split
 from evaluation.prediction.cases import SECOND, PredictionProtocol, measured_cases
 from evaluation.prediction.scores import (
-    PERSISTENCE,
     ConditionErrors,
     ModelPrediction,
 )
 from evaluation.prediction.scoring import Persistence, score_model, within_and_across
-from evaluation.storage import load_result, save_result
+from evaluation.storage import result_of
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import Cell, Work, cell_seed
+from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work, cell_seed
 from sysid_evo.registry import Spec, models
 from sysid_evo.validation.measures import mean_over_channels
 
@@ -35,29 +34,28 @@ DIGEST = re.compile(r"-[0-9a-f]{8}$")
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
 
-@dataclass(frozen=True, eq=False)
-class FitCell(Cell):
+@dataclass(frozen=True)
+class Fit(CellSettings):
     """Fits the family in ``spec``, all its parameters settled, to the training part of ``data``."""
-
-    kind = "fit"
-    place = "models"
 
     spec: Spec
     data: Cell
     seed: int
-    preset: str = field(default="quick", compare=False)
+    preset: str = "quick"
 
-    @property
-    def title(self) -> str:
-        return f"fit {self.spec.label}"
-
-    @property
-    def name(self) -> str:
-        return self.spec.label
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (self.data,)
+    def cell(self) -> Cell[Fit]:
+        """Return the cell of the model."""
+        usual = models.parameters(self.spec.name).get("budget") or FIT_SECONDS.get(self.preset, 2.0)
+        return Cell(
+            kind="fit",
+            name=self.spec.label,
+            title=f"fit {self.spec.label}",
+            settings=self,
+            needs=(self.data,),
+            seconds=float(self.spec.parameters.get("budget", usual)),
+            resumable=bool(getattr(models.get(self.spec.name), "resumable", False)),
+            at_home=any(named_files(self.spec)),
+        )
 
     def inputs(self) -> dict[str, Any]:
         used = [models.identity(name) for name in make_model(self.spec).uses()]
@@ -65,42 +63,30 @@ class FitCell(Cell):
         further = {**({"uses": used} if used else {}), **({"files": files} if files else {})}
         return {"model": models.identity(self.spec), "seed": self.seed, **further}
 
-    @property
-    def at_home(self) -> bool:
-        return any(named_files(self.spec))
-
     def compute(self, work: Work) -> DynamicsModel:
         return self.learn(work.result(self.data).training, work)
 
-    def learn(self, training: Dataset, work: Work) -> DynamicsModel:
-        """Return a model of its family that was fitted to ``training``, with the same seed as the one of this cell."""
-        rng = np.random.default_rng(cell_seed(self.seed, f"fit {self.spec.name}"))
+    def learn(self, training: Dataset, work: Work | None = None) -> DynamicsModel:
+        """Return a model of its family that was fitted to ``training``, with the same seed as the one of this cell.
+
+        With ``work`` it reports its progress there, and goes on after an interruption.
+        """
         model = make_model(self.spec)
-        model.checkpoint = CheckpointFile(work.checkpoint)
-        model.fit(training, rng=rng, progress=work.progress)
+        model.checkpoint = None if work is None else CheckpointFile(work.checkpoint)
+        rng = np.random.default_rng(cell_seed(self.seed, f"fit {self.spec.name}"))
+        model.fit(training, rng=rng, progress=None if work is None else work.progress)
         model.checkpoint = None
         return model
 
     @property
-    def resumable(self) -> bool:
-        return bool(getattr(models.get(self.spec.name), "resumable", False))
-
-    def save(self, value: DynamicsModel, path: Path) -> list[Path]:
-        return files_of(save_model(value, path, seed=self.seed, data=self.data.digest))
-
-    def load(self, path: Path) -> DynamicsModel:
-        return load_model(path)
-
-    def seconds(self) -> float:
-        budget = models.parameters(self.spec.name).get("budget")
-        return float(self.spec.parameters.get("budget", budget or FIT_SECONDS.get(self.preset, 2.0)))
+    def origin(self) -> dict[str, Any]:
+        """What the manifest of the model says of where it comes from."""
+        return {"seed": self.seed, "data": self.data.digest}
 
 
-@dataclass(frozen=True, eq=False)
-class PredictCell(Cell):
+@dataclass(frozen=True)
+class Predict(CellSettings):
     """Measures the prediction error of a model on the test part of ``data``; without one, of persistence."""
-
-    kind = "predict"
 
     label: str
     family: str
@@ -108,20 +94,19 @@ class PredictCell(Cell):
     model: Cell | None = None
     protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
-    @property
-    def title(self) -> str:
-        return f"predict with {self.label}"
-
-    @property
-    def name(self) -> str:
-        return f"prediction-{self.label}"
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (self.data,) if self.model is None else (self.data, self.model)
+    def cell(self) -> Cell[Predict]:
+        """Return the cell of the scores."""
+        return Cell(
+            kind="predict",
+            name=f"prediction-{self.label}",
+            title=f"predict with {self.label}",
+            settings=self,
+            needs=(self.data,) if self.model is None else (self.data, self.model),
+            labels={"name": self.label, "family": self.family},
+        )
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"protocol": asdict(self.protocol)}
 
     def compute(self, work: Work) -> ModelPrediction:
         parts = work.result(self.data)
@@ -131,20 +116,6 @@ class PredictCell(Cell):
         else:
             model = work.result(self.model)
         return score_model(self.label, model, cases, family=self.family)
-
-    def save(self, value: ModelPrediction, path: Path) -> list[Path]:
-        return save_result(value, path)
-
-    def load(self, path: Path) -> ModelPrediction:
-        return load_result(ModelPrediction, path)
-
-    def named(self, value: ModelPrediction) -> ModelPrediction:
-        return replace(value, name=self.label, family=self.family)
-
-    @classmethod
-    def persistence(cls, data: Cell) -> PredictCell:
-        """Return the cell of the yardstick that a model must beat."""
-        return cls(PERSISTENCE, PERSISTENCE, data)
 
 
 @dataclass(frozen=True)
@@ -160,35 +131,34 @@ class HeldOutScore:
     judged_on: str
 
 
-@dataclass(frozen=True, eq=False)
-class JudgeCell(Cell):
+@dataclass(frozen=True)
+class JudgeFit(CellSettings):
     """Measures the prediction error on the test part; without one, of a copy fitted to all but the last quarter.
 
     A model that held data out during its own fit already reports its error on them; no copy is fitted.
     """
 
-    kind = "judge"
-
-    fit: FitCell
+    fit: Cell[Fit]
     protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
-    @property
-    def title(self) -> str:
-        return f"judge {self.fit.name}"
-
-    @property
-    def name(self) -> str:
-        return f"judged-{self.fit.name}"
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (self.fit.data, self.fit)
+    def cell(self) -> Cell[JudgeFit]:
+        """Return the cell of the score."""
+        name = self.fit.name
+        return Cell(
+            kind="judge",
+            name=f"judged-{name}",
+            title=f"judge {name}",
+            settings=self,
+            needs=(self.fit.settings.data, self.fit),
+            seconds=self.fit.seconds,
+        )
 
     def inputs(self) -> dict[str, Any]:
-        return {"protocol": {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}}
+        return {"protocol": asdict(self.protocol)}
 
     def compute(self, work: Work) -> HeldOutScore:
-        parts, model, judged_on = work.result(self.fit.data), work.result(self.fit), "the test part"
+        fit = self.fit.settings
+        parts, model, judged_on = work.result(fit.data), work.result(self.fit), "the test part"
         if parts.test is None and model.held_out_error_ is not None:
             moving = [e.states[rows] for e, rows in zip(parts.training, parts.training.moving, strict=True)]
             spread = model.system.spread(np.concatenate(moving))
@@ -202,7 +172,7 @@ class JudgeCell(Cell):
             cases = measured_cases(parts.training, parts.test, self.protocol)
             horizon = cases.main_horizon
             if judged_on != "the test part":
-                model = self.fit.learn(parts.training, work)
+                model = fit.learn(parts.training, work)
             score = score_model(self.fit.name, model, cases, family="").score(horizon)
         except InvalidData as error:
             return HeldOutScore(None, None, None, str(error))
@@ -210,32 +180,17 @@ class JudgeCell(Cell):
             return HeldOutScore(None, None, None, "; ".join(cases.notes))
         return HeldOutScore(score.n, horizon, cases.blocks(horizon), judged_on)
 
-    def save(self, value: HeldOutScore, path: Path) -> list[Path]:
-        return save_result(value, path)
 
-    def load(self, path: Path) -> HeldOutScore:
-        return load_result(HeldOutScore, path)
-
-    def seconds(self) -> float:
-        return self.fit.seconds()
-
-
-@dataclass(frozen=True, eq=False)
-class StoredModel(Cell):
+@dataclass(frozen=True)
+class StoredModel(CellSettings):
     """A model in a file of its own, outside any run: found by what the file holds."""
-
-    kind = "model"
-    place = "models"
 
     path: Path
 
-    @property
-    def title(self) -> str:
-        return f"read {self.path}"
-
-    @property
-    def name(self) -> str:
-        return DIGEST.sub("", self.path.stem)
+    def cell(self) -> Cell[StoredModel]:
+        """Return the cell of the model."""
+        name = DIGEST.sub("", self.path.stem)
+        return Cell(kind="model", name=name, title=f"read {self.path}", settings=self)
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -259,11 +214,10 @@ class StoredModel(Cell):
     def compute(self, work: Work) -> DynamicsModel:
         return load_model(self.path)
 
-    def save(self, value: DynamicsModel, path: Path) -> list[Path]:
-        return files_of(save_model(value, path, seed=self.manifest.seed, data=self.manifest.data))
-
-    def load(self, path: Path) -> DynamicsModel:
-        return load_model(path)
+    @property
+    def origin(self) -> dict[str, Any]:
+        """What the manifest of the model says of where it comes from."""
+        return {"seed": self.manifest.seed, "data": self.manifest.data}
 
 
 def files_of(manifest: Path) -> list[Path]:
@@ -271,50 +225,33 @@ def files_of(manifest: Path) -> list[Path]:
     return [manifest, manifest.with_name(manifest.name.removesuffix(".json") + ".safetensors")]
 
 
-@dataclass(frozen=True, eq=False)
-class ConditionsCell(Cell):
+@dataclass(frozen=True)
+class LeaveConditionsOut(CellSettings):
     """Fits the family of ``fit`` once for each condition without it, and measures it there beside the fitted model."""
 
-    kind = "conditions"
-
-    fit: FitCell
+    fit: Cell[Fit]
     conditions: int
     protocol: PredictionProtocol = field(default_factory=PredictionProtocol)
 
-    @property
-    def title(self) -> str:
-        return f"leave conditions out of {self.fit.name}"
-
-    @property
-    def name(self) -> str:
-        return f"conditions-{self.fit.name}"
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        return (self.fit.data, self.fit)
+    def cell(self) -> Cell[LeaveConditionsOut]:
+        """Return the cell of the errors."""
+        name = self.fit.name
+        return Cell(
+            kind="conditions",
+            name=f"conditions-{name}",
+            title=f"leave conditions out of {name}",
+            settings=self,
+            needs=(self.fit.settings.data, self.fit),
+            seconds=self.conditions * FIT_SECONDS.get(self.fit.settings.preset, 2.0),
+        )
 
     def inputs(self) -> dict[str, Any]:
-        protocol = {**asdict(self.protocol), "horizons": list(self.protocol.horizons)}
-        return {"model": models.identity(self.fit.spec), "protocol": protocol}
+        return {"model": models.identity(self.fit.settings.spec), "protocol": asdict(self.protocol)}
 
     def compute(self, work: Work) -> tuple[ConditionErrors, ...]:
-        parts = work.result(self.fit.data)
-
-        def learn(rest: Dataset) -> DynamicsModel:
-            seed = cell_seed(self.fit.seed, f"fit {self.fit.spec.name}")
-            model: DynamicsModel = make_model(self.fit.spec)
-            return model.fit(rest, rng=np.random.default_rng(seed))
-
-        return within_and_across(work.result(self.fit), learn, parts.training, parts.test, self.protocol)
-
-    def save(self, value: tuple[ConditionErrors, ...], path: Path) -> list[Path]:
-        return save_result(value, path)
-
-    def load(self, path: Path) -> tuple[ConditionErrors, ...]:
-        return load_result(tuple[ConditionErrors, ...], path)
-
-    def seconds(self) -> float:
-        return self.conditions * FIT_SECONDS.get(self.fit.preset, 2.0)
+        fit = self.fit.settings
+        parts = work.result(fit.data)
+        return within_and_across(work.result(self.fit), fit.learn, parts.training, parts.test, self.protocol)
 
 
 def file_digests(spec: Spec) -> list[str]:
@@ -329,3 +266,14 @@ def named_files(spec: Spec) -> Iterator[Path]:
             if isinstance(text, str):
                 stem = text.removesuffix(".safetensors").removesuffix(".json")
                 yield from (file for file in map(Path, (f"{stem}.json", f"{stem}.safetensors")) if file.is_file())
+
+
+def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModel]) -> list[Path]:
+    return files_of(save_model(value, path, **cell.settings.origin))
+
+
+MODELS = ResultType("models", _save, load_model)
+CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS)
+CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction))
+CELL_KINDS["judge"] = CellKind(result_of(HeldOutScore))
+CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionErrors, ...]))

@@ -14,7 +14,7 @@ from evaluation.planning import Comparison, plan_comparison
 from evaluation.study.study import Point, Study, name_of
 from sysid_evo.data import Dataset
 from sysid_evo.errors import ArtefactError, InvalidArgument, SysidEvoError
-from sysid_evo.plan import Again, Cell, Plan, Record, Store, StoredCell
+from sysid_evo.plan import Again, Cell, Plan, Record, Store, stored
 from sysid_evo.registry import load_named_plugins, load_plugin, load_plugins_again, make_robot, robot_spec
 
 AGAIN = "evaluation.study.planning:plan_again"
@@ -72,9 +72,9 @@ def _planned(study: Study, digests: Sequence[str | None], store: Store | None) -
     comparisons = []
     for point, digest in itertools.zip_longest(study.points, digests):
         try:
-            stored = _stored(store, digest)
+            held = _held(store, digest)
             data, robot, dataset = point.experiment.data, point.experiment.robot, None
-            if stored is None and data is not None:
+            if held is None and data is not None:
                 key = (data, point.experiment.columns)
                 if key not in known:
                     known[key] = Dataset.read(data, columns=point.experiment.columns)
@@ -84,7 +84,7 @@ def _planned(study: Study, digests: Sequence[str | None], store: Store | None) -
                     f"{robot} is a physical robot, which a study does not drive: record it once with "
                     "sysid-evo record, and name the recordings as data"
                 )
-            comparisons.append(plan_comparison(point.experiment, dataset=dataset, stored=stored))
+            comparisons.append(plan_comparison(point.experiment, dataset=dataset, held=held))
         except SysidEvoError as error:
             raise InvalidArgument(f"point {point.name}: {error}") from error
     return PlannedStudy(study, tuple(comparisons), _united(study, comparisons))
@@ -99,7 +99,7 @@ def plan_again(settings: Mapping[str, Any], folder: Path) -> Plan:
 
 def _united(study: Study, comparisons: list[Comparison]) -> Plan:
     """Return all cells, each once; cells of several points are found by their digests."""
-    given = [one.data.digest if isinstance(one.data, GivenData) else None for one in comparisons]
+    given = [one.data.digest if isinstance(one.data.settings, GivenData) else None for one in comparisons]
     again = Again(
         AGAIN,
         {"study": dict(study.settings), "data": given if any(given) else []},
@@ -110,12 +110,12 @@ def _united(study: Study, comparisons: list[Comparison]) -> Plan:
     return Plan.of((cell for comparison in comparisons for cell in comparison.plan), remarks=remarks, again=again)
 
 
-def _stored(store: Store | None, digest: str | None) -> tuple[Cell, Any] | None:
+def _held(store: Store | None, digest: str | None) -> tuple[Cell, Any] | None:
     """Return the cell of data that stand in the store, and their system."""
     if store is None or digest is None:
         return None
     record = store.find(digest)
-    data = None if record is None else StoredCell(record, GivenData)
+    data = None if record is None else stored(record)
     if data is None or not store.done(data):
         raise ArtefactError(f"{store.path}: its data are missing or damaged")
     return data, store.load(data).training.system
@@ -129,6 +129,6 @@ def seconds_about(planned: PlannedStudy, records: Mapping[str, Record | None]) -
         record = records[cell.digest]
         if record is not None and record.status == "done":
             took[cell.kind] = took.get(cell.kind, 0.0) + record.seconds
-            foreseen[cell.kind] = foreseen.get(cell.kind, 0.0) + cell.seconds()
+            foreseen[cell.kind] = foreseen.get(cell.kind, 0.0) + cell.seconds
     ratio = {kind: took[kind] / expected for kind, expected in foreseen.items() if expected > 0.0}
-    return {cell.digest: cell.seconds() * ratio.get(cell.kind, 1.0) for cell in planned.plan}
+    return {cell.digest: cell.seconds * ratio.get(cell.kind, 1.0) for cell in planned.plan}

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from evaluation.cells.controllers import ChampionCell, HandWrittenCell
+from evaluation.cells.controllers import ControllerCell, labels_of
 from evaluation.experiment import USUAL_TASK
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.planning import Comparison
@@ -247,7 +247,7 @@ class _Gathered:
             yield ModelRow(
                 point=self.point.name,
                 model=label,
-                family=fit.spec.name,
+                family=fit.settings.spec.name,
                 errors=() if prediction is None else tuple(_error(score) for score in prediction.at),
                 exploited=None if one is None else one.exploited,
                 claimed=None if one is None or one.claimed is None else one.claimed.value,
@@ -264,7 +264,7 @@ class _Gathered:
         if planned is None:
             return
         errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
-        waiting = [run.champion for run in planned.runs if self._state(run) == "missing"]
+        waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
         ran = {cell.name for cell in planned.champions if not any(cell is one for one in waiting)}
         found = {} if matrix is None else forecasts(matrix, errors)
         found = {name: forecast for name, forecast in found.items() if name in ran}
@@ -283,12 +283,12 @@ class _Gathered:
 
     def _controller(
         self,
-        cell: ChampionCell | HandWrittenCell,
+        cell: ControllerCell,
         summary: ControllerSummary | None,
         forecast: Forecast | None,
         errors: dict[str, float | None],
     ) -> ControllerRow:
-        members = tuple(member.label for member in cell.members)
+        members = labels_of(cell.settings.members)
         known = [error for name in members if (error := errors.get(name)) is not None]
         row = ControllerRow(
             point=self.point.name,
@@ -318,14 +318,14 @@ class _Gathered:
             row = replace(row, forecast=forecast.value, forecast_low=forecast.low, forecast_high=forecast.high)
         return row
 
-    def _kind(self, cell: ChampionCell | HandWrittenCell) -> Kind:
-        if isinstance(cell, HandWrittenCell):
+    def _kind(self, cell: ControllerCell) -> Kind:
+        if cell.kind == "by_hand":
             return "by hand"
         if cell.kind == "polish":
             return "polished"
-        if any(member.robot is not None for member in cell.members):
+        if any(member.robot is not None for member in cell.settings.members):
             return "robot"
-        return "single" if len(cell.members) == 1 else "ensemble"
+        return "single" if len(cell.settings.members) == 1 else "ensemble"
 
     def _state(self, cell: Cell) -> str:
         record = self.records[cell.digest]

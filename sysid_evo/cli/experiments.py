@@ -232,7 +232,7 @@ def print_fits(
                 "file": None if outcome.failed else f"{store.where(cell)}.json",
                 "reason": outcome.reason,
                 "advice": evaluation.plain(advice) if advice is not None and advice.model == label else None,
-                "note": "" if outcome.failed else cell.load(store.where(cell)).fit_note,
+                "note": "" if outcome.failed else store.load(cell).fit_note,
             }
         )
     if as_json:

@@ -49,7 +49,7 @@ def carry_out(
 def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     """Print the cells, about how long they take, and which are done."""
     done = {cell.digest for cell in plan if store.done(cell)}
-    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds(), cell.digest in done) for cell in plan]
+    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds, cell.digest in done) for cell in plan]
     total = sum(seconds for _, seconds, _ in rows)
     if as_json:
         cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
@@ -129,7 +129,7 @@ class Bars(Observer):
 
     def start(self, cell: Cell) -> None:
         self._begin(cell.digest, self._title(cell), resumable=cell.resumable)
-        self._expected[cell.digest] = cell.seconds()
+        self._expected[cell.digest] = cell.seconds
         self._tell_all()
 
     def begin(self, title: str) -> None:

@@ -1,15 +1,17 @@
-"""The contract of a cell: one piece of work with a name for people and a digest for the machine."""
+"""A cell: one piece of work as data, with a name for people and a digest for the machine; the table of their kinds."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, Generic
+
+from typing_extensions import TypeVar
 
 from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress
@@ -23,8 +25,8 @@ class Work:
     """What a cell may use while it computes.
 
     ``result(cell)`` is the value of a cell that it needs, None if that one failed and this one is
-    `Cell.tolerant`; ``place`` is the path, without suffix, at which its result will be stored, and ``where(cell)`` the
-    one at which that of a cell that it needs stands. What it keeps in the file ``checkpoint`` is there when it is
+    `CellKind.tolerant`; ``place`` is the path, without suffix, at which its result will be stored, and ``where(cell)``
+    the one at which that of a cell that it needs stands. What it keeps in the file ``checkpoint`` is there when it is
     computed again after an interruption, and goes when it is done.
     """
 
@@ -35,71 +37,66 @@ class Work:
     where: Callable[[Cell], Path]
 
 
-class Cell(ABC):
-    """One piece of work of a plan; concrete cells are frozen dataclasses without ``eq``: equal digests are equal.
-
-    ``kind`` says what it computes; results stand in the folder ``place`` of a run. A cell that is
-    ``tolerant`` is computed although some of the cells that it needs failed. One that is ``resumable`` goes on
-    after an interruption where it was.
-    """
-
-    kind: ClassVar[str]
-    place: ClassVar[str] = "results"
-    tolerant: ClassVar[bool] = False
-
-    @property
-    @abstractmethod
-    def title(self) -> str:
-        """What people read: the kind of work, then its object."""
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """How its files are called; need not be unique."""
-
-    @property
-    def group(self) -> str:
-        """What a log calls many short cells of one kind in a single line; empty for a line of its own."""
-        return ""
-
-    @property
-    def resumable(self) -> bool:
-        """Whether it goes on after an interruption where it was."""
-        return False
-
-    @property
-    def at_home(self) -> bool:
-        """Whether it must be computed where the run folder is, as its work or its result names files there."""
-        return False
-
-    @property
-    def needs(self) -> tuple[Cell, ...]:
-        """The cells whose results it takes."""
-        return ()
+class CellSettings(ABC):
+    """What a cell computes with: the settings of one kind of work, in a small frozen dataclass."""
 
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """Return all else that its result depends on, as strict JSON. Labels are no part of it."""
+        """Return all that the result depends on beside the needed cells, as strict JSON. Labels are no part of it."""
 
     @abstractmethod
     def compute(self, work: Work) -> Any:
         """Return the result."""
 
-    @abstractmethod
-    def save(self, value: Any, path: Path) -> list[Path]:
-        """Write ``value`` to files or a folder that begin with ``path``; return the files."""
 
-    @abstractmethod
-    def load(self, path: Path) -> Any:
-        """Read what `save` wrote."""
+S = TypeVar("S", bound=CellSettings, covariant=True, default=Any)
 
-    def named(self, value: Any) -> Any:
-        """Return the result under this cell's labels: one with the same digest may have been computed under others."""
-        return value
 
-    def seconds(self) -> float:
-        """Return about how long it takes on one processor."""
-        return 1.0
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell(Generic[S]):
+    """One piece of work of a plan: ``kind``, ``settings`` and what it ``needs`` say all; equal digests are equal.
+
+    ``name`` is how its files are called, and need not be unique; ``title`` what people read: the kind of work, then
+    its object; ``group`` what a log calls many short cells in a single line, empty for a line of its own. ``labels``
+    are fields of the result that carry names, see `labelled`. It takes about ``seconds`` on one processor. One that is
+    ``resumable`` goes on after an interruption where it was. One that is ``at_home`` must be computed where the run
+    folder is, as its work or its result names files there. ``known_digest`` is that of a stored cell (`stored`), of
+    which no more is known than its record.
+    """
+
+    kind: str
+    name: str
+    title: str
+    settings: S
+    needs: tuple[Cell, ...] = ()
+    labels: Mapping[str, Any] = field(default_factory=dict)
+    group: str = ""
+    seconds: float = 1.0
+    resumable: bool = False
+    at_home: bool = False
+    known_digest: str = ""
+
+    @property
+    def tolerant(self) -> bool:
+        """Whether it is computed although some of the cells that it needs failed."""
+        return CELL_KINDS[self.kind].tolerant
+
+    @property
+    def result(self) -> ResultType:
+        """How its result is stored."""
+        return CELL_KINDS[self.kind].result
+
+    def labelled(self, value: Any) -> Any:
+        """Return a result under this cell's labels: one with the same digest may have been computed under others.
+
+        Several labels are put back only where the result has as many: what failed may have been left out of it.
+        """
+        fitting = {
+            name: label
+            for name, label in self.labels.items()
+            if isinstance(label, str) or len(label) == len(getattr(value, name))
+        }
+        return replace(value, **fitting) if fitting else value
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Cell) and self.digest == other.digest
@@ -110,12 +107,45 @@ class Cell(ABC):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that the result depends on: needed cells, and the engine unless it is "auto", too."""
+        if self.known_digest:
+            return self.known_digest
         content = {
             "kind": self.kind,
+            "version": CELL_KINDS[self.kind].version,
             "contract": CONTRACT,
-            "inputs": self.inputs(),
+            "inputs": self.settings.inputs(),
             "needs": [cell.digest for cell in self.needs],
             **engine_inputs(),
         }
         text = json.dumps(content, sort_keys=True, allow_nan=False, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class ResultType:
+    """How results of one type are stored, in the folder ``folder`` of a run.
+
+    ``save(value, path, cell)`` writes files, or a folder, that begin with ``path`` and returns the files;
+    ``load(path)`` reads them.
+    """
+
+    folder: str
+    save: Callable[[Any, Path, Cell], list[Path]]
+    load: Callable[[Path], Any]
+
+
+@dataclass(frozen=True)
+class CellKind:
+    """What all cells of one kind have in common.
+
+    ``version`` is raised whenever they give another result on the same inputs. A cell that is ``tolerant`` is computed
+    although some of the cells that it needs failed.
+    """
+
+    result: ResultType
+    version: int = 1
+    tolerant: bool = False
+
+
+CELL_KINDS: dict[str, CellKind] = {}
+"""The kinds of cells by name; a module that defines settings enters theirs."""

@@ -73,7 +73,7 @@ def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str
     """
     if wanted is not None and wanted < 1:
         raise InvalidArgument(f"jobs: expected at least 1, got {wanted}")
-    asked = wanted or _by_default(sum(cell.seconds() for cell in left))
+    asked = wanted or _by_default(sum(cell.seconds for cell in left))
     jobs = max(1, min(asked, len(left)))
     if jobs == 1:
         return 1, ""

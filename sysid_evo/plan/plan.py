@@ -34,26 +34,19 @@ class Plan:
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = (), again: Again | None = None) -> Plan:
         """Return the plan of the ``wanted`` cells and all that they need.
 
-        Raises `InvalidArgument` for a circle, and for years of work, as cells foresee it (`Cell.seconds`).
+        Raises `InvalidArgument` for years of work, as cells foresee it (`Cell.seconds`).
         """
         placed: dict[str, Cell] = {}
-        under_way: dict[int, Cell] = {}
-        visited: dict[int, Cell] = {}
 
         def place(cell: Cell) -> None:
-            if id(cell) in under_way:  # told by identity: in a circle nothing has a digest
-                raise InvalidArgument(f"plan: {cell.title} needs itself")
-            if id(cell) in visited:
-                return
-            under_way[id(cell)] = visited[id(cell)] = cell
-            for needed in cell.needs:
-                place(needed)
-            del under_way[id(cell)]
-            placed.setdefault(cell.digest, cell)
+            if cell.digest not in placed:
+                for needed in cell.needs:
+                    place(needed)
+                placed[cell.digest] = cell
 
         for cell in wanted:
             place(cell)
-        foreseen = {cell.title: cell.seconds() for cell in placed.values()}
+        foreseen = {cell.title: cell.seconds for cell in placed.values()}
         if sum(foreseen.values()) > MOST_YEARS * YEAR:
             longest = max(foreseen, key=foreseen.__getitem__)
             raise InvalidArgument(
@@ -128,8 +121,8 @@ def at_home(plan: Plan) -> set[str]:
 
 def work_ahead(plan: Plan) -> dict[str, float]:
     """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
-    ahead = {cell.digest: cell.seconds() for cell in plan}
+    ahead = {cell.digest: cell.seconds for cell in plan}
     for cell in reversed(plan.cells):
         for needed in cell.needs:
-            ahead[needed.digest] = max(ahead[needed.digest], needed.seconds() + ahead[cell.digest])
+            ahead[needed.digest] = max(ahead[needed.digest], needed.seconds + ahead[cell.digest])
     return ahead

@@ -26,7 +26,7 @@ from typing import Any, TypeAlias
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.plan import Again, Plan, work_ahead
 from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger, Observer
-from sysid_evo.plan.store import Outcome, Store, StoredCell
+from sysid_evo.plan.store import Outcome, Store
 from sysid_evo.processors import ENGINE_VARIABLE, INNER_THREADS, resolve, usable_processors, use_processors
 
 
@@ -357,7 +357,7 @@ def serve(master: Master) -> None:
     except Exception as error:  # what cannot be made here can be where it was made first
         master.say(cannot=f"{type(error).__name__}: {error}")
         return
-    known = {cell.digest: cell for cell in plan if not isinstance(cell, StoredCell)}
+    known = {cell.digest: cell for cell in plan if not cell.known_digest}
     ledger = Ledger(plan, store, Telling(master))
     master.say(knows=list(known))
     while (order := master.next()) is not None:

@@ -61,7 +61,7 @@ class Ledger:
         self.tell()
         known = set(kept)
         left = [cell for cell in self.plan if cell not in known]
-        self.observer.plan(len(self.plan), len(kept), sum(cell.seconds() for cell in left))
+        self.observer.plan(len(self.plan), len(kept), sum(cell.seconds for cell in left))
         for cell in kept:
             self.end(cell, None, self.seconds(cell), cached=True)
         return left
@@ -165,7 +165,7 @@ class Here:
         work = Work(self._result, progress, self.store.place(cell), checkpoint, self.store.where)
         try:
             with one_blas_thread():  # as in the processes that compute other cells
-                value = cell.compute(work)
+                value = cell.settings.compute(work)
         except Blocked as blocked:  # no failure of its own, so that none is stored
             ledger.end(cell, str(blocked), 0.0)
             return

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from sysid_evo.errors import ArtefactError, SysidEvoError
 from sysid_evo.files import write_atomically
-from sysid_evo.plan.cell import Cell, Work
+from sysid_evo.plan.cell import Cell, CellSettings, Work
 from sysid_evo.version import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
@@ -125,11 +125,11 @@ class Store:
             if record is None or record.status != "done":
                 raise ArtefactError(f"{self.path}: {cell.title}: {WAITING}")
             try:
-                self._remember(cell, cell.load(self.path / record.artefact))
+                self._remember(cell, cell.result.load(self.path / record.artefact))
             except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, SysidEvoError) as error:
                 raise ArtefactError(f"{self.path / record.artefact}: cannot be read: {error}") from error
         self._values[cell.digest] = self._values.pop(cell.digest)
-        return cell.named(self._values[cell.digest])
+        return cell.labelled(self._values[cell.digest])
 
     def _remember(self, cell: Cell, value: Any) -> None:
         self._values[cell.digest] = value
@@ -162,11 +162,11 @@ class Store:
     def place(self, cell: Cell) -> Path:
         """Return where the result of ``cell`` stands, without suffix: a readable name and a piece of the digest."""
         name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
-        return self.path / cell.place / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
+        return self.path / cell.result.folder / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
 
     def checkpoint(self, cell: Cell) -> Path:
         """Return where ``cell`` keeps how far it is until it is done."""
-        return self.path / cell.place / f"{cell.digest}{CHECKPOINT}"
+        return self.path / cell.result.folder / f"{cell.digest}{CHECKPOINT}"
 
     def where(self, cell: Cell) -> Path:
         """Return where the result of ``cell`` stands, or would: one found again may have had another name."""
@@ -179,7 +179,7 @@ class Store:
         Raises OSError if the disk is full.
         """
         place = self.place(cell)
-        files = cell.save(value, place)
+        files = cell.result.save(value, place, cell)
         record = self._of(
             cell,
             status="done",
@@ -210,7 +210,7 @@ class Store:
             raise ArtefactError(f"{cell.title}: what came has no readable record: {error}") from error
         digests = {name: hashlib.sha256(content).hexdigest() for name, _, content in files}
         place, _, artefact = record.artefact.rpartition("/")
-        ours = named == self._name(record.digest) and record.digest == cell.digest and place == cell.place
+        ours = named == self._name(record.digest) and record.digest == cell.digest and place == cell.result.folder
         ours &= artefact.endswith(f"-{cell.digest[:8]}") and all(name.startswith(record.artefact) for name in digests)
         if not ours or record.status != "done" or record.files != digests:
             raise ArtefactError(f"{cell.title}: what came is not the whole result of this cell")
@@ -265,7 +265,7 @@ class Store:
             title=cell.title,
             name=cell.name,
             status=status,
-            inputs=cell.inputs(),
+            inputs=cell.settings.inputs(),
             needs=[needed.digest for needed in cell.needs],
             artefact=self.place(cell).relative_to(self.path).as_posix(),
             versions=versions(),
@@ -307,32 +307,11 @@ class Store:
             self.remarks.append(sentence)
 
 
-@dataclass(frozen=True, eq=False)
-class StoredCell(Cell):
-    """A cell of a run that can be loaded but not computed: all that is known of it is its record.
-
-    ``of`` is a cell of the right kind, or its class, whose `load` reads the result.
-    """
+@dataclass(frozen=True)
+class Stored(CellSettings):
+    """What is known of a cell of a run that can be loaded but not computed: its ``record``."""
 
     record: Record
-    of: type[Cell]
-
-    @property
-    def kind(self) -> str:  # type: ignore[override]  # a class has one kind, a record its own
-        return self.record.kind
-
-    @property
-    def title(self) -> str:
-        return self.record.title
-
-    @property
-    def name(self) -> str:
-        return self.record.name
-
-    @property
-    def digest(self) -> str:
-        """That of the record: known, not derived."""
-        return self.record.digest
 
     def inputs(self) -> dict[str, Any]:
         return self.record.inputs
@@ -340,11 +319,16 @@ class StoredCell(Cell):
     def compute(self, work: Work) -> Any:
         raise ArtefactError(f"{self.record.artefact} is missing or damaged, and how it was made is not known here")
 
-    def save(self, value: Any, path: Path) -> list[Path]:
-        raise ArtefactError(f"{self.record.artefact} is stored already")
 
-    def load(self, path: Path) -> Any:
-        return self.of.load(self, path)
+def stored(record: Record) -> Cell[Stored]:
+    """Return the cell of which ``record`` is all that is known."""
+    return Cell(
+        kind=record.kind,
+        name=record.name,
+        title=record.title,
+        settings=Stored(record),
+        known_digest=record.digest,
+    )
 
 
 def blocked_by(needed: Cell) -> str:

@@ -237,12 +237,12 @@ def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(tmp_path):
     planned = plan_study(Study.read(study(tmp_path)))
     fits = [cell for cell in planned.plan if cell.kind == "fit"]
     tried = {cell.digest: None for cell in planned.plan}
-    tried[fits[0].digest] = SimpleNamespace(status="done", seconds=3.0 * fits[0].seconds())
+    tried[fits[0].digest] = SimpleNamespace(status="done", seconds=3.0 * fits[0].seconds)
     tried[fits[1].digest] = SimpleNamespace(status="failed", seconds=1000.0)
     about = seconds_about(planned, tried)
-    assert about[fits[2].digest] == pytest.approx(3.0 * fits[2].seconds())
+    assert about[fits[2].digest] == pytest.approx(3.0 * fits[2].seconds)
     others = [cell for cell in planned.plan if cell.kind == "predict"]
-    assert [about[cell.digest] for cell in others] == [cell.seconds() for cell in others]
+    assert [about[cell.digest] for cell in others] == [cell.seconds for cell in others]
 
 
 def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.cells.assessment import RunCell
+from evaluation.cells.assessment import Run
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_again
 from evaluation.report import brief, save_report, to_json
@@ -133,28 +133,27 @@ def test_a_run_goes_on_where_it_was_and_a_report_is_made_of_plan_and_store_alone
 
 
 def test_a_result_that_disappears_is_computed_again_and_the_report_is_the_same(run_copy, found):
-    champion = next((run_copy / "controllers").glob("linear-*.safetensors"))
-    champion.unlink()
-    champion.write_bytes(b"damaged")
-    next((run_copy / "results").glob("prediction-linear-*")).unlink()
     comparison, watching = planned_in(run_copy), Watching()
+    (champion,) = (cell for cell in comparison.plan if cell.title == "evolve linear")
+    Path(f"{Store(run_copy).where(champion)}.safetensors").write_bytes(b"damaged")
+    next((run_copy / "results").glob("prediction-linear-*")).unlink()
     execute(comparison.plan, Store(run_copy), observer=watching)
     assert watching.computed == {"evolve linear", "predict with linear"}
     assert without_timings(report_of(comparison, Store(run_copy))) == without_timings(found)
 
 
 def test_what_was_assessed_without_a_cell_is_assessed_again_when_the_cell_is_there(run_copy, found, monkeypatch):
-    comparison, whole = planned_in(run_copy), RunCell.compute
+    comparison, whole = planned_in(run_copy), Run.compute
     for cell in comparison.plan:
         if cell.title in {"run linear on near", *ASSESSED}:
             (run_copy / "cells" / f"{cell.digest}.json").unlink()
 
-    def fails_once(cell, work):
-        if cell.title == "run linear on near":
+    def fails_once(run, work):
+        if run.cell().title == "run linear on near":
             raise MemoryError("for a while")
-        return whole(cell, work)
+        return whole(run, work)
 
-    monkeypatch.setattr(RunCell, "compute", fails_once)
+    monkeypatch.setattr(Run, "compute", fails_once)
     execute(comparison.plan, Store(run_copy))
     assert without_timings(report_of(comparison, Store(run_copy))) != without_timings(found)
     monkeypatch.undo()
@@ -293,8 +292,8 @@ def test_a_model_of_the_comparison_stands_inside_a_controller_by_its_label(label
 def test_claims_are_measured_with_the_delay_of_evolution(run_copy):
     late = planned_in(run_copy, estimator_delay=0.2, recipe="plain", ensembles=(), by_hand=(), robot=None)
     run = next(run for run in late.matrix.runs if run.title == "run near on near")
-    assert run.delay == 0.2
-    prompt, store = replace(run, delay=0.0), Store(run_copy)
+    assert run.settings.delay == 0.2
+    prompt, store = replace(run.settings, delay=0.0).cell(), Store(run_copy)
     execute(Plan.of([run, prompt]), store)
     assert not np.array_equal(*(store.load(one).traces[0].trajectory.states for one in (run, prompt)))
 

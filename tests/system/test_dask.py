@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import dask
 import numpy as np
@@ -25,7 +26,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.testing import example_dataset
 from tests.fixtures import session
-from tests.fixtures.cells import AtHome, Number, Watching
+from tests.fixtures.cells import Watching, number
 from tests.fixtures.commands import SMALL, forgetting, run_here
 from tests.fixtures.dask_cluster import LIMIT, ROOT, Processes
 from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes
@@ -112,9 +113,9 @@ def test_what_the_plan_is_made_of_is_computed_here_and_so_is_what_others_do_not_
     tmp_path, cluster
 ):
     plan = planned(tmp_path / "diary", *LADDER, after=("base",))
-    unknown = Number(50, (plan.cells[-1],), "unknown", tmp_path / "diary")
-    home = AtHome(60, (), "home", tmp_path / "diary")
-    needing = Number(70, (home,), "needing", tmp_path / "diary")
+    unknown = number(50, (plan.cells[-1],), "unknown", tmp_path / "diary")
+    home = replace(number(60, (), "home", tmp_path / "diary"), at_home=True)
+    needing = number(70, (home,), "needing", tmp_path / "diary")
     watching, store = run(tmp_path, Plan.of([*plan.cells, unknown, needing], again=plan.again), cluster.address)
     here = {label for process, label in lines(tmp_path) if process == os.getpid()}
     assert here == {"base", "unknown", "home", "needing"}

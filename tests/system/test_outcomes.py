@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from evaluation import compare
-from evaluation.cells.data import GivenData
-from sysid_evo.plan import Store, StoredCell
+from sysid_evo.plan import Store, stored
 from sysid_evo.testing import example_dataset
 from tests.fixtures.commands import SMALL, Caller
 
@@ -221,7 +220,7 @@ def test_clean_removes_what_no_finished_cell_needs_and_nothing_else(call, run_co
     assert "3 files would go" in call("runs", "clean", "out", "--dry-run").stdout
     assert (run_copy / "cells" / "broken.json").exists()
     store = Store(run_copy)
-    with store.claim(StoredCell(store.records()[0], GivenData)) as ours:
+    with store.claim(stored(store.records()[0])) as ours:
         assert ours
         refused = call("runs", "clean", "out")
     assert refused.code == 2

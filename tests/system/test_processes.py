@@ -9,15 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.cells.data import GivenData
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_again, plan_comparison
 from evaluation.running import compare
-from sysid_evo.plan import Again, Plan, Record, Store, StoredCell, execute
+from sysid_evo.plan import Again, Plan, Record, Store, execute, stored
 from sysid_evo.processors import usable_processors
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
-from tests.fixtures.cells import Number, Watching
+from tests.fixtures.cells import Watching, number
 from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes, shared
 
 ROOT = Path(__file__).parents[2]
@@ -68,8 +67,8 @@ def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed
         cells = [("broken", "fail", []), ("after", "", ["broken"]), ("tolerant", "", ["broken", "base"]),
                  ("odd", "warn", []), ("loud", "print", [])]  # fmt: skip
         plan = planned(folder / "diary", *LADDER, *cells)
-        own = Number(50, (plan.cells[5],), "own", folder / "diary")
-        last = Number(60, (own,), "last", folder / "diary")
+        own = number(50, (plan.cells[5],), "own", folder / "diary")
+        last = number(60, (own,), "last", folder / "diary")
         plan = Plan.of([*plan.cells, last], again=plan.again)
         with pytest.warns(UserWarning, match="this looks odd"):
             watching, store = run(folder, plan, count)
@@ -250,11 +249,11 @@ def test_the_yardstick_of_a_recorded_run_is_planned_again():
     first = plan_comparison(Experiment.of({"models": ("linear",), "robot": "emulated_car", "minutes": 0.5}))
     data = first.data
     record = Record(
-        digest=data.digest, kind=data.kind, title=data.title, name=data.name, status="done", inputs=data.inputs(),
-        needs=[], artefact="data/there", versions={}, timings={},
+        digest=data.digest, kind=data.kind, title=data.title, name=data.name, status="done", needs=[],
+        inputs=data.settings.inputs(), artefact="data/there", versions={}, timings={},
     )  # fmt: skip
     system = make_robot("emulated_car").system
-    again = plan_comparison(first.experiment, stored=(StoredCell(record, GivenData), system))
+    again = plan_comparison(first.experiment, held=(stored(record), system))
     assert "evolve emulated_car" in [cell.title for cell in again.plan]
     assert [cell.digest for cell in again.plan] == [cell.digest for cell in first.plan]
 

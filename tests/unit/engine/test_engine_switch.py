@@ -42,7 +42,7 @@ class InNumPy(BaseException):
 
 
 def recorded():
-    return RecordedData(Spec("emulated_car"), 1, 0.5, Split())
+    return RecordedData(Spec("emulated_car"), 1, 0.5, Split()).cell()
 
 
 class Uncompiled(ExampleDynamics):
@@ -145,7 +145,7 @@ def test_a_digest_contains_the_engine_where_it_is_not_auto(engine):
         return recorded().digest
 
     cell = recorded()
-    content = {"kind": cell.kind, "contract": CONTRACT, "inputs": cell.inputs(), "needs": []}
+    content = {"kind": cell.kind, "version": 1, "contract": CONTRACT, "inputs": cell.settings.inputs(), "needs": []}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     assert digest("") == digest("auto") == hashlib.sha256(text.encode()).hexdigest()
     assert digest("reference") != digest("auto")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evaluation import planning
-from evaluation.cells.controllers import PolishCell
+from evaluation.cells.controllers import Polish
 from evaluation.cells.models import StoredModel
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison, unsettled
@@ -126,8 +126,9 @@ def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_
 def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again():
     found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
     polished = found.matrix.champions[-1]
-    assert isinstance(polished, PolishCell)
-    assert [one.name for one in polished.chosen.contenders] == ["linear", "near", "parametrised", "linear+near"]
+    assert isinstance(polished.settings, Polish)
+    contenders = polished.settings.chosen.settings.contenders
+    assert [one.name for one in contenders] == ["linear", "near", "parametrised", "linear+near"]
     assert sum(cell.title == "evolve linear+near" for cell in found.plan) == 1
 
 
@@ -284,9 +285,9 @@ def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
     same = make_model("k_neighbours(neighbours=3)").fit(data, rng=rng)
     save_model(same, tmp_path / "b")
     save_model(fitted.set_params(neighbours=5), tmp_path / "c")
-    one, copy, other = (StoredModel(tmp_path / name) for name in "abc")
+    one, copy, other = (StoredModel(tmp_path / name).cell() for name in "abc")
     assert one.digest == copy.digest
-    assert one.manifest.sha256 == other.manifest.sha256
+    assert one.settings.manifest.sha256 == other.settings.manifest.sha256
     assert one.digest != other.digest
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from evaluation.cells.data import GivenData, Split
-from evaluation.cells.models import PredictCell
+from evaluation.cells.models import Predict
 from evaluation.cells.plants import Plant, believed
 from evaluation.prediction import ErrorScore, ModelPrediction
 from evaluation.transfer import Cell, Estimate, TransferMatrix
@@ -212,7 +212,7 @@ def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
     assert summary_of(made, ERRORS).pick == "good"
 
 
-DATA = GivenData(example_dataset(), Split())
+DATA = GivenData(example_dataset(), Split()).cell()
 
 
 def names(*columns):
@@ -221,13 +221,14 @@ def names(*columns):
     for column in columns:
         if not isinstance(column, Plant):
             label, family, measured[label] = column
-            column = Plant(label, family, prediction=PredictCell(label, family, DATA))
+            column = Plant(label, family, prediction=Predict(label, family, DATA).cell())
         plants.append(column)
 
     def prediction_of(cell):
-        errors = measured[cell.label]
+        label = cell.settings.label
+        errors = measured[label]
         scores = tuple(score(*one) for one in (errors or {}).items())
-        return None if errors is None else ModelPrediction(cell.label, cell.family, scores)
+        return None if errors is None else ModelPrediction(label, cell.settings.family, scores)
 
     work = Work(prediction_of, lambda done, total, note="": None, Path("unused"), Path("unused"), nowhere)
     return tuple(one.label for one in believed(plants, work))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import EvolveCell, HandWrittenCell
+from evaluation.cells.controllers import ByHand
 from evaluation.cells.data import Split, whole_episodes
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import plan_comparison
@@ -70,7 +70,7 @@ def planned(*names, **changes):
 
 def test_a_model_inside_a_controller_is_needed_by_it_and_its_label_is_no_part_of_a_result():
     fit = planned("linear").fits["linear"]
-    cells = [HandWrittenCell(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}) for n in "ab"]
+    cells = [ByHand(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}).cell() for n in "ab"]
     assert cells[0].needs == (fit,)
     assert cells[0].digest == cells[1].digest
 
@@ -78,7 +78,7 @@ def test_a_model_inside_a_controller_is_needed_by_it_and_its_label_is_no_part_of
 def noises_met(**changes):
     """Return the noise of every evolution of a comparison with a yardstick, by the label of what it is evolved on."""
     plan = planned("linear", robot="made_up_robot", yardstick=True, **changes).plan
-    return {cell.name: cell.settings.noise for cell in plan if isinstance(cell, EvolveCell)}
+    return {cell.name: cell.settings.evolution.noise for cell in plan.of_kind("evolve")}
 
 
 def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_asked_for():
@@ -92,17 +92,17 @@ def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_aske
 def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path):
     file = save_model(make_model("linear").fit(example_dataset(), rng=0), tmp_path / "body")
     spec = Spec("predictive", {"model": str(file)})
-    cells = [HandWrittenCell(spec, Spec("point_to_point"), switched_car()) for _ in range(3)]
-    first, same = (cell.inputs() for cell in cells[:2])
+    settings = ByHand(spec, Spec("point_to_point"), switched_car())
+    first, same = (settings.inputs() for _ in range(2))
     assert len(first["files"]) == 2
     file.write_text(file.read_text() + " ")
-    assert first == same != cells[2].inputs()
+    assert first == same != settings.inputs()
 
 
 def test_an_ensemble_in_two_orders_is_one():
     comparison = planned("linear", "near=nearest_neighbour", ensembles=("near+linear", "linear+near", "near + linear"))
     assert comparison.experiment.ensembles == ("near+linear",)
-    assert len([cell for cell in comparison.plan.of_kind("evolve") if len(cell.members) > 1]) == 1
+    assert len([cell for cell in comparison.plan.of_kind("evolve") if len(cell.settings.members) > 1]) == 1
 
 
 @pytest.mark.parametrize(("count", "title"), [(7, "a, b, c, d, e, f, g"), (8, "8 models")])

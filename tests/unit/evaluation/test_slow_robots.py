@@ -5,8 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from evaluation.cells.assessment import RunCell
-from evaluation.cells.controllers import EvolveCell
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from hardware.emulation.sensed_robot import Equations, SensedRobot
@@ -80,11 +78,11 @@ def planned(robot, yardstick=None, channel="x"):
 
 
 def on_itself(comparison):
-    return [cell for cell in comparison.plan if isinstance(cell, EvolveCell) and cell.members[0].robot is not None]
+    return [cell for cell in comparison.plan.of_kind("evolve") if cell.settings.members[0].robot is not None]
 
 
 def seconds_on(comparison, robot):
-    return next(c for c in comparison.plan if isinstance(c, RunCell) and c.column.label == robot).seconds()
+    return next(cell.seconds for cell in comparison.plan.of_kind("run") if cell.settings.column.label == robot)
 
 
 def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
@@ -97,9 +95,9 @@ def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
     assert "hours. Use --yardstick to do it anyway" in remark
     assert slow.experiment.yardstick is False, "a busier machine that plans it again decides the same"
     assert seconds_on(slow, "slow_cart") >= 100 * 500 * EACH
-    assert slow.data.seconds() >= 2 * 60 / SYSTEM.dt * EACH
+    assert slow.data.seconds >= 2 * 60 / SYSTEM.dt * EACH
     (asked,) = on_itself(planned("slow_cart", yardstick=True))
-    assert asked.seconds() > 3600.0
+    assert asked.seconds > 3600.0
 
 
 def test_what_numpy_steps_for_all_trials_at_once_is_not_slow():

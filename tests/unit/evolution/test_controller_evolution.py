@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import EvolveCell, evolution_settings
+from evaluation.cells.controllers import Evolve, evolution_settings
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
@@ -307,7 +307,7 @@ def test_noise_belongs_to_what_a_controllers_cell_depends_on():
     column = Plant("emulated_car", "emulated_car", robot=Spec("emulated_car"))
 
     def digest(**changed):
-        return EvolveCell((column,), replace(SETTINGS, **changed), seed=0).digest
+        return Evolve((column,), replace(SETTINGS, **changed), seed=0).cell().digest
 
     digests = [digest(noise=noise) for noise in ("", NOISE, "envelope(sensor=0.1)")] + [
         digest(caution="doubt(outside=1)")

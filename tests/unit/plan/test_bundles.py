@@ -7,9 +7,9 @@ import pytest
 from sysid_evo.errors import ArtefactError
 from sysid_evo.plan import Again, Plan, Store, execute
 from sysid_evo.plan.store import Record, digest_of, packed, unpack
-from tests.fixtures.cells import Number
+from tests.fixtures.cells import number
 
-ONE, OTHER = Number(1, label="one"), Number(2, label="other")
+ONE, OTHER = number(1, label="one"), number(2, label="other")
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(t
 
 def test_what_is_not_done_has_no_parcel(done):
     with pytest.raises(ArtefactError, match="not computed yet"):
-        done.parcel(Number(3).digest)
+        done.parcel(number(3).digest)
 
 
 def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_settings():
@@ -123,7 +123,7 @@ def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_setting
 def test_the_values_used_last_are_kept_in_memory(tmp_path, monkeypatch):
     monkeypatch.setattr("sysid_evo.plan.store.IN_MEMORY", 2)
     store = Store(tmp_path)
-    cells = [Number(i, label=str(i)) for i in range(3)]
+    cells = [number(i, label=str(i)) for i in range(3)]
     execute(Plan.of(cells[:2]), store)
     store.load(cells[0])
     execute(Plan.of(cells), store)

@@ -11,9 +11,9 @@ from sysid_evo.plan import Again, Plan, Store, dask_worker, execute
 from sysid_evo.plan.dask_executor import BEFORE, FILES, Dispatch
 from sysid_evo.plan.dask_worker import BLOCKED, DONE, ENDED, FAILED, LACKS, Child, Children, Unwanted
 from sysid_evo.plan.store import digest_of
-from tests.fixtures.cells import Number
+from tests.fixtures.cells import number
 
-ONE, OTHER = Number(1, label="one"), Number(2, label="other")
+ONE, OTHER = number(1, label="one"), number(2, label="other")
 
 
 class Broken(Exception):
@@ -125,7 +125,7 @@ def test_a_parcel_that_the_cluster_has_lost_is_sent_again(client, store):
 def test_what_the_plan_is_made_of_goes_along_and_stays(client, store, tmp_path):
     (tmp_path / "own.py").write_text("x = 1")
     own = str(tmp_path / "own.py")
-    broken = Number(3, label="broken")
+    broken = number(3, label="broken")
     store.fail(broken, reason="it broke", traceback="", seconds=1.0)
     dispatch = of(client, store, after=(ONE.digest, broken.digest, "f" * 64), inside=("measured",), files={own: (own,)})
     ask(dispatch)
@@ -279,7 +279,7 @@ def child_in(folder, before=(), files=()):
 
 
 def parcels_of(folder, count):
-    cells = [Number(i, label=str(i)) for i in range(count)]
+    cells = [number(i, label=str(i)) for i in range(count)]
     store = Store(folder)
     execute(Plan.of(cells), store)
     return [store.parcel(cell.digest) for cell in cells]

@@ -6,13 +6,13 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Plan, Store, execute, executors
 from sysid_evo.plan.executors import number_of_jobs
 from sysid_evo.plan.plan import work_ahead
-from tests.fixtures.cells import Number
+from tests.fixtures.cells import number
 
 
 def test_the_longest_way_comes_first():
-    short, start = Number(1, label="short"), Number(2, label="start")
-    middle = Number(3, (start,), "middle")
-    plan = Plan.of([short, Number(4, (middle,), "end"), middle])
+    short, start = number(1, label="short"), number(2, label="start")
+    middle = number(3, (start,), "middle")
+    plan = Plan.of([short, number(4, (middle,), "end"), middle])
     ahead = work_ahead(plan)
     assert [ahead[cell.digest] for cell in (short, start, middle)] == [1.0, 3.0, 2.0]
 
@@ -21,10 +21,10 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
     monkeypatch.delenv("SYSID_EVO_JOBS")
     monkeypatch.setattr(executors, "usable_processors", lambda: 8)
     monkeypatch.setattr(executors, "available_memory", lambda: 100 * 2**30)
-    cells = [Number(i) for i in range(20)]  # of one second each
+    cells = [number(i) for i in range(20)]  # of one second each
     assert number_of_jobs(None, cells) == (int(20 / executors.WORTH), "")
     assert number_of_jobs(None, cells[:3]) == (1, "")
-    assert number_of_jobs(None, [Number(i) for i in range(500)]) == (8, "")
+    assert number_of_jobs(None, [number(i) for i in range(500)]) == (8, "")
     assert number_of_jobs(30, cells) == (20, "")
     assert number_of_jobs(3, []) == (1, "")
     monkeypatch.setenv("SYSID_EVO_JOBS", "5")
@@ -49,7 +49,7 @@ def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch, wrong):
 
 def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path):
     with pytest.raises(InvalidArgument, match="2 jobs in processes here and a scheduler: expected one of both"):
-        execute(Plan.of([Number(1)]), Store(tmp_path), jobs=2, scheduler="tcp://127.0.0.1:9")
+        execute(Plan.of([number(1)]), Store(tmp_path), jobs=2, scheduler="tcp://127.0.0.1:9")
 
 
 def test_free_memory_is_what_the_container_leaves(tmp_path, monkeypatch):
