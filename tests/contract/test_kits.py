@@ -19,8 +19,6 @@ from sysid_evo.testing.examples import (
     bare_system,
     continuous_car,
     example_systems,
-    pendulum,
-    switched_car,
 )
 from sysid_evo.testing.template import PLUGINS
 from tests.fixtures import broken_controllers as of_controllers
@@ -30,7 +28,7 @@ from tests.fixtures import broken_robots as of_robots
 from tests.fixtures import broken_strategies as of_strategies
 from tests.fixtures import broken_tasks as of_tasks
 from tests.fixtures.kits import broken, failing
-from tests.fixtures.systems import TANK
+from tests.fixtures.systems import TASKS_WITH_ARGUMENTS
 
 CASES = {
     "model": (check_model, of_models),
@@ -53,16 +51,7 @@ OTHER_ARGUMENTS = [
     ("controller", "linear(inputs=[waypoint_angle])", ()),
     ("controller", "pid(loops={steer: [waypoint_angle, yaw_rate]})", ()),
     ("controller", "pursuit(backward=true)", ()),
-    ("task", "set_point(spread=0.3, effort=0.2, still=2, horizon=40)", (TANK,)),
-    ("task", "set_point(channels=[warmth, level], low=[-2, 1], high=2, end=[1.5, 3], horizon=40)", (TANK,)),
-    ("task", "set_point(channels=[yaw_rate, forward_speed], low=-0.5, high=0.5, horizon=40)", (switched_car(),)),
-    ("task", "track_reference(kind=steps, channels=[angle, angular_speed], period=0.4, horizon=40)", (pendulum(),)),
-    ("task", "track_reference(channels=warmth, effort=0.3, horizon=40)", (TANK,)),
-    ("task", "track_reference(kind=random_walk, horizon=40)", (switched_car(),)),
-    ("task", "swing_up(effort=0.1, horizon=40)", (pendulum(),)),
-    ("task", "balance(spread=0.4, horizon=40)", (pendulum(),)),
-    ("task", "walled_track(collision=end, rays=1, width=0.4, horizon=40)", (switched_car(),)),
-    ("task", "walled_track(rays=7, view=4.0, bends=0.9, horizon=40)", (switched_car(),)),
+    *(("task", spec, (system,)) for spec, system in TASKS_WITH_ARGUMENTS),
 ]
 REGISTERED = [(kind, name) for kind, one in CONTRACTS.items() if kind != "model" for name in one.registry.names()]
 SOUND = [(kind, one) for kind, (_, cases) in CASES.items() for one in cases.SOUND]

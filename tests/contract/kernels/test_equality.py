@@ -24,7 +24,7 @@ from tests.fixtures.families import hurry
 from tests.fixtures.faults import Planted, equations, starts_with_twice_the_power
 from tests.fixtures.lanes import step_between_guards
 from tests.fixtures.rewards import WHERE, braked, upright, worth, worth_of_a_car, worth_of_one
-from tests.fixtures.systems import SMALL_SYSTEMS, TANK
+from tests.fixtures.systems import SMALL_SYSTEMS, TANK, TASKS_WITH_ARGUMENTS
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # of how long a fit may take
 SEEDS = trial_seeds(3, 3)
@@ -339,23 +339,14 @@ def rewards():
 
 
 TASKS = [
+    *TASKS_WITH_ARGUMENTS,
     ("point_to_point(horizon=40, waypoint_radius=0.6, arena_radius=0.8)", continuous_car()),
     ("walled_track(horizon=40, radius=0.5, width=0.3, collision=slow)", continuous_car()),
     ("walled_track(horizon=40, radius=0.5, width=0.3, collision=end)", continuous_car()),
     ("walled_track(horizon=60)", switched_car()),
-    ("walled_track(horizon=40, collision=end, rays=1, width=0.4)", switched_car()),
-    ("walled_track(horizon=40, rays=7, view=4.0, bends=0.9)", switched_car()),
     ("set_point(channels=angular_speed, low=-1, high=1, tolerance=0.2, horizon=40)", pendulum()),
-    ("set_point(spread=0.3, effort=0.2, still=2, horizon=40)", TANK),
     ("set_point(channels=[level, warmth], tolerance=1, effort=0.3, horizon=40)", TANK),
-    ("set_point(channels=[warmth, level], low=[-2, 1], high=2, end=[1.5, 3], horizon=40)", TANK),
-    ("set_point(channels=[yaw_rate, forward_speed], low=-0.5, high=0.5, effort=0.1, horizon=40)", switched_car()),
     ("track_reference(channels=angular_speed, low=-1, high=1, horizon=40)", pendulum()),
-    ("track_reference(kind=steps, channels=[angle, angular_speed], period=0.4, horizon=60)", pendulum()),
-    ("track_reference(channels=warmth, effort=0.3, horizon=40)", TANK),
-    ("track_reference(kind=random_walk, horizon=40)", switched_car()),
-    ("swing_up(effort=0.1, horizon=40)", pendulum()),
-    ("balance(spread=0.4, horizon=40)", pendulum()),
     ("balance(horizon=40, effort=0.1)", pendulum()),
     ("upright(weight=0.1)", pendulum()),
     pytest.param("braked", switched_car(), marks=pytest.mark.nightly),

@@ -1,9 +1,6 @@
 """The compiled form of the parts of families: wrappers, means, spreads, angles, limits, units."""
 
-import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -15,7 +12,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import MODEL, example_dataset
 from tests.fixtures.families import PERIODIC
-from tests.fixtures.plants import Cylinder, Pendulum, cylinder, pendulum
+from tests.fixtures.plants import Accelerated, Cylinder, cylinder, pendulum
 from tests.fixtures.systems import FloorCar, cart, drive, one_output, swung
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
@@ -101,19 +98,6 @@ def test_a_periodic_state_is_seen_alike(family):
     model = make_model(family, **PERIODIC[family], state_lags=1, control_lags=1).fit(data)
     steps = data.transitions(state_lags=1, control_lags=1)
     expect_alike(model, steps.carry, steps.control, rtol=1e-6, atol=1e-6)
-
-
-class Accelerated(Pendulum):
-    """The pendulum again, of which only the acceleration is written."""
-
-    speeds: ClassVar[Mapping[str, str]] = {"angle": "spin"}
-
-    @staticmethod
-    def acceleration(state, control, p):
-        angle, spin = state
-        (torque,) = control
-        stiffness, friction, gain = p
-        return (-stiffness * math.sin(angle) - friction * spin + gain * torque,)
 
 
 DELAYED = {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hold": True}

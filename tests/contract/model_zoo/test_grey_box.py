@@ -5,7 +5,6 @@ import math
 import re
 from dataclasses import replace
 from math import atan2, sin
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ from sysid_evo.registry import make_robot, models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL
 from tests.fixtures.families import hurry
-from tests.fixtures.plants import PENDULUM, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
+from tests.fixtures.plants import PENDULUM, Accelerated, Cylinder, HeavyPendulum, Pendulum, cylinder, pendulum, recorded
 
 SHARE = 0.25
 
@@ -176,19 +175,6 @@ def test_a_stored_grey_box_has_its_table(swinging, tmp_path):
     model = Pendulum(starts=1, windows=30, command_delay=True).fit(swinging, rng=0)
     assert load_model(save_model(model, tmp_path / "model")).parameters_table() == model.parameters_table()
     assert model.parameter_names == tuple(row["parameter"] for row in model.parameters_table())
-
-
-class Accelerated(Pendulum):
-    """The pendulum again, of which only the acceleration is written."""
-
-    speeds: ClassVar = {"angle": "spin"}
-
-    @staticmethod
-    def acceleration(state, control, p):
-        angle, spin = state
-        (torque,) = control
-        stiffness, friction, gain = p
-        return (-stiffness * math.sin(angle) - friction * spin + gain * torque,)
 
 
 def test_an_acceleration_is_a_shorter_way_to_write_the_same_law(swinging):

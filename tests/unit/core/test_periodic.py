@@ -9,11 +9,9 @@ from sysid_evo.data.preparation import RawLog, prepare
 from sysid_evo.errors import InvalidSystem
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
+from tests.fixtures.systems import SWING
 
 TURN = 2.0 * np.pi
-PENDULUM = System(
-    (Channel("angle", "rad", period=TURN), Channel("rate", "rad/s")), (Channel("torque", "N m", -1.0, 1.0),), 0.05
-)
 
 
 class Spinning(DynamicsModel):
@@ -28,7 +26,7 @@ class Spinning(DynamicsModel):
 
 def spin(steps=200, rate=3.0):
     """The states of a pendulum that turns over and over, its angle within (-pi, pi]."""
-    angle = 3.0 + rate * PENDULUM.dt * np.arange(steps + 1)
+    angle = 3.0 + rate * SWING.dt * np.arange(steps + 1)
     return np.stack([wrap(angle), np.full(steps + 1, rate)], axis=1)
 
 
@@ -41,15 +39,15 @@ def test_an_angle_is_wrapped_into_half_a_turn_either_way(turns):
 
 def test_a_difference_across_pi_is_the_short_one():
     before, after = np.array([3.1, 1.0]), np.array([-3.1, 1.5])
-    np.testing.assert_allclose(PENDULUM.difference(after, before), [TURN - 6.2, 0.5])
-    np.testing.assert_allclose(PENDULUM.acceleration(before, after), [(TURN - 6.2) / 0.05, 10.0])
-    np.testing.assert_allclose(PENDULUM.near(after, before), [TURN - 3.1, 1.5])
+    np.testing.assert_allclose(SWING.difference(after, before), [TURN - 6.2, 0.5])
+    np.testing.assert_allclose(SWING.acceleration(before, after), [(TURN - 6.2) / 0.05, 10.0])
+    np.testing.assert_allclose(SWING.near(after, before), [TURN - 3.1, 1.5])
 
 
 def test_integration_inverts_differentiation_up_to_whole_turns():
     states = spin()
-    again = PENDULUM.integrate(states[:-1], PENDULUM.acceleration(states[:-1], states[1:]))
-    np.testing.assert_allclose(PENDULUM.wrapped(again), states[1:], atol=1e-12)
+    again = SWING.integrate(states[:-1], SWING.acceleration(states[:-1], states[1:]))
+    np.testing.assert_allclose(SWING.wrapped(again), states[1:], atol=1e-12)
 
 
 def test_other_channels_and_other_systems_are_left_alone(car, rng):
@@ -61,7 +59,7 @@ def test_other_channels_and_other_systems_are_left_alone(car, rng):
 
 
 def test_a_data_set_runs_on_across_pi():
-    data = Dataset.from_arrays(PENDULUM, [spin()], [np.zeros((200, 1))])
+    data = Dataset.from_arrays(SWING, [spin()], [np.zeros((200, 1))])
     np.testing.assert_allclose(np.diff(data.episodes[0].states[:, 0]), 0.15, atol=1e-12)
     assert data.episodes[0].states[-1, 0] > 20.0
 
@@ -72,12 +70,12 @@ def test_a_logged_angle_is_interpolated_the_short_way():
     angle = 3.0 + 2.0 * time
     extra = {"angle": wrap(angle), "rate": np.full(len(time), 2.0)}
     log = RawLog("log", time, np.empty((len(time), 0)), np.zeros((len(time), 1)), extra)
-    (episode,) = prepare(log, PENDULUM).episodes
-    np.testing.assert_allclose(np.diff(episode.states[:, 0]), 2.0 * PENDULUM.dt, atol=1e-3)
+    (episode,) = prepare(log, SWING).episodes
+    np.testing.assert_allclose(np.diff(episode.states[:, 0]), 2.0 * SWING.dt, atol=1e-3)
 
 
 def test_a_simulation_turns_over_and_is_never_clipped():
-    data = Dataset.from_arrays(PENDULUM, [spin(20)], [np.zeros((20, 1))])
+    data = Dataset.from_arrays(SWING, [spin(20)], [np.zeros((20, 1))])
     model = Spinning().fit(data, rng=np.random.default_rng(0))
     assert model.envelope is not None
     assert np.isinf(model.envelope[:, 0]).all()
@@ -88,22 +86,22 @@ def test_a_simulation_turns_over_and_is_never_clipped():
 def test_rest_of_a_periodic_state_is_a_share_of_its_period():
     model = Spinning()
     model.rest_hold = True
-    model.fit(Dataset.from_arrays(PENDULUM, [spin(20)], [np.zeros((20, 1))]), rng=np.random.default_rng(0))
+    model.fit(Dataset.from_arrays(SWING, [spin(20)], [np.zeros((20, 1))]), rng=np.random.default_rng(0))
     assert model.rest_band is not None
     assert model.rest_band[0] == pytest.approx(0.005 * TURN)
 
 
 def test_regressors_are_the_same_after_a_whole_turn():
     states = np.array([[0.3, 2.0], [0.3 + TURN, 2.0], [np.pi / 2, 0.0]])
-    found = PENDULUM.regressors(states)
-    assert PENDULUM.regressor_names == ("sin angle", "cos angle", "rate")
+    found = SWING.regressors(states)
+    assert SWING.regressor_names == ("sin angle", "cos angle", "rate")
     np.testing.assert_allclose(found[0], found[1], atol=1e-12)
     np.testing.assert_allclose(found[2], [1.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_a_period_is_stored_and_older_systems_without_one_are_read():
-    assert System.from_dict(PENDULUM.to_dict()) == PENDULUM
-    old = PENDULUM.to_dict()
+    assert System.from_dict(SWING.to_dict()) == SWING
+    old = SWING.to_dict()
     assert [channel.get("period") for channel in (*old["states"], *old["controls"])] == [TURN, None, None]
     assert "period" not in old["controls"][0]
     del old["states"][0]["period"]

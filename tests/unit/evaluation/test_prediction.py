@@ -10,9 +10,9 @@ from evaluation.prediction import PERSISTENCE, PredictionProtocol, assess_predic
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.system import Channel, System
 from tests.fixtures import known_models as models
 from tests.fixtures.known_models import SYSTEM, Known, Weak, fitted, recording
+from tests.fixtures.systems import SWING
 
 PROTOCOL = PredictionProtocol()
 
@@ -170,9 +170,6 @@ def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery):
 
 
 TURN = 2.0 * np.pi
-PENDULUM = System(
-    (Channel("angle", "rad", period=TURN), Channel("rate", "rad/s")), (Channel("torque", "N m", -1.0, 1.0),), 0.05
-)
 OF_ANGLES = PredictionProtocol()
 
 
@@ -189,7 +186,7 @@ class TurnedRound(DynamicsModel):
 def spinning(steps=200):
     rate = np.full(steps + 1, 2.0)
     angle = 3.0 + np.cumsum(0.05 * rate)
-    return Dataset.from_arrays(PENDULUM, [np.stack([angle, rate], axis=1)], [np.zeros((steps, 1))])
+    return Dataset.from_arrays(SWING, [np.stack([angle, rate], axis=1)], [np.zeros((steps, 1))])
 
 
 def turned_round():
@@ -221,9 +218,9 @@ def test_the_spread_of_an_angle_does_not_grow_with_its_turns():
 def test_states_a_turn_apart_are_equally_far_outside_the_data():
     rng = np.random.default_rng(0)
     states = rng.uniform(-1.0, 1.0, (301, 2))
-    support = training_support(Dataset.from_arrays(PENDULUM, [states], [np.zeros((300, 1))]))
+    support = training_support(Dataset.from_arrays(SWING, [states], [np.zeros((300, 1))]))
     here, there = (
-        Steps.of(PENDULUM, [Trajectory(states + turns * np.array([TURN, 0.0]), np.zeros((300, 1)), 0.05)])
+        Steps.of(SWING, [Trajectory(states + turns * np.array([TURN, 0.0]), np.zeros((300, 1)), 0.05)])
         for turns in (0, 2)
     )
     np.testing.assert_allclose(there.distances(support), here.distances(support), atol=1e-9)
