@@ -1,12 +1,17 @@
-"""What `auto` tries: families with their settings, in a fixed order, and about how long each takes."""
+"""What `auto` tries: families with their settings, in a fixed order, and about how long each takes.
+
+Those of the zoo are the rows of ``candidates.toml``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra, PluginError
+from sysid_evo.files import parsed_toml
 from sysid_evo.models import DynamicsModel
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
@@ -24,21 +29,23 @@ OF_A_PLUGIN = 5.0
 class Candidate:
     """A family with its settings.
 
-    ``seconds`` is how long one fit takes on one processor with `STEPS` steps of a car, of which the share ``growing``
-    is in proportion to the number of steps, and the share ``widening`` to that of states and controls: a network of one
-    state takes nearly as long as that of a car. In the fits that only judge it has the settings ``roughly``. One that
-    ``refines`` another is the same with more training: it is tried only where the other stands well. Of a ``committee``
-    what it learned without each fold stays beside what it learns from all data, unless it is far worse, and their mean
-    is what is kept: fits to parts of the data differ in what these do not tell (Krogh and Vedelsby 1995).
+    ``seconds`` is how long one fit takes on one processor with `STEPS` steps of a car, of which the share ``by_steps``
+    is in proportion to the number of steps, and the share ``by_channels`` to that of states and controls: a network of
+    one state takes nearly as long as that of a car. Fits that only judge have the settings ``judged_with``. A
+    ``successor_of`` another, by its name, is the same with more training: it is tried only where the other does well.
+    With ``keep_fold_models`` what it learned without each fold stays beside what it learns from all data, unless it is
+    far worse, and their mean is what is kept: fits to parts of the data differ in what these do not tell (Krogh and
+    Vedelsby 1995). Without ``for_family_name`` it is not what the name of its family alone stands for.
     """
 
     spec: Spec
     seconds: float = OF_A_PLUGIN
-    growing: float = 1.0
-    roughly: dict[str, Any] = field(default_factory=dict)
-    refines: Candidate | None = None
-    committee: bool = False
-    widening: float = 0.3
+    by_steps: float = 1.0
+    judged_with: dict[str, Any] = field(default_factory=dict)
+    successor_of: str = ""
+    keep_fold_models: bool = False
+    by_channels: float = 0.3
+    for_family_name: bool = True
 
     @property
     def name(self) -> str:
@@ -52,11 +59,11 @@ class Candidate:
 
     def seconds_for(self, system: System, steps: int, *, rough: bool) -> float:
         """Return about how many seconds of one processor a fit to so many steps takes."""
-        size = 1.0 - self.widening + self.widening * (system.nx + system.nu) / NUMBERS
+        size = 1.0 - self.by_channels + self.by_channels * (system.nx + system.nu) / NUMBERS
         most = self.spec.parameters.get("members", 1)
-        members = self.roughly.get("members", most) if rough else most
+        members = self.judged_with.get("members", most) if rough else most
         share = ALONE + (1.0 - ALONE) * members / most
-        return self.seconds * share * size * (1.0 - self.growing + self.growing * steps / STEPS)
+        return self.seconds * share * size * (1.0 - self.by_steps + self.by_steps * steps / STEPS)
 
     def cost(self, system: System, steps: int, folds: int) -> float:
         """Return about how many seconds all its fits take: one for each fold, and one to all data."""
@@ -64,63 +71,19 @@ class Candidate:
         return folds * self.seconds_for(system, learned, rough=True) + self.seconds_for(system, steps, rough=False)
 
 
-def _one(text: str, seconds: float, growing: float = 0.1, **roughly: Any) -> Candidate:
-    return Candidate(Spec.parse(text), seconds, growing, roughly)
+def _shipped() -> tuple[Candidate, ...]:
+    """Return the rows of the table: ``model`` is a spec, ``name`` what it is called if not so, then `Candidate`'s."""
+    table = parsed_toml(Path(__file__).with_name("candidates.toml").read_text(encoding="utf-8"))
+    found = []
+    for row in table["candidates"]:
+        spec = Spec.parse(row.pop("model"))
+        settings = {**spec.parameters, **table["settings"].get(spec.name, {})}
+        whole = Spec(spec.name, settings, row.pop("name", spec.text))
+        found.append(Candidate(whole, judged_with=table["judged_with"].get(spec.name, {}), **row))
+    return tuple(found)
 
 
-def _networks(state_lags: int, control_lags: int, input_noise: float) -> Candidate:
-    """Return four lagged networks; more input noise makes them better at long horizons and worse at short ones."""
-    settings = {"state_lags": state_lags, "control_lags": control_lags, "input_noise": input_noise}
-    training = {"members": 4, "one_step_updates": 1500, "updates": 600}
-    label = Spec("mlp_ensemble", settings).text
-    return Candidate(Spec("mlp_ensemble", {**settings, **training}, label), 9.5, 0.1, {"members": 2})
-
-
-SHORT = Candidate(
-    Spec.parse("nonlinear_state_space(members=3, mixtures=4, trial=6, iterations=15, horizon=300, most_steps=3000)"),
-    seconds=10.0,
-    growing=0.3,
-    widening=1.0,
-)
-"""Hidden states with little training, which tells where more of it may be worth its time."""
-
-PROCESS = _one("gaussian_process", 7.7, 0.5)
-THREE = 3
-PROCESSES = Candidate(
-    Spec("average", {"families": [PROCESS.name] * THREE}, f"average of {THREE} {PROCESS.name}"),
-    THREE * PROCESS.seconds,
-    refines=PROCESS,
-)
-"""Which steps a sparse process is made of is drawn: where one does well, the mean of three that differ does better."""
-
-SHIPPED: tuple[Candidate, ...] = (
-    _one("narx(lag_search=few, terms=32, degree=none)", 0.6, 0.5),
-    _networks(0, 5, 1.0),
-    _networks(1, 3, 0.3),
-    _networks(0, 5, 2.0),
-    _one("linear_state_space(iterations=12, folds=1, most_steps=4000)", 0.9, 0.3),
-    SHORT,
-    PROCESS,
-    _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=1.0)", 7.0),
-    _one("neural_ode(input_noise=0.5)", 6.0),
-    _one("k_neighbours", 2.7, 1.0),
-    _one("sindy(lag_search=few)", 1.2, 0.4),
-    _networks(0, 5, 0.3),
-    _one("neural_ode_history(state_lags=0, control_lags=3, input_noise=0.1)", 7.0),
-    _one("sindy_discrete", 1.7, 0.4),
-    _one("single_track(residual=true, starts=3, windows=120, residual_points=60)", 8.0, 0.3),
-    _networks(0, 0, 3.0),
-    _one("linear(state_lags=2, control_lags=2)", 0.1, 1.0),
-    _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=0.3)", 9.5),
-    _one("parametrised", 3.7, 1.0),
-    _networks(2, 5, 1.0),
-    _one("neural_ode(input_noise=2.0)", 6.0),
-    _one("neural_ode_history(state_lags=0, control_lags=5, input_noise=2.0)", 7.0),
-    _one("hybrid_ode(state_lags=0, control_lags=5, input_noise=2.0)", 9.5),
-    _networks(0, 2, 0.05),
-    PROCESSES,
-    Candidate(Spec("nonlinear_state_space"), 100.0, refines=SHORT, committee=True, widening=1.0),
-)
+SHIPPED = _shipped()
 """What is tried unless candidates are named, the most telling for their time first."""
 
 
@@ -145,8 +108,10 @@ def named(texts: Sequence[str]) -> list[Candidate]:
         if spec.name == "auto":
             raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
         models.check(spec)
-        listed = [one for one in SHIPPED if one.spec.name == spec.name and one is not PROCESSES]
-        found += [Candidate(spec)] if spec.parameters or not listed else [replace(one, refines=None) for one in listed]
+        listed = [one for one in SHIPPED if one.spec.name == spec.name and one.for_family_name]
+        found += (
+            [Candidate(spec)] if spec.parameters or not listed else [replace(one, successor_of="") for one in listed]
+        )
     return found
 
 

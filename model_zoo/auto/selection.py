@@ -104,7 +104,7 @@ class Choosing:
             if outcome.model is None:
                 reasons[number] = outcome.reason
             else:
-                beside = models(number) if self.candidates[number].committee else []
+                beside = models(number) if self.candidates[number].keep_fold_models else []
                 kept[number] = self._committee([outcome.model, *beside], gate) if beside else [outcome.model]
         self._expect(len(kept) > 0, reasons)
         return CandidateChoice(
@@ -153,8 +153,8 @@ class Choosing:
     @cached_property
     def _refined(self) -> dict[int, int]:
         """Which candidate another one refines, by the numbers of both."""
-        every = list(self.candidates)
-        return {n: every.index(one.refines) for n, one in enumerate(every) if one.refines in every}
+        every = {one.name: number for number, one in enumerate(self.candidates)}
+        return {n: every[one.successor_of] for n, one in enumerate(self.candidates) if one.successor_of in every}
 
     def _is_promising(self, number: int, errors: Sequence[Errors | None]) -> bool:
         """Whether a candidate refines none, or one that is not far behind, by the ``errors`` of what is tried."""
@@ -187,7 +187,7 @@ class Choosing:
         return FitTask(
             (number, fold),
             one.spec.name,
-            {**one.spec.parameters, **(one.roughly if judging else {})},
+            {**one.spec.parameters, **(one.judged_with if judging else {})},
             part,
             int(self.seeds[number, fold]),
             one.seconds_for(part.system, part.n_steps, rough=judging),

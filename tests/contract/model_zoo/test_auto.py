@@ -441,7 +441,7 @@ def test_a_small_system_takes_less_time_by_the_share_that_goes_with_its_states_a
     """With one state and one control instead of three and two."""
     system, car = System(("y",), ("u",), dt=0.1), System(("a", "b", "c"), ("u", "v"), dt=0.1)
     for share, less in ((0.0, 1.0), (0.3, 0.82), (1.0, 0.4)):
-        one = Candidate(Spec("linear"), 8.0, 0.0, widening=share)
+        one = Candidate(Spec("linear"), 8.0, 0.0, by_channels=share)
         assert one.seconds_for(car, 100, rough=False) == pytest.approx(8.0)
         assert one.seconds_for(system, 100, rough=False) == pytest.approx(8.0 * less)
 
@@ -496,7 +496,9 @@ def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes
 ):
     """The best is a; c refines b; each is expected to take a second four times."""
     first, second = (Candidate(Spec.parse(text), 1.0, 0.0) for text in (f"a={PLAIN}", f"b={rough}"))
-    choice = choice_among([first, second, Candidate(Spec.parse(f"c={better}"), 1.0, 0.0, refines=second)], budget)
+    choice = choice_among(
+        [first, second, Candidate(Spec.parse(f"c={better}"), 1.0, 0.0, successor_of=second.name)], budget
+    )
     assert "".join("abc"[number] for number in choice.kept) == left
     for expected, reason in zip(reasons, choice.reasons, strict=True):
         assert expected in reason
@@ -508,7 +510,7 @@ def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_
     monkeypatch, gate, folds, data
 ):
     """Both are polynomials, so each weighs a half; the second is a committee."""
-    tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, committee=name == "b") for name in "ab"]
+    tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, keep_fold_models=name == "b") for name in "ab"]
     monkeypatch.setattr("model_zoo.auto.model.offered", lambda _: (tried, []))
     model = make_model("auto", gate=gate).fit(data, rng=0)
     assert isinstance(model, Auto)
@@ -523,18 +525,20 @@ def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_
 
 
 def test_what_is_named_is_tried_even_if_it_refines_another():
-    assert any(one.refines for one in SHIPPED)
+    assert any(one.successor_of for one in SHIPPED)
     found = named(["nonlinear_state_space"])
     assert len(found) == 2
-    assert not any(one.refines for one in found)
+    assert not any(one.successor_of for one in found)
 
 
 def test_an_average_that_is_named_alone_is_that_of_its_own_families():
     (found,) = named(["average"])
     assert found.spec.parameters == {}
-    assert any(one.spec.name == "average" and one.refines for one in SHIPPED)
+    assert any(one.spec.name == "average" and one.successor_of for one in SHIPPED)
 
 
 def test_a_refinement_that_is_shipped_stands_behind_what_it_refines():
+    names = [one.name for one in SHIPPED]
+    assert len(set(names)) == len(names)
     for number, one in enumerate(SHIPPED):
-        assert one.refines is None or one.refines in SHIPPED[:number]
+        assert not one.successor_of or one.successor_of in names[:number]
