@@ -35,8 +35,6 @@ from evaluation.study.figures import (
     CHOSEN,
     HINDSIGHT,
     HORIZONS,
-    RESAMPLES,
-    SHARE,
     ControllerFigures,
     Spread,
     controller_figures,
@@ -47,6 +45,7 @@ from evaluation.study.figures import (
 )
 from evaluation.study.results import StudyResults
 from evaluation.study.study import group_name, label_of
+from sysid_evo.validation.estimates import CONFIDENCE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -288,7 +287,7 @@ def exploit_sheet(results: StudyResults) -> Sheet | None:
     ]
     note = (
         "exploited in: points in which the claims of its own controllers exceed what they achieve on the robot by a "
-        "tenth and two standard errors. claim kept: share of the claim that is achieved."
+        "tenth, and surely. claim kept: share of the claim that is achieved."
     )
     return Sheet("Exploitability", heads, tuple(rows), note=f"{note} {_basis(results)}")
 
@@ -402,7 +401,7 @@ def _basis(results: StudyResults) -> str:
     counted = f"{robots} robot{'s' * (robots != 1)} and {seeds} seed{'s' * (seeds != 1)}"
     if robots >= 3 or (robots == 1 and seeds >= 3):
         over = "robots and seeds" if robots > 1 and seeds > 1 else "robots" if robots > 1 else "seeds of one robot"
-        return f"Means and 95 % intervals over {over} ({counted}; robots are drawn, then seeds of each)."
+        return f"Means and {percent(CONFIDENCE)} intervals over {over} ({counted})."
     return f"Means over {counted}: too few for an interval, which takes three robots, or three seeds of one."
 
 
@@ -482,11 +481,12 @@ def _picture(
         )
 
     pair = DrawingPair(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
+    bars_are = f"Bars: {percent(CONFIDENCE)} intervals over robots and seeds."
     no_bars = "There are no intervals: the study has too few robots and seeds."
-    return Picture(title, f"{caption} {'Bars: 95 % intervals over robots and seeds.' if bars else no_bars}", (pair,))
+    return Picture(title, f"{caption} {bars_are if bars else no_bars}", (pair,))
 
 
-SCHEMA = "sysid-evo/study/1"
+SCHEMA = "sysid-evo/study/2"
 
 
 def study_document(results: StudyResults) -> dict[str, Any]:
@@ -502,7 +502,7 @@ def study_document(results: StudyResults) -> dict[str, Any]:
             "title": results.study.title,
             "settings": dict(results.study.settings),
             "group_axes": results.study.group_axes,
-            "intervals": {"share": SHARE, "resamples": RESAMPLES, "drawn": ["robots", "seeds of each"]},
+            "intervals": {"share": CONFIDENCE},
             "points": [{**asdict(point), "finished": point.finished} for point in results.points],
             "controllers": controller_figures(results),
             "prediction": [

@@ -9,9 +9,9 @@ from evaluation.study.figures import (
     PredictionFigures,
     Spread,
     controller_figures,
+    differences,
     exploit_figures,
     forecast_figures,
-    paired,
     prediction_figures,
 )
 from evaluation.study.planning import PlannedStudy, plan_study
@@ -35,10 +35,10 @@ __all__ = [
     "Study",
     "StudyResults",
     "controller_figures",
+    "differences",
     "exploit_figures",
     "forecast_figures",
     "gather",
-    "paired",
     "plan_study",
     "prediction_figures",
 ]

@@ -1,10 +1,4 @@
-"""Means over robots and seeds with intervals: controllers, models, exploits, forecasts.
-
-Robots are drawn with replacement, then seeds of each. The percentiles of so few draws are too narrow: of five robots
-with five seeds those for 95 % hold the truth in about 85 %. They are expanded as Hesterberg (2015, The American
-Statistician 69, section 4.3) proposes: as many times as Student's quantile is beyond the normal one, and the spread of
-a sample below that of what it comes from. Then it is 94 % and more; ``docs/study.md`` has a table.
-"""
+"""Means over robots and seeds with intervals: controllers, models, exploits, forecasts."""
 
 from __future__ import annotations
 
@@ -14,15 +8,12 @@ from operator import methodcaller
 from typing import TypeAlias
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
 
 from evaluation.study.results import ControllerRow, ModelRow, PointRow, StudyResults
 from evaluation.study.study import CONTROLLER, group_name
 from evaluation.transfer.summary import rank_correlation
-from sysid_evo.types import Array
+from sysid_evo.validation.estimates import across
 
-RESAMPLES = 4000
-SHARE = 0.95
 FEWEST = 3
 """Robots, or seeds of a single one, below which there is no interval."""
 
@@ -46,40 +37,21 @@ class Spread:
     points: int
 
     @classmethod
-    def of(cls, repeats: Repeats, *, seed: int = 0) -> Spread | None:
+    def of(cls, repeats: Repeats) -> Spread | None:
         """Return the spread of numbers by robot and seed, None for none; what is no number is left out."""
         known = {key: value for key, value in repeats.items() if np.isfinite(value)}
         if not known:
             return None
-        by_robot: dict[str, list[float]] = {}
-        for (robot, _), value in known.items():
-            by_robot.setdefault(robot, []).append(value)
-        groups = [np.array(values) for values in by_robot.values()]
-        low, high = _interval(groups, seed)
-        values = np.array(list(known.values()))
-        mean = float(np.mean([group.mean() for group in groups]))
-        return cls(mean, low, high, float(values.min()), float(values.max()), len(groups), len(values))
+        values, of_robot = list(known.values()), [robot for robot, _ in known]
+        robots, found = len(set(of_robot)), across(values, of_robot)
+        enough = (robots if robots > 1 else len(values)) >= FEWEST
+        low, high = found.interval if enough else (None, None)
+        return cls(found.value, low, high, min(values), max(values), robots, len(values))
 
 
-def paired(first: Repeats, second: Repeats) -> Repeats:
+def differences(first: Repeats, second: Repeats) -> Repeats:
     """Return the first minus the second for each robot and seed that both have."""
     return {key: first[key] - second[key] for key in first if key in second}
-
-
-def _interval(groups: list[Array], seed: int) -> tuple[float | None, float | None]:
-    """Return the expanded percentiles of the means of drawn robots and seeds."""
-    count = len(groups) if len(groups) > 1 else len(groups[0])
-    if count < FEWEST:
-        return None, None
-    rng = np.random.default_rng(seed)
-    means = np.stack(
-        [group[rng.integers(0, len(group), (RESAMPLES, len(groups), len(group)))].mean(2) for group in groups]
-    )
-    robots = rng.integers(0, len(groups), (RESAMPLES, len(groups)))
-    drawn = means[robots, np.arange(RESAMPLES)[:, None], np.arange(len(groups))].mean(axis=1)
-    tail = float(ndtr(stdtrit(count - 1, 0.5 - 0.5 * SHARE) * np.sqrt(count / (count - 1))))
-    low, high = np.quantile(drawn, [tail, 1.0 - tail])
-    return float(low), float(high)
 
 
 CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
@@ -120,7 +92,7 @@ def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
     for key, own in rows.items():
         group, name = key
         share = _by_point(results, own, lambda row: row.share)
-        difference = {} if key == reference else paired(compared, share)
+        difference = {} if key == reference else differences(compared, share)
         failed = sum(bool(row.reason) for row in own)
         if not share and not failed:
             continue  # evolved, but not run on the robot yet

@@ -18,7 +18,7 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from evaluation.study.figures import Spread, paired
+from evaluation.study.figures import Spread, differences
 
 TOGETHER = "all controllers"
 
@@ -41,7 +41,7 @@ def compared(old: Path, new: Path) -> Table:
     table = Table("controller", "old", "new", "new - old", "95 % interval", "better in", box=None)
     before, after = achieved(old), achieved(new)
     for name in [name for name in before if name in after]:
-        pairs = paired(after[name], before[name])
+        pairs = differences(after[name], before[name])
         spread = Spread.of(pairs)
         if spread is None:
             continue
