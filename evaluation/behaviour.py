@@ -82,8 +82,8 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
     for name in names:
         values = np.array([one[name] for one in found if np.isfinite(one.get(name, np.nan))])
         if len(values):
-            found_here = paired(values).clipped(0.0, np.inf if unit_of(name) else 1.0)  # nothing measured is below 0
-            measures[name] = Measure(found_here.value, *found_here.interval, len(values))
+            ends = paired(values).clipped(0.0, np.inf if unit_of(name) else 1.0).interval  # nothing is below 0
+            measures[name] = Measure(float(values.mean()), *ends, len(values))
     return Manner(controller, column, len(traces), measures)
 
 

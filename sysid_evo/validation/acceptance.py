@@ -18,7 +18,9 @@ IN_EACH = 0.05
 """that by which it must be lower in every block (second by second it must be surely lower, too, see `paired`),"""
 BETTER_OF_TRAINING = 1.0
 """and the share for more training and for means, of which many are tried and each can learn much from little: this over
-the root of the seconds that are compared (19 % of 28, 38 % of 7), and `BETTER` at least."""
+the root of the seconds that are compared (19 % of 28, 38 % of 7), and `BETTER` at least;"""
+AMOUNTS = 3
+"""and so many amounts of training are looked at together, each as sure as that takes (Bonferroni): some 99 %."""
 
 FEWEST = 3
 """Seconds that must be compared."""
@@ -91,10 +93,10 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Ki
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    asked = BETTER
+    asked, tried = BETTER, 1
     if kind in ("further", "mean"):
-        asked = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains))))
-    sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains)))
+        asked, tried = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), AMOUNTS
+    sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains), figures=tried))
     return Trial(name, whole / max(before, LEAST), each, sure, kind, float(asked))
 
 

@@ -125,12 +125,15 @@ class Draws:
         return _students(self.value, float(standard_errors(self.values, self.blocks)), self.blocks, figures)
 
 
-def paired(differences: Array, blocks: IntArray | None = None) -> Estimate:
-    """Return the mean of ``differences`` (N,), or of any paired numbers, over blocks (N,); each its own by default."""
+def paired(differences: Array, blocks: IntArray | None = None, *, figures: int = 1) -> Estimate:
+    """Return the mean of ``differences`` (N,), or of any paired numbers, over blocks (N,); each its own by default.
+
+    It is one of so many ``figures`` that are looked at together, see `Draws.one_of`.
+    """
     count = len(differences)
     numbers = np.arange(count) if blocks is None else blocks
     rows = np.stack([differences, np.ones(count)], axis=1)
-    return Draws.of(rows, numbers, lambda sums: np.asarray(sums[:, 0] / sums[:, 1])).estimate
+    return Draws.of(rows, numbers, lambda sums: np.asarray(sums[:, 0] / sums[:, 1])).one_of(figures)
 
 
 def across(values: Sequence[float], by: Sequence[Hashable]) -> Estimate:

@@ -10,9 +10,10 @@ import numpy as np
 from evaluation.transfer import summary
 from evaluation.transfer.forecast import Rule, forecast_of
 from sysid_evo.types import Array
+from sysid_evo.validation.estimates import across
 from tests.benchmarks.forecast.looking import Record
 
-TENS, RESAMPLES = 200, 2000
+TENS = 200
 RIDGE = 0.1
 """Weight of the ridge beside that of the controllers, for terms in units of their standard deviation."""
 
@@ -98,20 +99,10 @@ def best_of_ten(found: Sequence[Seen], figure: Callable[[Seen], float], *, seed:
     return float(np.mean(losses))
 
 
-def over_cars(by_run: Mapping[tuple[int, str], float], *, seed: int = 0) -> tuple[float, float, float]:
-    """Return the mean over runs and its 95 % interval: cars are drawn, then runs of each."""
-    cars: dict[int, list[float]] = {}
-    for (car, _), value in by_run.items():
-        cars.setdefault(car, []).append(value)
-    rng, groups = np.random.default_rng(seed), [np.array(values) for values in cars.values()]
-    drawn = [
-        np.concatenate(
-            [rng.choice(groups[i], len(groups[i])) for i in rng.integers(0, len(groups), len(groups))]
-        ).mean()
-        for _ in range(RESAMPLES)
-    ]
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return float(np.mean(list(by_run.values()))), float(low), float(high)
+def over_cars(by_run: Mapping[tuple[int, str], float]) -> tuple[float, float, float]:
+    """Return the mean over cars of the mean over the runs of each, and its 95 % interval."""
+    found = across(list(by_run.values()), [car for car, _ in by_run])
+    return found.value, found.low, found.high
 
 
 def calibrated(found: Sequence[Seen], share: float) -> tuple[float, float]:
