@@ -199,7 +199,7 @@ def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_
         _, said = process.communicate(timeout=60.0)
         assert process.returncode == 0, said
     plan, store = shared(tmp_path), Store(tmp_path / "run")
-    assert diary(tmp_path) == {cell.label: 1 for cell in plan}
+    assert diary(tmp_path) == {cell.name: 1 for cell in plan}
     assert len(processes(tmp_path)) == 2  # both had a part in it
     assert len(store.records()) == len(plan) == len((tmp_path / "run" / "log.jsonl").read_text().splitlines())
     assert not store.remarks
@@ -208,7 +208,7 @@ def test_two_processes_share_the_work_and_no_cell_is_computed_twice_or_lost(tmp_
 
 def test_the_claim_of_a_killed_process_is_free_again_and_its_work_is_kept(tmp_path):
     process, plan, store = started(tmp_path), shared(tmp_path), Store(tmp_path / "run")
-    (row,) = (cell for cell in plan if cell.label == "row 0")
+    (row,) = (cell for cell in plan if cell.name == "row 0")
     go(process)
     assert eventually(lambda: "row 0" in diary(tmp_path))
     with store.claim(row) as ours:
