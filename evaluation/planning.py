@@ -1,4 +1,4 @@
-"""From an experiment to its cells, with every check that needs no computing; the same plan again from a run folder."""
+"""From an experiment to its cells, with every check that needs no computing; the same plan from a run folder."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
-from evaluation.transfer.matrix import AT_REST, FOLDER, MeasuredResult, kept_traces, load_measured
+from evaluation.transfer.matrix import AT_REST, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
     ArtefactError,
@@ -43,14 +43,13 @@ from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
 from sysid_evo.models import DynamicsModel
-from sysid_evo.plan import Again, Cell, Plan, Store, stored
+from sysid_evo.plan import Cell, Plan, Store, stored
 from sysid_evo.registry import (
     Registry,
     Spec,
     controllers,
     distinct,
     load_named_plugins,
-    load_plugins_again,
     make_robot,
     models,
     robot_spec,
@@ -59,9 +58,6 @@ from sysid_evo.registry import (
 )
 from sysid_evo.system import System
 from sysid_evo.types import Array
-
-AGAIN = "evaluation.planning:plan_again"
-"""What makes the plan of a comparison again in another process."""
 
 
 @dataclass(frozen=True)
@@ -166,15 +162,7 @@ def plan_comparison(
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.champions, *matrix.runs, exploitability]
     wanted.append(advice)
-    named = (*settled.plugins, *((settled.robot,) if settled.robot else ()))
-    again = Again(
-        AGAIN,
-        settled.model_dump(mode="json", exclude_none=True),
-        after=(data.digest,),
-        inside=(FOLDER.as_posix(),),
-        files={text: (text,) for text in named if Path(text).is_file()},
-    )
-    plan = Plan.of(wanted, remarks=remarks, again=again)
+    plan = Plan.of(wanted, remarks=remarks)
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged)
 
 
@@ -203,13 +191,6 @@ def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tup
     measured, damaged = load_measured(run)
     system = store.load(data).training.system
     return plan_comparison(experiment, held=(data, system), measured=measured), tuple(damaged)
-
-
-def plan_again(settings: Mapping[str, Any], run: Path) -> Plan:
-    """Return the plan of the comparison with these settings."""
-    experiment = Experiment.of(settings)
-    load_plugins_again(experiment.plugins)
-    return comparison_again(experiment, run)[0].plan
 
 
 def check_experiment(experiment: Experiment) -> None:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
 from evaluation.cells.assessment import Run, SearchExploit
 from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
-from evaluation.cells.models import files_of
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
@@ -23,14 +21,12 @@ from evaluation.members import (
     find_column,
     has_dynamics,
     other_models,
-    record_of_file,
 )
 from evaluation.prediction.scores import error_of
 from evaluation.run_folder import owner_of
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
-from sysid_evo.artefacts import is_stored, stored_file
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Trajectory
 from sysid_evo.data.support import Support, split_pairs
@@ -39,13 +35,9 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
-from sysid_evo.plan import Again, Cell, Plan, Store, stored
-from sysid_evo.registry import load_plugins_again
+from sysid_evo.plan import Cell, Plan, Store, stored
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
-
-AGAIN = "evaluation.run_evolution:plan_again"
-"""What makes the plan of an evolution again in another process."""
 
 CLAIM_TRIALS = 100
 
@@ -93,41 +85,15 @@ class EvolutionResult:
         return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
 
 
-def plan_evolution(
-    experiment: Experiment, store: Store, members: Sequence[str], settings: Mapping[str, Any]
-) -> EvolutionPlan:
-    """Return the cells of a controller against ``members`` of a run, see `find_column`; nothing is computed.
+def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str]) -> EvolutionPlan:
+    """Return the plan of a controller against ``members`` of a run, its claims, and the forecast of it elsewhere.
 
-    ``settings`` are those that ``experiment`` was made of, for another process to make it of them again. Raises what
+    What is evolved on a robot is run nowhere else: there is nothing to forecast. Nothing is computed. Raises what
     `find_column` and `check_evolution` do.
     """
     columns = tuple(find_column(store, member) for member in members)
     experiment = with_task(experiment, [column.robot for column in columns])
     remarks = check_evolution(store, columns, evolution_settings(experiment))
-    return _planned(experiment, store, columns, remarks=remarks, again=again_of(store, settings, members))
-
-
-def plan_again(made_of: Mapping[str, Any], run: Path) -> Plan:
-    """Return the plan of the same evolution again, for another process."""
-    experiment = Experiment.of(made_of["settings"])
-    load_plugins_again(experiment.plugins)
-    store = Store(run)
-    columns = tuple(find_column(store, member) for member in made_of["members"])
-    return _planned(with_task(experiment, [column.robot for column in columns]), store, columns).plan
-
-
-def _planned(
-    experiment: Experiment,
-    store: Store,
-    columns: tuple[Plant, ...],
-    *,
-    remarks: tuple[str, ...] = (),
-    again: Again | None = None,
-) -> EvolutionPlan:
-    """Return the plan of a controller, its claims, and what its forecast is made of where it is run elsewhere.
-
-    What is evolved on a robot is run nowhere else: there is nothing to forecast.
-    """
     others = other_models(store, columns)
     champion = controller_cell(experiment, columns, judges=columns + others)
 
@@ -141,26 +107,8 @@ def _planned(
     elsewhere = tuple(on(column) for column in first if on_models and column.label not in labels)
     judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
     predictions = [found for run in judged if (found := run.settings.column.prediction) is not None]
-    plan = Plan.of([champion, *claims, *elsewhere, *predictions], again=again)
+    plan = Plan.of([champion, *claims, *elsewhere, *predictions])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
-
-
-def again_of(store: Store, settings: Mapping[str, Any], members: Sequence[str]) -> Again:
-    """Return how another process makes the plan of this command: of the run's models, their data, and further files."""
-    records = {record.digest: record for record in store.records() if record.status == "done"}
-    fits = [record for record in records.values() if record.kind == "fit"]
-    data = dict.fromkeys(digest for record in fits for digest in record.needs if digest in records)
-    texts = (*settings.get("plugins", ()), *members)
-    files: dict[str, tuple[str, ...]] = {text: (text,) for text in texts if Path(text).is_file()}
-    names = []
-    for member in members:
-        manifest = stored_file(member, "model") if is_stored(member, "model") else None
-        own = None if manifest is None else record_of_file(store, manifest)
-        if manifest is not None and own is None:
-            files[member] = tuple(map(str, files_of(manifest)))
-        names.append(member if own is None else Path(own.artefact).name)
-    after = (*data, *(record.digest for record in fits))
-    return Again(AGAIN, {"settings": settings, "members": names}, after=after, files=files)
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 from threadpoolctl import ThreadpoolController
@@ -18,14 +20,15 @@ They read these variables when they are imported."""
 
 
 class _Share:
-    """How many of the processors were given to this process; 0 for all that it may use."""
+    """How many of the processors were given to this process: one of several ``counts``; 0 for all that it may use."""
 
-    count = 0
+    counts = memoryview(bytearray(2)).cast("H")
+    place = 0
 
 
 def available_processors() -> int:
     """Return how many processors this process may use: its share, if it was given one."""
-    return _Share.count or usable_processors()
+    return _Share.counts[_Share.place] or usable_processors()
 
 
 def usable_processors() -> int:
@@ -35,7 +38,19 @@ def usable_processors() -> int:
 
 def use_processors(count: int) -> None:
     """Let what begins from now on in this process use ``count`` processors; 0 for all. No result depends on it."""
-    _Share.count = count
+    _Share.counts, _Share.place = memoryview(bytearray(2)).cast("H"), 0
+    _Share.counts[0] = count
+
+
+def shared_counts(file: Path) -> memoryview:
+    """Return the 16-bit numbers in ``file``, which processes that have it see change."""
+    with file.open("r+b") as stream:
+        return memoryview(mmap.mmap(stream.fileno(), 0)).cast("H")
+
+
+def use_shared_count(file: Path, place: int) -> None:
+    """Let this process use as many processors as the number at ``place`` in ``file`` says at the time."""
+    _Share.counts, _Share.place = shared_counts(file), place
 
 
 class _LinearAlgebra:

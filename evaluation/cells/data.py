@@ -78,7 +78,7 @@ class GivenData(CellSettings):
     def cell(self) -> Cell[GivenData]:
         """Return the cell of both parts."""
         name = self.dataset.system.name or "data"
-        return Cell(kind=DATA, name=name, title=f"prepare {name}", settings=self)
+        return Cell(kind=DATA, name=name, title=f"prepare {name}", settings=self, local=True)
 
     def inputs(self) -> dict[str, Any]:
         named = [episode.condition for episode in self.dataset]
@@ -105,7 +105,9 @@ class RecordedData(CellSettings):
             plant = Plant(self.robot.label, self.robot.name, robot=self.robot)
             seconds = 0.5 * self.minutes + 60.0 * self.minutes / robot.system.dt * plant.step_seconds()
         label = self.robot.label
-        return Cell(kind=DATA, name=label, title=f"record {label}", settings=self, seconds=seconds)
+        return Cell(
+            kind=DATA, name=label, title=f"record {label}", settings=self, seconds=seconds, local=robot.physical
+        )
 
     def inputs(self) -> dict[str, Any]:
         return {

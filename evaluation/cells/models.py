@@ -190,7 +190,7 @@ class StoredModel(CellSettings):
     def cell(self) -> Cell[StoredModel]:
         """Return the cell of the model."""
         name = DIGEST.sub("", self.path.stem)
-        return Cell(kind="model", name=name, title=f"read {self.path}", settings=self)
+        return Cell(kind="model", name=name, title=f"read {self.path}", settings=self, local=True)
 
     @cached_property
     def manifest(self) -> Manifest:

@@ -52,12 +52,11 @@ def evolve(
     so that controllers meet it in the models.
     """
     load_plugins(plugin)
-    settings = settings_of(locals(), Experiment.model_fields)
-    experiment = Experiment.of(settings)
+    experiment = Experiment.of(settings_of(locals(), Experiment.model_fields))
     members = _members(against)
     alone = run is None and not any(evaluation.is_model_of_a_run(member) for member in members)
     store = Store(evaluation.check_run_folder(None) if alone else evaluation.latest_run_folder(run))
-    planned = evaluation.plan_evolution(experiment, store, members, settings)
+    planned = evaluation.plan_evolution(experiment, store, members)
     for remark in planned.remarks:
         note(remark)
     outcomes = carry_out(planned.plan, store, dry_run=dry_run, as_json=as_json, jobs=jobs, scheduler=scheduler)

@@ -3,7 +3,7 @@
 from sysid_evo.plan.cell import CELL_KINDS, CONTRACT, Cell, CellKind, CellSettings, ResultType, Work
 from sysid_evo.plan.dask_executor import Scheduler
 from sysid_evo.plan.executors import execute, number_of_jobs
-from sysid_evo.plan.plan import Again, Plan, cell_seed
+from sysid_evo.plan.plan import Plan, cell_seed
 from sysid_evo.plan.run_state import Observer
 from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, blocked_by, stored
 
@@ -11,7 +11,6 @@ __all__ = [
     "CELL_KINDS",
     "CHECKPOINT",
     "CONTRACT",
-    "Again",
     "Cell",
     "CellKind",
     "CellSettings",

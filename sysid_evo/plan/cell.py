@@ -59,9 +59,10 @@ class Cell(Generic[S]):
     ``name`` is how its files are called, and need not be unique; ``title`` what people read: the kind of work, then
     its object; ``group`` what a log calls many short cells in a single line, empty for a line of its own. ``labels``
     are fields of the result that carry names, see `labelled`. It takes about ``seconds`` on one processor. One that is
-    ``resumable`` goes on after an interruption where it was. One that is ``at_home`` must be computed where the run
-    folder is, as its work or its result names files there. ``known_digest`` is that of a stored cell (`stored`), of
-    which no more is known than its record.
+    ``resumable`` goes on after an interruption where it was. One that is ``local`` is computed by the process that made
+    the plan, as it holds recordings, reads a file or drives a robot; one that is ``at_home``, and all that needs it,
+    where the run folder is, as its work or its result names files there. ``known_digest`` is that of a stored cell
+    (`stored`), of which no more is known than its record.
     """
 
     kind: str
@@ -73,6 +74,7 @@ class Cell(Generic[S]):
     group: str = ""
     seconds: float = 1.0
     resumable: bool = False
+    local: bool = False
     at_home: bool = False
     known_digest: str = ""
 
@@ -107,8 +109,10 @@ class Cell(Generic[S]):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything that the result depends on: needed cells, and the engine unless it is "auto", too."""
-        if self.known_digest:
-            return self.known_digest
+        return self.known_digest or self.digest_here()
+
+    def digest_here(self) -> str:
+        """Return what `digest` is with the code of this process: another one if versions or plugins differ."""
         content = {
             "kind": self.kind,
             "version": CELL_KINDS[self.kind].version,

@@ -1,18 +1,25 @@
-"""A plan computed: in this process, in several side by side, or on a cluster; other processes may work on it, too."""
+"""A plan computed: in this process, in several beside it, or on a cluster; other processes may work on it, too."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+import time
+import warnings
+from collections import Counter
+from collections.abc import Collection, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from heapq import heappop, heappush
 from pathlib import Path
+from typing import Any, Protocol
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.dask_executor import Cluster, Scheduler
-from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.processes import SideBySide
-from sysid_evo.plan.run_state import Here, Ledger, Observer
+from sysid_evo.plan.plan import Plan, at_home, work_ahead
+from sysid_evo.plan.processes import Processes
+from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, run_cell
+from sysid_evo.plan.run_state import Observer, RunState
 from sysid_evo.plan.store import Outcome, Store
 from sysid_evo.processors import usable_processors
 
@@ -40,20 +47,183 @@ def execute(
     """
     if scheduler is not None and jobs not in (None, 1):
         raise InvalidArgument(f"{jobs} jobs in processes here and a scheduler: expected one of both; leave one out")
-    ledger = Ledger(plan, store, observer, only)
-    left = ledger.open()
-    if scheduler is not None and plan.again is not None and left:
+    state = RunState(plan, store, observer, only)
+    left = state.open()
+    if scheduler is not None and left:
         check_installed("a scheduler", ["distributed"])
-        Cluster(ledger, plan.again, scheduler).to_the_end(left)
-        return ledger.ended
+        with Cluster(store, left, scheduler, state.tell) as workers:
+            Execution(state, left, workers, at_home(plan)).to_the_end()
+        return state.ended
     count, sentence = number_of_jobs(jobs, left)
     if sentence:
-        ledger.tell(sentence)
-    if count > 1 and plan.again is not None:
-        SideBySide(ledger, plan.again, count).to_the_end(left)
+        state.tell(sentence)
+    if count > 1:
+        with Processes(store, left, count) as workers:
+            Execution(state, left, workers).to_the_end()
     else:
-        Here(ledger).to_the_end(left)
-    return ledger.ended
+        Execution(state, left).to_the_end()
+    return state.ended
+
+
+PATIENCE = 0.1  # s, between two looks at cells that another process computes
+LOOK = 0.2  # s, between two looks at how far workers are
+TRIES = 2
+"""How often a cell is tried whose worker dies."""
+
+
+class Workers(Protocol):
+    """Workers behind one or several `concurrent.futures.Executor`."""
+
+    def room(self) -> int:
+        """Return how many more cells they can take."""
+
+    def submit(self, cell: Cell, failed: Collection[str]) -> Future[Any] | None:
+        """Send ``cell``, see `run_cell`; None if it must wait. Raises `Unsendable`."""
+
+    def result(self, cell: Cell, future: Future[Any]) -> CellEnd:
+        """Return how ``cell`` ended; its result is in the store. Raises `CellLost`, OSError."""
+
+    def progress(self) -> Iterable[tuple[Cell, int, int, str]]:
+        """Return how far cells are: steps done, steps in all, and what else there is to say."""
+
+
+class Execution:
+    """Brings ``cells`` of a plan to their end: those whose needs are there, first what most work waits for.
+
+    Workers compute them, and this process what is ``here`` by its digest, or unknown to them; without workers all of
+    them, in the order of the plan.
+    """
+
+    def __init__(
+        self, state: RunState, cells: Collection[Cell], workers: Workers | None = None, here: Collection[str] = ()
+    ) -> None:
+        self.state, self.workers, self.here = state, workers, set(here)
+        ahead = {} if workers is None else work_ahead(state.plan)
+        self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(state.plan)}
+        self.ready: list[tuple[tuple[float, int], Cell]] = []  # for workers
+        self.own: list[tuple[tuple[float, int], Cell]] = []  # for this process
+        self.later: list[tuple[float, Cell]] = []  # what another process computes, and when to look again
+        self.away: dict[Future[Any], Cell] = {}
+        self.started: set[str] = set()
+        self.tried: Counter[str] = Counter()
+        self.looked = 0.0
+        needs = {cell: {needed.digest for needed in cell.needs} - set(state.ended) for cell in cells}
+        self.open = {cell.digest: len(digests) for cell, digests in needs.items()}
+        self.waiting: dict[str, list[Cell]] = {}
+        for cell, digests in needs.items():
+            for digest in digests:
+                self.waiting.setdefault(digest, []).append(cell)
+        for cell, digests in needs.items():
+            if not digests:
+                self._free(cell)
+
+    def to_the_end(self) -> None:
+        """Compute all. Raises OSError if a result cannot be written, and what the workers raise if they are lost."""
+        while self.ready or self.own or self.later or self.away:
+            while self.later and self.later[0][0] <= time.monotonic():
+                self._push(self.later.pop(0)[1])
+            while self.ready and self.workers is not None and self.workers.room():
+                self._send(heappop(self.ready)[1])
+            if self.own:
+                self._compute(heappop(self.own)[1])
+            self._take_in()
+
+    def _free(self, *cells: Cell) -> None:
+        """Take note that ``cells`` wait for nothing: they are computed, or end at once, and others with them."""
+        free = list(cells)
+        while free:
+            cell = free.pop()
+            if not self.state.decided(cell):
+                self._push(cell)
+                continue
+            free += self._released(cell)
+
+    def _released(self, ended: Cell) -> list[Cell]:
+        """Return the cells that waited for ``ended`` alone."""
+        waited = self.waiting.pop(ended.digest, [])
+        for cell in waited:
+            self.open[cell.digest] -= 1
+        return [cell for cell in waited if not self.open[cell.digest]]
+
+    def _push(self, cell: Cell) -> None:
+        here = self.workers is None or cell.local or cell.digest in self.here
+        heappush(self.own if here else self.ready, (self.rank[cell.digest], cell))
+
+    def _failed(self, cell: Cell) -> set[str]:
+        return {needed.digest for needed in self.state.failed(cell)}
+
+    def _compute(self, cell: Cell) -> None:
+        repair = self.state.only is None
+        self.started.add(cell.digest)
+        self._over(cell, run_cell(self.state.store, cell, self._failed(cell), self.state.observer, repair=repair))
+
+    def _send(self, cell: Cell) -> None:
+        assert self.workers is not None
+        try:
+            future = self.workers.submit(cell, self._failed(cell))
+        except Unsendable as error:
+            self._over(cell, CellEnd("unknown", reason=str(error)))
+        else:
+            if future is None:
+                self.later.append((time.monotonic() + PATIENCE, cell))
+            else:
+                self.away[future] = cell
+
+    def _take_in(self) -> None:
+        """Take in what workers have finished, wait a little if there is nothing, and pass on how far they are."""
+        if not self.away or self.workers is None:
+            if not self.own and (self.later or self.ready):
+                time.sleep(PATIENCE)
+            return
+        patience = 0.0 if self.own else PATIENCE if self.later else LOOK
+        done, _ = wait(self.away, timeout=patience, return_when=FIRST_COMPLETED)
+        for future in done:
+            cell = self.away.pop(future)
+            try:
+                end = self.workers.result(cell, future)
+            except CellLost as lost:
+                self._again(cell, lost)
+            else:
+                self._over(cell, end)
+        if time.monotonic() - self.looked >= LOOK:
+            self.looked = time.monotonic()
+            for cell, *step in self.workers.progress():
+                self._start(cell)
+                self.state.observer.progress(cell, *step)
+
+    def _start(self, cell: Cell) -> None:
+        if cell.digest not in self.started:
+            self.started.add(cell.digest)
+            self.state.observer.start(cell)
+
+    def _again(self, cell: Cell, lost: CellLost) -> None:
+        """Try a cell that was lost once more; then it has failed."""
+        self.tried[cell.digest] += lost.times
+        times = self.tried[cell.digest]
+        if times < TRIES:
+            self.state.tell(f"{cell.title} is computed again: {lost}")
+            self._push(cell)
+            return
+        reason = f"{lost}, {times} times"
+        self.state.store.fail(cell, reason=reason, traceback="", seconds=0.0)
+        self._over(cell, CellEnd("failed", reason=reason))
+
+    def _over(self, cell: Cell, end: CellEnd) -> None:
+        """Take note of how an attempt at ``cell`` ended, and pass on what was said meanwhile."""
+        for sentence in end.warnings:
+            warnings.warn(sentence, stacklevel=2)
+        self.state.tell(*end.remarks)
+        if end.status == "busy":
+            self.later.append((time.monotonic() + PATIENCE, cell))
+        elif end.status == "unknown":
+            self.here.add(cell.digest)
+            self.state.tell(f"what workers do not know is computed in this process ({end.reason})")
+            self._push(cell)
+        else:
+            if end.status in ("done", "failed"):
+                self._start(cell)
+            self.state.end(cell, end.reason, end.seconds, cached=end.status == "kept", error=end.error)
+            self._free(*self._released(cell))
 
 
 VARIABLE = "SYSID_EVO_JOBS"

@@ -1,13 +1,10 @@
-"""A plan: cells in order of their needs, made without doing any work; how another process comes to the same one."""
+"""A plan: cells in order of their needs, made without doing any work."""
 
 from __future__ import annotations
 
-import importlib
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.cell import Cell
@@ -21,17 +18,13 @@ YEAR = 365.25 * 86400.0
 
 @dataclass(frozen=True)
 class Plan:
-    """Distinct ``cells``, each after those it needs, and ``remarks`` on what was left out and why.
-
-    ``again`` says how other processes make the same plan; without it all cells are computed in this one.
-    """
+    """Distinct ``cells``, each after those it needs, and ``remarks`` on what was left out and why."""
 
     cells: tuple[Cell, ...]
     remarks: tuple[str, ...] = ()
-    again: Again | None = None
 
     @classmethod
-    def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = (), again: Again | None = None) -> Plan:
+    def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
         """Return the plan of the ``wanted`` cells and all that they need.
 
         Raises `InvalidArgument` for years of work, as cells foresee it (`Cell.seconds`).
@@ -54,7 +47,7 @@ class Plan:
                 f"of more than {MOST_YEARS:g} years is begun: ask for less of it, such as generations, trials, runs, "
                 "minutes"
             )
-        return cls(tuple(placed.values()), tuple(remarks), again)
+        return cls(tuple(placed.values()), tuple(remarks))
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -65,44 +58,6 @@ class Plan:
     def of_kind(self, kind: str) -> tuple[Cell, ...]:
         """Return the cells of one kind."""
         return tuple(cell for cell in self.cells if cell.kind == kind)
-
-
-@dataclass(frozen=True)
-class Again:
-    """The ``function``, ``module:name``, that makes a plan of ``settings``, strict JSON, and the folder of the run.
-
-    Whatever else it reads is named here, so that it can be sent to a machine that does not see the folder: ``after``
-    are the digests of cells whose results must stand in the run before that, ``inside`` the folders of the run whose
-    files it reads. ``files`` are texts in the settings that name files elsewhere, and the files that belong to each.
-    """
-
-    function: str
-    settings: Mapping[str, Any]
-    after: tuple[str, ...] = ()
-    inside: tuple[str, ...] = ()
-    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-
-    def prepare(self) -> None:
-        """Import what the plan is made with."""
-        importlib.import_module(self.function.partition(":")[0])
-
-    def plan(self, folder: Path) -> Plan:
-        """Return the plan, made again. Raises what the function does."""
-        module, _, name = self.function.partition(":")
-        made: Plan = getattr(importlib.import_module(module), name)(self.settings, folder)
-        return made
-
-    def with_files_at(self, places: Mapping[str, str]) -> Again:
-        """Return the same with other names of files in the settings: ``places`` has one for each that it had."""
-        return replace(self, settings=_renamed(self.settings, places), files={})
-
-
-def _renamed(value: Any, places: Mapping[str, str]) -> Any:
-    if isinstance(value, str):
-        return places.get(value, value)
-    if isinstance(value, Mapping):
-        return {key: _renamed(item, places) for key, item in value.items()}
-    return [_renamed(item, places) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def cell_seed(seed: int, work: str) -> int:

@@ -1,239 +1,177 @@
-"""The cells of a plan side by side, in processes that share its store, and the program of these processes.
+"""Worker processes on this machine, which see the run folder.
 
-Both sides talk in lines of JSON, on standard input and output: nothing but digests, numbers and sentences. Results go
-through the store.
+Each is an executor of its own: a worker that crashes, or is killed for want of memory, costs its own cell and no other.
 """
 
 from __future__ import annotations
 
-import _thread
-import io
+import importlib
 import json
 import os
+import re
+import shutil
 import signal
-import subprocess
-import sys
+import tempfile
 import threading
 import time
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Future, wait
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Thread
-from typing import Any, TypeAlias
+from types import TracebackType
+from typing import Any, Self
 
 from sysid_evo.plan.cell import Cell
-from sysid_evo.plan.plan import Again, Plan, work_ahead
-from sysid_evo.plan.run_state import PATIENCE, TRIES, Here, Ledger, Observer
-from sysid_evo.plan.store import Outcome, Store
-from sysid_evo.processors import ENGINE_VARIABLE, INNER_THREADS, resolve, usable_processors, use_processors
+from sysid_evo.plan.run_cell import CellEnd, CellLost, pickled, run_sent
+from sysid_evo.plan.store import Store
+from sysid_evo.processors import INNER_THREADS, shared_counts, usable_processors, use_shared_count
+from sysid_evo.registry.plugins import load_plugins_again, loaded_plugins
+
+GRACE = 10.0  # s, in which a worker may write down what it has so far
+WATCH = 0.5  # s, between two looks of a worker at whether its parent is there
+INTERRUPTED = 130
+SHARES = "processors"
 
 
-class SideBySide:
-    """Hands cells to ``jobs`` processes, those first on whose results most work waits.
+class Slot:
+    """A worker process in the place ``number``, which is started again when it has died."""
 
-    The processes make the plan ``again``. What they do not know of it is computed in this one. Where fewer cells are
-    computed than there are processors, the engine inside uses the idle ones.
+    def __init__(self, number: int, note: Path, *begin: Any) -> None:
+        self.number, self.note, self._begin = number, note, (number, note, *begin)
+        self.cell: Cell | None = None
+        self.start()
+
+    def start(self) -> None:
+        """Start the process."""
+        from joblib.externals.loky import ProcessPoolExecutor
+
+        environment = {name: os.environ.get(name, "1") for name in INNER_THREADS} | SAFE
+        self.executor = ProcessPoolExecutor(1, env=environment, initializer=begin, initargs=self._begin)
+        with _uninterrupted():
+            self._process: Future[int] = self.executor.submit(os.getpid)
+
+    def submit(self, cell: Cell, *arguments: Any) -> Future[CellEnd]:
+        """Have ``cell`` computed."""
+        self.cell = cell
+        try:
+            return self.executor.submit(compute, cell.digest, *arguments)
+        except BrokenExecutor:  # it died while it was idle
+            self.start()
+            return self.executor.submit(compute, cell.digest, *arguments)
+
+    def step(self) -> tuple[int, int, str] | None:
+        """Return how far the cell is, None if that is not known yet."""
+        try:
+            digest, *step = json.loads(self.note.read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # not begun, or just being written
+            return None
+        done, total, said = step
+        return (done, total, said) if self.cell is not None and digest == self.cell.digest else None
+
+    def interrupt(self) -> bool:
+        """Let the cell end as soon as it has written down how far it is; return whether it has begun."""
+        if not self._process.done() or self._process.exception() is not None:
+            return False
+        with suppress(ProcessLookupError):
+            os.kill(self._process.result(), signal.SIGTERM)
+        return True
+
+    def stop(self, *, kill: bool) -> None:
+        """End the process: when it is idle, or at once."""
+        self.executor.shutdown(wait=True, kill_workers=kill)
+
+
+class Processes:
+    """Up to ``jobs`` worker processes for the ``cells`` of a plan.
+
+    Where fewer cells are computed than there are processors, the engine inside uses the idle ones.
     """
 
-    def __init__(self, ledger: Ledger, again: Again, jobs: int) -> None:
-        self.ledger, self.again, self.jobs = ledger, again, jobs
-        self.here = Here(ledger)
-        self.inbox: Inbox = SimpleQueue()
-        self.at: dict[Worker, Cell | None] = {}  # what each computes that has made the plan
-        self.coming: set[Worker] = set()  # those that have not made it yet
-        self.known: set[str] = set()
-        self.threads: dict[Worker, int] = {}
-        self.began: dict[str, float] = {}
-        self.tried: dict[str, int] = {}
-        self.elsewhere: dict[str, float] = {}  # when to look again at what another process computes
-        self.cells = {cell.digest: cell for cell in ledger.plan}
-        self.ahead = work_ahead(ledger.plan)
+    def __init__(self, store: Store, cells: Sequence[Cell], jobs: int) -> None:
+        self._store, self._jobs = store, jobs
+        self._modules = sorted({type(cell.settings).__module__ for cell in cells})
+        self._busy: dict[Future[Any], Slot] = {}
 
-    def to_the_end(self, cells: Sequence[Cell]) -> None:
-        """Bring all of ``cells`` to their end. Raises OSError if a result cannot be written."""
+    def __enter__(self) -> Self:
+        _start_trackers()
+        self._folder = Path(tempfile.mkdtemp(prefix="sysid-evo-"))
+        (self._folder / SHARES).write_bytes(bytes(2 * self._jobs))
+        self._shares = shared_counts(self._folder / SHARES)
+        told = (os.getpid(), str(self._store.path), loaded_plugins(), self._modules)
+        self._slots = [Slot(i, self._folder / str(i), *told) for i in range(self._jobs)]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         try:
-            for _ in range(self.jobs):
-                self._hire()
-            first = [cell for cell in cells if cell.digest in self.again.after]
-            self.here.to_the_end(first)
-            if any(self.ledger.ended[cell.digest].failed for cell in first):
-                self.here.to_the_end(cells)
-            for worker in self.coming:
-                worker.say(folder=str(self.ledger.store.path))
-            left = self.ledger.left(cells)
-            while left:
-                ended = len(self.ledger.ended)
-                self._hand_out(left)
-                self._hear()
-                if len(self.ledger.ended) != ended:  # a plan may have ten thousand cells: not after every word
-                    left = self.ledger.left(left)
-        finally:
-            for worker in (*self.at, *self.coming):
-                worker.dismiss()
-            for worker in (*self.at, *self.coming):
-                worker.wait()
+            wait([future for future, slot in self._busy.items() if slot.interrupt()], timeout=GRACE)
+        finally:  # also when Ctrl-C is pressed again
+            for slot in self._slots:
+                slot.stop(kill=kind is not None)
+            shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _hire(self) -> Worker:
-        worker = Worker(self.inbox)
-        worker.say(function=self.again.function, settings=self.again.settings, engine=resolve())
-        self.coming.add(worker)
-        return worker
+    def room(self) -> int:
+        """Return how many workers are idle."""
+        return len(self._slots) - len(self._busy)
 
-    def _hand_out(self, left: Sequence[Cell]) -> None:
-        """Give every idle process a cell that waits for nothing; compute one here if only this process can."""
-        if self.at and all(self.at.values()) and self.known >= self.cells.keys():
-            return
-        now = time.monotonic()
-        busy = set(self.at.values())
-        ready = [
-            cell
-            for cell in left
-            if cell not in busy and not self.ledger.waits(cell) and self.elsewhere.get(cell.digest, 0.0) <= now
-        ]
-        ready.sort(key=lambda cell: -self.ahead[cell.digest])
-        for worker in [worker for worker, cell in self.at.items() if cell is None]:
-            chosen = next((cell for cell in ready if cell.digest in self.known), None)
-            if chosen is None:
-                break
-            ready.remove(chosen)
-            self.at[worker] = chosen
-            self.began[chosen.digest] = now
-            failed = [digest for digest, outcome in self.ledger.ended.items() if outcome.failed]
-            worker.say(compute=chosen.digest, failed=failed)
+    def submit(self, cell: Cell, failed: Collection[str]) -> Future[CellEnd]:
+        """Send ``cell`` to an idle worker. Raises `Unsendable`."""
+        sent = pickled(cell, self._store)
+        slot = next(slot for slot in self._slots if slot.cell is None)
+        future = slot.submit(cell, sent, tuple(failed))
+        self._busy[future] = slot
         self._share_processors()
-        if not self.coming:
-            own = next((cell for cell in ready if not self.at or cell.digest not in self.known), None)
-            if own is not None and not self.here.attempt(own):
-                self.elsewhere[own.digest] = now + PATIENCE
+        return future
+
+    def result(self, cell: Cell, future: Future[CellEnd]) -> CellEnd:
+        """Return how ``cell`` ended. Raises `CellLost`, OSError if its result could not be written."""
+        slot = self._busy.pop(future)
+        slot.cell = None
+        try:
+            return future.result()
+        except BrokenExecutor as error:
+            codes = re.search(r"\{(.+)\}", str(error))
+            how = codes[1] if codes else "without a word"
+            if "SIGKILL" in how and len(self._slots) > 1:  # for want of memory, it may be: fewer need less
+                self._slots.remove(slot)
+            else:
+                slot.start()
+            raise CellLost(f"its worker died ({how})") from error
+        finally:
+            self._share_processors()
+
+    def progress(self) -> Iterator[tuple[Cell, int, int, str]]:
+        """Yield how far the cells are."""
+        for slot in self._busy.values():
+            if slot.cell is not None and (step := slot.step()) is not None:
+                yield slot.cell, *step
 
     def _share_processors(self) -> None:
-        """Give every cell that is computed its share of the processors, the longest the rest."""
-        working = [(worker, cell) for worker, cell in self.at.items() if cell is not None]
-        working.sort(key=lambda pair: -self.ahead[pair[1].digest])
+        """Give every worker that computes its share of the processors, the longest cell the rest."""
+        working = sorted(self._busy.values(), key=lambda slot: -slot.cell.seconds if slot.cell else 0.0)
         processors = usable_processors()
-        for i, (worker, _) in enumerate(working):
-            threads = max(1, processors // len(working) + (i < processors % len(working)))
-            if self.threads.get(worker) != threads:
-                self.threads[worker] = threads
-                worker.say(threads=threads)
-
-    def _hear(self) -> None:
-        """Take in what the processes have said; wait for it if they are at work."""
-        if not self.at and not self.coming:
-            time.sleep(PATIENCE if self.elsewhere else 0.0)
-            return
-        try:
-            worker, message = self.inbox.get(timeout=PATIENCE if self.elsewhere else 1.0)
-        except Empty:
-            return
-        if message is None:
-            self._ended(worker)
-        elif "knows" in message:
-            self.coming.discard(worker)
-            self.at[worker] = None
-            self.known = set(message["knows"])
-        elif "cannot" in message:
-            self.ledger.tell(f"all is computed in this process: others cannot plan this work ({message['cannot']})")
-        elif "stop" in message:
-            raise OSError(*message["stop"])
-        elif "idle" in message:
-            self.at[worker] = None
-            if not message["ended"]:
-                self.elsewhere[message["idle"]] = time.monotonic() + PATIENCE
-        else:
-            self._told(message)
-
-    def _told(self, message: dict[str, Any]) -> None:
-        """Hand on to the observer what a process says about its cell."""
-        observer = self.ledger.observer
-        if "start" in message:
-            observer.start(self.cells[message["start"]])
-        elif "progress" in message:
-            observer.progress(self.cells[message["progress"]], message["done"], message["total"], message["note"])
-        elif "end" in message:
-            cell = self.cells[message["end"]]
-            self.ledger.end(cell, message["reason"], self.ledger.seconds(cell), cached=message["cached"])
-        elif "remark" in message:
-            self.ledger.tell(message["remark"])
-        elif "warning" in message:
-            warnings.warn(message["warning"], stacklevel=2)
-
-    def _ended(self, worker: Worker) -> None:
-        """A process has ended unasked: its cell is tried once more, then it counts as failed."""
-        self.coming.discard(worker)
-        worker.dismiss()
-        code = worker.wait()
-        why = said_of(code)
-        if worker not in self.at:
-            if code != 0:
-                self.ledger.tell(f"a process that was to compute cells ended before it began ({why})")
-            return
-        cell = self.at.pop(worker)
-        if cell is not None and cell.digest not in self.ledger.ended:
-            self.tried[cell.digest] = self.tried.get(cell.digest, 0) + 1
-            if self.tried[cell.digest] >= TRIES:
-                seconds = time.monotonic() - self.began[cell.digest]
-                self.ledger.fail(cell, f"its process ended {TRIES} times ({why})", "", seconds)
-            else:
-                self.ledger.tell(f"the process of {cell.title} ended ({why}): it is computed again")
-        if code != -getattr(signal, "SIGKILL", 9) or not (self.at or self.coming):  # killed: fewer need less memory
-            self._hire().say(folder=str(self.ledger.store.path))
+        for i, slot in enumerate(working):
+            self._shares[slot.number] = max(1, processors // len(working) + (i < processors % len(working)))
 
 
-PROGRAM = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from sysid_evo.plan.processes import main; main()"
-
-GRACE = 10.0  # s, in which a process may write down what it has so far
-Inbox: TypeAlias = "SimpleQueue[tuple[Worker, dict[str, Any] | None]]"
-"""What workers say; None is the last of each."""
+SAFE = {"PYTHONSAFEPATH": "1"}
+"""For a process of Python that must not run ./json.py of the current folder."""
 
 
-class Worker:
-    """A process of its own, with one inner thread; what it says goes into ``inbox``."""
+def _start_trackers() -> None:
+    """Start the two processes that remove what is left of locks, so that they have safe paths and say nothing."""
+    from joblib.externals.loky.backend import resource_tracker as of_loky
 
-    def __init__(self, inbox: Inbox) -> None:
-        environment = dict.fromkeys(INNER_THREADS, "1") | dict(os.environ)
-        command = [sys.executable, "-P", "-c", PROGRAM, json.dumps(sys.path)]  # -P: no ./json.py of the current folder
-        with _uninterrupted():
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8", env=environment
-            )
-        self._inbox = inbox
-        Thread(target=self._listen, daemon=True).start()
-
-    def say(self, **message: Any) -> None:
-        """Say something to the process; that it has ended is heard in the inbox."""
-        assert self._process.stdin is not None
-        with suppress(OSError, ValueError):  # ValueError: dismissed
-            self._process.stdin.write(json.dumps(message) + "\n")
-            self._process.stdin.flush()
-
-    def dismiss(self) -> None:
-        """Let the process end: at once if it is idle, else as soon as it has written down how far it is."""
-        assert self._process.stdin is not None
-        with suppress(OSError):
-            self._process.stdin.close()
-
-    def wait(self) -> int:
-        """Return the exit code of a process that was dismissed, or ended; one that takes too long is killed."""
-        try:
-            return self._process.wait(GRACE)
-        except (subprocess.TimeoutExpired, KeyboardInterrupt):
-            self._process.kill()
-            return self._process.wait()
-
-    def _listen(self) -> None:
-        assert self._process.stdout is not None
-        with self._process.stdout as lines:
-            for line in lines:
-                self._inbox.put((self, json.loads(line)))
-        self._inbox.put((self, None))
-
-
-def said_of(code: int) -> str:
-    """Return the exit ``code`` of a process as people say it."""
-    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+    before = dict(os.environ)
+    os.environ.update(SAFE, PYTHONWARNINGS="ignore")
+    try:
+        resource_tracker.ensure_running()
+        of_loky.ensure_running()
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @contextmanager
@@ -249,132 +187,49 @@ def _uninterrupted() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-OFTEN = 0.1  # s, between two reports of progress
-INTERRUPTED = 130
+class _Work:
+    """What this process computes for, where it is a worker."""
+
+    store: Store
+    note: Path
 
 
-def main() -> None:
-    """Compute what is asked for, until nobody is there to ask."""
+def begin(number: int, note: Path, parent: int, folder: str, plugins: Sequence[str], modules: Sequence[str]) -> None:
+    """Make this process a worker of ``parent``."""
+    from joblib.externals.loky import process_executor
+
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    os.dup2(2, 1)  # what libraries print is no output of the command
+    threading.Thread(target=_watch, args=(parent, note.parent), daemon=True).start()
+    process_executor._USE_PSUTIL = False  # libraries that a cell loads are no leak of memory
+    use_shared_count(note.with_name(SHARES), number)
+    _Work.store, _Work.note = Store(folder), note
+    with suppress(Exception):  # what is wrong is told when a cell needs it
+        load_plugins_again(plugins)
+        for module in modules:
+            importlib.import_module(module)
+
+
+def _watch(parent: int, folder: Path) -> None:
+    """End this process when its parent has gone; a cell may write down first how far it is."""
+    while os.getppid() == parent:
+        time.sleep(WATCH)
+    shutil.rmtree(folder, ignore_errors=True)
+    main = threading.main_thread().ident
+    assert main is not None
+    signal.pthread_kill(main, signal.SIGTERM)
+    time.sleep(GRACE)
+    os._exit(INTERRUPTED)
+
+
+def compute(digest: str, sent: bytes, failed: Collection[str]) -> CellEnd:
+    """Compute a cell for the parent of this process."""
+
+    def say(*step: int | str) -> None:
+        with suppress(OSError):  # the parent has gone
+            _Work.note.write_text(json.dumps([digest, *step]), encoding="utf-8")
+
     try:
-        master = Master()
-        warnings.showwarning = master.warn
-        serve(master)
+        return run_sent(_Work.store, sent, failed, say)
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-
-
-class Master:
-    """The process that hands out cells. What it says is heard at once; that it has gone interrupts the work."""
-
-    def __init__(self) -> None:
-        self._tongue = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no message
-        self._heard: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
-        self._given, self._done = 0, -1
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def say(self, **message: Any) -> None:
-        """Say something. Raises KeyboardInterrupt if nobody hears it."""
-        try:
-            self._tongue.write(json.dumps(message) + "\n")
-            self._tongue.flush()
-        except OSError:
-            raise KeyboardInterrupt from None
-
-    def warn(self, message: Warning | str, *_: object, **__: object) -> None:
-        """Hand a warning on."""
-        self.say(warning=str(message))
-
-    def next(self) -> dict[str, Any] | None:
-        """Wait for the next order, now that the one before is done; None is the last."""
-        self._done += 1
-        return self._heard.get()
-
-    def _listen(self) -> None:
-        for line in io.FileIO(sys.stdin.fileno(), closefd=False):  # no buffer, whose lock would be held at the end
-            order = json.loads(line)
-            if "threads" in order:
-                use_processors(order["threads"])
-            if len(order) > ("threads" in order):
-                self._given += 1
-                self._heard.put(order)
-        self._heard.put(None)
-        if self._given > self._done:
-            _interrupt_main()
-        time.sleep(GRACE)
         os._exit(INTERRUPTED)
-
-
-def _interrupt_main() -> None:
-    """Interrupt what the main thread does; where the system can do it, also what it waits for."""
-    main_thread = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main_thread is not None:
-        signal.pthread_kill(main_thread, signal.SIGTERM)
-    else:
-        _thread.interrupt_main(signal.SIGTERM)
-
-
-class Telling(Observer):
-    """An observer that tells the master."""
-
-    def __init__(self, master: Master) -> None:
-        self._master = master
-        self._next = 0.0
-
-    def start(self, cell: Cell) -> None:
-        self._next = 0.0
-        self._master.say(start=cell.digest)
-
-    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + OFTEN
-            self._master.say(progress=cell.digest, done=done, total=total, note=note)
-
-    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
-        self._master.say(end=cell.digest, cached=cached, reason=reason)
-
-    def remark(self, sentence: str) -> None:
-        self._master.say(remark=sentence)
-
-
-def serve(master: Master) -> None:
-    """Prepare, make the plan again when that can be done, and compute one cell after the other."""
-    order = master.next()
-    if order is None:
-        return
-    again = Again(order["function"], order["settings"])
-    os.environ[ENGINE_VARIABLE] = order["engine"]  # workers of a cluster have the environment of their own machine
-    with suppress(Exception):  # what is wrong is told when the plan is made
-        again.prepare()
-    order = master.next()
-    if order is None:
-        return
-    store = Store(Path(order["folder"]))
-    try:
-        plan = again.plan(store.path)
-    except Exception as error:  # what cannot be made here can be where it was made first
-        master.say(cannot=f"{type(error).__name__}: {error}")
-        return
-    known = {cell.digest: cell for cell in plan if not cell.known_digest}
-    ledger = Ledger(plan, store, Telling(master))
-    master.say(knows=list(known))
-    while (order := master.next()) is not None:
-        cell = known[order["compute"]]
-        ledger.only = (cell,) if order.get("alone") else None
-        _open(ledger, cell, set(order["failed"]))
-        try:
-            ended = Here(ledger).attempt(cell)
-        except OSError as error:  # a full disk stops all cells
-            master.say(stop=[error.errno, error.strerror or str(error), error.filename])
-            return
-        master.say(idle=cell.digest, ended=ended)
-
-
-def _open(ledger: Ledger, cell: Cell, failed: set[str]) -> None:
-    """Put down what is known of all that ``cell`` is made of."""
-    ledger.ended.pop(cell.digest, None)
-    for needed in Plan.of(cell.needs):
-        reason = "failed" if needed.digest in failed else None
-        ledger.ended[needed.digest] = Outcome(None, reason, 0.0)

@@ -149,6 +149,16 @@ class Store:
         except ArtefactError as error:
             return Outcome(None, str(error), seconds)
 
+    def without(self, cell: Cell) -> set[str]:
+        """Return the digests of the needed cells that a stored result did without: a tolerant cell's may be stale."""
+        record = self.find(cell.digest) if cell.tolerant else None
+        return set() if record is None else set(record.without)
+
+    def seconds(self, cell: Cell) -> float:
+        """Return how long ``cell`` took when it was computed or tried, as far as that is known."""
+        record = self.find(cell.digest)
+        return 0.0 if record is None else record.seconds
+
     def _why_not(self, cell: Cell) -> str:
         """Return why a cell was never tried: one that it needs failed, or nobody has come to it."""
         for needed in () if cell.tolerant else cell.needs:
@@ -173,8 +183,9 @@ class Store:
         record = self.find(cell.digest)
         return self.place(cell) if record is None or record.status != "done" else self.path / record.artefact
 
-    def keep(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[Cell] = ()) -> Record:
-        """Write the result of ``cell``, then its record; ``without`` are needed cells that had failed.
+    def keep(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[str] = ()) -> Record:
+        """Write the result of ``cell``, then its record; ``without`` are the digests of needed cells that
+        had failed.
 
         Raises OSError if the disk is full.
         """
@@ -185,25 +196,26 @@ class Store:
             status="done",
             seconds=seconds,
             files={file.relative_to(self.path).as_posix(): _digest(file) or "" for file in files},
-            without=sorted(needed.digest for needed in without),
+            without=sorted(without),
         )
         self._write(record)
         self._remember(cell, value)
         return record
 
-    def parcel(self, digest: str) -> Parcel:
+    def bundle(self, digest: str) -> Bundle:
         """Return record and result of a finished cell, to be sent elsewhere. Raises `ArtefactError`."""
         record = self.find(digest)
         if record is None or record.status != "done":
             raise ArtefactError(f"{self.path}: the cell {digest}: {WAITING}")
-        return packed(self.path, (self._name(digest), *record.files))
+        files = ((name, self.path / name) for name in (self._name(digest), *record.files))
+        return tuple((name, file.stat().st_mtime_ns, file.read_bytes()) for name, file in files)
 
-    def take(self, cell: Cell, parcel: Parcel) -> Record:
+    def take(self, cell: Cell, bundle: Bundle) -> Record:
         """Put down the result of ``cell`` that was computed elsewhere, as it is: its record and its own files alone.
 
         Raises `ArtefactError` if that is no result of this cell or not whole, OSError if the disk is full.
         """
-        (named, _, text), *files = parcel or ((self._name(cell.digest), 0, b""),)
+        (named, _, text), *files = bundle or ((self._name(cell.digest), 0, b""),)
         try:
             record = Record.model_validate_json(text)
         except ValidationError as error:
@@ -344,23 +356,17 @@ def _digest(file: Path) -> str | None:
         return None
 
 
-Parcel: TypeAlias = tuple[tuple[str, int, bytes], ...]
+Bundle: TypeAlias = tuple[tuple[str, int, bytes], ...]
 """Files by their path below a folder: path, time of the last change in ns (what is older comes first), content."""
 
 
-def packed(folder: Path, names: Iterable[str]) -> Parcel:
-    """Return the files called ``names`` below ``folder``. Raises OSError if one is not there."""
-    files = ((name, folder / name) for name in names)
-    return tuple((name, file.stat().st_mtime_ns, file.read_bytes()) for name, file in files)
-
-
-def unpack(parcel: Parcel, folder: Path) -> list[Path]:
-    """Write the files of ``parcel`` below ``folder``, and return them.
+def unpack(bundle: Bundle, folder: Path) -> list[Path]:
+    """Write the files of ``bundle`` below ``folder``, and return them.
 
     Raises `ArtefactError` for one outside it, also where a link leads there.
     """
     written = []
-    for name, changed, content in parcel:
+    for name, changed, content in bundle:
         if not is_inside(name) or not (folder / name).parent.resolve().is_relative_to(folder.resolve()):
             raise ArtefactError(f"{name} lies outside the folder that it is sent to")
         file = write_atomically(folder / name, partial(Path.write_bytes, data=content))
@@ -373,11 +379,3 @@ def is_inside(name: str) -> bool:
     """Whether a relative path stays below the folder that it is relative to."""
     path = Path(name)
     return not path.is_absolute() and ".." not in path.parts
-
-
-def digest_of(parcel: Parcel) -> str:
-    """Return the SHA-256 of all that a parcel holds."""
-    digest = hashlib.sha256()
-    for name, changed, content in parcel:
-        digest.update(f"{name}\0{changed}\0{len(content)}\0".encode() + content)
-    return digest.hexdigest()

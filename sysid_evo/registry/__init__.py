@@ -1,7 +1,13 @@
 """Everything that has a name: registries, the grammar of names, plugin files."""
 
 from sysid_evo.registry.grammar import Spec, distinct, split
-from sysid_evo.registry.plugins import load_named_plugins, load_plugin, load_plugins_again, source_digest
+from sysid_evo.registry.plugins import (
+    load_named_plugins,
+    load_plugin,
+    load_plugins_again,
+    loaded_plugins,
+    source_digest,
+)
 from sysid_evo.registry.registry import (
     KINDS,
     Registry,
@@ -39,6 +45,7 @@ __all__ = [
     "load_named_plugins",
     "load_plugin",
     "load_plugins_again",
+    "loaded_plugins",
     "make_robot",
     "models",
     "motions",

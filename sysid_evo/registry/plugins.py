@@ -74,6 +74,11 @@ def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]
     return tuple(dict.fromkeys(found))
 
 
+def loaded_plugins() -> tuple[str, ...]:
+    """Return the plugin files that this process has loaded, the first one first."""
+    return tuple(str(module.__file__) for name, module in sys.modules.items() if name.startswith(PREFIX))
+
+
 def load_plugins_again(paths: Iterable[str]) -> None:
     """Import the plugin files of the process that this one works for, which has decided to trust them."""
     for file in map(Path, paths):

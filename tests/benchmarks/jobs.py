@@ -8,7 +8,8 @@ on the machine lengthens the wall time, and the processor time a little. ``repor
 of jobs, apart from ``timings``: exits 1 if it is not. Further options, behind ``--``, are handed to ``compare``.
 
 Below stands what a cost model needs: seconds and bytes of each kind of cell, what is sent to the workers in all, and
-what handing out a cell costs, measured on ``--cells`` cells that do nothing.
+what handing out a cell costs, measured on ``--cells`` cells that do nothing: processor time of all processes here, and
+wall time on a cluster.
 """
 
 from __future__ import annotations
@@ -112,11 +113,30 @@ def sizes(store: Store) -> tuple[dict[str, Kind], int]:
     """Return the finished cells of a run by their kind, and the bytes of all results that another cell needs."""
     kinds: dict[str, Kind] = {}
     records = {record.digest: record for record in store.records() if record.status == "done"}
-    size = {digest: sum(len(content) for _, _, content in store.parcel(digest)) for digest in records}
+    size = {digest: sum(len(content) for _, _, content in store.bundle(digest)) for digest in records}
     for digest, record in records.items():
         kinds.setdefault(record.kind, Kind()).add(record.seconds, size[digest])
     needed = {digest for record in records.values() for digest in record.needs}
     return kinds, sum(size[digest] for digest in needed & set(records))
+
+
+SHORT = """
+import sys
+from pathlib import Path
+from sysid_evo.plan import Store, execute
+from tests.fixtures.deeds import planned
+folder, cells = Path(sys.argv[1]), [(str(i), "", []) for i in range(int(sys.argv[3]))]
+execute(planned(folder / "diary", *cells), Store(folder), jobs=int(sys.argv[2]))
+"""
+
+
+def short_cells(checkout: Path, jobs: int, cells: int) -> float:
+    """Return the processor time, in s, that ``cells`` which do nothing take with so many jobs, with all starts."""
+    with tempfile.TemporaryDirectory(prefix="sysid-evo-cells-") as folder:
+        before = _processor()
+        command = [sys.executable, "-c", SHORT, folder, str(jobs), str(cells)]
+        subprocess.run(command, cwd=checkout, env={**os.environ, "PYTHONPATH": str(checkout)}, check=True)
+        return _processor() - before
 
 
 def overhead(workers: int, cells: int) -> float:
@@ -169,6 +189,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ours = [row for row in rows if row.checkout == ROOT]
     out.print(costs(ours[-1]))
     out.print(f"Results that other cells need, each sent to the workers once: {ours[-1].sent / 1e6:.2f} MB.")
+    for name, checkout in [("before", given.before)] * (given.before is not None) + [("now", ROOT)]:
+        taken = {count: short_cells(checkout.resolve(), count, given.cells) for count in given.jobs if given.cells}
+        told = ", ".join(f"{count} jobs {seconds:.1f} s" for count, seconds in taken.items())
+        out.print(f"{given.cells} cells that do nothing take {name}, in processor time: {told}.")
     if given.cells and given.workers:
         seconds = overhead(given.workers[-1], given.cells)
         out.print(f"A cell that does nothing takes {1e3 * seconds:.1f} ms on {given.workers[-1]} workers.")

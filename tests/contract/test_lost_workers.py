@@ -1,7 +1,7 @@
-"""How a scheduler is reached, and what becomes of a cell that comes back without a result; nothing is sent anywhere."""
+"""How a scheduler is reached, what is sent to its workers, and what comes back; the cluster is made up."""
 
 import logging
-from contextlib import ExitStack
+from concurrent.futures import CancelledError, Future
 from types import SimpleNamespace
 
 import dask
@@ -10,16 +10,15 @@ import pytest
 from distributed import KilledWorker
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
-from sysid_evo.plan import Again, Plan, Store
-from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, Away, Cluster, address_of, connected
-from sysid_evo.plan.dask_worker import BLOCKED, ENDED, FAILED, LACKS
-from sysid_evo.plan.plan import at_home
-from sysid_evo.plan.run_state import Ledger
-from sysid_evo.version import versions
-from tests.fixtures.cells import AtHome, Number, Watching
+from sysid_evo.plan import Plan, Store, dask_executor, execute
+from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, Cluster, address_of, connected
+from sysid_evo.plan.run_cell import CellEnd, CellLost
+from sysid_evo.processors import resolve
+from tests.fixtures.cells import number
 
-ONE = Number(1, label="one")
-TOP = Number(2, (ONE,), label="top")
+ONE = number(1, label="one")
+TOP = number(2, (ONE,), label="top")
+AFTER = number(3, (ONE,), label="after")
 
 
 class MadeUpClient(distributed.Client):
@@ -111,166 +110,229 @@ def test_a_file_that_is_not_a_schedulers_is_named(tmp_path, text):
         address_of(str(tmp_path / "odd.json"))
 
 
-class MadeUpPost:
-    """Remembers what is sent, and to whom."""
+class MadeUpCluster(MadeUpClient):
+    """Remembers what it is asked; everything fails while ``breaks``."""
 
     def __init__(self):
-        self.sent, self.mistrusted, self.listened = [], [], 0
-        self.there, self.nobody = {}, False
-        self.needed = set()
+        super().__init__("tcp://made.up:1")
+        self._state, self.breaks, self.threads = "running", False, {"a": 1}
+        self.scheduler = SimpleNamespace(address="tcp://made.up:1")
+        self.scattered, self.sent, self.topics, self.ended = [], [], [], []
 
-    def submit(self, digest, needs, failed, only, priority):
-        self.sent.append({"digest": digest, "needs": needs, "failed": failed, "only": only, "priority": priority})
-        return None if self.nobody else SimpleNamespace(add_done_callback=lambda _: None, cancel=lambda: None)
+    @property
+    def status(self):
+        return self._state
 
-    def mistrust(self, needed):
-        self.mistrusted.append(needed)
+    @status.setter
+    def status(self, value):
+        self._state = value
 
-    def listen(self):
-        self.listened += 1
+    def get_executor(self, *, pure):
+        assert pure is False
+        return SimpleNamespace(submit=self._submit, shutdown=lambda wait: self.ended.append(wait))
 
-    def workers(self):
-        return self.there
+    def subscribe_topic(self, topic, handler):
+        self._ask()
+        self.topics.append(topic)
 
-    def forget(self, needed):
-        self.needed = needed
+    def unsubscribe_topic(self, topic):
+        self.topics = [one for one in self.topics if one != topic]
+
+    def nthreads(self):
+        self._ask()
+        return self.threads
+
+    def scatter(self, bundles, *, timeout, hash):  # noqa: A002  # as Dask calls it
+        self._ask()
+        self.scattered += bundles
+        return [SimpleNamespace(status="finished", bundle=bundle) for bundle in bundles]
+
+    def _submit(self, function, task, needed, **where):
+        self._ask()
+        future = Future()
+        self.sent.append(SimpleNamespace(future=future, task=task, needed=[one.bundle for one in needed], **where))
+        return future
+
+    def _ask(self):
+        if self.breaks:
+            raise RuntimeError("broken")
 
 
 class Here:
-    """A cluster of nobody, and what the observer of its run is told."""
+    """A run on a made-up cluster, in which ONE is done, and what the user is told."""
 
-    def __init__(self, folder, *cells):
-        self.watching, self.store, self.plan = Watching(), Store(folder), Plan.of(cells)
-        ledger = Ledger(self.plan, self.store, self.watching)
-        ledger.open()
-        self.cluster = Cluster(ledger, Again("m:f", {}), "tcp://nowhere:1")
-        self.post = MadeUpPost()
-        self.cluster.post = self.post
-        self.cluster.looked = float("inf")
+    def __init__(self, folder):
+        self.store, self.client, self.told = Store(folder), MadeUpCluster(), []
+        execute(Plan.of([ONE]), self.store)
+        self.plan = Plan.of([ONE, TOP, AFTER])
+        self.cluster = Cluster(self.store, self.plan.cells, self.client, self.told.append)
 
-    def away(self, cell, status="lost", error=None):
-        future = SimpleNamespace(status=status, exception=lambda: error)
-        return Away(cell, future, None, ExitStack())
+    def look(self):
+        self.cluster._looked = 0.0
+        return self.cluster.room()
 
-    def ended(self, cell):
-        found = self.cluster.ledger.ended.get(cell.digest)
-        return None if found is None else found.reason
+    def answered(self, cell, answer):
+        """Send ``cell``, have it answered, and return how it ended."""
+        future = self.cluster.submit(cell, ())
+        if isinstance(answer, BaseException):
+            future.set_exception(answer)
+        else:
+            future.set_result(answer)
+        return self.cluster.result(cell, future)
 
 
 @pytest.fixture
 def here(tmp_path):
-    return Here(tmp_path, ONE, TOP)
+    made = Here(tmp_path / "run")
+    with made.cluster:
+        yield made
 
 
-@pytest.mark.parametrize(
-    ("allowed", "said"),
-    [(0, "1 worker died while it was there"), (3, "4 workers, one after the other, died while it was there")],
-)
-def test_a_cell_at_which_workers_die_fails(here, allowed, said):
-    last = SimpleNamespace(address="a")
-    error = KilledWorker("key", last, allowed)
-    here.cluster._undone(here.away(ONE, "error", error))
-    assert here.ended(ONE) == said
-    assert here.store.find(ONE.digest) is not None
+def elsewhere(folder, cell):
+    """Return the bundle of a cell that was computed in another folder."""
+    store = Store(folder)
+    execute(Plan.of([cell]), store)
+    return store.bundle(cell.digest)
 
 
-def test_what_workers_cannot_run_is_computed_here(here):
-    here.cluster.workers = {"a": 1}
-    assert not here.cluster._only_here(ONE)
-    here.cluster._undone(here.away(ONE, "error", ImportError("no such module")))
-    assert here.ended(ONE) is None
-    assert here.cluster._only_here(ONE)
-    assert here.watching.remarks == ["workers cannot compute this, so it is computed here: ImportError: no such module"]
+def test_a_result_is_sent_once_as_long_as_a_cell_needs_it_and_again_if_it_is_lost(here):
+    here.look()
+    for cell in (TOP, AFTER):
+        here.cluster.submit(cell, ())
+    assert [one.needed for one in here.client.sent] == [[here.store.bundle(ONE.digest)]] * 2
+    assert len(here.client.scattered) == 1
+    here.cluster._sent[ONE.digest].status = "lost"
+    here.answered(number(9, (ONE,), label="nine"), CancelledError())
+    here.answered(number(9, (ONE,), label="nine"), CancelledError())
+    assert len(here.client.scattered) == 3
+    for cell, sent in zip((TOP, AFTER), here.client.sent, strict=False):
+        sent.future.set_result((CellEnd("blocked", reason="so"), (), "a"))
+        assert here.cluster.result(cell, sent.future).reason == "so"
+    assert here.cluster._sent == {}
 
 
-def test_what_is_lost_on_the_way_is_sent_again_but_not_for_ever(here):
+def test_what_is_lost_is_sent_again_but_not_for_ever(here):
+    here.look()
     for _ in range(LOST):
-        here.cluster._undone(here.away(TOP))
-    assert here.ended(TOP) is None
-    assert here.post.mistrusted == [{ONE.digest}] * LOST
-    assert here.post.listened == LOST
-    assert here.cluster.looked == 0.0  # it is seen at once who is there
-    here.cluster._undone(here.away(TOP))
-    assert here.ended(TOP) == f"it, or what it needs, was lost in the cluster {LOST} times"
+        assert here.answered(TOP, CancelledError()).status == "busy"
+    assert here.cluster._looked == 0.0  # it is seen at once who is there
+    with pytest.raises(CellLost, match="was lost in the cluster"):
+        here.answered(TOP, CancelledError())
 
 
-def test_a_process_that_ends_twice_in_a_cell_fails_it(here):
-    for times in (1, 2):
-        here.cluster._answered(here.away(ONE), {"status": ENDED, "reason": "SIGKILL"}, ())
-        assert (here.ended(ONE) is None) == (times == 1)
-    assert here.watching.remarks == ["the process of count one ended (SIGKILL): it is computed again"]
-    assert here.ended(ONE) == "its process ended 2 times (SIGKILL)"
-
-
-def test_a_result_that_is_not_whole_counts_as_none(here):
-    here.cluster._answered(here.away(ONE), {"status": "done"}, ())
-    assert here.ended(ONE) is None
-    assert "count one ended (count one: what came has no readable record" in here.watching.remarks[0]
-
-
-def test_a_failure_elsewhere_is_kept_with_its_time_and_what_is_blocked_is_not_kept(here):
-    answer = {"status": FAILED, "reason": "it broke", "traceback": "there", "seconds": 2.5, "remarks": ["so"]}
-    with pytest.warns(UserWarning, match="odd"):
-        here.cluster._answered(here.away(ONE), {**answer, "warnings": ["odd"]}, ())
-    record = here.store.find(ONE.digest)
-    assert (record.reason, record.traceback, record.seconds) == ("it broke", "there", 2.5)
-    assert here.watching.remarks == ["so"]
-    here.cluster._answered(here.away(TOP), {"status": BLOCKED, "reason": "needs count one, which failed"}, ())
-    assert here.ended(TOP) == "needs count one, which failed"
-    assert here.store.find(TOP.digest) is None
-
-
-def test_a_worker_that_plans_otherwise_is_not_asked_for_that_again(here):
-    here.cluster.workers = {"old": 1, "new": 1}
-    ours = versions()
-    name = next(iter(ours))
-    told = {"status": LACKS, "worker": "old", "knows": [TOP.digest], "reason": "", "versions": {**ours, name: "0.0"}}
-    here.cluster._answered(here.away(ONE), told, ())
-    assert here.cluster.lacking == {"old": frozenset({ONE.digest})}
-    (remark,) = here.watching.remarks
-    assert remark.startswith(f"the worker old cannot plan 1 of 2 cells ({name} 0.0 instead of {ours[name]})")
-    here.cluster._answered(here.away(ONE), {**told, "worker": "older"}, ())
-    assert len(here.watching.remarks) == 1  # of what cannot be planned, each is told once
-    here.cluster._hand(ONE)
-    assert here.post.sent[-1]["only"] == {"new"}
-    here.cluster.lacking["new"] = frozenset({ONE.digest})
-    assert here.cluster._only_here(ONE)
-    assert not here.cluster._only_here(TOP)
-
-
-def test_an_order_says_what_failed_and_comes_the_earlier_the_more_waits_for_it(here):
-    here.cluster.workers = {"a": 1}
-    here.cluster.ledger.fail(ONE, "it broke", "", 1.0)
-    for cell in (ONE, TOP):
-        here.cluster._hand(cell)
-    first, second = here.post.sent
-    assert (first["needs"], first["failed"], first["only"]) == (set(), set(), None)
-    assert (second["needs"], second["failed"]) == (set(), {ONE.digest})
-    assert first["priority"] > second["priority"]
-    assert set(here.cluster.away) == {ONE.digest, TOP.digest}
-
-
-def test_where_nobody_takes_it_a_cell_is_free_for_others(here):
-    here.post.nobody = True
-    here.cluster._hand(ONE)
-    assert here.cluster.away == {}
-    with here.store.claim(ONE) as ours:
+def test_a_result_is_stored_if_it_is_that_of_the_cell_and_whole(here, tmp_path):
+    bundle = elsewhere(tmp_path / "there", TOP)
+    assert here.answered(TOP, (CellEnd("done", 2.0), bundle, "a")).status == "done"
+    assert here.store.load(TOP) == 3
+    with pytest.raises(CellLost, match="is not the whole result of this cell"):
+        here.answered(AFTER, (CellEnd("done", 2.0), bundle, "a"))
+    with here.store.claim(AFTER) as ours:
         assert ours
-    assert here.cluster.elsewhere[ONE.digest] > 0.0
+    assert not here.store.done(AFTER)
 
 
-def test_no_more_is_handed_out_than_a_cluster_has_room_for(tmp_path):
-    cells = [Number(i, label=str(i)) for i in range(FIRST + 3 * AHEAD + 5)]
-    here = Here(tmp_path, *cells)
-    here.cluster._hand_out(cells)
-    assert len(here.post.sent) == FIRST
-    here.cluster.workers = {"a": 2, "b": 1}
-    here.cluster._hand_out(cells)
-    assert len(here.post.sent) == FIRST + 3 * AHEAD
+def test_a_failure_is_stored_and_what_is_blocked_is_not(here):
+    here.answered(TOP, (CellEnd("failed", 2.5, "it broke", "there"), (), "a"))
+    record = here.store.find(TOP.digest)
+    assert (record.reason, record.traceback, record.seconds) == ("it broke", "there", 2.5)
+    here.answered(AFTER, (CellEnd("blocked", reason="needs it"), (), "a"))
+    assert here.store.find(AFTER.digest) is None
 
 
-def test_what_needs_a_cell_that_stays_here_stays_here_too():
-    home = AtHome(1, label="home")
-    after = Number(2, (home,), label="after")
-    plan = Plan.of([home, after, Number(3, (after,), label="last"), Number(4, label="free")])
-    assert {cell.name for cell in plan if cell.digest in at_home(plan)} == {"home", "after", "last"}
+def test_workers_that_die_are_told_by_how_many_and_what_they_cannot_run_is_unknown(here):
+    with pytest.raises(CellLost, match="its worker died") as lost:
+        here.answered(TOP, KilledWorker("key", SimpleNamespace(address="a"), 3))
+    assert lost.value.times == 4
+    end = here.answered(TOP, ImportError("no such module"))
+    assert (end.status, end.reason) == ("unknown", "ImportError: no such module")
+
+
+def test_a_cell_that_a_worker_does_not_know_is_sent_to_the_others_and_then_unknown(here):
+    here.client.threads = {"old": 1, "new": 1}
+    here.look()
+    unknown = CellEnd("unknown", reason="another version")
+    assert here.answered(TOP, (unknown, (), "old")).status == "busy"
+    assert here.told == ["the worker old does not know all of this work (another version)"]
+    future = here.cluster.submit(TOP, ())
+    assert here.client.sent[-1].workers == ["new"]
+    here.client.threads = {"old": 1}
+    here.look()
+    assert future.cancelled()  # the only one who knew it has gone
+    assert here.cluster.result(TOP, future).status == "busy"
+    here.client.threads = {"old": 1, "new": 1}
+    here.look()
+    assert here.answered(TOP, (unknown, (), "new")).status == "unknown"
+
+
+def test_a_cell_at_which_another_process_is_waits_and_one_that_it_did_is_kept(here):
+    with Store(here.store.path).claim(TOP):
+        assert here.cluster.submit(TOP, ()) is None
+    execute(here.plan, Store(here.store.path), only=[TOP])
+    future = here.cluster.submit(TOP, ())
+    assert here.cluster.result(TOP, future).status == "kept"
+    assert here.client.sent == []
+
+
+def test_there_is_room_for_two_cells_a_thread_and_for_some_where_nobody_is_yet(here, monkeypatch):
+    here.client.threads = {}
+    assert here.look() == FIRST
+    here.client.threads = {"a": 2, "b": 1}
+    assert here.look() == 3 * AHEAD
+    here.cluster.submit(TOP, ())
+    assert here.look() == 3 * AHEAD - 1
+    here.client.threads = {}
+    monkeypatch.setattr("sysid_evo.plan.dask_executor.ALONE", -1.0)
+    here.look()
+    assert here.told == ["there is no worker: waiting for one"]
+
+
+def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_error(here):
+    here.look()
+    here.client.status, here.client.breaks = "connecting", True
+    assert here.look() == 0
+    assert here.cluster.submit(TOP, ()) is None
+    with here.store.claim(TOP) as ours:
+        assert ours
+    here.client.status = "closed"
+    with pytest.raises(SchedulerLost, match=r"the scheduler at tcp://made\.up:1 does not answer any more"):
+        here.look()
+
+
+def test_what_breaks_while_the_connection_stands_is_an_error(here):
+    here.client.breaks = True
+    for deed in (here.look, lambda: here.cluster.submit(TOP, ())):
+        with pytest.raises(RuntimeError, match="broken"):
+            deed()
+
+
+def test_in_the_end_all_is_taken_back_and_free(tmp_path):
+    here = Here(tmp_path / "run")
+    with here.cluster:
+        here.look()
+        here.cluster.submit(TOP, ())
+        assert len(here.client.topics) == 1
+    assert (here.client.topics, here.client.ended) == ([], [False])
+    with here.store.claim(TOP) as ours:
+        assert ours
+
+
+def test_what_workers_say_is_how_far_a_cell_is(here):
+    here.cluster.submit(TOP, ())
+    here.cluster._said.put((TOP.digest, 1, 2, "half"))
+    here.cluster._said.put((ONE.digest, 1, 2, "not sent"))
+    assert list(here.cluster.progress()) == [(TOP, 1, 2, "half")]
+
+
+@pytest.mark.parametrize("name", ["auto", "reference"])
+def test_a_worker_has_the_engine_of_the_process_that_sent_the_cell(monkeypatch, here, tmp_path, name):
+    """Read on a machine whose own environment names nothing."""
+    monkeypatch.setenv("SYSID_EVO_ENGINE", name)
+    here.cluster.submit(TOP, ())
+    worker = SimpleNamespace(
+        local_directory=tmp_path, address="a", get_current_task=lambda: "key", status=distributed.Status.running,
+        state=SimpleNamespace(tasks={"key": SimpleNamespace(state="executing")}),
+    )  # fmt: skip
+    monkeypatch.setattr(distributed, "get_worker", lambda: worker)
+    monkeypatch.setattr(dask_executor, "run_sent", lambda *_: CellEnd("failed", reason=resolve()))
+    monkeypatch.delenv("SYSID_EVO_ENGINE")
+    assert dask_executor.compute(here.client.sent[0].task, ())[0].reason == name

@@ -5,18 +5,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from evaluation.experiment import Experiment, meaningful
-from evaluation.planning import comparison_again, plan_comparison
+from evaluation.planning import comparison_again, comparison_of, plan_comparison
 from evaluation.running import compare
-from sysid_evo.plan import Again, Plan, Record, Store, execute, stored
+from sysid_evo.plan import Plan, Record, Store, execute, stored
 from sysid_evo.processors import usable_processors
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
-from tests.fixtures.cells import Watching, number
+from tests.fixtures.cells import Number, Watching, number
 from tests.fixtures.deeds import LADDER, diary, eventually, gone, lines, planned, processes, shared
 
 ROOT = Path(__file__).parents[2]
@@ -60,43 +61,42 @@ def run(folder, plan, count=2):
 
 
 def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path):
-    """Also warnings reach the caller, what libraries print disturbs nobody, and what others do not know stays here."""
+    """Also warnings reach the caller, what libraries print disturbs nobody, and what is local is computed here."""
     found = []
     for count in (1, 3):
         folder = tmp_path / str(count)
         cells = [("broken", "fail", []), ("after", "", ["broken"]), ("tolerant", "", ["broken", "base"]),
-                 ("odd", "warn", []), ("loud", "print", [])]  # fmt: skip
+                 ("odd", "warn", []), ("loud", "print", []), ("ends", "exit", [])]  # fmt: skip
         plan = planned(folder / "diary", *LADDER, *cells)
-        own = number(50, (plan.cells[5],), "own", folder / "diary")
-        last = number(60, (own,), "last", folder / "diary")
-        plan = Plan.of([*plan.cells, last], again=plan.again)
+        own = Number(50, (plan.cells[5],), "own", folder / "diary").cell(local=True)
+        last = number(60, (own,), "last", folder / "diary", then=lambda: None)
+        plan = Plan.of([*plan.cells, last])
         with pytest.warns(UserWarning, match="this looks odd"):
             watching, store = run(folder, plan, count)
         assert set(diary(folder).values()) == {1}
-        others = {process for process, label in lines(folder) if label not in ("own", "last")}
+        others = {process for process, label in lines(folder) if label != "own"}
         assert 1 <= len(others) <= count  # one that starts late may find nothing left to do
         assert (os.getpid() in others) == (count == 1)
-        assert {(os.getpid(), label) for label in ("own", "last")} <= set(lines(folder))
+        assert (os.getpid(), "own") in lines(folder)
         assert sorted(watching.computed) == sorted(cell.name for cell in plan)
         found.append({cell.title: (store.outcome(cell).value, store.outcome(cell).reason) for cell in plan})
     assert found[0] == found[1]
     assert found[0]["count after"][1] == "needs count broken, which failed"
+    assert found[0]["count ends"][1] == "RuntimeError: it ends its process, with code 5"
     assert found[0]["count last"][0] == 60 + 50 + found[0]["count top"][0]
     assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path / "3") - {os.getpid()})
 
 
-def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path):
-    """Also what the plan is made of is computed first, and here."""
-    cells = [("bad", "kill 1", []), ("later", "", ["bad"]), ("worse", "exit", []), ("never", "", ["worse"])]
-    plan = planned(tmp_path / "diary", *LADDER, *cells, after=("base",))
+def test_a_worker_that_dies_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path):
+    cells = [("bad", "kill 1", []), ("later", "", ["bad"]), ("worse", "crash", []), ("never", "", ["worse"])]
+    plan = planned(tmp_path / "diary", *LADDER, *cells)
     watching, store = run(tmp_path, plan)
-    assert lines(tmp_path)[0] == (os.getpid(), "base")
     assert len(processes(tmp_path)) > 1
     assert sorted(watching.remarks) == [
-        "the process of count bad ended (SIGKILL): it is computed again",
-        "the process of count worse ended (exit code 5): it is computed again",
+        "count bad is computed again: its worker died (SIGKILL(-9))",
+        "count worse is computed again: its worker died (EXIT(5))",
     ]
-    reason = "its process ended 2 times (exit code 5)"
+    reason = "its worker died (EXIT(5)), 2 times"
     assert watching.failed == {"worse": reason, "never": "needs count worse, which failed"}
     assert {name: times for name, times in diary(tmp_path).items() if times > 1} == {"bad": 2, "worse": 2}
     found = {cell.name: cell for cell in plan}
@@ -107,22 +107,14 @@ def test_a_process_that_ends_in_a_cell_costs_that_cell_alone_and_that_only_the_s
 
 
 @pytest.mark.nightly
-def test_a_process_that_is_killed_twice_in_a_cell_costs_that_cell_alone(tmp_path):
+def test_a_worker_that_is_killed_twice_in_a_cell_costs_that_cell_alone(tmp_path):
     plan = planned(tmp_path / "diary", ("bad", "kill 2", []), ("worse", "", ["bad"]), *LADDER)
     watching, store = run(tmp_path, plan)
-    assert watching.remarks == ["the process of count bad ended (SIGKILL): it is computed again"]
-    reason = "its process ended 2 times (SIGKILL)"
+    assert watching.remarks == ["count bad is computed again: its worker died (SIGKILL(-9))"]
+    reason = "its worker died (SIGKILL(-9)), 2 times"
     assert watching.failed == {"bad": reason, "worse": "needs count bad, which failed"}
     assert store.find(plan.cells[0].digest).reason == reason
     assert store.load(plan.cells[-1]) == 8 + sum(3 + n for n in (4, 5, 6, 7))
-
-
-def test_nobody_is_asked_when_what_the_plan_is_made_of_failed(tmp_path):
-    plan = planned(tmp_path / "diary", ("base", "fail", []), ("top", "", ["base"]), ("aside", "", []), after=("base",))
-    watching, _ = run(tmp_path, plan)
-    assert watching.failed == {"base": "there is too little of it", "top": "needs count base, which failed"}
-    assert diary(tmp_path) == {"base": 1, "aside": 1}
-    assert watching.remarks == []
 
 
 def test_a_full_disk_stops_all_processes(tmp_path):
@@ -135,15 +127,19 @@ def test_a_full_disk_stops_all_processes(tmp_path):
     assert Store(tmp_path).records() == []
 
 
-@pytest.mark.parametrize(
-    "function", ["tests.fixtures.deeds:nothing", pytest.param("no.such.module:made", marks=pytest.mark.nightly)]
-)
-def test_a_plan_that_others_cannot_make_is_computed_here_with_a_remark(tmp_path, function):
-    plan = planned(tmp_path / "diary", *LADDER)
-    watching, store = run(tmp_path, Plan(plan.cells, again=Again(function, plan.again.settings)))
+def test_what_workers_cannot_have_or_do_not_know_is_computed_here_with_a_remark(tmp_path, monkeypatch):
+    lock = threading.Lock()
+    unsendable = number(77, (), "unsendable", tmp_path / "diary", then=lambda: lock.locked())
+    plan = Plan.of([*planned(tmp_path / "diary", *LADDER), unsendable])
+    monkeypatch.setenv("NUMBERS_DIFFER", "1")  # workers have another number
+    watching, store = run(tmp_path, plan)
     assert processes(tmp_path) == {os.getpid()}
-    assert len(watching.remarks) == 1
-    assert "all is computed in this process: others cannot plan this work" in watching.remarks[0]
+    assert set(diary(tmp_path).values()) == {1}
+    assert sorted(watching.remarks) == [
+        "what workers do not know is computed in this process (another version, or another plugin of that name)",
+        "what workers do not know is computed in this process (count unsendable cannot be sent: TypeError: cannot "
+        "pickle '_thread.lock' object)",
+    ]
     assert len(store.records()) == len(plan)
 
 
@@ -238,11 +234,10 @@ def test_the_same_settings_give_the_same_report_twice_and_for_any_number_of_jobs
     assert {line["status"] for line in map(json.loads, (tmp_path / "log.jsonl").read_text().splitlines())} == {"done"}
 
 
-def test_another_process_plans_the_same_cells_of_the_run_folder(finished_run):
+def test_a_run_folder_is_planned_as_its_comparison_was(finished_run):
     settings = {**Experiment.read(finished_run), "data_digest": None}
     first = plan_comparison(Experiment.of(meaningful(settings, {})), dataset=example_dataset()).plan
-    again = first.again.plan(finished_run)
-    assert [cell.digest for cell in again] == [cell.digest for cell in first]
+    assert [cell.digest for cell in comparison_of(finished_run)[0].plan] == [cell.digest for cell in first]
 
 
 def test_the_yardstick_of_a_recorded_run_is_planned_again():

@@ -50,7 +50,7 @@ def lists(*names):
 
 told = []
 lists("sysid_evo")
-lists("sysid_evo.plan.processes")
+lists("sysid_evo.plan.processes", "joblib.externals.loky.process_executor")
 lists("tests.system.rig.__main__")
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison

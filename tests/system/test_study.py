@@ -16,7 +16,7 @@ import pytest
 from evaluation.running import run_study, write_study
 from evaluation.study import Study, controller_figures, gather, plan_study
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import Again, Observer, Store, execute
+from sysid_evo.plan import Observer, Store, execute
 from tests.fixtures.commands import COMMAND, run_here
 from tests.fixtures.session import STUDY
 from tests.fixtures.studies import finished, found_in
@@ -110,12 +110,8 @@ def test_a_study_that_is_half_done_shows_what_is_there(study_folder, planned, tm
     assert not any(row.chosen for row in results.controllers if row.point == results.points[-1].name)
 
 
-def test_the_same_plan_is_made_again_from_its_settings(planned, tmp_path):
-    again = planned.plan.again
-    told = json.loads(json.dumps(again.settings))
-    made = Again(again.function, told).plan(tmp_path)
-    assert [cell.digest for cell in made] == [cell.digest for cell in planned.plan]
-    assert again.after == ()  # what emulated robots record is computed side by side, too
+def test_what_emulated_robots_record_is_computed_side_by_side_too(planned):
+    assert not any(cell.local for cell in planned.plan)
 
 
 def test_a_cell_is_named_by_what_the_points_that_need_it_share():

@@ -30,7 +30,7 @@ def compute_points(study: Study, folder: Path, jobs: int) -> None:
     planned = plan_study(study)
     wanted = [cell for _, comparison in planned.points for cell in looked_for(comparison).cells]
     with Bars(f"--store {folder}", where=planned.where) as bars:
-        execute(Plan.of(wanted, again=planned.plan.again), Store(folder), observer=bars, jobs=jobs)
+        execute(Plan.of(wanted), Store(folder), observer=bars, jobs=jobs)
 
 
 def complete_points(study: Study, folder: Path) -> Iterator[tuple[Point, Comparison]]:

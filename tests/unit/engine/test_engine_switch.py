@@ -3,7 +3,6 @@
 import hashlib
 import importlib
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +16,7 @@ from sysid_evo.engine import DynamicsRunner, imagined, reference, resolve, rollo
 from sysid_evo.errors import CheckpointWarning, InvalidArgument
 from sysid_evo.evolution import ControllerEvolution, ModelEvolution, evolve_controller, model_evolution
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import CONTRACT, Again, Plan, Store, dask_worker, processes
-from sysid_evo.plan.dask_executor import Dispatch
-from sysid_evo.plan.run_state import Ledger
+from sysid_evo.plan import CONTRACT, Plan
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
@@ -192,44 +189,6 @@ def test_a_checkpoint_of_one_engine_is_refused_under_the_other(engine, evolved, 
     (tmp_path / "c").write_bytes(kept)
     engine("reference")
     resumed()  # a warning would be an error
-
-
-class MadeUpWorker:
-    """Keeps what it is told."""
-
-    def __init__(self, inbox):
-        self.told = []
-
-    def say(self, **message):
-        self.told.append(message)
-
-
-AGAIN = Again("sysid_evo.plan:Plan", {})
-
-
-def hired_here(folder):
-    return processes.SideBySide(Ledger(Plan.of([]), Store(folder)), AGAIN, 2)._hire()
-
-
-def hired_in_a_cluster(folder):
-    """What the first process asks, read on a machine whose own environment names nothing."""
-    client = SimpleNamespace(scheduler=None, subscribe_topic=lambda *_: None)
-    asked = Dispatch(client, Store(folder), AGAIN, print)._plan
-    with pytest.MonkeyPatch.context() as there:
-        there.delenv("SYSID_EVO_ENGINE")
-        return dask_worker.Child(folder, asked, (), ()).worker
-
-
-@pytest.mark.parametrize("hired", [hired_here, hired_in_a_cluster])
-@pytest.mark.parametrize("name", ["auto", "reference"])
-def test_the_processes_of_a_plan_have_the_engine_of_the_first(engine, monkeypatch, tmp_path, hired, name):
-    for module in (processes, dask_worker):
-        monkeypatch.setattr(module, "Worker", MadeUpWorker)
-    engine(name)
-    orders = iter([hired(tmp_path).told[0], None])
-    engine("not that of the first")
-    processes.serve(SimpleNamespace(next=lambda: next(orders)))
-    assert resolve() == name
 
 
 def test_the_kits_do_not_compile_where_the_reference_is_named(engine):

@@ -1,12 +1,12 @@
-"""Parcels: what is packed in one folder stands in another as it was, and what is not whole is refused."""
+"""Bundles: what is packed in one folder stands in another as it was, and what is not whole is refused."""
 
 import hashlib
 
 import pytest
 
 from sysid_evo.errors import ArtefactError
-from sysid_evo.plan import Again, Plan, Store, execute
-from sysid_evo.plan.store import Record, digest_of, packed, unpack
+from sysid_evo.plan import Plan, Store, execute
+from sysid_evo.plan.store import Record, unpack
 from tests.fixtures.cells import number
 
 ONE, OTHER = number(1, label="one"), number(2, label="other")
@@ -19,29 +19,13 @@ def done(tmp_path):
     return store
 
 
-def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path):
-    for name in ("b", "a/c"):
-        (tmp_path / "from" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "from" / name).write_bytes(name.encode())
-    parcel = packed(tmp_path / "from", ["b", "a/c"])
-    assert [file.relative_to(tmp_path / "to").as_posix() for file in unpack(parcel, tmp_path / "to")] == ["b", "a/c"]
-    assert packed(tmp_path / "to", ["b", "a/c"]) == parcel
-    assert digest_of(parcel) == digest_of(packed(tmp_path / "to", ["b", "a/c"]))
-    assert len({digest_of(parcel), digest_of(parcel[:1]), digest_of(parcel[::-1])}) == 3
-
-
-def test_parcels_that_differ_in_anything_have_digests_of_their_own():
-    """Also those of which name, time and content are the same characters when they are joined."""
-    parcels = (
-        (("a", 1, b"2x"),),
-        (("a", 12, b"x"),),
-        (("a1", 2, b"x"),),
-        (("a", 1, b"2x"), ("b", 1, b"")),
-        (("a", 1, b"2xb\x001\x000\x00"),),
-        (("a", 2, b"2x"),),
-        (("a", 1, b"2y"),),
-    )
-    assert len({digest_of(parcel) for parcel in parcels}) == len(parcels)
+def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path, done):
+    bundle = done.bundle(ONE.digest)
+    assert bundle[0][0] == f"cells/{ONE.digest}.json"
+    files = unpack(bundle, tmp_path / "to")
+    assert [file.relative_to(tmp_path / "to").as_posix() for file in files] == [name for name, _, _ in bundle]
+    assert Store(tmp_path / "to").bundle(ONE.digest) == bundle
+    assert Store(tmp_path / "to").load(ONE) == 1
 
 
 @pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../out"])
@@ -65,7 +49,7 @@ def test_no_file_is_written_through_a_link(tmp_path):
 
 @pytest.mark.parametrize("name", ["experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json"])
 def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
-    (record_name, _, text), *files = done.parcel(ONE.digest)
+    (record_name, _, text), *files = done.bundle(ONE.digest)
     record = Record.model_validate_json(text)
     further = record.model_copy(update={"files": {**record.files, name: hashlib.sha256(b"x").hexdigest()}})
     other = record.model_copy(
@@ -80,27 +64,27 @@ def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
 
 def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path, done):
     store = Store(tmp_path / "other")
-    store.take(ONE, done.parcel(ONE.digest))
+    store.take(ONE, done.bundle(ONE.digest))
     assert store.load(ONE) == 1
-    assert store.parcel(ONE.digest)[0][2] == done.parcel(ONE.digest)[0][2]
+    assert store.bundle(ONE.digest)[0][2] == done.bundle(ONE.digest)[0][2]
     assert (store.path / "log.jsonl").read_text().count(ONE.digest) == 1
 
 
-def changed(parcel, place, content):
-    return tuple((name, time, content if i == place else old) for i, (name, time, old) in enumerate(parcel))
+def changed(bundle, place, content):
+    return tuple((name, time, content if i == place else old) for i, (name, time, old) in enumerate(bundle))
 
 
 @pytest.mark.parametrize("damage", ["nothing", "no record", "record", "file", "missing file", "further file", "other"])
 def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(tmp_path, done, damage):
-    parcel = done.parcel(ONE.digest)
+    bundle = done.bundle(ONE.digest)
     damaged = {
         "nothing": (),
-        "no record": parcel[1:],
-        "record": changed(parcel, 0, b"{}"),
-        "file": changed(parcel, 1, b"7"),
-        "missing file": parcel[:1],
-        "further file": (*parcel, ("results/more", 0, b"")),
-        "other": done.parcel(OTHER.digest),
+        "no record": bundle[1:],
+        "record": changed(bundle, 0, b"{}"),
+        "file": changed(bundle, 1, b"7"),
+        "missing file": bundle[:1],
+        "further file": (*bundle, ("results/more", 0, b"")),
+        "other": done.bundle(OTHER.digest),
     }
     store = Store(tmp_path / "other")
     with pytest.raises(ArtefactError, match="count one: what came"):
@@ -108,16 +92,9 @@ def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(t
     assert not store.path.exists()
 
 
-def test_what_is_not_done_has_no_parcel(done):
+def test_what_is_not_done_has_no_bundle(done):
     with pytest.raises(ArtefactError, match="not computed yet"):
-        done.parcel(number(3).digest)
-
-
-def test_names_of_files_are_those_of_their_copies_wherever_they_stand_in_settings():
-    again = Again("m:f", {"plugins": ["/a/p.py", "q"], "deep": {"robot": "/a/p.py"}, "n": 1}, files={"/a/p.py": ("x",)})
-    moved = again.with_files_at({"/a/p.py": "/b/0/p.py"})
-    assert moved.settings == {"plugins": ["/b/0/p.py", "q"], "deep": {"robot": "/b/0/p.py"}, "n": 1}
-    assert again.settings["plugins"] == ["/a/p.py", "q"]
+        done.bundle(number(3).digest)
 
 
 def test_the_values_used_last_are_kept_in_memory(tmp_path, monkeypatch):

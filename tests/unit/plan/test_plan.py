@@ -1,15 +1,14 @@
 """Cells and plans: what a digest depends on, and in which order cells stand."""
 
 import pickle
-import sys
 from dataclasses import dataclass, replace
 
 import pytest
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan import CELL_KINDS, Again, Plan, cell_seed
+from sysid_evo.plan import CELL_KINDS, Plan, cell_seed
 from sysid_evo.plan import cell as module
-from sysid_evo.plan.plan import YEAR
+from sysid_evo.plan.plan import YEAR, at_home
 from tests.fixtures.cells import Number, number, tolerant
 
 
@@ -128,14 +127,8 @@ def test_the_seed_of_a_cell_depends_on_the_seed_and_the_work_alone():
     assert found[0] == cell_seed(0, "fit a")
 
 
-def test_what_a_plan_is_made_with_is_imported_before_the_work_begins(tmp_path, monkeypatch):
-    (tmp_path / "made_for_one_plan.py").write_text("def cells(settings, folder):\n    return [*settings, folder]\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "made_for_one_plan", raising=False)
-    again = Again("made_for_one_plan:cells", {"n": 1})
-    again.prepare()
-    assert "made_for_one_plan" in sys.modules
-    assert again.plan(tmp_path) == ["n", tmp_path]
-    monkeypatch.delitem(sys.modules, "made_for_one_plan")
-    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
-        Again("no_such_module:cells", {}).prepare()
+def test_what_needs_a_cell_that_stays_with_the_run_folder_stays_there_too():
+    home = Number(1, label="home").cell(at_home=True)
+    after = number(2, (home,), label="after")
+    plan = Plan.of([home, after, number(3, (after,), label="last"), number(4, label="free")])
+    assert {cell.name for cell in plan if cell.digest in at_home(plan)} == {"home", "after", "last"}
