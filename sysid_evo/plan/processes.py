@@ -199,7 +199,8 @@ def begin(number: int, note: Path, parent: int, folder: str, plugins: Sequence[s
     from joblib.externals.loky import process_executor
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    os.dup2(2, 1)  # what libraries print is no output of the command
+    with suppress(OSError):  # a daemon has neither
+        os.dup2(2, 1)  # what libraries print is no output of the command
     threading.Thread(target=_watch, args=(parent, note.parent), daemon=True).start()
     process_executor._USE_PSUTIL = False  # libraries that a cell loads are no leak of memory
     use_shared_count(note.with_name(SHARES), number)
