@@ -121,12 +121,12 @@ class Cluster:
 
     def submit(self, cell: Cell, failed: Collection[str]) -> Future[Any] | None:
         """Send ``cell``; None if another process is at it, or nobody is there now. Raises `Unsendable`."""
-        claim = ExitStack()
-        if not claim.enter_context(self._store.claim(cell)):
-            return None
-        with claim:
+        future: Future[Any] | None = None
+        with ExitStack() as claim:
+            if not claim.enter_context(self._store.claim(cell)):
+                return None
             if self._store.done(cell) and self._store.without(cell) == set(failed):
-                future: Future[Any] = Future()
+                future = Future()
                 future.set_result((CellEnd("kept", self._store.seconds(cell)), (), ""))
                 self._away[future] = Away(cell, claim.pop_all())
                 return future
@@ -140,8 +140,7 @@ class Cluster:
                 where = {} if only is None else {"workers": sorted(only)}
                 future = self._executor.submit(compute, task, needed, **where)
                 self._away[future] = Away(cell, claim.pop_all(), only)
-                return future
-        return None
+        return future
 
     def result(self, cell: Cell, future: Future[Any]) -> CellEnd:
         """Put down the result of ``cell`` and return how it ended. Raises `CellLost`, OSError if the disk is full."""
@@ -177,9 +176,9 @@ class Cluster:
         cells = {away.cell.digest: away.cell for away in self._away.values()}
         with suppress(Empty):
             while True:
-                digest, *step = self._said.get_nowait()
+                digest, done, total, note = self._said.get_nowait()
                 if digest in cells:
-                    yield cells[digest], *step
+                    yield cells[digest], done, total, note
 
     def _again(self, cell: Cell) -> CellEnd:
         """A cell, or what it needs, was lost in the cluster: all of it is sent again."""
@@ -367,7 +366,7 @@ def compute(task: RemoteTask, needed: Sequence[Bundle]) -> tuple[CellEnd, Bundle
 
 def _store_of(run: str, place: str) -> Store:
     """Return the folder of this worker for a run; those not used for longest are removed."""
-    STORES[run] = STORES.pop(run, None) or Store(tempfile.mkdtemp(prefix="sysid-evo-", dir=place))
+    STORES[run] = STORES.pop(run) if run in STORES else Store(tempfile.mkdtemp(prefix="sysid-evo-", dir=place))
     while len(STORES) > FEW:
         shutil.rmtree(STORES.pop(next(iter(STORES))).path, ignore_errors=True)
     return STORES[run]

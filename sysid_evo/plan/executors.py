@@ -176,8 +176,8 @@ class Execution:
                 time.sleep(PATIENCE)
             return
         patience = 0.0 if self.own else PATIENCE if self.later else LOOK
-        done, _ = wait(self.away, timeout=patience, return_when=FIRST_COMPLETED)
-        for future in done:
+        ended, _ = wait(self.away, timeout=patience, return_when=FIRST_COMPLETED)
+        for future in ended:
             cell = self.away.pop(future)
             try:
                 end = self.workers.result(cell, future)
@@ -187,9 +187,9 @@ class Execution:
                 self._over(cell, end)
         if time.monotonic() - self.looked >= LOOK:
             self.looked = time.monotonic()
-            for cell, *step in self.workers.progress():
+            for cell, done, total, note in self.workers.progress():
                 self._start(cell)
-                self.state.observer.progress(cell, *step)
+                self.state.observer.progress(cell, done, total, note)
 
     def _start(self, cell: Cell) -> None:
         if cell.digest not in self.started:

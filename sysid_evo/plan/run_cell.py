@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-import cloudpickle
+import cloudpickle  # type: ignore[import-untyped]
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError, described
 from sysid_evo.plan.cell import Cell, Work
