@@ -20,7 +20,7 @@ from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Stage
 from sysid_evo.evolution.runs import Runs, identity
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
-from sysid_evo.models.disturbances import DelayedEstimate, RadicalEnvelope, disturbed
+from sysid_evo.models.disturbances import Disturbed, RadicalEnvelope
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.penalty import Doubt
 from sysid_evo.progress import Checkpoint, Progress, told
@@ -43,7 +43,7 @@ class ControllerEvolution:
     Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
     champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
-    see `DelayedEstimate`. The ``schedule`` holds easier stages, or their text, which come before the task in
+    see `Disturbed`. The ``schedule`` holds easier stages, or their text, which come before the task in
     every run.
     ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
     `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
@@ -229,10 +229,8 @@ def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[st
         dynamics = runner.dynamics
         if caution is not None:
             dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
-        if noise is not None:
-            dynamics = disturbed(dynamics, noise, delay)
-        elif delay:
-            dynamics = DelayedEstimate(dynamics, delay)
+        if noise is not None or delay:
+            dynamics = Disturbed(dynamics, noise, delay=delay)
         alone = replace(runner, dynamics=dynamics)
         found[label] = alone if caution is None else Discounted(alone, caution.most)
     return found
@@ -254,7 +252,7 @@ def observed_late(name: str, runner: Runner, delay: float) -> Runner:
         return runner
     if not isinstance(runner, DynamicsRunner):
         raise InvalidArgument(f"evolution: {name} is not a model, so that its state cannot be observed late")
-    return replace(runner, dynamics=DelayedEstimate(runner.dynamics, delay))
+    return replace(runner, dynamics=Disturbed(runner.dynamics, delay=delay))
 
 
 SECONDS = 5.0

@@ -1,5 +1,5 @@
 from .base import DynamicsModel, require_planar
-from .disturbances import DelayedEstimate, NoisySensors, Perturbed, RadicalEnvelope, disturbed, state_spread
+from .disturbances import Disturbed, RadicalEnvelope, state_spread
 from .dynamics import Dynamics, PlainDynamics, training_envelope
 from .penalty import Cautious, Doubt, Supported
 from .storage import family_name, load_model, save_model
@@ -11,13 +11,10 @@ __all__ = [
     "require_planar",
     "training_envelope",
     "Cautious",
-    "DelayedEstimate",
+    "Disturbed",
     "Doubt",
-    "NoisySensors",
-    "Perturbed",
     "RadicalEnvelope",
     "Supported",
-    "disturbed",
     "family_name",
     "load_model",
     "save_model",

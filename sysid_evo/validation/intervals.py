@@ -44,7 +44,7 @@ APART = 10
 """Steps between two recordings when samples are numbered, more than those."""
 
 
-class Disturbed(Fitted, Protocol):
+class NoisySteps(Fitted, Protocol):
     """A fitted model whose steps can be disturbed."""
 
     def lagged(self, states: Array, controls: Array) -> Array:
@@ -56,19 +56,19 @@ class Disturbed(Fitted, Protocol):
         ...
 
 
-Steps = TypeVar("Steps", bound=Disturbed)
+Steps = TypeVar("Steps", bound=NoisySteps)
 
 
 @dataclass(frozen=True)
 class Case:
     """A model, windows that it did not learn from, and which of their targets (N, H) move."""
 
-    model: Disturbed
+    model: NoisySteps
     windows: Windows
     moving: BoolArray
 
     @classmethod
-    def of(cls, model: Disturbed, part: Dataset, horizon: int, most: int, *, windows: Windows | None = None) -> Case:
+    def of(cls, model: NoisySteps, part: Dataset, horizon: int, most: int, *, windows: Windows | None = None) -> Case:
         """Cut up to ``most`` windows of ``horizon`` steps out of ``part``, evenly spread, wherever the body moves."""
         cut = part.windows(horizon, stride=1, history=model.n_lags, moving=True) if windows is None else windows
         cut = cut[evenly_spaced(len(cut), most)]

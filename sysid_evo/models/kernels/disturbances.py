@@ -1,8 +1,6 @@
-"""A kernel with noise, delay or lost commands around it: the compiled forms of `sysid_evo.models.disturbances`."""
+"""A kernel with noise and delays around it: the compiled form of `sysid_evo.models.disturbances.Disturbed`."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -17,229 +15,102 @@ from sysid_evo.kernels import (
     splat,
     store,
     view,
-    where_less,
+    where_at_most,
 )
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
-SENSORS = Layout("nx", "at", "shown_at", "n_noise", "own", align=CACHE_LINE)
-
-
-def sensors_kernel(
-    inner: DynamicsKernel, nx: int, n_inner: int, *, shown_at: int, n_noise: int, envelope: Array | None
-) -> DynamicsKernel:
-    """Return the kernel of `NoisySensors`: ``inner`` (n_inner rows of carry), what is observed, its bias and noise."""
-    limits = _limits(envelope, nx)
-    parameters = SENSORS.pack(
-        limits, inner.parameters, nx=nx, at=n_inner, shown_at=shown_at, n_noise=n_noise, own=SENSORS.size + len(limits)
-    )
-    return DynamicsKernel(KernelSource(sensed, {"inner": inner.source}), parameters, inner.n_scratch, inner.precision)
-
-
-def sensed(carry, control, noise, parameters, scratch):
-    """Step the inner dynamics, then write what is observed of it."""
-    nx = int(parameters[SENSORS.nx])
-    rows = nx * LANES
-    inner(carry, control, noise, view(parameters, int(parameters[SENSORS.own])), scratch)
-    shown = view(carry, int(parameters[SENSORS.shown_at]) * LANES)
-    drawn = view(noise, int(parameters[SENSORS.n_noise]) * LANES)
-    observed = view(carry, int(parameters[SENSORS.at]) * LANES)
-    bias, level = view(observed, rows), view(observed, 2 * rows)
-    for row in range(nx):
-        here, there, off = view(shown, row * LANES), view(observed, row * LANES), view(bias, row * LANES)
-        size, z = view(level, row * LANES), view(drawn, row * LANES)
-        low, high = parameters[SENSORS.size + row], parameters[SENSORS.size + nx + row]
-        for lane in range(LANES):
-            there[lane] = min(max(here[lane], low), high) + off[lane] + size[lane] * z[lane]
-
-
-def _limits(envelope: Array | None, nx: int) -> Array:
-    """Return lowest and highest states, infinite without an ``envelope``."""
-    return padded(np.ravel(np.repeat([-np.inf, np.inf], nx) if envelope is None else envelope))
-
-
-PLANT = Layout("nx", "nu", "at", "latency", "stored", "process_at", "dropout_at", "own", align=CACHE_LINE)
-
-
-def perturbed_kernel(
-    inner: DynamicsKernel,
-    system: System,
-    n_inner: int,
-    *,
-    free_controls: Array,
-    latency: int,
-    stored: int,
-    process_at: int,
-    dropout_at: int,
-) -> DynamicsKernel:
-    """Return the kernel of `Perturbed`: ``inner`` (n_inner rows of carry) with late, lost and stronger commands."""
-    numbers = padded(np.concatenate([system.neutral_state, system.neutral_control, free_controls]))
-    parameters = PLANT.pack(
-        numbers,
-        inner.parameters,
-        nx=system.nx,
-        nu=system.nu,
-        at=n_inner,
-        latency=latency,
-        stored=stored,
-        process_at=process_at,
-        dropout_at=dropout_at,
-        own=PLANT.size + len(numbers),
-    )
-    room = 2 * system.nu + system.nx + inner.n_scratch
-    return DynamicsKernel(KernelSource(perturbed, {"inner": inner.source}), parameters, room, inner.precision)
-
-
-def perturbed(carry, control, noise, parameters, scratch):
-    """Receive the command or not, choose the one that acts now, step the model in its own state, and scale that."""
-    nx, nu, stored = int(parameters[PLANT.nx]), int(parameters[PLANT.nu]), int(parameters[PLANT.stored])
-    rows, size = nx * LANES, nu * LANES
-    gain = view(carry, int(parameters[PLANT.at]) * LANES)
-    scale, process, effect = view(gain, rows), view(gain, 2 * rows), view(gain, 3 * rows)
-    delay, threshold, past = view(effect, size), view(effect, size + LANES), view(effect, size + 2 * LANES)
-    received, applied, before = scratch, view(scratch, size), view(scratch, 2 * size)
-    rest, numbers = view(parameters, PLANT.size), view(parameters, PLANT.size + nx)
-    copy(control, received, size)
-    if parameters[PLANT.dropout_at] >= 0.0:
-        lost = view(noise, int(parameters[PLANT.dropout_at]) * LANES)
-        for row in range(nu):
-            if numbers[nu + row] > 0.0:
-                got, last = view(received, row * LANES), view(past, row * LANES)
-                for lane in range(LANES):
-                    got[lane] = last[lane] if lost[lane] < threshold[lane] else got[lane]
-    copy(received, applied, size)
-    for back in range(1, int(parameters[PLANT.latency]) + 1):
-        for row in range(nu):
-            if numbers[nu + row] > 0.0:
-                acts, older = view(applied, row * LANES), view(past, ((back - 1) * nu + row) * LANES)
-                number = float(back)
-                for lane in range(LANES):
-                    acts[lane] = older[lane] if delay[lane] == number else acts[lane]
-    for back in range(stored - 1, 0, -1):
-        copy(view(past, (back - 1) * size), view(past, back * size), size)
-    if stored > 0:
-        copy(received, past, size)
-    for row in range(nu):
-        acts, factor, idle = view(applied, row * LANES), view(effect, row * LANES), numbers[row]
-        for lane in range(LANES):
-            acts[lane] = idle + factor[lane] * (acts[lane] - idle)
-    for row in range(nx):
-        here, factor, start, still = (
-            view(carry, row * LANES),
-            view(scale, row * LANES),
-            view(before, row * LANES),
-            rest[row],
-        )
-        for lane in range(LANES):
-            start[lane] = still + (here[lane] - still) / factor[lane]
-    copy(before, carry, rows)
-    inner(carry, applied, noise, view(parameters, int(parameters[PLANT.own])), view(before, rows))
-    for row in range(nx):
-        here, start, still = view(carry, row * LANES), view(before, row * LANES), rest[row]
-        speed, factor = view(gain, row * LANES), view(scale, row * LANES)
-        for lane in range(LANES):
-            here[lane] = still + factor[lane] * (start[lane] + speed[lane] * (here[lane] - start[lane]) - still)
-    if parameters[PLANT.process_at] >= 0.0:
-        for row in range(nx):
-            here, level = view(carry, row * LANES), view(process, row * LANES)
-            z = view(noise, (int(parameters[PLANT.process_at]) + row) * LANES)
-            for lane in range(LANES):
-                here[lane] += level[lane] * z[lane]
-
-
-DELAY = Layout("nx", "at", "whole", "share", "own", align=CACHE_LINE)
-
-
-def delayed_kernel(
-    inner: DynamicsKernel, nx: int, n_inner: int, *, whole: int, share: float, envelope: Array | None
-) -> DynamicsKernel:
-    """Return the kernel of `DelayedEstimate`: ``inner``, then what is observed, then the last ``whole`` states."""
-    limits = _limits(envelope, nx)
-    parameters = DELAY.pack(
-        limits, inner.parameters, nx=nx, at=n_inner, whole=whole, share=share, own=DELAY.size + len(limits)
-    )
-    return DynamicsKernel(
-        KernelSource(delayed, {"inner": inner.source}), parameters, 2 * nx + inner.n_scratch, inner.precision
-    )
-
-
-def delayed(carry, control, noise, parameters, scratch):
-    """Step the inner dynamics, then write what is observed and move the past states one place back."""
-    nx, whole, share = int(parameters[DELAY.nx]), int(parameters[DELAY.whole]), parameters[DELAY.share]
-    rows = nx * LANES
-    before, after = view(scratch, 0), view(scratch, rows)
-    copy(carry, before, rows)
-    inner(carry, control, noise, view(parameters, int(parameters[DELAY.own])), view(scratch, 2 * rows))
-    observed = view(carry, int(parameters[DELAY.at]) * LANES)
-    past = view(observed, rows)
-    for row in range(nx):
-        here, there = view(carry, row * LANES), view(after, row * LANES)
-        low, high = parameters[DELAY.size + row], parameters[DELAY.size + nx + row]
-        for lane in range(LANES):
-            there[lane] = min(max(here[lane], low), high)
-    if whole == 0:
-        between(after, before, share, observed, rows)
-        return
-    if whole == 1:
-        between(before, past, share, observed, rows)
-    else:
-        between(view(past, (whole - 2) * rows), view(past, (whole - 1) * rows), share, observed, rows)
-    for back in range(whole - 1, 0, -1):
-        copy(view(past, (back - 1) * rows), view(past, back * rows), rows)
-    copy(before, past, rows)
-
-
-def between(later, earlier, share, observed, count):
-    """Write (1 - share) later + share earlier."""
-    for i in range(count):
-        observed[i] = later[i] - share * (later[i] - earlier[i])
-
-
-NOISE = Layout("nx", "at", "edges", "sizes", "limits", "own", align=CACHE_LINE)
+HEAD = Layout(
+    "nx", "nu", "latency", "kept", "whole", "share", "moved_at", "process_at", "observed_at", "sensed_at", "sensor_at",
+    "own", align=CACHE_LINE,
+)  # fmt: skip
 
 
 def disturbed_kernel(
-    inner: DynamicsKernel, system: System, n_inner: int, *, edges: Sequence[int], white: Array, lasting: Array
+    inner: DynamicsKernel, system: System, *, free_controls: Array, envelope: Array | None, **head: float
 ) -> DynamicsKernel:
-    """Return the kernel of `Uncertain`: ``inner``, then the lasting draws (nx) and the count of steps.
+    """Return the kernel of ``inner`` with rows behind its carry; ``head`` are the numbers of `HEAD`.
 
-    The noise of every step is new and lasting, and its size depends on the steps since the start.
-    ``white`` and ``lasting`` (len(edges) + 1, nx) are the sizes of the noise, in units of the states; one row holds
-    until the count reaches its edge. The state stays within the limits of its channels.
+    A command is at most ``latency`` samples late, where ``free_controls`` (nu,) is above 0; the state is observed
+    ``whole`` samples and a ``share`` of one late, for which ``kept`` states are remembered, and within ``envelope``
+    (2, nx). The others are rows, -1 for what there
+    is not: of the carry, where gains, what is observed and errors of sensors begin (``moved_at``, ``observed_at``,
+    ``sensed_at``), and of the noise (``process_at``, ``sensor_at``).
     """
-    nx = system.nx
-    low, high = system.limits if system.limited else (np.full(nx, -np.inf), np.full(nx, np.inf))
-    sizes = np.concatenate([white, lasting], axis=1)
-    numbers = padded(np.concatenate([np.array(edges, dtype=np.float64), np.ravel(sizes), low, high]))
-    first = NOISE.size + len(edges)
-    parameters = NOISE.pack(
-        numbers,
-        inner.parameters,
-        nx=nx,
-        at=n_inner,
-        edges=len(edges),
-        sizes=first,
-        limits=first + sizes.size,
-        own=NOISE.size + len(numbers),
-    )
-    return DynamicsKernel(KernelSource(disturb, {"inner": inner.source}), parameters, inner.n_scratch, inner.precision)
+    limits = np.repeat([-np.inf, np.inf], system.nx) if envelope is None else np.ravel(envelope)
+    numbers = padded(np.concatenate([limits, free_controls]))
+    own = HEAD.size + len(numbers)
+    parameters = HEAD.pack(numbers, inner.parameters, nx=system.nx, nu=system.nu, own=own, **head)
+    room = system.nx + system.nu + inner.n_scratch
+    return DynamicsKernel(KernelSource(disturbed, {"inner": inner.source}), parameters, room, inner.precision)
 
 
-def disturb(carry, control, noise, parameters, scratch):
-    """Step, move the state by the noise of this step, and count it."""
-    nx, edges = int(parameters[NOISE.nx]), int(parameters[NOISE.edges])
-    inner(carry, control, noise, view(parameters, int(parameters[NOISE.own])), scratch)
-    held = view(carry, int(parameters[NOISE.at]) * LANES)
-    sizes, limits = (view(parameters, int(parameters[NOISE.sizes])), view(parameters, int(parameters[NOISE.limits])))
-    count = load(held, nx * LANES)
-    for row in range(nx):
-        white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])
-        for back in range(edges):
-            edge = edges - 1 - back
-            white = where_less(count, parameters[NOISE.size + edge], sizes[2 * nx * edge + row], white)
-            lasting = where_less(count, parameters[NOISE.size + edge], sizes[2 * nx * edge + nx + row], lasting)
-        moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
-        there = load(carry, row * LANES) + moved
-        store(carry, row * LANES, min(max(there, limits[row]), limits[nx + row]))
-    store(held, nx * LANES, count + 1.0)
+def disturbed(carry, control, noise, parameters, scratch):
+    """Choose the command that acts, step the inner dynamics with it, move the state, and write what is observed."""
+    nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
+    moved, seen, limits = parameters[HEAD.moved_at], parameters[HEAD.observed_at], view(parameters, HEAD.size)
+    rows, size, before, acts = nx * LANES, nu * LANES, scratch, control
+    if moved >= 0.0:
+        copy(carry, before, rows)
+        acts = view(scratch, rows)
+        late(
+            control,
+            acts,
+            view(carry, (int(moved) + 2 * nx) * LANES),
+            int(parameters[HEAD.latency]),
+            nu,
+            view(limits, 2 * nx),
+        )
+    if seen >= 0.0:
+        remember(carry, view(carry, (int(seen) + nx) * LANES), int(parameters[HEAD.kept]), rows)
+    inner(carry, acts, noise, view(parameters, int(parameters[HEAD.own])), view(scratch, rows + size))
+    if moved >= 0.0:
+        gain = view(carry, int(moved) * LANES)
+        for row in range(nx):
+            start = load(before, row * LANES)
+            change = load(carry, row * LANES) - start
+            store(carry, row * LANES, start + load(gain, row * LANES) * change)
+    if parameters[HEAD.process_at] >= 0.0:
+        process = view(carry, (int(moved) + nx) * LANES)
+        shaken = view(noise, int(parameters[HEAD.process_at]) * LANES)
+        for row in range(nx):
+            pushed = load(process, row * LANES) * load(shaken, row * LANES)
+            store(carry, row * LANES, load(carry, row * LANES) + pushed)
+    if seen >= 0.0:
+        observed, whole, share = view(carry, int(seen) * LANES), int(parameters[HEAD.whole]), parameters[HEAD.share]
+        states = view(observed, rows)
+        for row in range(nx):
+            later = min(max(load(carry, row * LANES), limits[row]), limits[nx + row])
+            if whole > 0:
+                later = load(states, ((whole - 1) * nx + row) * LANES)
+            if share > 0.0:
+                later = later - splat(share) * (later - load(states, (whole * nx + row) * LANES))
+            store(observed, row * LANES, later)
+    if parameters[HEAD.sensor_at] >= 0.0:
+        observed, bias = view(carry, int(seen) * LANES), view(carry, int(parameters[HEAD.sensed_at]) * LANES)
+        level, drawn = view(bias, rows), view(noise, int(parameters[HEAD.sensor_at]) * LANES)
+        for row in range(nx):
+            there = load(observed, row * LANES) + load(bias, row * LANES)
+            store(observed, row * LANES, there + load(level, row * LANES) * load(drawn, row * LANES))
+
+
+def late(control, acts, delay, latency, nu, free):
+    """Write the command that acts, of ``latency`` earlier ones at most, and remember the one that was given."""
+    size, commands = nu * LANES, view(delay, LANES)
+    copy(control, acts, size)
+    for back in range(1, latency + 1):
+        off = abs(load(delay, 0) - float(back))
+        for row in range(nu):
+            if free[row] > 0.0:
+                older = load(commands, ((back - 1) * nu + row) * LANES)
+                store(acts, row * LANES, where_at_most(off, 0.0, older, load(acts, row * LANES)))
+    remember(control, commands, latency, size)
+
+
+def remember(newest, past, count, size):
+    """Put ``newest`` at the head of ``count`` blocks of ``size`` numbers, and forget the last one."""
+    for back in range(count - 1, 0, -1):
+        copy(view(past, (back - 1) * size), view(past, back * size), size)
+    if count > 0:
+        copy(newest, past, size)

@@ -13,10 +13,11 @@ from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, evolve_controller, polish
 from sysid_evo.evolution.controller_evolution import met
-from sysid_evo.models import DelayedEstimate, NoisySensors, Perturbed
+from sysid_evo.models import Disturbed
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec, aggregates
+from sysid_evo.registry.registry import noises
 from tests.fixtures.by_hand import Climber, Constant, Ladder
 
 POPULATION = np.array([[1.0], [0.0], [-0.5]])
@@ -205,7 +206,7 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(ru
 
 
 def test_an_estimator_delay_is_met_on_every_model_and_remembered(runners, evolved):
-    late = {name: replace(runner, dynamics=DelayedEstimate(runner.dynamics, 0.1)) for name, runner in runners.items()}
+    late = {name: replace(runner, dynamics=Disturbed(runner.dynamics, delay=0.1)) for name, runner in runners.items()}
     wrapped, asked, plain = evolved(models=late), evolved(replace(SETTINGS, estimator_delay=0.1)), evolved()
     np.testing.assert_array_equal(asked.parameters, wrapped.parameters)
     np.testing.assert_array_equal(asked.history, wrapped.history)
@@ -289,8 +290,8 @@ def test_a_polish_meets_noise_and_caution_too(models, evolved):
 def test_every_model_is_met_with_noise(models):
     for runner in met(models, replace(SETTINGS, noise=NOISE)).values():
         assert isinstance(runner, DynamicsRunner)
-        assert isinstance(runner.dynamics, NoisySensors)
-        assert isinstance(runner.dynamics.inner, Perturbed)
+        assert isinstance(runner.dynamics, Disturbed)
+        assert runner.dynamics.noise == noises.make(NOISE)
 
 
 def test_candidates_lose_fitness_where_models_are_doubted(models, evolved):

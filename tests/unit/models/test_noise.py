@@ -1,4 +1,4 @@
-"""Noise, lost and late commands and a late state around a dynamics: what differs from trial to trial, and what not."""
+"""Noise, late commands and a late state around a dynamics: what differs from trial to trial, and what not."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.models import DelayedEstimate, NoisySensors, Perturbed, RadicalEnvelope, disturbed, state_spread
+from sysid_evo.models import Disturbed, RadicalEnvelope, state_spread
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import noises
@@ -19,7 +19,6 @@ from sysid_evo.testing.examples import ExampleDynamics, pendulum
 from tests.fixtures.by_hand import Climber, SluggishCar, started
 
 DT = 0.1
-NONE = RadicalEnvelope()
 LINE = System((Channel("height", "m"),), (Channel("climb", "m", -1.0, 1.0),), DT)
 
 
@@ -35,22 +34,22 @@ class SpinningBody(ExampleDynamics):
         return carry + np.array([0.4 * np.pi, 0.0])
 
 
-@pytest.mark.parametrize("wrapper", [Perturbed, NoisySensors])
-def test_an_empty_envelope_changes_nothing(wrapper, rng):
+def test_what_is_zero_changes_nothing_and_draws_nothing(rng):
     plain = SluggishCar(example_dataset().system)
-    noisy = wrapper(plain, NONE, np.ones(3))
-    a, b = started(plain, 4, np.random.default_rng(3)), started(noisy, 4, np.random.default_rng(3))
-    b[:, : plain.n_carry] = a
-    for _ in range(10):
-        control, drawn = rng.integers(-1, 2, (4, 2)).astype(float), rng.standard_normal((4, noisy.n_noise))
-        a, b = plain.step(a, control, drawn[:, : plain.n_noise]), noisy.step(b, control, drawn)
-        np.testing.assert_allclose(a, b[:, : plain.n_carry])
-        shown = b[:, noisy.observed_at :][:, :3]
-        np.testing.assert_allclose(shown, a[:, :3])
+    for noise in (None, RadicalEnvelope()):
+        same = Disturbed(plain, noise)
+        assert [same.n_carry, same.n_noise, same.n_draws, same.n_lags, same.observed_at] == [
+            plain.n_carry, plain.n_noise, plain.n_draws, plain.n_lags, 0
+        ]  # fmt: skip
+        a, b = started(plain, 4, np.random.default_rng(3)), started(same, 4, np.random.default_rng(3))
+        for _ in range(10):
+            control, drawn = rng.integers(-1, 2, (4, 2)).astype(float), rng.standard_normal((4, same.n_noise))
+            a, b = plain.step(a, control, drawn), same.step(b, control, drawn)
+            np.testing.assert_array_equal(a, b)
 
 
 def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng):
-    late = Perturbed(Climber(LINE), RadicalEnvelope(latency=3), np.ones(1))
+    late = Disturbed(Climber(LINE), RadicalEnvelope(latency=3))
     carry = started(late, 4000, rng)
     first = np.full(len(carry), -1)
     for k in range(5):
@@ -60,50 +59,21 @@ def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng):
     np.testing.assert_array_equal(carry[:, 0], 5.0 - first)
 
 
-def test_a_lost_command_leaves_the_last_one_in_force(rng):
-    lossy = Perturbed(Climber(LINE), RadicalEnvelope(dropout=0.8), np.ones(1))
-    carry, sent, held = started(lossy, 2000, rng), np.zeros((2000, 1)), np.zeros((2000, 1))
-    lost = np.zeros(2000)
-    for _ in range(50):
-        before, sent = carry[:, :1], rng.uniform(-1.0, 1.0, (2000, 1))
-        carry = lossy.step(carry, sent, rng.standard_normal((2000, 1)))
-        moved = carry[:, :1] - before
-        gone = np.abs(moved - sent) > 1e-9
-        np.testing.assert_allclose(moved[gone], held[gone], atol=1e-9)
-        held = np.where(gone, held, sent)
-        lost += gone[:, 0] / 50
-    assert 0.36 < lost.mean() < 0.44, "from none to 0.8: half of it on average"
-    assert lost.min() < 0.02
-    assert lost.max() > 0.7
-
-
-def test_scale_changes_where_a_state_ends_and_gain_only_how_soon():
+def test_a_gain_changes_how_soon_a_state_ends_and_not_where():
     plain, control = ExampleDynamics(LINE), np.ones((200, 1))
-    ends, soon = {}, {}
-    for name in ("scale", "gain"):
-        noisy = Perturbed(plain, RadicalEnvelope(**{name: 0.2}), np.ones(1))
-        carry = started(noisy, 200, np.random.default_rng(0))
-        factor = carry[:, 1 if name == "gain" else 2]
-        for k in range(200):
-            carry = noisy.step(carry, control)
-            if k == 0:
-                soon[name] = carry[:, 0] / factor
-        ends[name] = carry[:, 0], factor
-    end = plain.push[0, 0] / 0.1
-    np.testing.assert_allclose(ends["gain"][0], end, rtol=1e-4)
-    np.testing.assert_allclose(ends["scale"][0], end * ends["scale"][1], rtol=1e-4)
-    np.testing.assert_allclose(soon["gain"], plain.push[0, 0])
-    assert 0.15 < np.log(ends["scale"][1]).std() < 0.25
+    noisy = Disturbed(plain, RadicalEnvelope(gain=0.2))
+    carry = started(noisy, 200, np.random.default_rng(0))
+    factor = carry[:, 1]
+    assert 0.15 < np.log(factor).std() < 0.25
+    first = noisy.step(carry, control)
+    np.testing.assert_allclose(first[:, 0] / factor, plain.push[0, 0])
+    for _ in range(200):
+        carry = noisy.step(carry, control)
+    np.testing.assert_allclose(carry[:, 0], plain.push[0, 0] / 0.1, rtol=1e-4)
 
 
-def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_every_state(rng):
-    off_centre = System((Channel("height", "m"),), (Channel("climb", "m", 0.0, 1.0, neutral=0.5),), 0.1)
-    noisy = Perturbed(Climber(off_centre), RadicalEnvelope(effect=0.2), np.ones(1))
-    carry = started(noisy, 500, rng)
-    factor = carry[:, 4]
-    assert 0.17 < np.log(factor).std() < 0.23
-    np.testing.assert_allclose(noisy.step(carry, np.full((500, 1), 0.9))[:, 0], 0.5 + 0.4 * factor)
-    shaken = Perturbed(Climber(LINE), RadicalEnvelope(process=0.5), np.array([4.0]))
+def test_process_noise_moves_the_state_from_none_to_all_of_it(rng):
+    shaken = Disturbed(Climber(LINE), RadicalEnvelope(process=0.5), spread=np.array([4.0]))
     carry, moved = started(shaken, 500, rng), []
     for _ in range(200):
         after = shaken.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
@@ -114,8 +84,32 @@ def test_effect_scales_what_a_command_adds_to_neutral_and_process_noise_moves_ev
     assert 1.8 < size.max() < 2.3, "half of 4"
 
 
+def test_what_is_observed_of_a_moved_state_comes_late_and_then_with_an_error():
+    """The order of effects: command, step, gain, process noise; clipped, delayed, bias and white noise."""
+    limits = np.array([[-3.0], [3.0]])
+    noise = RadicalEnvelope(sensor=0.5, bias=0.25, latency=1, gain=0.5, process=0.5)
+    both = Disturbed(Climber(LINE, envelope=limits), noise, delay=1.25 * DT, spread=np.array([2.0]))
+    carry = started(both, 8, np.random.default_rng(0))
+    gain, process, late = carry[:, 1], carry[:, 2], carry[:, 3]
+    bias, level = carry[:, -2], carry[:, -1]
+    assert set(late) == {0.0, 1.0}
+    states, commands, rng = [np.zeros(8)] * 3, [np.zeros(8)], np.random.default_rng(1)
+    np.testing.assert_array_equal(observed(both, carry)[:, 0], bias)
+    for _ in range(12):
+        command, z = rng.uniform(-1.0, 1.0, 8), rng.standard_normal((8, 2))
+        carry = both.step(carry, command[:, None], z)
+        acts = np.where(late == 1.0, commands[-1], command)
+        state = states[-1] + gain * acts + process * z[:, 0]
+        np.testing.assert_allclose(carry[:, 0], state, atol=1e-12)
+        shown = 0.75 * states[-1] + 0.25 * states[-2]
+        np.testing.assert_allclose(observed(both, carry)[:, 0], shown + bias + level * z[:, 1], atol=1e-12)
+        states, commands = [*states, np.clip(state, *limits[:, 0])], [*commands, command]
+        carry[:, 0] = states[-1]  # as a loop clips it
+    assert np.abs(states).max() == 3.0
+
+
 def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng):
-    noisy = NoisySensors(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), np.array([4.0]))
+    noisy = Disturbed(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), spread=np.array([4.0]))
     carry, shown = started(noisy, 500, rng), []
     for _ in range(400):
         carry = noisy.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
@@ -130,10 +124,10 @@ def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(
 
 def test_the_base_set_meets_no_noise(rng):
     everything = RadicalEnvelope(
-        sensor=0.5, bias=0.5, latency=2, dropout=0.9, gain=0.5, scale=0.5, effect=0.5, process=0.5,
+        sensor=0.5, bias=0.5, latency=2, gain=0.5, process=0.5,
         base=["forward_speed", "lateral_speed", "yaw_rate", "drive", "steer"],
     )  # fmt: skip
-    noisy, plain = disturbed(linear(), everything), linear()
+    noisy, plain = Disturbed(linear(), everything), linear()
     a, b = started(plain, 8, rng), started(noisy, 8, rng)
     for _ in range(8):
         control = rng.integers(-1, 2, (8, 2)).astype(float)
@@ -158,15 +152,14 @@ def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_r
     [
         (lambda: noises.make("envelope(sensor=-1)"), InvalidArgument, "sensor"),
         (lambda: noises.make("envelope(latency=1.5)"), InvalidArgument, "latency"),
-        (lambda: noises.make("envelope(dropout=2)"), InvalidArgument, "probability"),
+        (lambda: noises.make("envelope(dropout=0.2)"), InvalidArgument, "dropout"),
         (lambda: noises.make("envelope(sensr=1)"), InvalidArgument, "sensor"),
         (lambda: noises.make("envelop(sensor=1)"), UnknownName, "envelope"),
-        (lambda: disturbed(linear(), RadicalEnvelope(sensor=0.1, base=["x"])), InvalidArgument, "forward_speed"),
-        (lambda: Perturbed(DelayedEstimate(linear(), 0.05), NONE, np.ones(3)), InvalidArgument, "late"),
-        (lambda: DelayedEstimate(Climber(LINE), -0.01), InvalidArgument, "delay"),
-        (lambda: DelayedEstimate(Climber(LINE), np.nan), InvalidArgument, "delay"),
-        (lambda: DelayedEstimate(Climber(LINE), np.inf), InvalidArgument, "delay"),
-        (lambda: DelayedEstimate(DelayedEstimate(Climber(LINE), 0.01), 0.01), InvalidArgument, "already"),
+        (lambda: Disturbed(linear(), RadicalEnvelope(sensor=0.1, base=["x"])), InvalidArgument, "forward_speed"),
+        (lambda: Disturbed(Climber(LINE), delay=-0.01), InvalidArgument, "delay"),
+        (lambda: Disturbed(Climber(LINE), delay=np.nan), InvalidArgument, "delay"),
+        (lambda: Disturbed(Climber(LINE), delay=np.inf), InvalidArgument, "delay"),
+        (lambda: Disturbed(Disturbed(Climber(LINE), delay=0.01), delay=0.01), InvalidArgument, "already"),
     ],
 )
 def test_noise_and_delays_that_make_no_sense_are_refused(made, error, complaint):
@@ -180,7 +173,7 @@ def observed(dynamics, carry):
 
 @pytest.mark.parametrize("samples", [0.0, 0.25, 1.0, 1.5, 2.0, 3.75])
 def test_ramp_is_observed_as_much_lower_as_it_rises_within_the_delay(samples):
-    late = DelayedEstimate(Climber(LINE), samples * DT)
+    late = Disturbed(Climber(LINE), delay=samples * DT)
     past = np.arange(-late.n_lags, 1.0)[None, :, None]
     carry = late.start(past, np.ones((1, late.n_lags, 1)))
     for k in range(8):
@@ -192,7 +185,7 @@ def test_ramp_is_observed_as_much_lower_as_it_rises_within_the_delay(samples):
 def test_dynamics_underneath_goes_on_as_without_the_wrapper(rng):
     system = example_dataset().system
     plain = SluggishCar(system)
-    late = DelayedEstimate(plain, 0.07)
+    late = Disturbed(plain, delay=0.07)
     draws, lags = rng.standard_normal((4, plain.n_draws)), late.n_lags
     states, controls = np.zeros((4, lags + 1, system.nx)), np.zeros((4, lags, system.nu))
     a = plain.start(states[:, lags - plain.n_lags :], controls[:, lags - plain.n_lags :], draws)
@@ -207,7 +200,7 @@ def test_pose_follows_the_true_state_and_the_controller_sees_the_late_one():
     """What moves the pose is what the wrapped dynamics did; only observations are late."""
     model = make_model("linear").fit(example_dataset(), rng=0)
     run = rollout(
-        DelayedEstimate(model, 0.05), RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (1, 78)),
+        Disturbed(model, delay=0.05), RecurrentNetwork(), np.random.default_rng(1).normal(0.0, 2.0, (1, 78)),
         PointToPoint(horizon=60), trial_seeds(0, 1), engine="reference", record=True,
     )  # fmt: skip
     trajectory = run.trajectories[0]
@@ -224,7 +217,7 @@ def test_pose_follows_the_true_state_and_the_controller_sees_the_late_one():
 
 def test_clipping_of_the_true_state_is_counted_and_never_observed_beyond_it():
     limited = Climber(LINE, envelope=np.array([[-2.0], [2.0]]))
-    late = DelayedEstimate(limited, 0.04)
+    late = Disturbed(limited, delay=0.04)
     carry = late.start(np.full((1, 2, 1), 1.5), np.ones((1, 1, 1)))
     after = late.step(carry, np.ones((1, 1)))
     assert after[0, 0] == 2.5, "the loop clips and counts"

@@ -10,7 +10,7 @@ from sysid_evo.data.support import Support, recorded_pairs
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
-from sysid_evo.models import Cautious, DelayedEstimate, Doubt, Supported
+from sysid_evo.models import Cautious, Disturbed, Doubt, Supported
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import cautions
@@ -116,7 +116,7 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
         (lambda: Cautious(robot, [robot]), InvalidArgument, "training data"),
         (lambda: Cautious(robot, []), InvalidArgument, "other model"),
         (lambda: Cautious(robot, [models()[0]]), IncompatibleSystem, "systems differ"),
-        (lambda: Cautious(robot, [DelayedEstimate(robot, 0.1)]), InvalidArgument, "late"),
+        (lambda: Cautious(robot, [Disturbed(robot, delay=0.1)]), InvalidArgument, "late"),
         (lambda: line(np.zeros(1)), InvalidData, "two or more"),
     ):
         with pytest.raises(error, match=reason):
@@ -133,4 +133,4 @@ def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused():
     assert isinstance(inner, Supported)
     assert isinstance(inner.inner, Cautious)
     assert len(inner.inner.members.models) == 2, "a robot is no model to disagree with"
-    assert DelayedEstimate(inner, 0.05).doubt_at == inner.doubt_at
+    assert Disturbed(inner, delay=0.05).doubt_at == inner.doubt_at
