@@ -32,7 +32,7 @@ from sysid_evo.models.dynamics import (
     one_run,
     training_envelope,
 )
-from sysid_evo.models.kernels.stepping import Output, stepping_kernel
+from sysid_evo.models.kernels.stepping import Output, StepNoise, stepping_kernel
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
     Estimator,
@@ -369,10 +369,12 @@ class DynamicsModel(Dynamics, Estimator):
         predictor = self.predictor()
         return None if predictor is None else self.stepping(predictor)
 
-    def stepping(self, predictor: Predictor) -> DynamicsKernel | None:
-        """Return the compiled form of `step` around what is predicted: motion, lags, and rest; None without one."""
+    def stepping(self, predictor: Predictor, noise: StepNoise | None = None) -> DynamicsKernel | None:
+        """Return the compiled form of `step` around what is predicted: motion, noise, lags, rest; None without one."""
         output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
-        kernel = stepping_kernel(predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band)
+        kernel = stepping_kernel(
+            predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band, noise=noise
+        )
         return None if kernel is None else replace(kernel, precision=self.precision)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
@@ -404,11 +406,9 @@ class DynamicsModel(Dynamics, Estimator):
         band = self.rest_band
         if self.system.limited:
             after = np.clip(after, *self.system.limits)
-        return (
-            after
-            if band is None
-            else held_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
-        )
+        if band is None:
+            return after
+        return held_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""

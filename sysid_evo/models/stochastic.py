@@ -13,7 +13,7 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import NotFitted
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.base import DynamicsModel
-from sysid_evo.models.kernels.disturbances import disturbed_kernel
+from sysid_evo.models.kernels.stepping import StepNoise
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array
 from sysid_evo.validation.folds import unseen_parts
@@ -172,20 +172,13 @@ class Uncertain(DynamicsModel):
 
     @functools.cached_property
     def _stepping_kernel(self) -> DynamicsKernel | None:
-        return self._disturbed_kernel() if self.timed else super()._stepping_kernel
-
-    def _disturbed_kernel(self) -> DynamicsKernel | None:
-        """Return the compiled form with noise, where its unit is the same in all states."""
-        if self.rest_hold or type(self).with_deviation is not Uncertain.with_deviation:
+        if not self.timed:
+            return super()._stepping_kernel
+        if type(self).with_deviation is not Uncertain.with_deviation:  # the unit of the noise is another in every state
             return None
-        quiet = self.variant(stochastic=False).kernel()
-        if quiet is None:
+        predictor = self.variant(stochastic=False).predictor()  # which does not know the rows behind the lags
+        if predictor is None:
             return None
-        return disturbed_kernel(
-            quiet,
-            self.system,
-            self.layout.size,
-            edges=HORIZONS[:-1],
-            white=self.horizon_scales_ * self.residual_ * np.sqrt(1.0 - self.persistent_),
-            lasting=self.horizon_scales_ * self.residual_ * np.sqrt(self.persistent_),
-        )
+        size, share = self.horizon_scales_ * self.residual_, self.persistent_
+        white, lasting = size * np.sqrt(1.0 - share), size * np.sqrt(share)
+        return self.stepping(predictor, StepNoise(HORIZONS[:-1], white, lasting))

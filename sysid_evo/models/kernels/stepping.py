@@ -1,7 +1,9 @@
-"""From a prediction to the next carry: integration by the motion, lags, limits, rest; Runge-Kutta."""
+"""From a prediction to the next carry: integration by the motion, noise, limits, rest, lags; Runge-Kutta."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, TypeAlias, overload
 
 import numpy as np
@@ -20,6 +22,7 @@ from sysid_evo.kernels import (
     store,
     view,
     where_at_most,
+    where_less,
 )
 from sysid_evo.motion_kernels import move_nothing, turn_nothing
 from sysid_evo.system import System
@@ -36,11 +39,30 @@ STEP = Layout(
     "held",
     "limited",
     "frame",
+    "noise",
     "rest",
     "limits",
     "own",
     align=CACHE_LINE,
 )
+
+
+@dataclass(frozen=True)
+class StepNoise:
+    """Normal noise that a step adds to what is predicted: ``white``, new in every step, and ``lasting`` for a run.
+
+    Both (len(edges) + 1, nx) are in units of the states; a row holds until the steps since the start reach its edge.
+    Behind the lags the carry has the lasting draws (nx) and the count of steps.
+    """
+
+    edges: Sequence[int]
+    white: Array
+    lasting: Array
+
+    @property
+    def parameters(self) -> Array:
+        """What `add_noise` reads: the number of edges, the edges, and white and lasting sizes in turn."""
+        return np.concatenate([[len(self.edges)], self.edges, np.ravel(np.concatenate([self.white, self.lasting], 1))])
 
 
 @overload
@@ -51,6 +73,7 @@ def stepping_kernel(
     output: Literal["next_state"],
     lags: tuple[int, int] = (0, 0),
     rest_band: Array | None = None,
+    noise: StepNoise | None = None,
 ) -> DynamicsKernel: ...
 @overload
 def stepping_kernel(
@@ -60,6 +83,7 @@ def stepping_kernel(
     output: Output,
     lags: tuple[int, int] = (0, 0),
     rest_band: Array | None = None,
+    noise: StepNoise | None = None,
 ) -> DynamicsKernel | None: ...
 def stepping_kernel(
     predictor: Predictor,
@@ -68,13 +92,14 @@ def stepping_kernel(
     output: Output,
     lags: tuple[int, int] = (0, 0),
     rest_band: Array | None = None,
+    noise: StepNoise | None = None,
 ) -> DynamicsKernel | None:
     """Return the kernel of a model whose predictor gives the next state or an acceleration.
 
     None if an acceleration is to be integrated and the system's motion has no compiled form.
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
     ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
-    controls in the carry included. No state leaves the limits of its channel.
+    controls in the carry included. ``noise`` moves what is predicted. No state leaves the limits of its channel.
     """
     motion = REACHED if output == "next_state" else system.motion_kernel()
     if motion is None:
@@ -86,7 +111,8 @@ def stepping_kernel(
         rest_band = check_shape("rest_band", rest_band, (nx,))
         rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
-    parts = [padded(motion.parameters), padded(rest), padded(limits)]
+    spread = np.empty(0) if noise is None else noise.parameters
+    parts = [padded(motion.parameters), padded(spread), padded(rest), padded(limits)]
     places = np.cumsum([STEP.size, *(len(part) for part in parts)])
     parameters = STEP.pack(
         *parts,
@@ -99,16 +125,18 @@ def stepping_kernel(
         held=rest_band is not None,
         limited=system.limited,
         frame=places[0],
-        rest=places[1],
-        limits=places[2],
-        own=places[3],
+        noise=places[1],
+        rest=places[2],
+        limits=places[3],
+        own=places[4],
     )
-    bindings = {**predictor.bindings, "integrate": motion.integrate}
+    disturb = no_noise if noise is None else add_noise
+    bindings = {**predictor.bindings, "integrate": motion.integrate, "disturb": disturb}
     return DynamicsKernel(KernelSource(step, bindings), parameters, nx + predictor.n_scratch)
 
 
 def step(carry, control, noise, parameters, scratch):
-    """Predict, integrate, keep within limits, and shift the lags."""
+    """Predict, integrate, add noise, keep within limits, and shift the lags."""
     nx, nu = int(parameters[STEP.nx]), int(parameters[STEP.nu])
     rows = nx * LANES
     own, room = view(parameters, int(parameters[STEP.own])), view(scratch, rows)
@@ -116,7 +144,8 @@ def step(carry, control, noise, parameters, scratch):
     predict(carry, control, own, scratch, room)
     integrate(carry, scratch, nx, parameters[STEP.dt], view(parameters, int(parameters[STEP.frame])))
     state_lags, control_lags = int(parameters[STEP.state_lags]), int(parameters[STEP.control_lags])
-    past = view(carry, (1 + state_lags) * rows)
+    size, past = nu * LANES, view(carry, (1 + state_lags) * rows)
+    disturb(view(past, control_lags * size), noise, scratch, nx, view(parameters, int(parameters[STEP.noise])))
     if parameters[STEP.limited] > 0.0:
         limits = view(parameters, int(parameters[STEP.limits]))
         for row in range(nx):
@@ -126,7 +155,6 @@ def step(carry, control, noise, parameters, scratch):
         hold(carry, control, past, control_lags, view(parameters, int(parameters[STEP.rest])), nx, nu, scratch)
     for back in range(state_lags, 0, -1):
         copy(view(carry, (back - 1) * rows), view(carry, back * rows), rows)
-    size = nu * LANES
     for back in range(control_lags - 1, 0, -1):
         copy(view(past, (back - 1) * size), view(past, back * size), size)
     if control_lags > 0:
@@ -141,6 +169,26 @@ def reached(state, after, nx, dt, p):
 
 REACHED = MotionKernel(reached, turn_nothing, move_nothing)
 """Of a model that predicts the next state itself: there is nothing to integrate."""
+
+
+def no_noise(held, noise, after, nx, p):
+    """Leave the state as it was predicted."""
+    return
+
+
+def add_noise(held, noise, after, nx, p):
+    """Move ``after`` by the noise of this step, whose size depends on the steps so far, and count it."""
+    edges = int(p[0])
+    sizes, count = view(p, 1 + edges), load(held, nx * LANES)
+    for row in range(nx):
+        white, lasting = splat(sizes[2 * nx * edges + row]), splat(sizes[2 * nx * edges + nx + row])
+        for back in range(edges):
+            edge = edges - 1 - back
+            white = where_less(count, p[1 + edge], sizes[2 * nx * edge + row], white)
+            lasting = where_less(count, p[1 + edge], sizes[2 * nx * edge + nx + row], lasting)
+        moved = white * load(noise, row * LANES) + lasting * load(held, row * LANES)
+        store(after, row * LANES, load(after, row * LANES) + moved)
+    store(held, nx * LANES, count + 1.0)
 
 
 def hold(carry, control, past, control_lags, p, nx, nu, after):

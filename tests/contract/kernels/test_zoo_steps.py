@@ -7,13 +7,14 @@ import pytest
 
 from model_zoo.features import FUNCTIONS
 from model_zoo.state_space.units import UNITS
+from sysid_evo.data import Dataset
 from sysid_evo.engine import kernel_step
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import models
 from sysid_evo.testing import MODEL, example_dataset
 from tests.fixtures.families import PERIODIC
 from tests.fixtures.plants import Accelerated, Cylinder, cylinder, pendulum
-from tests.fixtures.systems import FloorCar, cart, drive, one_output, swung
+from tests.fixtures.systems import TANK, FloorCar, cart, drive, one_output, swung
 
 OTHER = FloorCar(thrust=1.8, turn=2.0)
 
@@ -90,6 +91,26 @@ def test_every_function_an_integral_and_a_spread_are_compiled():
     noise = rng.standard_normal((80, model.n_noise))
     after = expect_alike(model, carry, control, noise, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(after[:, -1], carry[:, -1] + 1)
+
+
+@pytest.mark.parametrize("rest_hold", [False, True])
+def test_noise_is_added_before_limits_and_rest_hold_a_state(rest_hold):
+    """A tank that runs full stays full, unless the noise of a step takes more than ran over."""
+    rng, runs = np.random.default_rng(0), []
+    for _ in range(3):
+        valve, states = np.repeat(rng.uniform(0.0, 2.0, (40, 2)), 5, axis=0), [np.array([2.0, 0.0])]
+        for u in valve:
+            after = states[-1] * [0.9, 0.8] + u * [0.3, 0.5] + rng.normal(scale=0.05, size=2)
+            states.append(np.clip(after, [0.0, -9.0], [4.0, 9.0]))
+        runs.append((np.array(states), valve))
+    data = Dataset.from_arrays(TANK, *zip(*runs, strict=True))
+    model = make_model("linear", state_lags=1, control_lags=1, rest_hold=rest_hold, stochastic=True).fit(data, rng=0)
+    carry = np.tile(model.start(np.full((1, 2, 2), 4.0), np.full((1, 1, 2), 2.0)), (80, 1))
+    carry[40:] = model.start(np.zeros((1, 2, 2)), np.zeros((1, 1, 2)))
+    control, noise = np.repeat([[2.0, 1.0], [0.0, 0.0]], 40, axis=0), 5.0 * rng.standard_normal((80, 2))
+    after = expect_alike(model, carry, control, noise, rtol=1e-9, atol=1e-9)
+    assert 0.5 < np.mean(after[:40, 0] == 4.0) < 1.0
+    assert (after[40:, :2] == 0.0).all() == rest_hold
 
 
 @pytest.mark.parametrize("family", at_night(PERIODIC, ("nearest_neighbour",)))
