@@ -1,6 +1,5 @@
 """Names from anybody's files reach a terminal as text: no control characters, no markup."""
 
-import importlib
 import io
 
 import numpy as np
@@ -48,7 +47,6 @@ def hostile(tmp_path_factory):
     done = run_here("fit", ".", "--columns", "map.toml", "--models", "linear", "--out", "run", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert not unseen(done.stdout, done.stderr)
-    importlib.import_module("scipy.signal")  # a second of the first `inspect`, which is no part of a test
     return folder
 
 
