@@ -169,7 +169,7 @@ def _driven(champion: Champion, models: Mapping[str, Dynamics]) -> Iterator[Traj
     for label, model in models.items():
         if isinstance(model, DynamicsModel):
             runner = observed_late(label, DynamicsRunner(model), champion.estimator_delay)
-            yield from runner.run(law, champion.parameters[None], task, seeds, record=True).trajectories
+            yield from runner.bind(law, task)(champion.parameters[None], seeds, record=True).trajectories
 
 
 def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:

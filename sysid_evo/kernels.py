@@ -218,6 +218,18 @@ class Layout:
         return self.pack(**values).astype(np.int64)
 
 
+class Arrays(Layout):
+    """The names of several arrays that a loop gets as one argument, all of one kind."""
+
+    def __init__(self, *names: str, kind: Kind | None = None) -> None:
+        super().__init__(*names)
+        self.kind = kind or REALS
+
+    def chosen(self, arrays: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Return those of the ``arrays`` that have these names, as the argument."""
+        return tuple(arrays[name] for name in self.names)
+
+
 def padded(array: Array, align: int = CACHE_LINE) -> Array:
     """Return ``array`` with zeros after it, up to a multiple of ``align`` numbers."""
     return np.pad(array, (0, -len(array) % align))
@@ -235,9 +247,10 @@ REALS, WHOLES, NUMBER = Kind.REALS, Kind.WHOLES, Kind.NUMBER
 
 
 class Signature:
-    """Named arguments in order, each a `Kind` or the signature of a function that is passed; nothing comes back.
+    """Named arguments in order; nothing comes back. Each is a `Kind`, a `Layout`, or the signature of a function.
 
-    ``REALS`` is an array of the kernel's own precision, ``WHOLES`` one of int64, ``NUMBER`` an int64.
+    ``REALS`` is an array of the kernel's own precision, ``WHOLES`` one of int64, ``NUMBER`` an int64. In a loop a
+    `Layout` is an array of int64 whose numbers have names, and `Arrays` are several: ``sizes.nx``, ``work.carry``.
     """
 
     def __init__(self, **arguments: Argument) -> None:
@@ -271,11 +284,7 @@ class Signature:
 
     def __str__(self) -> str:
         """Return the type as the text of a generated file."""
-        kinds = [
-            kind.value if isinstance(kind, Kind) else f"types.FunctionType({kind.of_pointers()})"
-            for kind in self.arguments.values()
-        ]
-        return f"types.void({', '.join(kinds)})"
+        return f"types.void({', '.join(_text(kind) for kind in self.arguments.values())})"
 
     def of_pointers(self) -> str:
         """Return the type as the text of a generated file, of a function that is passed: addresses of its arrays."""
@@ -294,7 +303,17 @@ class Signature:
         return hash(tuple(self.arguments.items()))
 
 
-Argument: TypeAlias = Kind | Signature
+Argument: TypeAlias = Kind | Layout | Signature
+
+
+def _text(argument: Argument) -> str:
+    if isinstance(argument, Kind):
+        return argument.value
+    if isinstance(argument, Arrays):
+        return f"types.UniTuple({argument.kind.value}, {len(argument.names)})"
+    if isinstance(argument, Layout):
+        return Kind.WHOLES.value
+    return f"types.FunctionType({argument.of_pointers()})"
 
 
 @dataclass(frozen=True)

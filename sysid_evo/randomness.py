@@ -50,13 +50,15 @@ def trial_seeds(seed: int, trials: int, *, generation: int = 0) -> Seeds:
     )
 
 
-def drawn(seeds: Seeds, stream: int, shape: tuple[int, ...], draw: str = "standard_normal") -> Array:
+def drawn(
+    seeds: Seeds, stream: int, shape: tuple[int, ...], draw: str = "standard_normal", *, out: Array | None = None
+) -> Array:
     r"""Return what the `generator` of each seed draws first from one stream, (E, \*shape).
 
-    ``draw`` is the name of a method that fills ``out``. One generator is turned to every key in turn, as it takes
-    ten times as long to make one.
+    ``draw`` is the name of a method that fills an array; ``out`` is filled if it is given. One generator is turned to
+    every key in turn, as it takes ten times as long to make one.
     """
-    found = np.empty((len(seeds), *shape))
+    found = np.empty((len(seeds), *shape)) if out is None else out
     if not found.size:
         return found
     counter = np.random.Philox(key=0)
@@ -69,9 +71,11 @@ def drawn(seeds: Seeds, stream: int, shape: tuple[int, ...], draw: str = "standa
     return found
 
 
-def step_noise(seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STREAM) -> Array:
+def step_noise(
+    seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STREAM, *, out: Array | None = None
+) -> Array:
     """Return standard normal numbers for every trial and step, (E, horizon, n_noise): a dynamics' or another stream."""
-    return drawn(seeds, stream, (horizon, n_noise))
+    return drawn(seeds, stream, (horizon, n_noise), out=out)
 
 
 def trial_draws(seeds: Seeds, n_draws: int) -> Array:

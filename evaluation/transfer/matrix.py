@@ -257,7 +257,7 @@ def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, t
 def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
     """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
     controller, task = make_controller(champion.controller), make_task(champion.task)
-    rollouts = runner.run(controller, champion.parameters[None], task, seeds, record=traces > 0)
+    rollouts = runner.bind(controller, task)(champion.parameters[None], seeds, record=traces > 0)
     return cell_of(champion, column, rollouts, task, traces=traces)
 
 

@@ -16,6 +16,7 @@ from hardware.run_report import LoopReport, Reason, Stops
 from sysid_evo.controllers import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine import Rollouts
+from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
@@ -224,14 +225,21 @@ class RobotRunner:
     progress: Progress | None = None
     told: Callable[[TrialSeries], None] | None = None
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,). Raises `LinkLost` if none connects."""
-        return self.drive(controller, parameters, task, seeds)[0]
+    def bind(self, controller: Controller, task: Task) -> BoundRunner:
+        """Return what runs ``controller`` at ``task``, see `Runner` and `drive`."""
+        bound = task.bind(self.robot.system)
+        law = controller.bind_to(bound)
+
+        def run(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:  # noqa: ARG001  always recorded
+            return self.drive(law, parameters, bound, seeds)[0]
+
+        return run
 
     def drive(self, controller: Controller, parameters: Array, task: Task, seeds: Seeds) -> tuple[Rollouts, LoopReport]:
-        """Do as `run`, and also return how the loop went."""
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,); also return how the loop went.
+
+        Raises `LinkLost` if the robot does not connect.
+        """
         check_loop(self.robot.system)
         task = task.bind(self.robot.system)
         controller = controller.bind_to(task)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import View
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, results
+from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
 from sysid_evo.system import System
@@ -69,13 +71,14 @@ class SimulatorRunner:
 
     simulator: ExternalSimulator
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
+    def bind(self, controller: Controller, task: Task) -> BoundRunner:
+        """Return what runs ``controller`` at ``task``, see `Runner`."""
+        bound = task.bind(self.simulator.system)
+        return partial(self._run, controller.bind_to(bound), bound)
+
+    def _run(
+        self, controller: Controller, task: Task, parameters: Array, seeds: Seeds, *, record: bool = False
     ) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `Runner`."""
-        system = self.simulator.system
-        task = task.bind(system)
-        controller = controller.bind_to(task)
         parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument(f"{self.simulator.name}: expected at least one candidate and one seed, got none")

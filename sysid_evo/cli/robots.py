@@ -325,7 +325,7 @@ def _step(
     runner, task = robot.runner(), sysid_evo.make_task(champion.task)
     assert runner is not None
     law = sysid_evo.make_controller(champion.controller)
-    rollouts = runner.run(law, champion.parameters[None], task, seeds, record=True)
+    rollouts = runner.bind(law, task)(champion.parameters[None], seeds, record=True)
     cell = evaluation.cell_of(champion, f"{robot.name} driven", rollouts, task, traces=TRACES)
     out.print(f"{champion.name} on {robot.name}", style="bold", highlight=False, markup=False)
     out.print(trials_table(cell, rollouts))

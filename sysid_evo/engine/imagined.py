@@ -90,9 +90,11 @@ class CompiledTrials:
 
     def __init__(self, dynamics: DynamicsKernel, task: TaskKernel[Any], envelope: Array, precision: Precision) -> None:
         self.task, self.n_scratch, self.precision = task, dynamics.n_scratch, precision
-        self.shared = {
+        self.functions = {
             "dynamics": compiled(dynamics.source, DYNAMICS, precision),
             "advance": compiled(task.advance, ADVANCE, precision),
+        }
+        self.tables = {
             "dynamics_parameters": aligned(dynamics.parameters, precision),
             "task_parameters": aligned(task.parameters, precision),
             "envelope": aligned(envelope, precision),
@@ -123,18 +125,20 @@ class CompiledTrials:
             "carry": n_carry, "control": nu, "noise": n_noise, "before": nx, "task": n_task, "kept": n_carry + n_task,
             "scratch": self.n_scratch,
         }  # fmt: skip
+        shared = {**self.tables, **{name: aligned(array, real) for name, array in given.items()}}
+        work = {name: empty_lines(n * LANES, real) for name, n in room.items()}
         lost = np.zeros(rollouts, np.int64)
         state, final = np.zeros(rollouts * nx, real), np.zeros(rollouts * n_task, real)
         compiled_loop(loops.imagine, loops.IMAGINE, self.precision)(
             *loops.IMAGINE.ordered(
+                **self.functions,
                 sizes=sizes,
+                shared=loops.IMAGINED_SHARED.chosen(shared),
+                work=loops.IMAGINED_WORK.chosen(work),
                 trials=np.zeros(LANES, np.int64),
-                lost_of=lost,
                 final_state=state,
                 final_task=final,
-                **self.shared,
-                **{name: aligned(array, real) for name, array in given.items()},
-                **{name: empty_lines(n * LANES, real) for name, n in room.items()},
+                lost_of=lost,
             )
         )
         last = final.reshape(rollouts, n_task).T.astype(np.float64)

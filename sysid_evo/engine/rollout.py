@@ -4,22 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol, get_args
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import reference
-from sysid_evo.engine.compiled.closed_loop import LoopInputs, RolloutKernels, spread
-from sysid_evo.engine.compiled.closed_loop import run as run_closed_loop
+from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutKernels, spread
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import Precision
 from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import Engine, available_processors, resolve
 from sysid_evo.randomness import step_noise, trial_draws
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds, check_shape
+
+
+class BoundRunner(Protocol):
+    """A controller and a task bound to what they are run on: bound once, run often."""
+
+    def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
+
+        The fitness (P, E) is never nan. With ``record`` the trajectories are kept. Only a robot leaves trials out, and
+        says why in ``missing``.
+        """
+        ...
 
 
 class Runner(Protocol):
@@ -29,14 +40,8 @@ class Runner(Protocol):
     control loop, one trial at a time. Anything else with this one method can be evolved on and compared.
     """
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
-
-        ``controller`` and ``task`` are bound here, to what is run on. The fitness (P, E) is never nan. With
-        ``record`` the trajectories are kept. Only a robot leaves trials out, and says why in ``missing``.
-        """
+    def bind(self, controller: Controller, task: Task) -> BoundRunner:
+        """Return what runs ``controller`` at ``task``, both bound here. Raises `IncompatibleTask` before any trial."""
         ...
 
 
@@ -51,12 +56,9 @@ class DynamicsRunner:
     engine: Engine = "auto"
     threads: int | None = None
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
-        given = (self.dynamics, controller, parameters, task, seeds)
-        return rollout(*given, record=record, engine=self.engine, threads=self.threads)
+    def bind(self, controller: Controller, task: Task) -> BoundRollout:
+        """Return what runs ``controller`` at ``task`` in the dynamics, see `rollout`."""
+        return BoundRollout(self.dynamics, controller, task, engine=self.engine, threads=self.threads)
 
 
 @dataclass(frozen=True)
@@ -69,15 +71,18 @@ class Discounted:
     runner: Runner
     most: float
 
-    def run(
-        self, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool = False
-    ) -> Rollouts:
-        """Run every candidate, see `Runner`."""
-        run = self.runner.run(controller, parameters, task, seeds, record=record)
-        if run.doubt.shape != run.fitness.shape:
-            return run
-        lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
-        return replace(run, fitness=run.fitness - lost)
+    def bind(self, controller: Controller, task: Task) -> BoundRunner:
+        """Return what runs ``controller`` at ``task``, see `Runner`."""
+        bound = self.runner.bind(controller, task)
+
+        def discounted(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
+            run = bound(parameters, seeds, record=record)
+            if run.doubt.shape != run.fitness.shape:
+                return run
+            lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
+            return replace(run, fitness=run.fitness - lost)
+
+        return discounted
 
 
 def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
@@ -88,7 +93,7 @@ def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, R
         )
     found = {name: DynamicsRunner(one) if isinstance(one, Dynamics) else one for name, one in given.items()}
     for name, runner in found.items():
-        if not hasattr(runner, "run"):
+        if not hasattr(runner, "bind"):
             raise InvalidArgument(f"{what}: {name!r} is a {type(runner).__name__}, no model and no runner")
     return found
 
@@ -116,73 +121,80 @@ def rollout(
     Scores do not depend on ``threads`` (default: all processors this process may use).
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
-    task = task.bind(dynamics.system)
-    controller = controller.bind_to(task)
-    parameters = check_shape("parameters", parameters, (None, controller.n_parameters))
-    if len(seeds) < 1:
-        raise InvalidArgument("rollout: expected at least one trial seed, got none")
-    if engine not in get_args(Engine):
-        raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
-    if threads is not None and threads < 1:
-        raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
-    engine = resolve(engine)
-    if engine != "reference":
+    return BoundRollout(dynamics, controller, task, engine=engine, threads=threads)(parameters, seeds, record=record)
+
+
+class BoundRollout:
+    """A controller and a task bound to a dynamics, and what of it is compiled; arguments as for `rollout`.
+
+    It keeps the kernel of the dynamics as it is now: a model that is fitted again must be bound again.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        controller: Controller,
+        task: Task,
+        *,
+        engine: Engine = "auto",
+        threads: int | None = None,
+    ) -> None:
+        self.dynamics, self.task = dynamics, task.bind(dynamics.system)
+        self.controller = controller.bind_to(self.task)
+        if engine not in get_args(Engine):
+            raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
+        if threads is not None and threads < 1:
+            raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
+        self.threads = threads or available_processors()
+        engine = resolve(engine)
+        self.compiled = None if engine == "reference" else self._compiled(engine)
+
+    def _compiled(self, engine: Engine) -> LoopData | None:
+        """Return the compiled form; None where a kernel is missing. Raises `InvalidArgument` if it was asked for."""
+        dynamics, task, controller = self.dynamics, self.task, self.controller
         of_dynamics, of_task = dynamics.kernel(), task.kernel()
         of_controller = None if controller.n_noise else controller.kernel()
-        if of_dynamics is not None and of_controller is not None and of_task is not None:
-            return _compiled(
-                RolloutKernels(of_dynamics, of_controller, of_task),
-                dynamics,
-                controller,
-                parameters,
-                task,
-                seeds,
-                record=record,
-                precision=enough(of_dynamics.precision, dynamics.envelope) if engine == "auto" else engine,
-                threads=threads or available_processors(),
-            )
-        if engine != "auto":
+        if of_dynamics is None or of_controller is None or of_task is None:
+            if engine == "auto":
+                return None
             roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
             missing = ", ".join(role for role, kernel in roles.items() if kernel is None)
             raise InvalidArgument(f"rollout: engine {engine!r} cannot run this: there is no kernel of the {missing}")
-    return reference.run(dynamics, controller, parameters, task, seeds, record=record)
+        return LoopData(
+            RolloutKernels(of_dynamics, of_controller, of_task),
+            dynamics.system,
+            n_memory=controller.n_memory,
+            n_observations=len(task.observations),
+            seen=dynamics.observed_at,
+            doubt_at=dynamics.doubt_at,
+            envelope=dynamics.envelope,
+            precision=enough(of_dynamics.precision, dynamics.envelope) if engine == "auto" else engine,
+        )
+
+    def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
+        dynamics, task = self.dynamics, self.task
+        parameters = check_shape("parameters", parameters, (None, self.controller.n_parameters))
+        if len(seeds) < 1:
+            raise InvalidArgument("rollout: expected at least one trial seed, got none")
+        if self.compiled is None:
+            return reference.run(dynamics, self.controller, parameters, task, seeds, record=record)
+        trials, began, of_task = len(seeds), task.begin(seeds), self.compiled.kernels.task
+        noise = np.empty((trials, task.horizon, dynamics.n_noise))
+        spread(lambda: partial(_draw, seeds, noise), trials, self.threads)
+        carry = started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws))
+        begun = LoopTrials(
+            theta=parameters,
+            carry=check_shape("start", carry, (trials, dynamics.n_carry)),
+            task=of_task.rows(began),
+            trial_data=of_task.trial_data(began),
+            noise=noise,
+        )
+        found, rows = self.compiled.run(begun, record=record, threads=self.threads)
+        task_state = of_task.state(began.tile(len(parameters)), rows)
+        return finished(found, task, dynamics.system, began, task_state, f"compiled {self.compiled.precision}", record)
 
 
-def _compiled(
-    kernels: RolloutKernels,
-    dynamics: Dynamics,
-    controller: Controller,
-    parameters: Array,
-    task: Task,
-    seeds: Seeds,
-    *,
-    record: bool,
-    precision: Precision,
-    threads: int,
-) -> Rollouts:
-    """Return what `reference.run` does, compiled."""
-    system, trials = dynamics.system, len(seeds)
-    began = task.begin(seeds)
-    noise = np.empty((trials, task.horizon, dynamics.n_noise))
-
-    def draw(first: int, last: int) -> None:
-        noise[first:last] = step_noise(seeds[first:last], task.horizon, dynamics.n_noise)
-
-    if dynamics.n_noise:
-        spread(lambda: draw, trials, threads)
-    first = started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws))
-    inputs = LoopInputs(
-        theta=parameters,
-        carry=check_shape("start", first, (trials, dynamics.n_carry)),
-        task=kernels.task.rows(began),
-        trial_data=kernels.task.trial_data(began),
-        noise=noise,
-        n_memory=controller.n_memory,
-        n_observations=len(task.observations),
-        seen=dynamics.observed_at,
-        doubt_at=dynamics.doubt_at,
-        envelope=dynamics.envelope,
-    )
-    found, rows = run_closed_loop(kernels, system, inputs, record=record, precision=precision, threads=threads)
-    task_state = kernels.task.state(began.tile(len(parameters)), rows)
-    return finished(found, task, system, began, task_state, f"compiled {precision}", record)
+def _draw(seeds: Seeds, noise: Array, first: int, last: int) -> None:
+    """Fill the ``noise`` (E, horizon, n_noise) of some trials."""
+    step_noise(seeds[first:last], *noise.shape[1:], out=noise[first:last])

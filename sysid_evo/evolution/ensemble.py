@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller
-from sysid_evo.engine.rollout import Runner
+from sysid_evo.engine.rollout import BoundRunner, Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.loop import Scores
@@ -40,6 +41,11 @@ class EnsembleObjective:
                 f"ensemble: expected at least one model and one trial, got {len(self.runners)} and {self.trials}"
             )
 
+    @cached_property
+    def bound(self) -> list[BoundRunner]:
+        """Controller and task on each runner."""
+        return [runner.bind(self.controller, self.task) for runner in self.runners]
+
     def __call__(self, population: Array, generation: int) -> Scores:
         """Return what ``population`` (P, n) scores in ``generation``."""
         return self.on_trials(population, trial_seeds(self.seed, self.trials, generation=generation))
@@ -50,7 +56,7 @@ class EnsembleObjective:
         Raises `ShapeError` if a runner leaves trials out.
         """
         shape = len(population), len(seeds)
-        runs = [runner.run(self.controller, population, self.task, seeds) for runner in self.runners]
+        runs = [run(population, seeds) for run in self.bound]
         fitness = np.stack([check_shape("fitness in every trial", run.fitness, shape) for run in runs])
         described = [run.behaviour.mean(axis=1) for run in runs if run.behaviour.shape[:2] == shape]
         behaviour = np.mean(described, axis=0) if described else None

@@ -149,7 +149,7 @@ def identity(told: Sequence[Any], runners: Mapping[str, Runner], controller: Con
     some = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
     for runner in runners.values():
         if isinstance(runner, DynamicsRunner):  # a robot never drives the same way twice
-            for trajectory in runner.run(controller, some, task, trial_seeds(seed, 2), record=True).trajectories:
+            for trajectory in runner.bind(controller, task)(some, trial_seeds(seed, 2), record=True).trajectories:
                 digest.update(np.ascontiguousarray(trajectory.states).tobytes())
     return digest.hexdigest()
 

@@ -121,7 +121,7 @@ def one_search(champion: Champion, name: str, system: System, seed: int) -> Cham
 def achieved(champion: Champion, robot: GymnasiumRobot, trials: int) -> float:
     """Return the mean fitness of a champion in fresh trials."""
     task, controller = make_task(champion.task), make_controller(champion.controller)
-    run = robot.runner().run(controller, champion.parameters[None], task, transfer_seeds(0, trials))
+    run = robot.runner().bind(controller, task)(champion.parameters[None], transfer_seeds(0, trials))
     return float(run.fitness.mean())
 
 

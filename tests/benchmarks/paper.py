@@ -83,7 +83,7 @@ def backwards(champion: Champion) -> float:
     assert dynamics is not None
     task = make_task(champion.task).bind(dynamics.system)
     controller = make_controller(champion.controller).bind_to(task)
-    ran = DynamicsRunner(dynamics).run(controller, champion.parameters[None], task, trial_seeds(0, TRIALS))
+    ran = DynamicsRunner(dynamics).bind(controller, task)(champion.parameters[None], trial_seeds(0, TRIALS))
     names = behaviour_names(dynamics.system)
     return float(ran.behaviour[0, :, names.index("forward_speed below")].mean())
 

@@ -88,7 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     car, task, seeds = make_robot("emulated_car").dynamics, make_task("point_to_point"), trial_seeds(5, options.trials)
 
     def achieved(controller: Controller, parameters: Array) -> tuple[str, str]:
-        fitness = DynamicsRunner(car).run(controller, parameters[None], task, seeds).fitness[0]
+        fitness = DynamicsRunner(car).bind(controller, task)(parameters[None], seeds).fitness[0]
         return f"{fitness.mean():.1f}", f"{fitness.std(ddof=1) / np.sqrt(len(fitness)):.1f}"
 
     table = Table(title=f"waypoints on the emulated car, {options.trials} trials")

@@ -48,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     table = Table(title=f"{TASK} on {options.robot}, {options.trials} trials")
 
     def add(name: str, where: str, controller: str, parameters: Array) -> None:
-        run = runner.run(make_controller(controller), parameters[None], task, seeds)
+        run = runner.bind(make_controller(controller), task)(parameters[None], seeds)
         measures = task.bind(robot.system).measures(run.task_state)
         if not table.columns:
             for heading in ("controller", "from", "score", *measures):

@@ -177,8 +177,9 @@ def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_
     champion = champion_of("recurrent", robot.system)
     law = law_of(champion)
     step = getattr(library(law, "double", tmp_path), f"{law.name}_step")
+    task = PointToPoint(horizon=80)
     ours, in_c = (
-        RobotRunner(robot, seed=1).run(controller, parameters, PointToPoint(horizon=80), trial_seeds(1, 2)).trajectories
+        RobotRunner(robot, seed=1).bind(controller, task)(parameters, trial_seeds(1, 2)).trajectories
         for controller, parameters in (
             (make_controller(champion.controller), champion.parameters[None]),
             (Compiled(law, step), np.zeros((1, 1))),

@@ -13,7 +13,7 @@ from hardware.simulators.gymnasium_task import RULES, EnvironmentTask
 from hardware.testing import check_robot
 from sysid_evo.angles import TURN
 from sysid_evo.controllers import RecurrentNetwork
-from sysid_evo.engine import rollout
+from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import IncompatibleSystem, IncompatibleTask, InvalidArgument, LinkLost
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
@@ -291,7 +291,7 @@ def by_hand(robot, task, parameters, seed, at):
 def test_every_trial_is_what_a_loop_written_by_hand_gives(name):
     robot, task = GymnasiumRobot(id=name), Counting(start=0.05)
     controller, parameters = network(task, robot.system)
-    found = robot.runner().run(controller, parameters, task, SEEDS, record=True)
+    found = robot.runner().bind(controller, task)(parameters, SEEDS, record=True)
     starts = task.bind(robot.system).begin(SEEDS).state
     trajectories = iter(found.trajectories)
     for candidate in range(2):
@@ -306,8 +306,8 @@ def test_every_trial_is_what_a_loop_written_by_hand_gives(name):
 def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_beside():
     robot, task = GymnasiumRobot(id="CartPole-v1"), Counting()
     controller, parameters = network(task, robot.system, candidates=70)
-    together = robot.runner().run(controller, parameters, task, SEEDS)
-    alone = robot.runner().run(controller, parameters[65:66], task, SEEDS)
+    together = robot.runner().bind(controller, task)(parameters, SEEDS)
+    alone = robot.runner().bind(controller, task)(parameters[65:66], SEEDS)
     np.testing.assert_array_equal(together.fitness[65], alone.fitness[0])
     np.testing.assert_array_equal(together.behaviour[65], alone.behaviour[0])
     assert together.fitness.shape == (70, 4)
@@ -316,7 +316,7 @@ def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_besid
 @pytest.mark.parametrize(("end", "steps"), [(np.inf, 30), (0.55, 6)], ids=["environment", "task"])
 def test_a_trial_is_over_when_the_environment_or_the_task_ends_it(end, steps, small):
     controller, task = RecurrentNetwork(hidden=3), Counting(horizon=100, end=end)
-    found = rotor().runner().run(controller, FULL, task, SEEDS, record=True)
+    found = rotor().runner().bind(controller, task)(FULL, SEEDS, record=True)
     assert (found.survived == steps).all()
     if end == np.inf:
         assert all(abs(t.states[-1, 0]) > small.BREAKS >= abs(t.states[-2, 0]) - 1e-5 for t in found.trajectories)
@@ -324,14 +324,14 @@ def test_a_trial_is_over_when_the_environment_or_the_task_ends_it(end, steps, sm
 
 def test_an_environment_that_returns_no_number_is_a_trial_that_diverged():
     task = Counting(horizon=40)
-    found = rotor(settings={"bad": True}).runner().run(RecurrentNetwork(hidden=3), FULL, task, SEEDS)
+    found = rotor(settings={"bad": True}).runner().bind(RecurrentNetwork(hidden=3), task)(FULL, SEEDS)
     assert (found.survived == 5).all()
     np.testing.assert_allclose(found.fitness, task.worst - 1.0 + 5 / 40)
 
 
 def test_a_run_without_a_trial_is_refused():
     with pytest.raises(InvalidArgument, match="at least one candidate and one seed"):
-        rotor().runner().run(RecurrentNetwork(hidden=3), FULL, Counting(), SEEDS[:0])
+        rotor().runner().bind(RecurrentNetwork(hidden=3), Counting())(FULL, SEEDS[:0])
 
 
 @pytest.mark.parametrize("name", [*CLASSIC, SLIDER])
@@ -372,7 +372,7 @@ def test_a_trial_begins_where_the_environment_does_with_its_seed_and_lasts_as_lo
 def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot():
     robot, task = GymnasiumRobot(id="Pendulum-v1"), EnvironmentTask(id="Pendulum-v1")
     controller, parameters = network(task, robot.system)
-    found = robot.runner().run(controller, parameters, task, trial_seeds(8, 2), record=True)
+    found = robot.runner().bind(controller, task)(parameters, trial_seeds(8, 2), record=True)
     with robot.simulator.open() as session:
         for trajectory, fitness in zip(found.trajectories, found.fitness.ravel(), strict=True):
             session.reset(0, trajectory.states[0])
@@ -383,8 +383,9 @@ def test_the_sum_of_an_episodes_rewards_is_the_fitness_on_the_robot():
 def test_a_good_model_gives_the_fitness_of_the_environment():
     robot, task = GymnasiumRobot(id="CartPole-v1"), EnvironmentTask(id="CartPole-v1", horizon=60)
     model = make_model("linear").fit(recorded("CartPole-v1", 60.0))
-    given = (*network(task, robot.system, candidates=8), task, trial_seeds(3, 5))
-    own, on_robot = rollout(model, *given), robot.runner().run(*given)
+    controller, parameters = network(task, robot.system, candidates=8)
+    runners = DynamicsRunner(model), robot.runner()
+    own, on_robot = (one.bind(controller, task)(parameters, trial_seeds(3, 5)) for one in runners)
     np.testing.assert_allclose(own.fitness.mean(axis=1), on_robot.fitness.mean(axis=1), atol=1.5)
 
 
@@ -392,7 +393,7 @@ def test_rewards_of_an_unknown_environment_are_asked_of_it_where_it_begins_and_e
     robot, task = GymnasiumRobot(id=SLIDER), EnvironmentTask(id=SLIDER)
     controller, parameters = network(task, robot.system, candidates=3)
     seeds = trial_seeds(2, 3)
-    found = robot.runner().run(controller, parameters, task, seeds, record=True)
+    found = robot.runner().bind(controller, task)(parameters, seeds, record=True)
     with robot.simulator.open() as session:
         for trajectory, fitness, seed in zip(found.trajectories, found.fitness.ravel(), np.tile(seeds, 3), strict=True):
             np.testing.assert_allclose(trajectory.states[0], session.reset(int(seed)), atol=1e-6)

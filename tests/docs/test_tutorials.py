@@ -64,7 +64,7 @@ def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path):
         feedback = make_controller("linear(inputs=[position, speed, sin_angle, angular_speed])").bind_to(task)
         # at rest, and a linear-quadratic regulator of the upright pole, as shares of the largest force
         gains = np.array([np.zeros(5), [2.09, 1.82, 7.85, -1.45, 0.0]])
-        rest, balanced = robot.runner().run(feedback, gains, task, trial_seeds(1, 20)).fitness.mean(axis=1)
+        rest, balanced = robot.runner().bind(feedback, task)(gains, trial_seeds(1, 20)).fitness.mean(axis=1)
     assert rest < 0.1
     assert balanced > 0.95
 
@@ -88,5 +88,5 @@ def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(tmp
     (tmp_path / "recommended.py").write_text(python_text(law_of(champion)))
     with importable(tmp_path):
         exec(PAGES["tutorials/pendulum.md"].blocks("python")[-1].text, {})
-    earned = robot.runner().run(controller, weights[None], task, np.zeros(1, dtype=np.uint64)).fitness
+    earned = robot.runner().bind(controller, task)(weights[None], np.zeros(1, dtype=np.uint64)).fitness
     assert capsys.readouterr().out == f"{earned.item():.0f} in 200 steps\n"

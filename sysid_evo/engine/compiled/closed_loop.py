@@ -45,13 +45,10 @@ class RolloutKernels:
 
 
 @dataclass(frozen=True)
-class LoopInputs:
+class LoopTrials:
     """What P candidates begin with in E trials: ``theta`` (P, n) and ``carry`` (E, n_carry), and the rest of a trial.
 
     ``task`` (rows, E) and ``trial_data`` (E, n) are those of its `TaskKernel`; ``noise`` is (E, horizon, n_noise).
-    Controllers remember ``n_memory`` numbers and are shown ``n_observations``. From ``seen`` on stands the state that
-    is observed in the carry, at ``doubt_at`` the steps in doubt, if somebody counts them; states are clipped to the
-    ``envelope`` (2, nx).
     """
 
     theta: Array
@@ -59,11 +56,6 @@ class LoopInputs:
     task: Array
     trial_data: Array
     noise: Array
-    n_memory: int
-    n_observations: int
-    seen: int = 0
-    doubt_at: int | None = None
-    envelope: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -84,111 +76,131 @@ class LoopResults:
     tape: tuple[Array, Array, Array]
 
 
-def run(
-    kernels: RolloutKernels,
-    system: System,
-    inputs: LoopInputs,
-    *,
-    record: bool,
-    precision: Precision = "float32",
-    threads: int = 1,
-) -> tuple[LoopResults, Array]:
-    """Run all candidates in all trials; return the results, and the rows of the task after the last step (rows, P E).
+class LoopData:
+    """A compiled closed loop and what it reads that is the same in all trials, in one precision.
 
-    The number of ``threads`` changes no result.
+    Controllers remember ``n_memory`` numbers and are shown ``n_observations``. From ``seen`` on stands the state that
+    is observed in the carry, at ``doubt_at`` the steps in doubt, if somebody counts them; states are clipped to the
+    ``envelope`` (2, nx).
     """
-    real, (trials, horizon, n_noise) = np.dtype(precision), inputs.noise.shape
-    (candidates, n_theta), n_carry, n_task = inputs.theta.shape, inputs.carry.shape[1], len(inputs.task)
-    nx, nu, n_pose, rollouts = system.nx, system.nu, kernels.task.n_pose, candidates * trials
-    sizes = loops.CLOSED.integers(
-        trials=trials,
-        horizon=horizon,
-        n_carry=n_carry,
-        nx=nx,
-        nu=nu,
-        n_memory=inputs.n_memory,
-        n_task=n_task,
-        n_noise=n_noise,
-        n_theta=n_theta,
-        rollouts=rollouts,
-        record=int(record),
-        pose_row=kernels.task.pose_row,
-        n_pose=n_pose,
-        seen=inputs.seen,
-        doubt_at=-1 if inputs.doubt_at is None else inputs.doubt_at,
-    )
-    functions = {
-        "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
-        "controller": compiled(kernels.controller.source, CONTROLLER, precision),
-        "observe": compiled(kernels.task.observe, OBSERVE, precision),
-        "advance": compiled(kernels.task.advance, ADVANCE, precision),
-    }
-    given = {
-        "dynamics_parameters": kernels.dynamics.parameters,
-        "controller_parameters": kernels.controller.parameters,
-        "task_parameters": kernels.task.parameters,
-        "theta_of": inputs.theta,
-        "start": inputs.carry,
-        "task_start": inputs.task.T,
-        "trial_data": inputs.trial_data,
-        "envelope": envelope_table(inputs.envelope, nx, precision),
-        "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
-        "centre": np.concatenate([system.neutral_state, system.neutral_control]),
-    }
-    shared = {
-        "noise_of": noise_table(inputs.noise, precision),
-        **{name: aligned(array, real) for name, array in given.items()},
-    }
-    kept = rollouts if record else 0
-    results = {
-        "fitness": np.zeros(rollouts, real),
-        **{name: np.zeros(rollouts, np.int64) for name in ("survived", "clipped", "diverged")},
-        "final_task": np.zeros(rollouts * n_task, real),
-        "counts": np.zeros(rollouts * 2 * (nx + nu), real),
-        "doubts": np.zeros(rollouts, real),
-        "states": np.zeros(max(1, kept * (horizon + 1) * nx), real),
-        "controls": np.zeros(max(1, kept * horizon * nu), real),
-        "poses": np.zeros(max(1, kept * (horizon + 1) * n_pose), real),
-    }
-    room = {
-        "carry": n_carry,
-        "control": nu,
-        "noise": n_noise,
-        "memory": inputs.n_memory,
-        "observation": max(1, inputs.n_observations),
-        "raw": nu,
-        "before": nx,
-        "task": n_task,
-        "theta": n_theta,
-        "kept": n_carry + n_task,
-        "tally": 2 * (nx + nu),
-        "turn": 1,
-        "scratch": kernels.dynamics.n_scratch,
-        "controller_scratch": kernels.controller.n_scratch,
-    }
-    loop = compiled_loop(loops.closed_loop, loops.CLOSED_LOOP, precision)
 
-    def prepare() -> Work:
-        arrays = together({name: n * LANES for name, n in room.items()}, real, copies=shared)
-        trials_of = np.zeros(LANES, np.int64)
+    def __init__(
+        self,
+        kernels: RolloutKernels,
+        system: System,
+        *,
+        n_memory: int,
+        n_observations: int,
+        seen: int = 0,
+        doubt_at: int | None = None,
+        envelope: Array | None = None,
+        precision: Precision = "float32",
+    ) -> None:
+        self.kernels, self.precision = kernels, precision
+        self.loop = compiled_loop(loops.closed_loop, loops.CLOSED_LOOP, precision)
+        self.functions = {
+            "dynamics": compiled(kernels.dynamics.source, DYNAMICS, precision),
+            "controller": compiled(kernels.controller.source, CONTROLLER, precision),
+            "observe": compiled(kernels.task.observe, OBSERVE, precision),
+            "advance": compiled(kernels.task.advance, ADVANCE, precision),
+        }
+        tables = {
+            "dynamics_parameters": kernels.dynamics.parameters,
+            "controller_parameters": kernels.controller.parameters,
+            "task_parameters": kernels.task.parameters,
+            "envelope": envelope_table(envelope, system.nx, precision),
+            "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
+            "centre": np.concatenate([system.neutral_state, system.neutral_control]),
+        }
+        self.tables = {name: aligned(array, precision) for name, array in tables.items()}
+        self.sizes = {
+            "nx": system.nx,
+            "nu": system.nu,
+            "n_memory": n_memory,
+            "pose_row": kernels.task.pose_row,
+            "n_pose": kernels.task.n_pose,
+            "seen": seen,
+            "doubt_at": -1 if doubt_at is None else doubt_at,
+        }
+        self.rows = {
+            "control": system.nu,
+            "memory": n_memory,
+            "observation": max(1, n_observations),
+            "raw": system.nu,
+            "before": system.nx,
+            "tally": 2 * (system.nx + system.nu),
+            "turn": 1,
+            "scratch": kernels.dynamics.n_scratch,
+            "controller_scratch": kernels.controller.n_scratch,
+        }
 
-        def work(first: int, last: int) -> None:
-            arguments = {**functions, "sizes": sizes, "trials": trials_of, **arrays, **results}
-            loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
+    def run(self, begun: LoopTrials, *, record: bool, threads: int = 1) -> tuple[LoopResults, Array]:
+        """Run all candidates in all trials; return the results, and the rows of the task after the last step.
 
-        return work
+        Those are (rows, P E). The number of ``threads`` changes no result.
+        """
+        real, (trials, horizon, n_noise) = np.dtype(self.precision), begun.noise.shape
+        (candidates, n_theta), n_carry, n_task = begun.theta.shape, begun.carry.shape[1], len(begun.task)
+        nx, nu, n_pose, rollouts = self.sizes["nx"], self.sizes["nu"], self.sizes["n_pose"], candidates * trials
+        sizes = loops.CLOSED.integers(
+            **self.sizes,
+            trials=trials,
+            horizon=horizon,
+            n_carry=n_carry,
+            n_task=n_task,
+            n_noise=n_noise,
+            n_theta=n_theta,
+            rollouts=rollouts,
+            record=int(record),
+        )
+        shared = {
+            "noise_of": noise_table(begun.noise, self.precision),
+            **self.tables,
+            "theta_of": aligned(begun.theta, real),
+            "start": aligned(begun.carry, real),
+            "task_start": aligned(begun.task.T, real),
+            "trial_data": aligned(begun.trial_data, real),
+        }
+        kept = rollouts if record else 0
+        lengths = {
+            "fitness": rollouts,
+            "final_task": rollouts * n_task,
+            "counts": rollouts * 2 * (nx + nu),
+            "doubts": rollouts,
+            "states": max(1, kept * (horizon + 1) * nx),
+            "controls": max(1, kept * horizon * nu),
+            "poses": max(1, kept * (horizon + 1) * n_pose),
+        }
+        results = {name: np.zeros(length, real) for name, length in lengths.items()}
+        outcomes = {name: np.zeros(rollouts, np.int64) for name in loops.OUTCOMES.names}
+        own = {"carry": n_carry, "noise": n_noise, "task": n_task, "theta": n_theta, "kept": n_carry + n_task}
+        rows = {**self.rows, **own}
 
-    spread(prepare, -(-rollouts // LANES), threads)
-    found = LoopResults(
-        fitness=results["fitness"].astype(np.float64),
-        survived=results["survived"],
-        clipped=results["clipped"],
-        diverged=results["diverged"] > 0,
-        counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
-        doubt=results["doubts"].astype(np.float64),
-        tape=(results["states"], results["controls"], results["poses"]),
-    )
-    return found, results["final_task"].reshape(rollouts, n_task).T.astype(np.float64)
+        def prepare() -> Work:
+            tables = dict(zip(loops.SHARED.names, loops.SHARED.chosen(shared), strict=True))
+            arrays = together({name: rows[name] * LANES for name in loops.WORK.names}, real, copies=tables)
+            arguments = {
+                **self.functions,
+                "sizes": sizes,
+                "shared": loops.SHARED.chosen(arrays),
+                "work": loops.WORK.chosen(arrays),
+                "trials": np.zeros(LANES, np.int64),
+                "results": loops.RESULTS.chosen(results),
+                "outcomes": loops.OUTCOMES.chosen(outcomes),
+            }
+            return lambda first, last: self.loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
+
+        spread(prepare, -(-rollouts // LANES), threads)
+        found = LoopResults(
+            fitness=results["fitness"].astype(np.float64),
+            survived=outcomes["survived"],
+            clipped=outcomes["clipped"],
+            diverged=outcomes["diverged"] > 0,
+            counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
+            doubt=results["doubts"].astype(np.float64),
+            tape=(results["states"], results["controls"], results["poses"]),
+        )
+        return found, results["final_task"].reshape(rollouts, n_task).T.astype(np.float64)
 
 
 @cache

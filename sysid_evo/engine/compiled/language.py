@@ -7,8 +7,8 @@ hash of its text and of the versions it depends on, see `sysid_evo.engine.compil
 
 What a kernel function may use: arguments and local names, numbers, ``math``, other such functions
 (also those decorated with ``numba.njit``), module-level numbers, the words of `sysid_evo.kernels`,
-and the places of a `Layout` of the module. Literals of real arithmetic are written with a point
-(``2.0``).
+and the places of a `Layout` of the module; a loop also the names within its own arguments. Literals of real
+arithmetic are written with a point (``2.0``).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import ast
 import inspect
 import numbers
 import textwrap
+from collections.abc import Mapping
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -63,7 +64,8 @@ def generate(source: Source, signature: Signature, precision: Precision, *, poin
         entry = f"@cfunc({signature.of_pointers()}, {options})\ndef entry({names}):\n    {inner}({arrays})"
     else:
         writer.open.append(source)
-        entry = writer.function(source, entry=f"@njit({signature}, {options}, nogil=True)")
+        groups = {name: kind for name, kind in signature.arguments.items() if isinstance(kind, Layout)}
+        entry = writer.function(source, f"@njit({signature}, {options}, nogil=True)", groups)
     origin = f"{source.function.__module__}.{source.function.__qualname__}"
     header = HEADER.format(origin=origin, precision=precision, lanes=LANES, words=", ".join(WORDS.values()))
     return "\n\n".join([header, *writer.done, entry]) + "\n"
@@ -79,7 +81,7 @@ class _ModuleWriter:
         self.open: list[Source] = []
         self.count = 0
 
-    def function(self, source: Source, entry: str | None = None) -> str:
+    def function(self, source: Source, entry: str | None = None, groups: Mapping[str, Layout] | None = None) -> str:
         before = entry or INNER
         if not isinstance(source, KernelSource):
             wrapped = self.needs(KernelSource(source.function, source.bindings))
@@ -95,7 +97,7 @@ class _ModuleWriter:
             node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
         }
         given = {_own(argument) for argument in arguments} if entry else set()
-        tree = ast.fix_missing_locations(_Specialise(self, source, local, given, name).visit(tree))
+        tree = ast.fix_missing_locations(_Specialise(self, source, local, given, groups or {}, name).visit(tree))
         return f"{before}\n{ast.unparse(tree)}"
 
     def needs(self, source: Source) -> str:
@@ -121,9 +123,17 @@ class _ModuleWriter:
 class _Specialise(ast.NodeTransformer):
     """Rewrites one function: literals, global names, calls of `math`."""
 
-    def __init__(self, writer: _ModuleWriter, source: Source, local: set[str], given: set[str], name: str) -> None:
+    def __init__(
+        self,
+        writer: _ModuleWriter,
+        source: Source,
+        local: set[str],
+        given: set[str],
+        groups: Mapping[str, Layout],
+        name: str,
+    ) -> None:
         self.writer, self.function, self.bindings = writer, plain_function(source.function), source.bindings
-        self.local, self.given, self.own_name = local, given, name
+        self.local, self.given, self.groups, self.own_name = local, given, groups, name
         self.scope = {**self.function.__globals__, **inspect.getclosurevars(self.function).nonlocals}
 
     def visit_Lambda(self, node: ast.Lambda) -> ast.expr:  # ast's own naming
@@ -155,6 +165,9 @@ class _Specialise(ast.NodeTransformer):
         if isinstance(node.value, ast.Name) and isinstance(self.scope.get(node.value.id), Layout):
             layout: Layout = self.scope[node.value.id]
             return ast.Constant(layout.size if node.attr == "size" else getattr(layout, node.attr))
+        if isinstance(node.value, ast.Name) and node.attr in getattr(self.groups.get(node.value.id), "names", ()):
+            place = ast.Constant(getattr(self.groups[node.value.id], node.attr))
+            return ast.Subscript(ast.Name(_own(node.value.id), ast.Load()), place, ast.Load())
         raise self._unusable(ast.unparse(node), "attributes of arrays or objects are not available in kernels")
 
     def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming

@@ -17,6 +17,7 @@ from sysid_evo.kernels import (
     OBSERVE,
     QUARTER,
     WHOLES,
+    Arrays,
     Layout,
     Signature,
     first_lane,
@@ -40,248 +41,264 @@ CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
     "pose_row", "n_pose", "seen", "doubt_at",
 )  # fmt: skip
+SHARED = Arrays(
+    "noise_of", "dynamics_parameters", "controller_parameters", "task_parameters", "theta_of", "start", "task_start",
+    "trial_data", "envelope", "actuation", "centre",
+)  # fmt: skip
+WORK = Arrays(
+    "carry", "control", "noise", "memory", "observation", "raw", "before", "task", "theta", "kept", "tally", "turn",
+    "scratch", "controller_scratch",
+)  # fmt: skip
+RESULTS = Arrays("fitness", "final_task", "counts", "doubts", "states", "controls", "poses")
+OUTCOMES = Arrays("survived", "clipped", "diverged", kind=WHOLES)
 
 
-def closed_loop(
-    dynamics, controller, observe, advance, sizes,
-    dynamics_parameters, controller_parameters, task_parameters,
-    theta_of, start, task_start, trial_data, noise_of, envelope, actuation, centre, first, last,
-    carry, control, noise, memory, observation, raw, before, task, theta, kept, tally, scratch, controller_scratch,
-    turn, trials,
-    fitness, survived, clipped, diverged, final_task, counts, doubts, states, controls, poses,
-):  # fmt: skip
+def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, trials, results, outcomes, first, last):
     """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
-    horizon, nx, nu = sizes[CLOSED.horizon], sizes[CLOSED.nx], sizes[CLOSED.nu]
-    n_carry, n_task, n_noise = sizes[CLOSED.n_carry], sizes[CLOSED.n_task], sizes[CLOSED.n_noise]
-    n_trials, rollouts, n_theta = sizes[CLOSED.trials], sizes[CLOSED.rollouts], sizes[CLOSED.n_theta]
-    n_pose, pose_row = sizes[CLOSED.n_pose], sizes[CLOSED.pose_row]
+    horizon, nx, nu = sizes.horizon, sizes.nx, sizes.nu
+    n_carry, n_task, n_noise = sizes.n_carry, sizes.n_task, sizes.n_noise
+    n_trials, rollouts, n_theta = sizes.trials, sizes.rollouts, sizes.n_theta
+    n_pose, pose_row = sizes.n_pose, sizes.pose_row
     for block in range(first, last):
         for lane in range(LANES):
             rollout = min(block * LANES + lane, rollouts - 1)
             trial = rollout % n_trials
             candidate = rollout // n_trials
             trials[lane] = trial
-            turn[lane] = float(trial)
+            work.turn[lane] = float(trial)
             for row in range(n_carry):
-                carry[row * LANES + lane] = start[trial * n_carry + row]
+                work.carry[row * LANES + lane] = shared.start[trial * n_carry + row]
             for row in range(n_task):
-                task[row * LANES + lane] = task_start[trial * n_task + row]
+                work.task[row * LANES + lane] = shared.task_start[trial * n_task + row]
             for row in range(n_theta):
-                theta[row * LANES + lane] = theta_of[candidate * n_theta + row]
-        clear(memory, sizes[CLOSED.n_memory])
-        clear(tally, 2 * (nx + nu))
+                work.theta[row * LANES + lane] = shared.theta_of[candidate * n_theta + row]
+        clear(work.memory, sizes.n_memory)
+        clear(work.tally, 2 * (nx + nu))
         used = min(LANES, rollouts - block * LANES)
         in_order = (block * LANES) % n_trials  # from here on the trials of the lanes follow each other
-        over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
+        over = ~lanes_differ(load(work.task, LANES), splat(0.0))  # a bit for each lane whose trial is over
         lost = 0  # and for each that diverged
         for k in range(horizon):
             if over == -1:
                 break
-            observe(task, view(carry, sizes[CLOSED.seen] * LANES), observation, task_parameters)
-            controller(theta, memory, observation, raw, controller_parameters, controller_scratch)
-            actuate(raw, control, actuation, nu)
+            observe(work.task, view(work.carry, sizes.seen * LANES), work.observation, shared.task_parameters)
+            controller(
+                work.theta,
+                work.memory,
+                work.observation,
+                work.raw,
+                shared.controller_parameters,
+                work.controller_scratch,
+            )
+            actuate(work.raw, work.control, shared.actuation, nu)
             if k % EVERY == 0:
-                count_sides(carry, view(task, LANES), view(centre, 0), nx, tally)
-                count_sides(control, view(task, LANES), view(centre, nx), nu, view(tally, 2 * nx * LANES))
-            draw(noise_of, k * n_noise, n_noise, n_trials, in_order, turn, noise)
-            copy_rows(carry, before, nx)
+                count_sides(work.carry, view(work.task, LANES), view(shared.centre, 0), nx, work.tally)
+                count_sides(
+                    work.control, view(work.task, LANES), view(shared.centre, nx), nu, view(work.tally, 2 * nx * LANES)
+                )
+            draw(shared.noise_of, k * n_noise, n_noise, n_trials, in_order, work.turn, work.noise)
+            copy_rows(work.carry, work.before, nx)
             if over != 0:
-                copy_rows(carry, kept, n_carry)
-                copy_rows(task, view(kept, n_carry * LANES), n_task)
-            dynamics(carry, control, noise, dynamics_parameters, scratch)
-            marked = suspicious(carry, envelope, n_carry, nx)
+                copy_rows(work.carry, work.kept, n_carry)
+                copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
+            dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
+            marked = suspicious(work.carry, shared.envelope, n_carry, nx)
             if marked != 0:
-                diverging = not_finite(carry, envelope, n_carry, nx)
+                diverging = not_finite(work.carry, shared.envelope, n_carry, nx)
                 fresh, clipping = diverging & ~over, marked & ~diverging & ~over
                 over |= fresh
                 lost |= fresh
-                forget(carry, kept, n_carry, task, n_task, fresh, diverging & lost)
+                forget(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
                 while fresh != 0:
                     lane = first_lane(fresh)
                     fresh &= fresh - 1
                     if lane < used:
-                        diverged[block * LANES + lane] = 1
-                        survived[block * LANES + lane] = k
+                        outcomes.diverged[block * LANES + lane] = 1
+                        outcomes.survived[block * LANES + lane] = k
                 while clipping != 0:
                     lane = first_lane(clipping)
                     clipping &= clipping - 1
                     if lane < used:
-                        clipped[block * LANES + lane] += 1
-                clip(carry, envelope, nx)
-            advance(task, before, carry, control, trials, trial_data, task_parameters)
+                        outcomes.clipped[block * LANES + lane] += 1
+                clip(work.carry, shared.envelope, nx)
+            advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
             if over != 0:
-                restore(carry, kept, n_carry, over)
-                restore(task, view(kept, n_carry * LANES), n_task, over)
-            if sizes[CLOSED.record] == 1:
+                restore(work.carry, work.kept, n_carry, over)
+                restore(work.task, view(work.kept, n_carry * LANES), n_task, over)
+            if sizes.record == 1:
                 for lane in range(used):
                     rollout = block * LANES + lane
                     if (over >> lane) & 1 == 0:
                         at = rollout * (horizon + 1) + k
                         for row in range(nx):
-                            states[at * nx + row] = before[row * LANES + lane]
-                            states[(at + 1) * nx + row] = carry[row * LANES + lane]
+                            results.states[at * nx + row] = work.before[row * LANES + lane]
+                            results.states[(at + 1) * nx + row] = work.carry[row * LANES + lane]
                         for row in range(nu):
-                            controls[(rollout * horizon + k) * nu + row] = control[row * LANES + lane]
+                            results.controls[(rollout * horizon + k) * nu + row] = work.control[row * LANES + lane]
                         for row in range(n_pose):
-                            poses[(at + 1) * n_pose + row] = task[(pose_row + row) * LANES + lane]
-            ended = ~lanes_differ(load(task, LANES), splat(0.0)) & ~over
+                            results.poses[(at + 1) * n_pose + row] = work.task[(pose_row + row) * LANES + lane]
+            ended = ~lanes_differ(load(work.task, LANES), splat(0.0)) & ~over
             over |= ended
             while ended != 0:
                 lane = first_lane(ended)
                 ended &= ended - 1
                 if lane < used:
-                    survived[block * LANES + lane] = k + 1
+                    outcomes.survived[block * LANES + lane] = k + 1
         for lane in range(used):
             rollout = block * LANES + lane
-            fitness[rollout] = task[lane]
+            results.fitness[rollout] = work.task[lane]
             for row in range(n_task):
-                final_task[rollout * n_task + row] = task[row * LANES + lane]
+                results.final_task[rollout * n_task + row] = work.task[row * LANES + lane]
             for row in range(2 * (nx + nu)):
-                counts[rollout * 2 * (nx + nu) + row] = tally[row * LANES + lane]
-            if sizes[CLOSED.doubt_at] >= 0:
-                doubts[rollout] = carry[sizes[CLOSED.doubt_at] * LANES + lane]
+                results.counts[rollout * 2 * (nx + nu) + row] = work.tally[row * LANES + lane]
+            if sizes.doubt_at >= 0:
+                results.doubts[rollout] = work.carry[sizes.doubt_at * LANES + lane]
             if (over >> lane) & 1 == 0:
-                survived[rollout] = horizon
+                outcomes.survived[rollout] = horizon
 
 
 CLOSED_LOOP = Signature.of(
     closed_loop,
     dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
-    sizes=WHOLES, first=NUMBER, last=NUMBER, trials=WHOLES,
-    survived=WHOLES, clipped=WHOLES, diverged=WHOLES,
+    sizes=CLOSED, shared=SHARED, work=WORK, trials=WHOLES, results=RESULTS, outcomes=OUTCOMES,
+    first=NUMBER, last=NUMBER,
 )  # fmt: skip
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
+IMAGINED_SHARED = Arrays(
+    "dynamics_parameters", "task_parameters", "envelope", "start", "task_start", "trial_data", "controls"
+)
+IMAGINED_WORK = Arrays("carry", "control", "noise", "before", "task", "kept", "scratch")
 
 
-def imagine(
-    dynamics, advance, sizes, dynamics_parameters, task_parameters,
-    start, task_start, trial_data, controls, envelope,
-    carry, control, noise, before, task, kept, scratch, trials,
-    lost_of, final_state, final_task,
-):  # fmt: skip
+def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_task, lost_of):
     """Run blocks of 64 rollouts each, sequence first, trial second, under ``controls`` (rollouts, steps, nu)."""
-    steps, nx, nu, n_carry = sizes[IMAGINED.steps], sizes[IMAGINED.nx], sizes[IMAGINED.nu], sizes[IMAGINED.n_carry]
-    n_task, n_trials, rollouts = sizes[IMAGINED.n_task], sizes[IMAGINED.trials], sizes[IMAGINED.rollouts]
+    steps, nx, nu, n_carry = sizes.steps, sizes.nx, sizes.nu, sizes.n_carry
+    n_task, n_trials, rollouts = sizes.n_task, sizes.trials, sizes.rollouts
     for block in range((rollouts + LANES - 1) // LANES):
         for lane in range(LANES):
             trial = min(block * LANES + lane, rollouts - 1) % n_trials
-            trials[lane] = trial % sizes[IMAGINED.of_data]
+            trials[lane] = trial % sizes.of_data
             for row in range(n_carry):
-                carry[row * LANES + lane] = start[trial * n_carry + row]
+                work.carry[row * LANES + lane] = shared.start[trial * n_carry + row]
             for row in range(n_task):
-                task[row * LANES + lane] = task_start[trial * n_task + row]
-        over = ~lanes_differ(load(task, LANES), splat(0.0))  # a bit for each lane whose trial is over
+                work.task[row * LANES + lane] = shared.task_start[trial * n_task + row]
+        over = ~lanes_differ(load(work.task, LANES), splat(0.0))  # a bit for each lane whose trial is over
         lost = 0  # and for each that diverged
         for k in range(steps):
             if over == -1:
                 break
             for lane in range(LANES):
                 rollout = min(block * LANES + lane, rollouts - 1)
-                given = view(controls, (rollout * steps + k) * nu)
+                given = view(shared.controls, (rollout * steps + k) * nu)
                 for row in range(nu):
-                    control[row * LANES + lane] = given[row]
-            copy_rows(carry, before, nx)
+                    work.control[row * LANES + lane] = given[row]
+            copy_rows(work.carry, work.before, nx)
             if over != 0:
-                copy_rows(carry, kept, n_carry)
-                copy_rows(task, view(kept, n_carry * LANES), n_task)
-            dynamics(carry, control, noise, dynamics_parameters, scratch)
-            marked = suspicious(carry, envelope, n_carry, nx)
+                copy_rows(work.carry, work.kept, n_carry)
+                copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
+            dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
+            marked = suspicious(work.carry, shared.envelope, n_carry, nx)
             if marked != 0:
-                diverging = not_finite(carry, envelope, n_carry, nx)
+                diverging = not_finite(work.carry, shared.envelope, n_carry, nx)
                 fresh = diverging & ~over
                 over |= fresh
                 lost |= fresh
-                forget(carry, kept, n_carry, task, n_task, fresh, diverging & lost)
-                clip(carry, envelope, nx)
-            advance(task, before, carry, control, trials, trial_data, task_parameters)
+                forget(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
+                clip(work.carry, shared.envelope, nx)
+            advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
             if over != 0:
-                restore(carry, kept, n_carry, over)
-                restore(task, view(kept, n_carry * LANES), n_task, over)
-            over |= ~lanes_differ(load(task, LANES), splat(0.0))
+                restore(work.carry, work.kept, n_carry, over)
+                restore(work.task, view(work.kept, n_carry * LANES), n_task, over)
+            over |= ~lanes_differ(load(work.task, LANES), splat(0.0))
         for lane in range(min(LANES, rollouts - block * LANES)):
             rollout = block * LANES + lane
             lost_of[rollout] = (lost >> lane) & 1
             for row in range(nx):
-                final_state[rollout * nx + row] = carry[row * LANES + lane]
+                final_state[rollout * nx + row] = work.carry[row * LANES + lane]
             for row in range(n_task):
-                final_task[rollout * n_task + row] = task[row * LANES + lane]
+                final_task[rollout * n_task + row] = work.task[row * LANES + lane]
 
 
-IMAGINE = Signature.of(imagine, dynamics=DYNAMICS, advance=ADVANCE, sizes=WHOLES, trials=WHOLES, lost_of=WHOLES)
+IMAGINE = Signature.of(
+    imagine,
+    dynamics=DYNAMICS, advance=ADVANCE, sizes=IMAGINED, shared=IMAGINED_SHARED, work=IMAGINED_WORK, trials=WHOLES,
+    lost_of=WHOLES,
+)  # fmt: skip
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
+WINDOW = Arrays("carry", "control", "noise", "parameters", "scratch")
+OPEN_SHARED = Arrays("parameters_of", "start", "controls", "truth", "weight")
 
 
-def open_loop(
-    dynamics, sizes, parameters_of, start, controls, truth, first, last,
-    weight, carry, control, noise, parameters, scratch, error,
-):  # fmt: skip
+def open_loop(dynamics, sizes, shared, work, first, last, error):
     """Simulate every window under recorded controls for candidates ``first`` to ``last``.
 
     ``error`` of a candidate is the mean over windows and states of the square difference
     after the last step times the state's ``weight``; not a number where a simulation diverged.
     """
-    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
-    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
+    windows, steps, n_carry = sizes.windows, sizes.steps, sizes.n_carry
+    nx, nu, n_parameters = sizes.nx, sizes.nu, sizes.n_parameters
     for candidate in range(first, last):
         for i in range(n_parameters):
-            parameters[i] = parameters_of[candidate * n_parameters + i]
+            work.parameters[i] = shared.parameters_of[candidate * n_parameters + i]
         total = 0.0
         for block in range((windows + LANES - 1) // LANES):
             used = min(LANES, windows - block * LANES)
             for lane in range(LANES):
                 window = min(block * LANES + lane, windows - 1)
                 for row in range(n_carry):
-                    carry[row * LANES + lane] = start[window * n_carry + row]
+                    work.carry[row * LANES + lane] = shared.start[window * n_carry + row]
             for k in range(steps):
                 for lane in range(LANES):
                     window = min(block * LANES + lane, windows - 1)
                     for row in range(nu):
-                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
-                dynamics(carry, control, noise, parameters, scratch)
+                        work.control[row * LANES + lane] = shared.controls[(window * steps + k) * nu + row]
+                dynamics(work.carry, work.control, work.noise, work.parameters, work.scratch)
             for row in range(nx):
                 for lane in range(used):
-                    off = carry[row * LANES + lane] - truth[(block * LANES + lane) * nx + row]
-                    total += off * off * weight[row]
+                    off = work.carry[row * LANES + lane] - shared.truth[(block * LANES + lane) * nx + row]
+                    total += off * off * shared.weight[row]
         error[candidate] = total / float(windows * nx)
 
 
-OPEN_LOOP = Signature.of(open_loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+OPEN_LOOP = Signature.of(
+    open_loop, dynamics=DYNAMICS, sizes=OPEN, shared=OPEN_SHARED, work=WINDOW, first=NUMBER, last=NUMBER
+)
+FREE_SHARED = Arrays("parameters_of", "start", "controls", "envelope")
 
 
-def free_runs(
-    dynamics, sizes, parameters_of, start, controls, envelope, first, last,
-    carry, control, noise, parameters, scratch, states,
-):  # fmt: skip
+def free_runs(dynamics, sizes, shared, work, first, last, states):
     """Simulate every window for candidates ``first`` to ``last``, each from carries of its own, and keep all states.
 
     ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the envelope.
     """
-    windows, steps, n_carry = sizes[OPEN.windows], sizes[OPEN.steps], sizes[OPEN.n_carry]
-    nx, nu, n_parameters = sizes[OPEN.nx], sizes[OPEN.nu], sizes[OPEN.n_parameters]
+    windows, steps, n_carry = sizes.windows, sizes.steps, sizes.n_carry
+    nx, nu, n_parameters = sizes.nx, sizes.nu, sizes.n_parameters
     for candidate in range(first, last):
         for i in range(n_parameters):
-            parameters[i] = parameters_of[candidate * n_parameters + i]
+            work.parameters[i] = shared.parameters_of[candidate * n_parameters + i]
         for block in range((windows + LANES - 1) // LANES):
             used = min(LANES, windows - block * LANES)
             for lane in range(LANES):
                 window = min(block * LANES + lane, windows - 1)
                 for row in range(n_carry):
-                    carry[row * LANES + lane] = start[(candidate * windows + window) * n_carry + row]
+                    work.carry[row * LANES + lane] = shared.start[(candidate * windows + window) * n_carry + row]
             for k in range(steps):
                 for lane in range(LANES):
                     window = min(block * LANES + lane, windows - 1)
                     for row in range(nu):
-                        control[row * LANES + lane] = controls[(window * steps + k) * nu + row]
-                dynamics(carry, control, noise, parameters, scratch)
-                clip(carry, envelope, nx)
+                        work.control[row * LANES + lane] = shared.controls[(window * steps + k) * nu + row]
+                dynamics(work.carry, work.control, work.noise, work.parameters, work.scratch)
+                clip(work.carry, shared.envelope, nx)
                 for lane in range(used):
                     at = ((candidate * windows + block * LANES + lane) * steps + k) * nx
                     for row in range(nx):
-                        states[at + row] = carry[row * LANES + lane]
+                        states[at + row] = work.carry[row * LANES + lane]
 
 
-FREE_RUNS = Signature.of(free_runs, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER, last=NUMBER)
+FREE_RUNS = Signature.of(
+    free_runs, dynamics=DYNAMICS, sizes=OPEN, shared=FREE_SHARED, work=WINDOW, first=NUMBER, last=NUMBER
+)
 
 
 def one_step(dynamics, carry, control, noise, parameters, scratch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sysid_evo.engine.compiled import loops
@@ -35,17 +37,15 @@ def free_runs(
     )
     states = np.zeros(len(parameters) * windows * steps * nx, real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
-    room = {"carry": start.shape[2], "control": nu, "noise": 1, "scratch": n_scratch}
     compiled_loop(loops.free_runs, loops.FREE_RUNS, precision)(
         *loops.FREE_RUNS.ordered(
             dynamics=compiled(source, DYNAMICS, precision),
             sizes=sizes,
+            shared=loops.FREE_SHARED.chosen({name: aligned(array, real) for name, array in given.items()}),
+            work=_work(start.shape[2], nu, n_scratch, parameters.shape[1], real),
             first=0,
             last=len(parameters),
             states=states,
-            parameters=empty_lines(parameters.shape[1], real),
-            **{name: aligned(array, real) for name, array in given.items()},
-            **{name: empty_lines(n * LANES, real) for name, n in room.items()},
         )
     )
     return states.astype(np.float64, copy=False).reshape(len(parameters), windows, steps, nx)
@@ -80,25 +80,23 @@ def final_errors(
     )
     error = np.zeros(len(parameters), real)
     given = {"parameters_of": parameters, "start": start, "controls": controls, "truth": truth, "weight": weight}
-    shared = {name: aligned(array, real) for name, array in given.items()}
+    shared = loops.OPEN_SHARED.chosen({name: aligned(array, real) for name, array in given.items()})
     kernel, loop = compiled(source, DYNAMICS, precision), compiled_loop(loops.open_loop, loops.OPEN_LOOP, precision)
-    room = {"carry": start.shape[1], "control": nu, "noise": 1, "scratch": n_scratch}
 
     def prepare() -> Work:
-        own = {name: empty_lines(n * LANES, real) for name, n in room.items()}
-        own["parameters"] = empty_lines(parameters.shape[1], real)
-
-        def work(first: int, last: int) -> None:
-            loop(
-                *loops.OPEN_LOOP.ordered(
-                    dynamics=kernel, sizes=sizes, first=first, last=last, error=error, **shared, **own
-                )
-            )
-
-        return work
+        work = _work(start.shape[1], nu, n_scratch, parameters.shape[1], real)
+        arguments = {"dynamics": kernel, "sizes": sizes, "shared": shared, "work": work, "error": error}
+        return lambda first, last: loop(*loops.OPEN_LOOP.ordered(first=first, last=last, **arguments))
 
     spread(prepare, len(parameters), threads)
     return error.astype(np.float64)
+
+
+def _work(n_carry: int, nu: int, n_scratch: int, n_parameters: int, real: Any) -> tuple[Any, ...]:
+    """Return memory for one block of windows and the parameters of one candidate."""
+    rows = {"carry": n_carry, "control": nu, "noise": 1, "scratch": n_scratch}
+    arrays = {name: empty_lines(n * LANES, real) for name, n in rows.items()}
+    return loops.WINDOW.chosen({**arrays, "parameters": empty_lines(n_parameters, real)})
 
 
 def kernel_step(

@@ -97,12 +97,13 @@ def noise_table(noise: Array, precision: Precision) -> Any:
     trials, steps, n_noise = noise.shape
     if not n_noise:
         return empty_lines(0, precision)
-    by_trial = np.ascontiguousarray(noise.reshape(trials, -1).T, dtype=precision)
+    by_trial = noise.reshape(trials, -1).T
     if trials <= QUARTER:
         found = empty_lines(steps * n_noise * QUARTER, precision)
         found.reshape(-1, QUARTER)[:, :trials] = by_trial
         return found
     found = empty_lines(steps * n_noise * (trials + LANES), precision)
     in_order = np.arange(trials + LANES) % trials
-    np.take(by_trial, in_order, axis=1, out=found.reshape(-1, trials + LANES), mode="clip")
+    ordered = found.reshape(-1, trials + LANES)
+    np.take(np.ascontiguousarray(by_trial, dtype=precision), in_order, axis=1, out=ordered, mode="clip")
     return found

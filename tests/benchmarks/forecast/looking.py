@@ -142,7 +142,7 @@ def _run(
     champion: Champion, everyone: Array, runner: Runner, seed: int, trials: int, *, record: bool = False
 ) -> Rollouts:
     controller, task = make_controller(champion.controller), make_task(champion.task)
-    return runner.run(controller, everyone, task, transfer_seeds(seed, trials), record=record)
+    return runner.bind(controller, task)(everyone, transfer_seeds(seed, trials), record=record)
 
 
 def _optimism(champion: Champion, own: str | None, material: Material) -> float:

@@ -14,12 +14,12 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled.compiler import _compiled_before, compile_kernel, imported, name_of
+from sysid_evo.engine.compiled.compiler import _compiled_before, compile_kernel, compiled_loop, imported, name_of
 from sysid_evo.engine.compiled.internals import TRIED, compiler_for
 from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
-from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, KernelSource, Layout, Signature, padded
+from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, Arrays, KernelSource, Layout, Signature, padded
 from tests.fixtures import same_name
 from tests.fixtures.lanes import call_block
 
@@ -278,6 +278,27 @@ def amplify(x, p):
 
 def loop(dynamics, sizes, first, x):
     x[0] = 1.0
+
+
+SIZES, WORK, FOUND = Layout("rows", "unread"), Arrays("a", "b"), Arrays("count", kind=WHOLES)
+
+
+def adding(sizes, work, found, first):
+    for i in range(first, sizes.rows):
+        work.b[i] += work.a[i]
+        found.count[0] += 1
+
+
+def test_a_loop_reads_numbers_and_arrays_within_its_arguments_by_name():
+    signature = Signature.of(adding, sizes=SIZES, work=WORK, found=FOUND, first=NUMBER)
+    assert str(signature) == "types.void(I, types.UniTuple(R, 2), types.UniTuple(I, 1), types.int64)"
+    sizes, found = SIZES.integers(unread=7, rows=3), {"count": np.zeros(1, np.int64)}
+    arrays = {"b": np.ones(4), "a": np.arange(4.0)}
+    compiled_loop(adding, signature, "float64")(sizes, WORK.chosen(arrays), FOUND.chosen(found), 1)
+    np.testing.assert_array_equal(arrays["b"], [1.0, 2.0, 3.0, 1.0])
+    assert found["count"] == 2
+    with pytest.raises(InvalidArgument, match=r"uses .work\.b.: attributes of arrays"):
+        compiled_loop(adding, Signature.of(adding, sizes=SIZES, found=FOUND, first=NUMBER), "float64")
 
 
 def test_a_layout_packs_by_name_and_a_kernel_reads_by_name():

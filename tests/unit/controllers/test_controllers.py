@@ -160,7 +160,7 @@ def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward):
     runner = DynamicsRunner(make_robot("emulated_car").dynamics)
     law = Pursuit(backward=backward)
     assert law.hand_written
-    fitness = runner.run(law, np.zeros((1, 4)), make_task("point_to_point(horizon=200)"), trial_seeds(5, 12)).fitness
+    fitness = runner.bind(law, make_task("point_to_point(horizon=200)"))(np.zeros((1, 4)), trial_seeds(5, 12)).fitness
     assert fitness.mean() > 3.8
 
 

@@ -56,7 +56,7 @@ def test_rest_is_where_nothing_changes():
 @pytest.mark.parametrize("robot", ["pendulum", "cart_pole"])
 def test_it_balances_what_falls_over_by_itself(robot):
     runner, task = DynamicsRunner(make_robot(robot).dynamics), make_task("balance")
-    fitness = runner.run(make_controller(f"lqr(model={robot})"), np.zeros((1, 1)), task, trial_seeds(1, 10)).fitness
+    fitness = runner.bind(make_controller(f"lqr(model={robot})"), task)(np.zeros((1, 1)), trial_seeds(1, 10)).fitness
     assert fitness.min() > 95.0
 
 

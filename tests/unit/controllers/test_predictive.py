@@ -45,7 +45,7 @@ def test_with_the_robot_itself_inside_it_passes_waypoints_without_evolution(syst
     body = Steered(system)
     planning = Predictive(model=body, samples=24, horizon=12)
     fitness = {
-        name: DynamicsRunner(body).run(law, np.zeros((1, n)), TASK, trial_seeds(1, 3)).fitness.mean()
+        name: DynamicsRunner(body).bind(law, TASK)(np.zeros((1, n)), trial_seeds(1, 3)).fitness.mean()
         for name, law, n in (("planning", planning, 2), ("nothing", make_controller("linear"), 12))
     }
     assert fitness["planning"] > 1.5

@@ -70,7 +70,7 @@ def grey_box_fitted():
 
 
 FORMS = {
-    rolled_out: ((ROLLOUT, "run_closed_loop"), (reference, "run")),
+    rolled_out: ((ROLLOUT, "LoopData"), (reference, "run")),
     imagined_trials: ((imagined, "CompiledTrials"), (imagined.Imagination, "_run")),
     parameters_evolved: ((model_evolution, "final_errors"), (model_evolution, "final_error")),
     grey_box_fitted: ((estimation, "free_runs"), (estimation.FitWindows, "_stepped")),

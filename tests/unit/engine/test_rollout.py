@@ -94,8 +94,8 @@ def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car)
         moved = car.motion.move(a.pose[:-1], a.states[:-1], a.states[1:], car.dt, car.state_names)
         np.testing.assert_allclose(a.pose[1:], moved, atol=1e-12)
         np.testing.assert_array_equal(a.pose[0], [0.0, 0.0, 0.0])
-    given = RecurrentNetwork(), weights, PointToPoint(horizon=40), SEEDS
-    assert not DynamicsRunner(SluggishCar(car)).run(*given).trajectories
+    run = DynamicsRunner(SluggishCar(car)).bind(RecurrentNetwork(), PointToPoint(horizon=40))
+    assert not run(weights, SEEDS).trajectories
 
 
 def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder):

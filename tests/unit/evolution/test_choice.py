@@ -23,11 +23,14 @@ class Hill:
     height: float = 10.0
     met: int = 0
 
-    def run(self, controller, parameters, task, seeds, *, record=False):
-        self.met = len(seeds)
-        fitness = np.repeat(self.height - np.abs(parameters[:, :1] - self.peak), len(seeds), axis=1)
-        steps = np.zeros(fitness.shape, dtype=np.int64)
-        return Rollouts(fitness, steps, steps, task.begin(seeds), "made up")
+    def bind(self, controller, task):
+        def run(parameters, seeds):
+            self.met = len(seeds)
+            fitness = np.repeat(self.height - np.abs(parameters[:, :1] - self.peak), len(seeds), axis=1)
+            steps = np.zeros(fitness.shape, dtype=np.int64)
+            return Rollouts(fitness, steps, steps, task.begin(seeds), "made up")
+
+        return run
 
 
 def finalist(first, fitness, niche=""):

@@ -41,12 +41,17 @@ class Watched:
     parameters: list = field(default_factory=list)
     fitness: list = field(default_factory=list)
 
-    def run(self, controller, parameters, task, seeds, *, record=False):
-        rollouts = self.runner.run(controller, parameters, task, seeds, record=record)
-        self.seeds.append(seeds)
-        self.parameters.append(parameters)
-        self.fitness.append(rollouts.fitness)
-        return rollouts
+    def bind(self, controller, task):
+        bound = self.runner.bind(controller, task)
+
+        def run(parameters, seeds, *, record=False):
+            rollouts = bound(parameters, seeds, record=record)
+            self.seeds.append(seeds)
+            self.parameters.append(parameters)
+            self.fitness.append(rollouts.fitness)
+            return rollouts
+
+        return run
 
 
 @pytest.fixture
@@ -89,9 +94,9 @@ def test_the_mean_over_trials_is_taken_before_the_lowest_over_models(ladder):
     class Fixed:
         fitness: np.ndarray
 
-        def run(self, controller, parameters, task, seeds, *, record=False):
+        def bind(self, controller, task):
             count = np.zeros(self.fitness.shape, dtype=np.int64)
-            return Rollouts(self.fitness, count, count, task.begin(seeds), "fixed")
+            return lambda parameters, seeds: Rollouts(self.fitness, count, count, task.begin(seeds), "fixed")
 
     runners = Fixed(np.array([[0.0, 1.0]])), Fixed(np.array([[1.0, 0.0]]))
     objective = EnsembleObjective(runners, Constant(), Ladder(), seed=1, trials=2)
@@ -107,7 +112,7 @@ def test_a_rule_may_look_at_the_spread_over_the_trials(pair, register):
         return (fitness.mean(axis=2) - weight * fitness.std(axis=2)).min(axis=0)
 
     register(aggregates, "cautious", cautious)
-    scores = [watched.run(Constant(), POPULATION, Ladder(), trial_seeds(1, 6)).fitness for watched in pair]
+    scores = [watched.bind(Constant(), Ladder())(POPULATION, trial_seeds(1, 6)).fitness for watched in pair]
     expected = np.min([score.mean(axis=1) - 2.0 * score.std(axis=1) for score in scores], axis=0)
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=1, trials=6, aggregate="cautious(weight=2.0)")
     np.testing.assert_allclose(objective(POPULATION, 0).fitness, expected)
@@ -117,8 +122,9 @@ def test_a_rule_may_look_at_the_spread_over_the_trials(pair, register):
 
 def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder):
     class Dropping(DynamicsRunner):
-        def run(self, controller, parameters, task, seeds, *, record=False):
-            return super().run(controller, parameters, task, seeds[1:], record=record)
+        def bind(self, controller, task):
+            bound = super().bind(controller, task)
+            return lambda parameters, seeds: bound(parameters, seeds[1:])
 
     objective = EnsembleObjective((Dropping(Climber(ladder)),), Constant(), Ladder(), seed=1, trials=6)
     with pytest.raises(ShapeError, match=r"fitness in every trial: expected shape \(1, 6\), got \(1, 5\)"):
@@ -152,7 +158,7 @@ def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(runners,
     random = 0.5 * np.random.default_rng(0).standard_normal((100, len(champion.parameters)))
     everyone = np.concatenate([champion.parameters[None], random])
     task = settings.make_task(car_data.system)
-    fitness = linear.run(settings.make_controller(task), everyone, task, trial_seeds(999, 30)).fitness.mean(axis=1)
+    fitness = linear.bind(settings.make_controller(task), task)(everyone, trial_seeds(999, 30)).fitness.mean(axis=1)
     assert fitness[0] > fitness[1:].max()
     assert fitness[0] > 2.0 * fitness[1:].mean()
 

@@ -7,6 +7,7 @@ import pytest
 
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.engine import DynamicsRunner
+from sysid_evo.engine.rollout import BoundRollout
 from sysid_evo.errors import EvolutionWarning, InvalidArgument, UnknownName
 from sysid_evo.evolution import (
     ControllerEvolution,
@@ -112,13 +113,13 @@ def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easie
 @pytest.fixture
 def noted(monkeypatch):
     """Every run of the test: its family, candidates and task."""
-    runs, run = [], DynamicsRunner.run
+    runs, run = [], BoundRollout.__call__
 
-    def noting(self, *given, record=False):
-        runs.append((type(self.dynamics).__name__, len(given[1]), given[2]))
-        return run(self, *given, record=record)
+    def noting(self, parameters, seeds, *, record=False):
+        runs.append((type(self.dynamics).__name__, len(parameters), self.task))
+        return run(self, parameters, seeds, record=record)
 
-    monkeypatch.setattr(DynamicsRunner, "run", noting)
+    monkeypatch.setattr(BoundRollout, "__call__", noting)
     return runs
 
 

@@ -113,7 +113,7 @@ def test_a_controller_on_a_robot_with_a_tracker_is_shown_as_it_drives():
 
     runner = RobotRunner(robot, seed=1, told=told)
     controller = make_controller("pursuit").bind_to(task)
-    rollouts = runner.run(controller, np.zeros((1, controller.n_parameters)), task, SEEDS)
+    rollouts = runner.bind(controller, task)(np.zeros((1, controller.n_parameters)), SEEDS)
     assert {reading["phase"] for reading in seen} == {"settling", "driving", "finished"}
     driven = [reading for reading in seen if reading["phase"] == "driving" and reading["trial"] == 2]
     assert [reading["step"] for reading in driven][:3] == [0, 1, 2]

@@ -74,7 +74,7 @@ def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it
         lambda: check_recording(robot, None, duration=360.0),
         lambda: check_driving(robot, task),
         lambda: record(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
-        lambda: RobotRunner(robot).run(RecurrentNetwork(), np.zeros((1, 78)), task, np.zeros(1, dtype=np.uint64)),
+        lambda: RobotRunner(robot).bind(RecurrentNetwork(), task)(np.zeros((1, 78)), np.zeros(1, dtype=np.uint64)),
         lambda: self_test(robot),
         lambda: HandDriving(robot, task, keyboard, instruments, seed_of=lambda index: index, stops=Stops()),
     ):

@@ -63,8 +63,8 @@ def way(trajectory):
 def test_controller_achieves_on_the_loop_what_it_does_on_the_same_car_in_process(emulated, horizon, trials):
     """Means of independent trials differ by chance: by three standard errors once in some 400 times."""
     driven, _ = drive(emulated, horizon, trials)
-    simulated = DynamicsRunner(emulated.dynamics).run(
-        Chaser(), np.ones((1, 1)), PointToPoint(horizon=horizon), trial_seeds(1, trials), record=True
+    simulated = DynamicsRunner(emulated.dynamics).bind(Chaser(), PointToPoint(horizon=horizon))(
+        np.ones((1, 1)), trial_seeds(1, trials), record=True
     )
     ways = [np.mean([way(one) for one in ran.trajectories]) for ran in (driven, simulated)]
     assert ways[0] == pytest.approx(ways[1], rel=0.05)

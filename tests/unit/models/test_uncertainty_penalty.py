@@ -95,8 +95,8 @@ def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst(
     support = line(np.linspace(-1.0, 1.0, 50))
     runner = DynamicsRunner(Supported(Climber(LINE, breaks_above=8.0), support, weight=5.0, every=1))
     controls, seeds = np.array([[0.0], [-0.5], [-1.0], [1.0]]), trial_seeds(0, 2)
-    plain = runner.run(Constant(), controls, Ladder(), seeds)
-    less = Discounted(runner, most=5.0).run(Constant(), controls, Ladder(), seeds)
+    plain = runner.bind(Constant(), Ladder())(controls, seeds)
+    less = Discounted(runner, most=5.0).bind(Constant(), Ladder())(controls, seeds)
     diverged = plain.fitness < Ladder().worst
     assert diverged.any()
     assert plain.doubt[~diverged].max() > 0.0
