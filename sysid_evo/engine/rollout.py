@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from sysid_evo.engine import reference
 from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutKernels, spread
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import Precision
 from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import Engine, available_processors, resolve
 from sysid_evo.randomness import step_noise, trial_draws
@@ -149,7 +150,7 @@ class BoundRollout:
         engine = resolve(engine)
         self.compiled = None if engine == "reference" else self._compiled(engine)
 
-    def _compiled(self, engine: Engine) -> LoopData | None:
+    def _compiled(self, engine: Literal["auto"] | Precision) -> LoopData | None:
         """Return the compiled form; None where a kernel is missing. Raises `InvalidArgument` if it was asked for."""
         dynamics, task, controller = self.dynamics, self.task, self.controller
         of_dynamics, of_task = dynamics.kernel(), task.kernel()
