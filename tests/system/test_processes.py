@@ -241,7 +241,7 @@ def test_a_run_folder_is_planned_as_its_comparison_was(finished_run):
 
 
 def test_the_yardstick_of_a_recorded_run_is_planned_again():
-    asked = {"models": ("linear",), "robot": "emulated_car", "minutes": 0.5, "generations": 50}  # a minute in NumPy
+    asked = {"models": ("linear",), "robot": "emulated_car", "minutes": 0.5, "generations": 5}  # short in NumPy too
     first = plan_comparison(Experiment.of(asked))
     data = first.data
     record = Record(
