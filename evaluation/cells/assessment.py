@@ -8,10 +8,10 @@ from typing import Any
 
 from evaluation.advice.advise import advise_model
 from evaluation.advice.evidence import Evidence, ModelAdvice
-from evaluation.cells.controllers import CONTROLLERS, ByHand, ControllerCell, conditions, labels_of
+from evaluation.cells.controllers import CONTROLLERS, ByHand, ControllerCell, identity_of
 from evaluation.cells.data import Parts
 from evaluation.cells.models import Fit, Predict
-from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed
+from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, labels_of, runners
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.exploitability.search import search_exploit
@@ -26,12 +26,10 @@ from evaluation.transfer.matrix import (
     transfer_seeds,
     with_measured,
 )
-from sysid_evo.engine import Runner
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, Outcome, Work, cell_seed
-from sysid_evo.registry import controllers, strategies, tasks
 
 
 @dataclass(frozen=True)
@@ -252,24 +250,17 @@ class SearchExploit(CellSettings):
         )
 
     def inputs(self) -> dict[str, Any]:
-        evolution = self.evolution
         return {
             "target": self.target.inputs(),
-            "controller": controllers.identity(evolution.controller),
-            "task": tasks.identity(evolution.task),
-            "strategy": strategies.identity(evolution.strategy),
-            **conditions(evolution),
-            "generations": evolution.generations,
+            **identity_of(self.evolution),
             "believed": BELIEVED,
             "seed": self.seed,
         }
 
     def compute(self, work: Work) -> Champion:
-        columns = (self.target, *believed(self.others, work))
-        runners: dict[str, Runner] = {column.label: column.runner(work, delay=0.0) for column in columns}
         return search_exploit(
             self.target.label,
-            runners,
+            runners((self.target, *believed(self.others, work)), work),
             self.target.system(work),
             self.evolution,
             seed=cell_seed(self.seed, f"search {self.target.registered}"),

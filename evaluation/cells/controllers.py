@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
-from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, prediction_error
+from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, fitted, labels_of, prediction_error, runners
 from evaluation.experiment import NONE, USUAL_TASK, Experiment
 from evaluation.transfer.forecast import RULE, worth_by
 from sysid_evo.artefacts import CheckpointFile
-from sysid_evo.engine import Runner
 from sysid_evo.errors import Blocked, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.evolution.champion import load_champion, save_champion
@@ -30,14 +29,13 @@ def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
     return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
 
 
-def labels_of(members: Sequence[Plant]) -> tuple[str, ...]:
-    """Return how the columns ``members`` are called."""
-    return tuple(member.label for member in members)
-
-
-def conditions(settings: ControllerEvolution) -> dict[str, Any]:
-    """Return under what conditions candidates are judged, as strict JSON."""
+def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
+    """Return what is evolved, how, and under what conditions candidates are judged, as strict JSON."""
     return {
+        "controller": controllers.identity(settings.controller),
+        "task": tasks.identity(settings.task),
+        "strategy": strategies.identity(settings.strategy),
+        "generations": settings.generations,
         "aggregate": aggregates.identity(settings.aggregate),
         "trials": settings.trials,
         "selection_trials": settings.selection_trials,
@@ -80,11 +78,7 @@ class Evolve(CellSettings):
         evolution = self.evolution
         return {
             "members": [member.inputs() for member in self.members],
-            "controller": controllers.identity(evolution.controller),
-            "task": tasks.identity(evolution.task),
-            "strategy": strategies.identity(evolution.strategy),
-            **conditions(evolution),
-            "generations": evolution.generations,
+            **identity_of(evolution),
             "runs": evolution.runs,
             "schedule": [self._stage(stage) for stage in evolution.schedule],
             "seed": self.seed,
@@ -108,16 +102,13 @@ class Evolve(CellSettings):
         }
 
     def compute(self, work: Work) -> Champion:
-        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in self.members}
-        system = self.members[0].system(work)
         names = "+".join(member.registered for member in self.members)
-        seed = cell_seed(self.seed, f"evolve {names}")
         return evolve_controller(
             self.name,
-            runners,
-            system,
+            runners(self.members, work),
+            self.members[0].system(work),
             self.evolution,
-            seed=seed,
+            seed=cell_seed(self.seed, f"evolve {names}"),
             checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
         )
@@ -166,18 +157,18 @@ class Choose(CellSettings):
         }
 
     def compute(self, work: Work) -> Champion:
-        fitted = [judge for judge in self.judges if judge.model is None or work.result(judge.model) is not None]
-        judging = {judge.label: judge.runner(work, delay=0.0) for judge in fitted}
+        judges = fitted(self.judges, work)
+        judging = runners(judges, work)
         contenders = []
         for contender in self.contenders:
             champion = work.result(contender)
             if champion is not None:
                 own = {member.registered for member in contender.settings.members}
-                contenders.append((champion, judging if any(judge.registered not in own for judge in fitted) else {}))
+                contenders.append((champion, judging if any(judge.registered not in own for judge in judges) else {}))
         if not contenders:
             raise Blocked(blocked_by(self.contenders[0]))
-        errors = {judge.label: prediction_error(judge, work) for judge in fitted}
-        families = {column.label: column.registered for column in (*self.members, *fitted)}
+        errors = {judge.label: prediction_error(judge, work) for judge in judges}
+        families = {column.label: column.registered for column in (*self.members, *judges)}
         return choose(
             contenders,
             seed=cell_seed(self.seed, "choose"),
@@ -220,7 +211,7 @@ class Polish(CellSettings):
         return {
             "members": [member.inputs() for member in self.members],
             "believed": BELIEVED if self.sift else None,
-            **conditions(self.evolution),
+            **identity_of(self.evolution),
             "generations": self.generations,
             "starts": self.starts,
             "seed": self.seed,
@@ -230,14 +221,11 @@ class Polish(CellSettings):
         champion = work.result(self.chosen)
         if champion is None:
             raise Blocked(blocked_by(self.chosen))
-        fitted = [member for member in self.members if member.model is None or work.result(member.model) is not None]
-        if self.sift:
-            fitted = list(believed(fitted, work))
-        runners: dict[str, Runner] = {member.label: member.runner(work, delay=0.0) for member in fitted}
+        members = fitted(self.members, work)
         return polish(
             self.label,
             champion,
-            runners,
+            runners(believed(members, work) if self.sift else members, work),
             self.evolution,
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -84,6 +84,21 @@ class Plant:
             return observed_late(self.label, DynamicsRunner(work.result(self.model)), delay)
         assert self.robot is not None
         return observed_late(self.label, runner_of(self.robot), delay)
+
+
+def runners(columns: Iterable[Plant], work: Work) -> dict[str, Runner]:
+    """Return how controllers are run on each of ``columns``, with states observed at once."""
+    return {column.label: column.runner(work, delay=0.0) for column in columns}
+
+
+def fitted(columns: Iterable[Plant], work: Work) -> list[Plant]:
+    """Return those of ``columns`` that are there: robots, and models that could be fitted."""
+    return [column for column in columns if column.model is None or work.result(column.model) is not None]
+
+
+def labels_of(columns: Iterable[Plant]) -> tuple[str, ...]:
+    """Return how ``columns`` are called."""
+    return tuple(column.label for column in columns)
 
 
 @lru_cache(maxsize=64)

@@ -9,7 +9,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from evaluation.cells.controllers import ControllerCell, labels_of
+from evaluation.cells.controllers import ControllerCell
+from evaluation.cells.plants import labels_of
 from evaluation.experiment import USUAL_TASK
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.planning import Comparison
