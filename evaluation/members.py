@@ -21,7 +21,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.evolution.controller_evolution import farthest_driven
 from sysid_evo.models import Dynamics, load_model
-from sysid_evo.plan import Record, Store, stored
+from sysid_evo.plan import Cell, Record, Store, stored
 from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
@@ -235,8 +235,8 @@ def find_column(store: Store, name: str) -> Plant:
         own = record_of_file(store, file)
         if own is not None:
             return column_of(store, own)
-        model = StoredModel(file)
-        return Plant(model.cell().name, model.family, model.cell())
+        model = StoredModel(file).cell()
+        return Plant(model.name, model.settings.family, model)
     if is_robot(name):
         spec = robot_spec(name)
         runner_of(spec)
@@ -247,11 +247,17 @@ def find_column(store: Store, name: str) -> Plant:
 def column_of(store: Store, record: Record) -> Plant:
     """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
     model, family = stored(record), record.inputs["model"]["name"]
-    data = next((one for one in store.records() if one.digest in record.needs and one.status == "done"), None)
-    if data is None or not (data.inputs["split"]["test"] or data.inputs["split"]["share"]):
+    data = data_of(store, record)
+    if data is None or not any(data.settings.inputs()["split"].values()):
         return Plant(record.name, family, model=model)
-    prediction = Predict(record.name, family, stored(data), model).cell()
+    prediction = Predict(record.name, family, data, model).cell()
     return Plant(record.name, family, model=model, prediction=prediction)
+
+
+def data_of(store: Store, model: Record) -> Cell | None:
+    """Return the cell of the data that a model of a run was fitted to, None where they are not in the run."""
+    found = (store.find(digest) for digest in model.needs)
+    return next((stored(one) for one in found if one is not None and one.status == "done"), None)
 
 
 def record_of_file(store: Store, file: Path) -> Record | None:
@@ -262,17 +268,17 @@ def record_of_file(store: Store, file: Path) -> Record | None:
 
 def find_model(store: Store, name: str) -> Record:
     """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
-    stored = fitted_models(store)
-    files = {Path(record.artefact).name: record for record in stored}
+    models = fitted_models(store)
+    files = {Path(record.artefact).name: record for record in models}
     if name in files:
         return files[name]
-    fitting = [record for record in stored if record.name == name]
+    fitting = [record for record in models if record.name == name]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
         several = ", ".join(Path(record.artefact).name for record in fitting)
         raise InvalidArgument(f"{name!r} stands for several models of {store.path}: {several}; name one of these")
-    known = ", ".join(dict.fromkeys(record.name for record in stored)) or "none"
+    known = ", ".join(dict.fromkeys(record.name for record in models)) or "none"
     raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
 
 

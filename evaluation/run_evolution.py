@@ -17,6 +17,7 @@ from evaluation.exploitability.results import ModelExploitability
 from evaluation.formatting import with_interval
 from evaluation.members import (
     check_evolution,
+    data_of,
     dynamics_of,
     find_column,
     has_dynamics,
@@ -35,7 +36,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Champion, observed_late
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
-from sysid_evo.plan import Cell, Plan, Store, stored
+from sysid_evo.plan import Cell, Plan, Store
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
@@ -226,12 +227,11 @@ def exploit_result(
         families={column.label: column.registered for column in columns},
         robot=on_robot,
     )
-    records = store.records()
-    own = next((one for one in records if target.model is not None and one.digest == target.model.digest), None)
-    data = next((one for one in records if own is not None and one.digest in own.needs and one.status == "done"), None)
+    own = None if target.model is None else store.find(target.model.digest)
+    data = None if own is None else data_of(store, own)
     if data is None:
         return matrix, None
-    parts = store.load(stored(data))
+    parts = store.load(data)
     fitted = {label: dynamics for label, dynamics in models.items() if label != on_robot}
     looked = assess_exploitability(matrix, parts.training, parts.test, models=fitted, seed=seed)
     return matrix, next(one for one in looked if one.model == target.label)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +49,6 @@ class Split:
                 raise InvalidArgument(f"test: {str(error).removeprefix('split: ')}") from error
         return Parts(*dataset.split(whole_episodes(dataset, self.share) or self.share))
 
-    def inputs(self) -> dict[str, Any]:
-        """Return the split as strict JSON."""
-        return {"test": None if self.episodes is None else list(self.episodes), "share": self.share}
-
 
 def whole_episodes(dataset: Dataset, share: float) -> list[str]:
     """Return the names of the episodes to hold back where parts of them would be too short, else none."""
@@ -83,7 +79,7 @@ class GivenData(CellSettings):
     def inputs(self) -> dict[str, Any]:
         named = [episode.condition for episode in self.dataset]
         told = {"conditions": named} if any(named) else {}
-        return {"fingerprint": self.dataset.fingerprint, "split": self.split.inputs(), **told}
+        return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **told}
 
     def compute(self, work: Work) -> Parts:
         return self.split.of(self.dataset)
@@ -114,7 +110,7 @@ class RecordedData(CellSettings):
             "robot": robots.identity(self.robot),
             "seed": self.seed,
             "minutes": self.minutes,
-            "split": self.split.inputs(),
+            "split": asdict(self.split),
         }
 
     def compute(self, work: Work) -> Parts:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sysid_evo.errors import ArtefactError, InvalidData
-from sysid_evo.plan import CELL_KINDS, CellKind, Plan, Store, execute
+from sysid_evo.plan import CELL_KINDS, CellKind, Plan, Store, execute, stored
 from tests.fixtures.cells import NUMBERS, NamedNumber, Number, Watching, named, number, tolerant
 
 
@@ -206,6 +206,18 @@ def test_a_result_whole_on_disk_that_cannot_be_read_any_more_is_computed_again(t
     assert len(watching.remarks) == 1
     assert "of an older version: count base is computed again" in watching.remarks[0]
     assert store.load(number(2, (base,))) == 3
+
+
+def test_a_cell_of_which_only_the_record_is_known_is_loaded_and_not_computed(tmp_path):
+    _, store = run(tmp_path, BASE, tolerant(3, (BASE,), "top"))
+    known = stored(store.find(BASE.digest))
+    assert known == BASE
+    assert (known.name, known.title, known.settings.inputs()) == ("base", "count base", {"number": 1})
+    assert Store(tmp_path).load(known) == 1
+    next((tmp_path / "results").glob("base-*.txt")).unlink()
+    watching, _ = run(tmp_path, known)
+    missing = f"results/base-{BASE.digest[:8]} is missing or damaged, and how it was made is not known here"
+    assert watching.failed == {"base": missing}
 
 
 def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path):
