@@ -57,7 +57,7 @@ def look_at(point: Point, comparison: Comparison, folder: Path, out: Path) -> li
     known = [label for label, model in models.items() if model is not None]
     material = Material(
         models={label: models[label] for label in known},
-        families={label: comparison.fits[label].spec.name for label in known},
+        families={label: comparison.fits[label].settings.spec.name for label in known},
         errors={label: error_of(store.outcome(comparison.predictions[label]).value) for label in known},
         seed=experiment.seed,
     )
