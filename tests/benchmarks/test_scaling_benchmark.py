@@ -8,7 +8,7 @@ import pytest
 
 from sysid_evo.plan import Plan, Store, execute
 from tests.benchmarks.scaling import Recorded, copied, critical_path, main, makespan, point, recorded
-from tests.fixtures.cells import Number
+from tests.fixtures.cells import number
 
 
 def cell(name: str, seconds: float, *needs: str, kind: str = "number") -> Recorded:
@@ -58,8 +58,8 @@ def test_a_point_is_one_comparison_of_several_with_what_they_share() -> None:
 def test_the_records_of_a_run_are_the_plan_with_the_seconds_it_took(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first = Number(label="data")
-    last = Number(3, (first, Number(2, (first,), "fit")), "end")
+    first = number(label="data")
+    last = number(3, (first, number(2, (first,), "fit")), "end")
     execute(Plan.of([last]), Store(tmp_path))
     found = recorded(tmp_path)
     assert [len(one.needs) for one in found] == [0, 1, 2]
