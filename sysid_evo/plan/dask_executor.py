@@ -152,7 +152,8 @@ class Cluster:
             except CancelledError:
                 return self._again(cell)
             except KilledWorker as error:
-                raise CellLost("its worker died", error.allowed_failures + 1) from error
+                times = error.allowed_failures + 1
+                return self._failed(cell, f"{times} worker{'s' if times > 1 else ''} died while it was there")
             except Exception as error:  # whatever a worker without this version raises
                 return CellEnd("unknown", reason=f"{type(error).__name__}: {error}")
             if end.status == "unknown":
@@ -180,12 +181,16 @@ class Cluster:
                 if digest in cells:
                     yield cells[digest], done, total, note
 
+    def _failed(self, cell: Cell, reason: str) -> CellEnd:
+        self._store.fail(cell, reason=reason, traceback="", seconds=0.0)
+        return CellEnd("failed", reason=reason)
+
     def _again(self, cell: Cell) -> CellEnd:
         """A cell, or what it needs, was lost in the cluster: all of it is sent again."""
         self._looked = 0.0  # the next look says whether the scheduler is there
         self._lost[cell.digest] += 1
         if self._lost[cell.digest] > LOST:
-            raise CellLost("it, or what it needs, was lost in the cluster", LOST)
+            return self._failed(cell, f"it, or what it needs, was lost in the cluster {LOST} times")
         for needed in cell.needs:
             self._sent.pop(needed.digest, None)
         self._listen()  # to the new scheduler, if it is one
@@ -230,10 +235,11 @@ class Cluster:
     def _unless_lost(self) -> Iterator[None]:
         """Leave the block at once where the connection breaks, which Dask tells in many ways, or nobody takes data."""
         from distributed import TimeoutError as NobodyThere
+        from distributed.comm.core import CommClosedError
 
         try:
             yield
-        except NobodyThere:
+        except (NobodyThere, CommClosedError):  # that it is closed may be heard before the client knows it
             pass
         except Exception:  # whatever a closed connection raises
             if self._client.status == RUNNING:

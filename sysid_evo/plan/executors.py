@@ -198,7 +198,7 @@ class Execution:
 
     def _again(self, cell: Cell, lost: CellLost) -> None:
         """Try a cell that was lost once more; then it has failed."""
-        self.tried[cell.digest] += lost.times
+        self.tried[cell.digest] += 1
         times = self.tried[cell.digest]
         if times < TRIES:
             self.state.tell(f"{cell.title} is computed again: {lost}")

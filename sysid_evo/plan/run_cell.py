@@ -46,11 +46,7 @@ class Unsendable(Exception):
 
 
 class CellLost(Exception):
-    """A cell has neither result nor failure, ``times`` times: its worker died, or what it sent is not whole."""
-
-    def __init__(self, why: str, times: int = 1) -> None:
-        super().__init__(why)
-        self.times = times
+    """A cell has neither result nor failure: its worker died, or what came of it is not whole."""
 
 
 def run_cell(

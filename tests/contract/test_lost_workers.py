@@ -216,8 +216,8 @@ def test_what_is_lost_is_sent_again_but_not_for_ever(here):
     for _ in range(LOST):
         assert here.answered(TOP, CancelledError()).status == "busy"
     assert here.cluster._looked == 0.0  # it is seen at once who is there
-    with pytest.raises(CellLost, match="was lost in the cluster"):
-        here.answered(TOP, CancelledError())
+    assert here.answered(TOP, CancelledError()).status == "failed"
+    assert here.store.find(TOP.digest).reason == f"it, or what it needs, was lost in the cluster {LOST} times"
 
 
 def test_a_result_is_stored_if_it_is_that_of_the_cell_and_whole(here, tmp_path):
@@ -240,9 +240,10 @@ def test_a_failure_is_stored_and_what_is_blocked_is_not(here):
 
 
 def test_workers_that_die_are_told_by_how_many_and_what_they_cannot_run_is_unknown(here):
-    with pytest.raises(CellLost, match="its worker died") as lost:
-        here.answered(TOP, KilledWorker("key", SimpleNamespace(address="a"), 3))
-    assert lost.value.times == 4
+    for allowed, reason in ((0, "1 worker died while it was there"), (3, "4 workers died while it was there")):
+        end = here.answered(TOP, KilledWorker("key", SimpleNamespace(address="a"), allowed))
+        assert (end.status, end.reason) == ("failed", reason)
+        assert here.store.find(TOP.digest).reason == reason
     end = here.answered(TOP, ImportError("no such module"))
     assert (end.status, end.reason) == ("unknown", "ImportError: no such module")
 

@@ -183,7 +183,7 @@ def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path,
     watching, store = run(tmp_path, plan, own.address)
     killer.join()
     assert watching.failed == {
-        "bad": "its worker died, 1 times",
+        "bad": "1 worker died while it was there",
         "after": "needs count bad, which failed",
     }
     assert store.done(plan.cells[-1])
