@@ -137,29 +137,13 @@ class Gap:
 
 def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
     """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
-    system, seen, asked = seen.system, seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
+    seen, asked = seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
     if len(seen) < FEWEST_STEPS or len(asked) < FEWEST_STEPS:
         return None
-    regions = _regions(system, _columns(seen))
-    shares = []
-    for steps in (asked, seen):
-        inside = _inside(regions, system, steps)
-        shares.append(inside.T @ inside / len(inside))
-    channels = np.array([region.channel for region in regions])
-    same = (channels[:, None] == channels[None, :]) & ~np.eye(len(regions), dtype=bool)
-    wanted, there = shares
-    missing = (wanted >= ASKED) & (there <= RARELY * wanted) & ~same
-    if not missing.any():
-        return None
-    size = np.where(missing, wanted, 0.0)
-    single = np.diag(size)
-    # a place of one channel says it more simply, if it is nearly as much
-    if single.max() >= 0.8 * size.max():
-        first = second = int(single.argmax())
-    else:
-        first, second = (int(place) for place in np.unravel_index(int(size.argmax()), size.shape))
-    place = (regions[first],) if first == second else (regions[first], regions[second])
-    return Gap(place, float(wanted[first, second]), float(there[first, second]))
+    regions = _regions(seen.system, _columns(seen))
+    wanted, channels = _together(regions, asked), np.array([region.channel for region in regions])
+    other = (channels[:, None] != channels[None, :]) | np.eye(len(regions), dtype=bool)
+    return _largest(regions, other & (wanted >= ASKED), wanted, _together(regions, seen))
 
 
 UNTRIED = 0.03
@@ -167,35 +151,45 @@ UNTRIED = 0.03
 
 
 def untried_pair(seen: Steps) -> Gap | None:
-    """Return the command and the state that each occur in ``seen``, and hardly together; None without one.
+    """Return the state and the command that each occur in ``seen``, and hardly together; None without one.
 
     Its share ``asked`` is what it would be if every command were tried everywhere.
     """
-    system = seen.system
-    if len(seen) < FEWEST_STEPS or not system.nu:
+    if len(seen) < FEWEST_STEPS or not seen.system.nu:
         return None
-    regions = _regions(system, _columns(seen))
-    inside = _inside(regions, system, seen)
-    alone, together = inside.mean(axis=0), inside.T @ inside / len(inside)
-    expected = np.outer(alone, alone)
-    states = np.array([region.channel in system.state_names for region in regions])
-    pairs = states[:, None] & ~states[None, :] & (expected >= UNTRIED) & (together <= RARELY * expected)
-    if not pairs.any():
+    regions = _regions(seen.system, _columns(seen))
+    together = _together(regions, seen)
+    expected = np.outer(np.diag(together), np.diag(together))
+    states = np.array([region.channel in seen.system.state_names for region in regions])
+    return _largest(regions, states[:, None] & ~states[None, :] & (expected >= UNTRIED), expected, together)
+
+
+def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, there: Array) -> Gap | None:
+    """Return the pair of regions with the largest share ``wanted`` among ``candidates`` that are hardly ``there``.
+
+    All three are (regions, regions). One region says it more simply, if its share is nearly as large.
+    """
+    size = np.where(candidates & (there <= RARELY * wanted), wanted, 0.0)
+    if not size.any():
         return None
-    size = np.where(pairs, expected, 0.0)
-    state, command = np.unravel_index(int(size.argmax()), size.shape)
-    return Gap((regions[command], regions[state]), float(expected[state, command]), float(together[state, command]))
+    single = np.diag(size)
+    first = second = int(single.argmax())
+    if single.max() < 0.8 * size.max():
+        first, second = (int(place) for place in np.unravel_index(int(size.argmax()), size.shape))
+    place = (regions[first],) if first == second else (regions[first], regions[second])
+    return Gap(place, float(wanted[first, second]), float(there[first, second]))
 
 
 def _columns(steps: Steps) -> Array:
     return np.concatenate([steps.system.wrapped(steps.before), steps.control], axis=1)
 
 
-def _inside(regions: Sequence[Region], system: System, steps: Steps) -> Array:
-    """Return which steps lie in which region, (N, regions), as 0 and 1."""
-    columns = dict(zip((*system.state_names, *system.control_names), _columns(steps).T, strict=True))
-    inside: list[BoolArray] = [region.holds(columns[region.channel]) for region in regions]
-    return np.stack(inside, axis=1).astype(np.float64)
+def _together(regions: Sequence[Region], steps: Steps) -> Array:
+    """Return the share of steps that lie in two regions at once, (regions, regions); in each on the diagonal."""
+    channels = (*steps.system.state_names, *steps.system.control_names)
+    columns = dict(zip(channels, _columns(steps).T, strict=True))
+    inside = np.stack([region.holds(columns[region.channel]) for region in regions], axis=1).astype(np.float64)
+    return np.asarray(inside.T @ inside / len(inside))
 
 
 def _regions(system: System, columns: Array) -> list[Region]:

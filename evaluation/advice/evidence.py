@@ -53,12 +53,8 @@ class Recordings:
     @cached_property
     def seen(self) -> Steps:
         """The steps of the training data that start from a moving sample, of many a part; none where nothing moves."""
-        rows = np.flatnonzero(np.concatenate([moving[:-1] for moving in self.training.moving]))
-        rows = rows[evenly_spaced(len(rows), MOST_STEPS, nearest=True)]
-        before, after = (
-            np.concatenate([e.states[cut] for e in self.training])[rows] for cut in (slice(-1), slice(1, None))
-        )
-        return Steps(self.system, before, np.concatenate([e.controls for e in self.training])[rows], after)
+        moving = np.concatenate([rows[:-1] for rows in self.training.moving])
+        return Steps.of(self.system, self.training.episodes)[moving].thinned(MOST_STEPS)
 
     @cached_property
     def support(self) -> Support:

@@ -34,10 +34,10 @@ def untried_command(evidence: Evidence) -> Remark | None:
     """Return which command was hardly given in which state; nothing where it is known what controllers do."""
     if evidence.visited is not None or (untried := untried_pair(evidence.seen)) is None:
         return None
-    first, second = untried.place
+    state, command = untried.place
     return Remark(
         "excitation",
-        f"{first.words} was hardly tried with {second.words}: {_share(untried.seen)} of the time, and it would be "
+        f"{command.words} was hardly tried with {state.words}: {_share(untried.seen)} of the time, and it would be "
         f"{percent(untried.asked)} if every command were tried everywhere. A controller that does so leaves the "
         "data: record it.",
         0.5 * untried.asked,
