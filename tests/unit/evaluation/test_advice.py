@@ -27,7 +27,7 @@ from evaluation.advice.regions import (
     untried_command,
     weak_region,
 )
-from evaluation.coverage import largest_gap
+from evaluation.coverage import largest_gap, untried_pair
 from evaluation.exploitability import what_to_record
 from evaluation.steps import Steps
 from evaluation.storage import from_plain, plain
@@ -194,6 +194,28 @@ def test_two_channels_make_a_place_where_each_alone_was_visited():
     gap = largest_gap(apart, asked)
     assert {region.channel for region in gap.place} == {"speed", "steer"}
     assert largest_gap(seen, asked) is None
+    few, short = (Steps(one.system, one.before[:199], one.control[:199], one.after[:199]) for one in (asked, apart))
+    assert largest_gap(apart, few) is None
+    assert largest_gap(short, asked) is None
+
+
+def test_a_pair_tried_now_and_then_is_untried_and_says_how_often():
+    """Fast in 40 of 100 steps, steered in 50, both in 2."""
+    high = np.tile([[1, 0]] * 38 + [[0, 1]] * 48 + [[1, 1]] * 2 + [[0, 0]] * 12, (5, 1)).astype(float)
+    system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
+    gap = untried_pair(Steps(system, high[:, :1], high[:, 1:], high[:, :1]))
+    assert (gap.asked, gap.seen, gap.words) == (pytest.approx(0.2), 0.02, "steer at 1 and speed at 1")
+
+
+@pytest.mark.parametrize(
+    "slow, words", [(True, "steer at 1 and speed above 0.5"), (False, "steer at 1 and speed below 0.5")]
+)
+def test_a_channel_is_cut_at_its_median(slow, words):
+    speed = np.linspace(0.0, 1.0, 1001)[:, None]
+    steer = ((speed < 0.44) if slow else (speed > 0.56)).astype(float)
+    system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
+    gap = untried_pair(Steps(system, speed, steer, speed))
+    assert (gap.asked, gap.words) == (pytest.approx(0.22, abs=0.001), words)
 
 
 def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():
@@ -304,6 +326,17 @@ def test_no_more_regions_are_told_than_asked_for_and_no_rare_ones():
     speeds = [2.0 + 0.2 * i for i in range(20) for _ in range(20 - i)]
     assert len(what_to_record(DRIVEN, [driven(speeds)], most=3)) == 3
     assert what_to_record(DRIVEN, [driven([0.5] * 9999 + [3.0])]) == ()
+    (rare,) = what_to_record(DRIVEN, [driven([0.5] * 997 + [3.0] * 3)])
+    assert rare.share == 0.003
+
+
+@pytest.mark.parametrize("fastest, width", [(1.0, 0.2), (2.0, 0.5), (6.0, 1.0), (20.0, 5.0), (10.0, 2.0)])
+def test_boxes_are_one_two_or_five_times_a_power_of_ten_wide_and_one_begins_at_0(fastest, width):
+    """A uniform speed from 0 to the fastest has a standard deviation of 0.29 of it."""
+    seen = Support.of(SYSTEM, np.linspace(0.0, fastest, 300)[:, None], np.tile([1.0, 0.0], (300, 1)))
+    (box,) = what_to_record(seen, [driven([3.1 * fastest] * 9)])
+    assert box.high[0] - box.low[0] == pytest.approx(width)
+    assert box.low[0] / width == pytest.approx(round(box.low[0] / width))
 
 
 @pytest.mark.parametrize("angle", [3.0, 3.0 + 2.0 * np.pi])
