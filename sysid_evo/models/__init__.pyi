@@ -1,7 +1,7 @@
 from .base import DynamicsModel, require_planar
 from .disturbances import Disturbed, RadicalEnvelope, state_spread
 from .dynamics import Dynamics, PlainDynamics, training_envelope
-from .penalty import Cautious, Doubt, Supported
+from .penalty import Doubt, Penalised
 from .storage import family_name, load_model, save_model
 
 __all__ = [
@@ -10,11 +10,10 @@ __all__ = [
     "PlainDynamics",
     "require_planar",
     "training_envelope",
-    "Cautious",
     "Disturbed",
     "Doubt",
+    "Penalised",
     "RadicalEnvelope",
-    "Supported",
     "family_name",
     "load_model",
     "save_model",

@@ -81,16 +81,6 @@ class PlainDynamics(Dynamics):
     n_draws: int = 0
 
 
-class Around(PlainDynamics):
-    """A dynamics around another one, ``inner``, whose envelope it has."""
-
-    inner: Dynamics
-
-    @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
-
-
 def started(dynamics: Dynamics, states: Array, draws: Array | None = None, *, controls: Array | None = None) -> Array:
     """Return the carries (B, n_carry) of a system that has long been in ``states`` (B, nx) under ``controls`` (B, nu).
 

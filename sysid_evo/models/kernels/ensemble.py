@@ -1,4 +1,4 @@
-"""Several kernels from one state: the disagreement that `sysid_evo.models.Cautious` counts, and a mean."""
+"""Several kernels from one state: in turn, and their mean."""
 
 from __future__ import annotations
 
@@ -24,56 +24,6 @@ from sysid_evo.kernels import (
 from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.system import System
 from sysid_evo.types import Array, check_shape
-
-DOUBT = Layout("nx", "count", "weight", "chain", align=CACHE_LINE)
-
-
-def cautious_kernel(
-    members: Sequence[DynamicsKernel],
-    nx: int,
-    *,
-    places: Sequence[int],
-    noise_places: Sequence[int],
-    limit: Array,
-    weight: float,
-) -> DynamicsKernel:
-    """Return the kernel of `Cautious`: the state is that of the first member, how far to doubt it stands at nx."""
-    chain = chained(members, nx, places, noise_places)
-    numbers = padded(np.concatenate([1.0 / check_shape("limit", limit, (nx,)), places]))
-    parameters = DOUBT.pack(
-        numbers, chain.parameters, nx=nx, count=len(members), weight=weight, chain=DOUBT.size + len(numbers)
-    )
-    return DynamicsKernel(
-        KernelSource(doubted, {"step_all": chain.source}), parameters, chain.n_scratch + 3, chain.precision
-    )
-
-
-def doubted(carry, control, noise, parameters, scratch):
-    """Step all members, count how far apart their states are, and take over that of the first."""
-    nx, count, weight = int(parameters[DOUBT.nx]), int(parameters[DOUBT.count]), parameters[DOUBT.weight]
-    per_limit, places = view(parameters, DOUBT.size), view(parameters, DOUBT.size + nx)
-    farthest, low, high = scratch, view(scratch, LANES), view(scratch, 2 * LANES)
-    step_all(carry, control, noise, view(parameters, int(parameters[DOUBT.chain])), view(scratch, 3 * LANES))
-    for lane in range(LANES):
-        farthest[lane] = 0.0
-    for row in range(nx):
-        copy(view(carry, (int(places[0]) + row) * LANES), low, LANES)
-        copy(low, high, LANES)
-        for member in range(1, count):
-            here = view(carry, (int(places[member]) + row) * LANES)
-            for lane in range(LANES):
-                low[lane] = min(low[lane], here[lane])
-                high[lane] = max(high[lane], here[lane])
-        factor = per_limit[row]
-        for lane in range(LANES):
-            farthest[lane] = max(farthest[lane], (high[lane] - low[lane]) * factor)
-    doubt = view(carry, nx * LANES)
-    for lane in range(LANES):
-        doubt[lane] += weight * min(max(farthest[lane] - 1.0, 0.0), 1.0)
-    copy(view(carry, int(places[0]) * LANES), carry, nx * LANES)
-    for member in range(count):
-        copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
-
 
 MEAN = Layout("nx", "nu", "count", "watched", "held", "rest", "chain", align=CACHE_LINE)
 
@@ -169,7 +119,7 @@ def chained(
         parameters = np.concatenate([head, *blocks, parameters])
         source = KernelSource(step_group, {"one": members[group[0]].source, "others": source})
     precision: Precision = "float64" if any(member.precision == "float64" for member in members) else "float32"
-    return DynamicsKernel(source, parameters, max(member.n_scratch for member in members), precision)
+    return DynamicsKernel(source, parameters, max((member.n_scratch for member in members), default=0), precision)
 
 
 def step_group(carry, control, noise, parameters, scratch):

@@ -13,7 +13,7 @@ from sysid_evo.engine.imagined import Imagination
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
 from sysid_evo.kernels import DynamicsKernel, Lifted
-from sysid_evo.models import Cautious, Disturbed, RadicalEnvelope, Supported
+from sysid_evo.models import Disturbed, Doubt, Penalised, RadicalEnvelope
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
@@ -226,23 +226,18 @@ def test_every_delay_steps_as_in_numpy(delay, engine, two, throttle_car_data):
     steps_agree(Disturbed(two[0], delay=delay), throttle_car_data, engine)
 
 
-def doubtful(row, one, other):
-    return {
-        "supported": lambda: Supported(one, every=3),
-        "cautious": lambda: Cautious(one, [other]),
-        "both": lambda: Supported(Cautious(one, [other], weight=2.0), weight=0.5, every=1),
-    }[row]()
-
-
 @FORMS
-@pytest.mark.parametrize("row", ["supported", "cautious", "both"])
-def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(row, engine, two, throttle_car_data):
-    doubted = doubtful(row, *two)
+@pytest.mark.parametrize(
+    ("doubt", "every"), [(Doubt(1.0), 3), (Doubt(0.0, 1.0), 10), (Doubt(0.5, 2.0), 1)], ids=["outside", "apart", "both"]
+)
+def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(doubt, every, engine, two, throttle_car_data):
+    one, other = two
+    doubted = Penalised(one, doubt, [other], every=every)
     steps_agree(doubted, throttle_car_data, engine)
     given = Given(doubted, RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine)
     assert exact.doubt.max() > 0.1
-    plain = Given(two[0], RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
+    plain = Given(one, RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
     np.testing.assert_array_equal(fast.fitness, plain.fitness)
     assert not plain.doubt.any()
 
@@ -251,7 +246,7 @@ def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(row, engine, two, t
 def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
     """Whatever the number of threads; without a delay every form scores as without the wrapper."""
     model = two[0]
-    given = Given(Disturbed(Supported(model), NOISY, delay=0.07), RecurrentNetwork(), WAYPOINTS, scale=2.0)
+    given = Given(Disturbed(Penalised(model, Doubt(1.0)), NOISY, delay=0.07), RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine)
     assert exact.doubt.any()
     plain, late, at_once = (

@@ -10,7 +10,7 @@ from sysid_evo.data.support import Support, recorded_pairs
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.engine.rollout import Discounted
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
-from sysid_evo.models import Cautious, Disturbed, Doubt, Supported
+from sysid_evo.models import Disturbed, Doubt, Penalised
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import cautions
@@ -62,7 +62,7 @@ def test_a_model_keeps_as_many_pairs_as_are_needed_from_the_whole_recording():
 
 def test_doubt_grows_from_the_limit_to_twice_the_limit_and_counts_a_look_for_the_steps_between():
     support = line(np.arange(20.0))
-    doubted = Supported(Climber(LINE), support, weight=2.0, every=4)
+    doubted = Penalised(Climber(LINE), Doubt(outside=2.0), support=support, every=4)
     heights = support.scale[0] * support.limit * np.array([0.5, 1.0, 1.25, 2.0, 5.0]) + 19.0
     carry = started(doubted, 5, np.random.default_rng(0))
     carry[:, 0] = heights
@@ -78,22 +78,22 @@ def test_models_that_agree_are_not_doubted_and_those_that_do_not_are():
 
     climbs = np.array([[0.0], [0.1], [0.15], [0.2], [1.0]])
     for other, expected in ((Climber(LINE), [0.0] * 5), (Twice(LINE), [0.0, 0.0, 1.5, 3.0, 3.0])):
-        doubted = Cautious(Climber(LINE), [other], limit=np.array([0.1]), weight=3.0)
+        doubted = Penalised(Climber(LINE), Doubt(disagreement=3.0), [other], limit=np.array([0.1]))
         after = doubted.step(started(doubted, 5, np.random.default_rng(0)), climbs)
-        np.testing.assert_allclose(after[:, 1], expected, atol=1e-9)
+        np.testing.assert_allclose(after[:, doubted.doubt_at], expected, atol=1e-9)
         np.testing.assert_allclose(after[:, :1], climbs, err_msg="the state is that of the first model")
 
 
 def test_by_default_models_may_disagree_as_much_as_they_do_in_the_training_data():
     one, other = models()
-    doubted, pairs = Cautious(one, [other]), one.pairs_
+    doubted, pairs = Penalised(one, Doubt(disagreement=1.0), [other]), one.pairs_
     carry = doubted.start(np.repeat(pairs[:, None, :3], 3, axis=1), np.repeat(pairs[:, None, 3:], 2, axis=1))
-    assert 0.0 < (doubted.step(carry, pairs[:, 3:])[:, 3] > 0).mean() < 0.03
+    assert 0.0 < (doubted.step(carry, pairs[:, 3:])[:, doubted.doubt_at] > 0).mean() < 0.03
 
 
 def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst():
     support = line(np.linspace(-1.0, 1.0, 50))
-    runner = DynamicsRunner(Supported(Climber(LINE, breaks_above=8.0), support, weight=5.0, every=1))
+    runner = DynamicsRunner(Penalised(Climber(LINE, breaks_above=8.0), Doubt(outside=5.0), support=support, every=1))
     controls, seeds = np.array([[0.0], [-0.5], [-1.0], [1.0]]), trial_seeds(0, 2)
     plain = runner.bind(Constant(), Ladder())(controls, seeds)
     less = Discounted(runner, most=5.0).bind(Constant(), Ladder())(controls, seeds)
@@ -106,17 +106,19 @@ def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst(
 
 
 def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is_refused():
-    robot = Climber(LINE)
-    assert Doubt(outside=1.0).about(robot) is robot
+    robot, outside, apart = Climber(LINE), Doubt(outside=1.0), Doubt(disagreement=1.0)
+    assert outside.about(robot) is robot
+    assert apart.about(models()[0], [robot]) is models()[0], "a robot is no model to disagree with"
     forgetful = make_model("linear").fit(example_dataset(), rng=0)
     del forgetful.pairs_
     for made, error, reason in (
         (lambda: Doubt(outside=1.0).about(forgetful), InvalidArgument, "fit it again"),
-        (lambda: Supported(robot), InvalidArgument, "training data"),
-        (lambda: Cautious(robot, [robot]), InvalidArgument, "training data"),
-        (lambda: Cautious(robot, []), InvalidArgument, "other model"),
-        (lambda: Cautious(robot, [models()[0]]), IncompatibleSystem, "systems differ"),
-        (lambda: Cautious(robot, [Disturbed(robot, delay=0.1)]), InvalidArgument, "late"),
+        (lambda: Penalised(robot, outside), InvalidArgument, "training data; give support="),
+        (lambda: Penalised(robot, apart, [robot]), InvalidArgument, "training data; give support="),
+        (lambda: Penalised(robot, apart), InvalidArgument, "other model"),
+        (lambda: Penalised(robot, apart, [models()[0]]), IncompatibleSystem, "systems differ"),
+        (lambda: Penalised(robot, apart, [Disturbed(robot, delay=0.1)]), InvalidArgument, "late"),
+        (lambda: Penalised(robot, outside, every=0), InvalidArgument, "every"),
         (lambda: line(np.zeros(1)), InvalidData, "two or more"),
     ):
         with pytest.raises(error, match=reason):
@@ -130,7 +132,7 @@ def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused():
     with pytest.raises(UnknownName, match="doubt"):
         cautions.make("dread")
     inner = Doubt(outside=1.0, disagreement=1.0).about(models()[0], [models()[1], Climber(LINE)])
-    assert isinstance(inner, Supported)
-    assert isinstance(inner.inner, Cautious)
-    assert len(inner.inner.members.models) == 2, "a robot is no model to disagree with"
+    assert isinstance(inner, Penalised)
+    assert inner.doubt == Doubt(outside=1.0, disagreement=1.0)
+    assert len(inner.members.models) == 2
     assert Disturbed(inner, delay=0.05).doubt_at == inner.doubt_at
