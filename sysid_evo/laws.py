@@ -1,9 +1,15 @@
-"""A function of plain numbers for whole arrays: the same lines, element by element.
+"""A law written for one number at a time, and how it is read: for arrays, for the lanes of a kernel, as symbols.
 
-Kernels are written for one number at a time (`sysid_evo.engine.compiled.language`). Here such a function is read once
-more and turned into NumPy: ``a if test else b`` becomes `where`, ``and``, ``or``, ``not`` and chains of comparisons
-become their logical functions, ``math`` the functions of NumPy of the same meaning, ``min`` and ``max`` the
-element-wise ones, and functions that it calls are turned likewise.
+A law is a plain function of numbers. Those of a rollout that it reads or writes stand in sequences, one an element::
+
+    def proportional(theta, memory, observation, raw, parameters, scratch):
+        for i in range(int(parameters[0])):
+            error = observation[i] if observation[i] > 0.0 else 0.5 * observation[i]
+            raw[i] = min(max(theta[i] * error, -1.0), 1.0)
+
+It may use ``for`` over numbers that all rollouts share (``parameters``), ``a if test else b`` where they differ,
+`math`, ``min``, ``max``, ``abs`` and other such functions. `array_form` reads it in NumPy, `lane_form` in the kernel
+language, and `sysid_evo.controllers.program` with expressions.
 """
 
 from __future__ import annotations
@@ -13,13 +19,15 @@ import functools
 import inspect
 import math
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, QUARTER, KernelSource, nearest
 
 RENAMED = {
     "acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "acosh": "arccosh", "asinh": "arcsinh",
@@ -29,9 +37,26 @@ RENAMED = {
 LOGICAL = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 
 
-@functools.cache
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """What the words of a law mean: a choice, the smaller and the larger of two, tests, a function, a named value."""
+
+    where: Callable[[Any, Any, Any], Any]
+    least: Callable[[Any, Any], Any]
+    most: Callable[[Any, Any], Any]
+    logical: Mapping[str, Callable[..., Any]]
+    function: Callable[[Any], Any]
+    named: Callable[[str, Any], Any]
+
+
 def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return ``function`` for arrays, broadcast together. Raises `InvalidArgument` for what has no such form."""
+    return read(function, ARRAYS)
+
+
+@functools.cache
+def read(function: Callable[..., Any], reading: Reading) -> Callable[..., Any]:
+    """Return ``function`` in which words mean what ``reading`` says. Raises `InvalidArgument`."""
     plain = getattr(function, "py_func", function)
     try:
         tree = ast.parse(textwrap.dedent(inspect.getsource(plain))).body[0]
@@ -49,27 +74,35 @@ def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
     body = next(constant for constant in code.co_consts if isinstance(constant, CodeType))
     closure = inspect.getclosurevars(plain)
     scope = {**plain.__globals__, **closure.nonlocals}
-    names = {name: _of_arrays(scope[name]) for name in body.co_names if name in scope}
+    names = {name: _meaning(scope[name], reading) for name in body.co_names if name in scope}
     own = {
-        "min": lambda *values: functools.reduce(np.minimum, values),
-        "max": lambda *values: functools.reduce(np.maximum, values),
-        "_where": np.where,
-        "_test": LOGICAL,
+        "min": lambda *values: functools.reduce(reading.least, values),
+        "max": lambda *values: functools.reduce(reading.most, values),
+        "_where": reading.where,
+        "_test": reading.logical,
+        "_named": reading.named,
     }
     return FunctionType(body, {**own, **names}, plain.__name__)
 
 
-def _of_arrays(value: Any) -> Any:
+def _meaning(value: Any, reading: Reading) -> Any:
     """Return what stands for a name of the function's module."""
     if value is math:
-        return SimpleNamespace(**{name: _of_arrays(getattr(math, name)) for name in dir(math) if name[0] != "_"})
+        return SimpleNamespace(**{name: _meaning(getattr(math, name), reading) for name in dir(math) if name[0] != "_"})
+    if value is nearest or getattr(value, "__module__", "") == "math":
+        return reading.function(value)
     if isinstance(value, ModuleType):
         return value
-    if getattr(value, "__module__", "") == "math":
-        return getattr(np, RENAMED.get(value.__name__, value.__name__), value)
     if isinstance(getattr(value, "py_func", value), FunctionType):
-        return array_form(value)
+        return read(value, reading)
     return value
+
+
+def _of_arrays(function: Any) -> Any:
+    return np.rint if function is nearest else getattr(np, RENAMED.get(function.__name__, function.__name__), function)
+
+
+ARRAYS = Reading(np.where, np.minimum, np.maximum, LOGICAL, _of_arrays, lambda _, value: value)
 
 
 class _ElementWise(ast.NodeTransformer):
@@ -97,6 +130,16 @@ class _ElementWise(ast.NodeTransformer):
             found = _logical("and", found, ast.Compare(left, [op], [right]))
         return found
 
+    def visit_Assign(self, node: ast.Assign) -> ast.stmt:  # ast's own naming
+        value = self.visit(node.value)
+        if len(node.targets) == 1 and isinstance(node.targets[0], ast.Name):
+            value = ast.Call(ast.Name("_named", ast.Load()), [ast.Constant(node.targets[0].id), value], [])
+        return ast.Assign([self.visit(target) for target in node.targets], value)
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming
+        """Write a sum as a new array: the old one may have another name, too."""
+        return self.visit(_written_out(node))
+
     def visit_If(self, node: ast.If) -> ast.AST:  # ast's own naming
         raise self._unusable(node, "if", "a if test else b")
 
@@ -110,6 +153,104 @@ class _ElementWise(ast.NodeTransformer):
         )
 
 
+def _written_out(node: ast.AugAssign) -> ast.Assign:
+    """Return ``x = x + y`` for ``x += y``."""
+    before = ast.parse(ast.unparse(node.target), mode="eval").body
+    return ast.copy_location(ast.Assign([node.target], ast.BinOp(before, node.op, node.value)), node)
+
+
 def _logical(name: str, *arguments: ast.expr) -> ast.expr:
     place = ast.Subscript(ast.Name("_test", ast.Load()), ast.Constant(name), ast.Load())
     return ast.Call(place, list(arguments), [])
+
+
+@dataclass(frozen=True)
+class ScalarLaw(KernelSource):
+    """A law as the source of a kernel: of its arguments the ``rows`` hold an element for each rollout.
+
+    One without rows is a function of numbers that another law calls. One with rows goes through a quarter of the lanes
+    at a time, which keeps what it names in registers, or with the ``width`` of a row through all of them: better for a
+    law that names little.
+    """
+
+    rows: tuple[str, ...] = ()
+    width: Literal["quarter", "row"] = "quarter"
+
+    __hash__ = KernelSource.__hash__
+
+
+def lane_form(tree: ast.FunctionDef, law: ScalarLaw) -> ast.FunctionDef:
+    """Return the definition of ``law`` in the kernel language. Raises `InvalidArgument` for what cannot be read so."""
+    found: ast.FunctionDef = _Lanes(law).visit(tree)
+    if law.rows and law.width == "quarter":
+        loop = f"for {FIRST} in range(0, {LANES}, {QUARTER}): pass"
+        (each,) = ast.parse(loop).body
+        assert isinstance(each, ast.For)
+        each.body, found.body = found.body, [each]
+    return found
+
+
+FIRST = "first_of_quarter"
+CHOICES = {
+    ast.Lt: ("where_less", False), ast.LtE: ("where_at_most", False), ast.Gt: ("where_less", True),
+    ast.GtE: ("where_at_most", True),
+}  # fmt: skip
+"""The word for a choice by a comparison, and whether its sides change places."""
+
+
+class _Lanes(ast.NodeTransformer):
+    """Rewrites elements of rows and choices."""
+
+    def __init__(self, law: ScalarLaw) -> None:
+        self.law, self.end = law, "_quarter" if law.width == "quarter" else ""
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:  # ast's own naming
+        if node.id in self.law.rows:
+            raise self._unusable(node, node.id, f"{node.id}[i], one element at a time")
+        return ast.Name("splat" + self.end, node.ctx) if node.id == "splat" else node
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.expr:  # ast's own naming
+        if self._is_element(node):
+            return _call("load" + self.end, *self._place(node))
+        return ast.Subscript(self.visit(node.value), self.visit(node.slice), node.ctx)
+
+    def visit_Assign(self, node: ast.Assign) -> ast.stmt:  # ast's own naming
+        (target,) = node.targets
+        if self._is_element(target):
+            return ast.Expr(_call("store", *self._place(target), self.visit(node.value)))
+        return ast.Assign([self.visit(target)], self.visit(node.value))
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming
+        return self.visit_Assign(_written_out(node))
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:  # ast's own naming
+        """Take ``min`` and ``max`` of two at a time."""
+        called = self.generic_visit(node)
+        if isinstance(node.func, ast.Name) and node.func.id in ("min", "max") and len(node.args) > 2:
+            return functools.reduce(lambda a, b: _call(node.func.id, a, b), node.args)
+        return called
+
+    def visit_IfExp(self, node: ast.IfExp) -> ast.expr:  # ast's own naming
+        test = node.test
+        if not isinstance(test, ast.Compare) or len(test.ops) > 1 or type(test.ops[0]) not in CHOICES:
+            raise self._unusable(test, ast.unparse(test), "one comparison: < <= > >=")
+        word, swapped = CHOICES[type(test.ops[0])]
+        sides = [test.left, test.comparators[0]]
+        return _call(word, *map(self.visit, [*(reversed(sides) if swapped else sides), node.body, node.orelse]))
+
+    def _is_element(self, node: ast.expr) -> bool:
+        return isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id in self.law.rows
+
+    def _place(self, node: Any) -> tuple[ast.expr, ast.expr]:
+        """Return the array, and where the lanes of an element begin in it."""
+        row = ast.BinOp(self.visit(node.slice), ast.Mult(), ast.Constant(LANES))
+        name = ast.Name(node.value.id, ast.Load())
+        return name, row if self.law.width == "row" else ast.BinOp(row, ast.Add(), ast.Name(FIRST, ast.Load()))
+
+    def _unusable(self, node: ast.expr, text: str, instead: str) -> InvalidArgument:
+        name = self.law.function.__qualname__
+        return InvalidArgument(f"law {name}, line {node.lineno} of it: {text!r} has no form for lanes; write {instead}")
+
+
+def _call(word: str, *arguments: ast.expr) -> ast.expr:
+    return ast.Call(ast.Name(word, ast.Load()), list(arguments), [])

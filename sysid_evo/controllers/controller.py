@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
 
 from sysid_evo.angles import TURN
-from sysid_evo.controllers.program import Program
+from sysid_evo.controllers.program import SYMBOLS, Operand, Program, elements, observation, program_of, remembered
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import ControllerKernel
+from sysid_evo.laws import ScalarLaw, array_form, read
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import controllers
 from sysid_evo.system import Channel
 from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.types import Array
+from sysid_evo.types import Array, check_shape
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class Controller(ABC):
     runs in the reference form. A ``hand_written`` one drives with zeros as its parameters, so that it
     needs no evolution.
 
-    A class writes `act` and one of `bind` and `bind_to`.
+    A class writes `act` and one of `bind` and `bind_to`; a `LawController` sets its law there instead of `act`.
     """
 
     hand_written: ClassVar[bool] = False
@@ -85,6 +88,63 @@ class Controller(ABC):
         None if it cannot be written as a `Program`.
         """
         return None
+
+
+@dataclass(frozen=True)
+class ControllerLaw:
+    """A control law for one rollout, see `sysid_evo.laws`, and the ``parameters`` that all candidates share.
+
+    ``function(theta, memory, observation, raw, parameters, scratch)`` writes ``raw``, overwrites ``memory``, and has
+    ``n_scratch`` numbers of ``scratch``. ``width`` as for `ScalarLaw`.
+    """
+
+    function: Callable[..., None]
+    parameters: Array
+    n_scratch: int = 0
+    width: Literal["quarter", "row"] = "quarter"
+
+
+class LawController(Controller):
+    """A controller whose `act`, `kernel` and `program` are one ``law``, which a class sets when it is bound."""
+
+    law: ControllerLaw
+    n_observations: int
+    n_outputs: int
+    n_memory = 0
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        check_shape("parameters", parameters, (None, self.n_parameters))
+        grid = view.observation.shape[:2]
+        kept, seen = (list(np.moveaxis(array, -1, 0)) for array in (memory, view.observation))
+        raw, scratch = [0.0] * self.n_outputs, [0.0] * self.law.n_scratch
+        law = array_form(self.law.function)
+        law(list(parameters.T[:, :, None]), kept, seen, raw, self.law.parameters.tolist(), scratch)
+        return _together(raw, grid), _together(kept, grid)
+
+    def kernel(self) -> ControllerKernel:
+        source = ScalarLaw(self.law.function, rows=LAW_ROWS, width=self.law.width)
+        return ControllerKernel(source, self.law.parameters, self.law.n_scratch)
+
+    def program(self, parameters: Array) -> Program:
+        check_shape("parameters", parameters, (self.n_parameters,))
+        raw: list[Operand] = [0.0] * self.n_outputs
+        seen, before = elements(observation(self.n_observations)), elements(remembered(MEMORY, self.n_memory))
+        after, scratch = list(before), [0.0] * self.law.n_scratch
+        law = read(self.law.function, SYMBOLS)
+        law(parameters.tolist(), after, seen, raw, self.law.parameters.tolist(), scratch)
+        return program_of(raw, {MEMORY: after} if after else {})
+
+
+LAW_ROWS = ("theta", "memory", "observation", "raw", "scratch")
+MEMORY = "memory"
+
+
+def _together(values: Sequence[Array | float], grid: tuple[int, ...]) -> Array:
+    """Return ``values`` as one array (P, E, n), which shares nothing with them."""
+    found = np.empty((*grid, len(values)))
+    for i, value in enumerate(values):
+        found[..., i] = value
+    return found
 
 
 def observed(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:

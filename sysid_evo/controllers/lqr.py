@@ -10,12 +10,11 @@ from typing import ClassVar, Self, cast
 
 import numpy as np
 
-from sysid_evo.controllers.controller import Controller, View, size_of
+from sysid_evo.controllers.controller import ControllerLaw, LawController, size_of
 from sysid_evo.controllers.inner_model import inner_model
-from sysid_evo.controllers.program import Program, Statement, constant, dot, limited, observation
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
-from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout
+from sysid_evo.kernels import Layout, splat
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import register_controller
@@ -31,7 +30,7 @@ MISFIT = 0.05
 
 
 @register_controller("lqr")
-class Lqr(Controller):
+class Lqr(LawController):
     """u = u_r - g K (x - x_r), as outputs within [-1, 1], for tasks that lead states to targets.
 
     K is the gain of the linear quadratic regulator (python-control's ``dlqr``) for the linear model
@@ -46,7 +45,6 @@ class Lqr(Controller):
     hand_written: ClassVar[bool] = True
     requires: ClassVar[tuple[str, ...]] = ("control",)
     n_parameters = 1
-    n_memory = 0
 
     def __init__(
         self,
@@ -78,11 +76,11 @@ class Lqr(Controller):
         middle[led] = began.target.mean(axis=0)
         linear = self._linear(task, middle)
         gain = self._gain(task, linear, led)
-        bound.rest, bound.feedback = _in_observations(task, linear, gain, began, led)
+        rest, feedback = _in_observations(task, linear, gain, began, led)
+        bound.n_observations, bound.n_outputs = len(task.observations), task.system.nu
+        shared = HEAD.pack(rest, feedback, n_inputs=bound.n_observations, n_outputs=bound.n_outputs)
+        bound.law = ControllerLaw(lqr, shared)
         return bound
-
-    rest: Array
-    feedback: Array
 
     def _linear(self, task: Task, middle: Array) -> LinearModel:
         if self.model is not None:
@@ -113,24 +111,6 @@ class Lqr(Controller):
             raise InvalidArgument("lqr: in this model no control acts on a state within one sample, as with a delay")
         return np.asarray(gain, dtype=np.float64)
 
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
-        check_shape("parameters", parameters, (None, self.n_parameters))
-        strength = np.exp(np.clip(parameters, -5.0, 5.0))[:, :, None]
-        shown = np.concatenate([view.observation, np.ones((*view.observation.shape[:2], 1))], axis=-1)
-        return np.clip(shown @ self.rest + strength * (shown @ self.feedback), -1.0, 1.0), memory.copy()
-
-    def kernel(self) -> ControllerKernel:
-        n_inputs, n_outputs = len(self.rest) - 1, self.rest.shape[1]
-        return ControllerKernel(
-            KernelSource(act_lanes), HEAD.pack(self.rest, self.feedback, n_inputs=n_inputs, n_outputs=n_outputs)
-        )
-
-    def program(self, parameters: Array) -> Program:
-        law = self.rest + np.exp(np.clip(parameters[0], -5.0, 5.0)) * self.feedback
-        pushed = dot("W", law[:-1].T, observation(len(law) - 1)) + constant("B", law[-1])
-        raw = Statement("raw", limited(pushed), "outputs in [-1, 1]")
-        return Program((raw,), raw.value)
-
 
 def _in_observations(
     task: Following, linear: LinearModel, gain: Array, began: FollowingState, led: Sequence[int]
@@ -157,20 +137,19 @@ def _in_observations(
 HEAD = Layout("n_inputs", "n_outputs")
 
 
-def act_lanes(theta, memory, observation, raw, parameters, scratch):
+def lqr(theta, memory, observation, raw, parameters, scratch):
     """Outputs at rest plus so much of the feedback, see `Lqr`."""
     n_inputs, n_outputs = int(parameters[HEAD.n_inputs]), int(parameters[HEAD.n_outputs])
     size = (n_inputs + 1) * n_outputs
+    strength = math.exp(min(max(theta[0], -5.0), 5.0))
     for j in range(n_outputs):
-        for lane in range(LANES):
-            at = HEAD.size + n_inputs * n_outputs + j
-            rest, feedback = parameters[at], parameters[at + size]
-            for i in range(n_inputs):
-                at = HEAD.size + i * n_outputs + j
-                rest += parameters[at] * observation[i * LANES + lane]
-                feedback += parameters[at + size] * observation[i * LANES + lane]
-            strength = math.exp(min(max(theta[lane], -5.0), 5.0))
-            raw[j * LANES + lane] = min(max(rest + strength * feedback, -1.0), 1.0)
+        at = HEAD.size + n_inputs * n_outputs + j
+        rest, feedback = splat(parameters[at]), splat(parameters[at + size])
+        for i in range(n_inputs):
+            at = HEAD.size + i * n_outputs + j
+            rest += parameters[at] * observation[i]
+            feedback += parameters[at + size] * observation[i]
+        raw[j] = min(max(rest + strength * feedback, -1.0), 1.0)
 
 
 STEP = 1e-4

@@ -11,12 +11,15 @@ of a vector::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import nearest
+from sysid_evo.laws import Reading
 from sysid_evo.types import Array
 
 Vectors: TypeAlias = Mapping[str, Array]
@@ -24,24 +27,78 @@ Vectors: TypeAlias = Mapping[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Something with ``size`` elements; ``+ - * /`` combine two."""
+    """Something with ``size`` elements; ``+ - * /`` combine two, and comparisons are tests of a choice."""
 
     size: int
 
     def __add__(self, other: Operand) -> Expression:
         return _binary("+", self, other)
 
+    def __radd__(self, other: Operand) -> Expression:
+        return _binary("+", other, self)
+
     def __sub__(self, other: Operand) -> Expression:
         return _binary("-", self, other)
+
+    def __rsub__(self, other: Operand) -> Expression:
+        return _binary("-", other, self)
 
     def __mul__(self, other: Operand) -> Expression:
         return _binary("*", self, other)
 
+    def __rmul__(self, other: Operand) -> Expression:
+        return _binary("*", other, self)
+
     def __truediv__(self, other: Operand) -> Expression:
         return _binary("/", self, other)
 
+    def __rtruediv__(self, other: Operand) -> Expression:
+        return _binary("/", other, self)
+
+    def __neg__(self) -> Expression:
+        return _binary("-", 0.0, self)
+
+    def __abs__(self) -> Expression:
+        return apply("abs", self)
+
+    def __gt__(self, other: Operand) -> Comparison:
+        return Comparison(">", self, number(other))
+
+    def __ge__(self, other: Operand) -> Comparison:
+        return Comparison(">=", self, number(other))
+
+    def __lt__(self, other: Operand) -> Comparison:
+        return Comparison(">", number(other), self)
+
+    def __le__(self, other: Operand) -> Comparison:
+        return Comparison(">=", number(other), self)
+
 
 Operand: TypeAlias = Expression | float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Whether left ``>`` (or ``>=``) right."""
+
+    operator: str
+    left: Expression
+    right: Expression
+
+
+@dataclass(frozen=True, eq=False)
+class Named(Expression):
+    """A value with a name, which becomes a statement."""
+
+    name: str
+    of: Expression
+
+
+@dataclass(frozen=True, eq=False)
+class Joined(Expression):
+    """Several numbers one after the other, ``parts`` of one element each; the whole of a statement."""
+
+    parts: tuple[Expression, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,8 +286,12 @@ def apply(function: str, of: Expression) -> Unary:
     return Unary(of.size, function, of)
 
 
-def _binary(operator: str, left: Operand, right: Operand) -> Binary:
+def _binary(operator: str, left: Operand, right: Operand) -> Expression:
     a, b = number(left), number(right)
+    if operator == "*" and any(isinstance(side, Number) and side.value == 0.0 for side in (a, b)):
+        return number(0.0)
+    if operator in "+-" and isinstance(b, Number) and b.value == 0.0:
+        return a
     return Binary(max(a.size, b.size), operator, a, b)
 
 
@@ -241,6 +302,8 @@ def parts_of(expression: Expression) -> Iterator[Expression]:
         part = getattr(expression, name, None)
         if isinstance(part, Expression):
             yield from parts_of(part)
+    for part in expression.parts if isinstance(expression, Joined) else ():
+        yield from parts_of(part)
 
 
 def _value(e: Expression, known: Vectors, memory: Vectors, real: Any) -> Any:
@@ -266,5 +329,89 @@ def _value(e: Expression, known: Vectors, memory: Vectors, real: Any) -> Any:
             return OPERATORS[e.operator](value(e.left), value(e.right))
         case Choice():
             return np.where(OPERATORS[e.operator](value(e.left), value(e.right)), value(e.yes), value(e.no))
+        case Joined():
+            return np.hstack([value(part) for part in e.parts])
         case _:
             raise TypeError(f"program: expected an expression, got {type(e).__name__}")
+
+
+def elements(of: Variable) -> list[Operand]:
+    """Return the elements of a vector."""
+    return [take(f"{of.name.upper()}_{place}", of, place) for place in range(of.size)]
+
+
+def program_of(result: Sequence[Operand], memory: Mapping[str, Sequence[Operand]]) -> Program:
+    """Return the program of values that a law came to: the ``result``, and what is remembered under each name."""
+    writer = _Statements()
+    raw = writer.joined("raw", result)
+    after = {name: writer.joined(f"{name}_after", values) for name, values in memory.items()}
+    return Program(tuple(writer.done), raw, after)
+
+
+class _Statements:
+    """Writes every named value as a statement, once, after those that it is made of."""
+
+    def __init__(self) -> None:
+        self.done: list[Statement] = []
+        self.known: dict[Named, Variable] = {}
+        self.count: dict[str, int] = {}
+
+    def joined(self, name: str, values: Sequence[Operand]) -> Variable:
+        parts = tuple(self.plain(number(value)) for value in values)
+        return self.statement(name, parts[0] if len(parts) == 1 else Joined(len(parts), parts))
+
+    def statement(self, name: str, expression: Expression) -> Variable:
+        self.count[name] = self.count.get(name, 0) + 1
+        whole = name if self.count[name] == 1 else f"{name}_{self.count[name]}"
+        self.done.append(Statement(whole, expression))
+        return self.done[-1].value
+
+    def plain(self, e: Expression) -> Expression:
+        """Return ``e`` with variables for what has a name."""
+        if isinstance(e, Named):
+            if e not in self.known:
+                self.known[e] = self.statement(e.name, self.plain(e.of))
+            return self.known[e]
+        inner = {key: part for key, part in vars(e).items() if isinstance(part, Expression)}
+        return replace(e, **{key: self.plain(part) for key, part in inner.items()}) if inner else e
+
+
+def _chosen(test: Any, yes: Operand, no: Operand) -> Operand:
+    if not isinstance(test, Comparison):
+        return yes if test else no
+    return choose(test.left, test.operator, test.right, yes, no)
+
+
+def _extreme(operator: str, of_numbers: Callable[[Any, Any], Any]) -> Callable[[Operand, Operand], Operand]:
+    def extreme(a: Operand, b: Operand) -> Operand:
+        if isinstance(a, Expression) or isinstance(b, Expression):
+            return _binary(operator, a, b)
+        return cast("float", of_numbers(a, b))
+
+    return extreme
+
+
+def _function(function: Any) -> Callable[..., Operand]:
+    """Return ``function`` of numbers, which of an expression is one of `FUNCTIONS`."""
+    name = "round" if function is nearest else function.__name__
+
+    def applied(*of: Operand) -> Operand:
+        if not any(isinstance(one, Expression) for one in of):
+            return cast("float", function(*of))
+        (one,) = of
+        if name not in FUNCTIONS:
+            raise InvalidArgument(f"program: {name} of an observation has no form; there are {', '.join(FUNCTIONS)}")
+        return apply(name, number(one))
+
+    return applied
+
+
+def _named(name: str, value: Any) -> Any:
+    """Return ``value`` under a name, if it is worth one."""
+    if not isinstance(value, Expression) or isinstance(value, Number | Variable | Take | Named):
+        return value
+    return Named(value.size, name, value)
+
+
+SYMBOLS = Reading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named)
+"""A law of expressions: numbers are computed, the rest is written down."""

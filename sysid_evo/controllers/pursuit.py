@@ -6,28 +6,11 @@ import copy
 import math
 from typing import ClassVar, Self
 
-import numpy as np
-
-from sysid_evo.controllers.controller import Controller, View, controlled, observed
-from sysid_evo.controllers.program import (
-    Binary,
-    Expression,
-    Program,
-    Statement,
-    apply,
-    choose,
-    constant,
-    dot,
-    limited,
-    number,
-    observation,
-    take,
-)
+from sysid_evo.controllers.controller import ControllerLaw, LawController, controlled, observed
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.kernels import LANES, ControllerKernel, KernelSource, Layout, view
+from sysid_evo.kernels import Layout, splat
 from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
-from sysid_evo.types import Array, check_shape
 
 SHOWN = ("forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
 DAMPING = 0.1
@@ -39,7 +22,7 @@ STRAIGHTEST = 1e-3
 
 
 @register_controller("pursuit")
-class Pursuit(Controller):
+class Pursuit(LawController):
     """Pure pursuit of the next waypoint, as fast as the arc to it allows.
 
     With the waypoint at angle a and distance d, the arc there has the curvature c; a waypoint abreast or behind is
@@ -58,7 +41,6 @@ class Pursuit(Controller):
 
     hand_written: ClassVar[bool] = True
     n_parameters = 4
-    n_memory = 0
 
     def __init__(
         self,
@@ -77,48 +59,17 @@ class Pursuit(Controller):
 
     def bind_to(self, task: Task) -> Self:
         bound = copy.copy(self)
-        bound.places = observed("pursuit", SHOWN, task)
-        bound.outputs = controlled("pursuit (name yours with drive= and steer=)", (self.drive, self.steer), task)
-        bound.n_observations = len(task.observations)
-        bound.rest = task.system.raw_of(task.system.neutral_control)
-        return bound
-
-    n_observations: int
-    places: tuple[int, ...]
-    outputs: tuple[int, ...]
-    rest: Array
-
-    def settings(self, parameters: Array) -> Array:
-        """Return look, acceleration, gain and damping (s) of every candidate, (4, P)."""
-        check_shape("parameters", parameters, (None, self.n_parameters))
-        made = np.array([self.look, self.acceleration, self.gain])
-        scaled = made * np.exp(np.clip(parameters[:, :3], -10.0, 10.0))
-        return np.concatenate([scaled, DAMPING * parameters[:, 3:]], axis=1).T
-
-    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
-        look, acceleration, gain, damping = self.settings(parameters)[:, :, None]
-        speed, yaw_rate, angle, distance = (view.observation[..., place] for place in self.places)
-        ahead = -1.0 if self.backward else 1.0
-        if self.backward:
-            angle = np.where(angle > 0.0, angle - math.pi, angle + math.pi)
-        sine = np.where(np.abs(angle) > math.pi / 2.0, np.where(angle > 0.0, 1.0, -1.0), np.sin(angle))
-        curvature = 2.0 * sine / np.maximum(distance, CLOSEST)
-        wanted = np.sqrt(acceleration / np.maximum(np.abs(curvature), STRAIGHTEST))
-        raw = np.tile(self.rest, (*speed.shape, 1))
-        raw[..., self.outputs[0]] = np.clip(ahead * gain * (wanted - ahead * speed), -1.0, 1.0)
-        raw[..., self.outputs[1]] = np.clip(ahead * look * curvature - damping * yaw_rate, -1.0, 1.0)
-        return raw, memory.copy()
-
-    def kernel(self) -> ControllerKernel:
-        speed, yaw_rate, angle, distance = self.places
-        drive, steer = self.outputs
-        parameters = HEAD.pack(
-            self.rest,
+        speed, yaw_rate, angle, distance = observed("pursuit", SHOWN, task)
+        drive, steer = controlled("pursuit (name yours with drive= and steer=)", (self.drive, self.steer), task)
+        rest = task.system.raw_of(task.system.neutral_control)
+        bound.n_observations, bound.n_outputs = len(task.observations), len(rest)
+        shared = HEAD.pack(
+            rest,
             look=self.look,
             acceleration=self.acceleration,
             gain=self.gain,
             ahead=-1.0 if self.backward else 1.0,
-            n_outputs=len(self.rest),
+            n_outputs=len(rest),
             drive=drive,
             steer=steer,
             speed=speed,
@@ -126,37 +77,8 @@ class Pursuit(Controller):
             angle=angle,
             distance=distance,
         )
-        return ControllerKernel(KernelSource(act_lanes), parameters)
-
-    def program(self, parameters: Array) -> Program:
-        look, acceleration, gain, damping = map(float, self.settings(parameters[None])[:, 0])
-        shown = observation(self.n_observations)
-        seen = [
-            Statement(name, take(name.upper(), shown, place)) for name, place in zip(SHOWN, self.places, strict=True)
-        ]
-        speed, yaw_rate, angle, distance = (statement.value for statement in seen)
-        ahead = -1.0 if self.backward else 1.0
-        tail = choose(angle, ">", 0.0, angle - math.pi, angle + math.pi)
-        bearing = Statement("bearing", tail if self.backward else angle + 0.0, "rad, from where it drives to")
-        side = choose(bearing.value, ">", 0.0, 1.0, -1.0)
-        sine = choose(apply("abs", bearing.value), ">", math.pi / 2.0, side, apply("sin", bearing.value))
-        curvature = Statement(
-            "curvature", number(2.0) * sine / _max(distance, CLOSEST), "1/m, of the arc to the waypoint"
-        )
-        bend = _max(apply("abs", curvature.value), STRAIGHTEST)
-        wanted = Statement("wanted", apply("sqrt", number(acceleration) / bend), "m/s, how fast the arc can be driven")
-        drive = Statement("push", limited((wanted.value - speed * ahead) * (ahead * gain)), "forward")
-        steer = Statement("turn", limited(curvature.value * (ahead * look) - yaw_rate * damping), "to the left")
-        unit = np.eye(len(self.rest))
-        rest = np.where(unit[list(self.outputs)].any(axis=0), 0.0, self.rest)
-        pushed, turned = (unit[:, [place]] for place in self.outputs)
-        both = dot("PUSHES", pushed, drive.value) + dot("TURNS", turned, steer.value)
-        raw = Statement("raw", constant("REST", rest) + both, "outputs in [-1, 1]")
-        return Program((*seen, bearing, curvature, wanted, drive, steer, raw), raw.value)
-
-
-def _max(of: Expression, least: float) -> Binary:
-    return Binary(of.size, "max", of, number(least))
+        bound.law = ControllerLaw(pursuit, shared)
+        return bound
 
 
 HEAD = Layout(
@@ -165,25 +87,22 @@ HEAD = Layout(
 HALF = math.pi / 2.0
 
 
-def act_lanes(theta, memory, observation, raw, parameters, scratch):
+def pursuit(theta, memory, observation, raw, parameters, scratch):
     """Steer along the arc to the waypoint, as fast as it allows, see `Pursuit`."""
     p, ahead = parameters, parameters[HEAD.ahead]
-    speed, yaw_rate = view(observation, int(p[HEAD.speed]) * LANES), view(observation, int(p[HEAD.yaw_rate]) * LANES)
-    angle, distance = view(observation, int(p[HEAD.angle]) * LANES), view(observation, int(p[HEAD.distance]) * LANES)
-    for row in range(int(p[HEAD.n_outputs])):
-        for lane in range(LANES):
-            raw[row * LANES + lane] = p[HEAD.size + row]
-    drive, steer = view(raw, int(p[HEAD.drive]) * LANES), view(raw, int(p[HEAD.steer]) * LANES)
-    for lane in range(LANES):
-        look = p[HEAD.look] * math.exp(min(max(theta[lane], -10.0), 10.0))
-        acceleration = p[HEAD.acceleration] * math.exp(min(max(theta[LANES + lane], -10.0), 10.0))
-        gain = p[HEAD.gain] * math.exp(min(max(theta[2 * LANES + lane], -10.0), 10.0))
-        damping = DAMPING * theta[3 * LANES + lane]
-        around = angle[lane] - math.pi if angle[lane] > 0.0 else angle[lane] + math.pi
-        bearing = angle[lane] if ahead > 0.0 else around
-        side = 1.0 if bearing > 0.0 else -1.0
-        sine = side if abs(bearing) > HALF else math.sin(bearing)
-        curvature = 2.0 * sine / max(distance[lane], CLOSEST)
-        wanted = math.sqrt(acceleration / max(abs(curvature), STRAIGHTEST))
-        drive[lane] = min(max(ahead * gain * (wanted - ahead * speed[lane]), -1.0), 1.0)
-        steer[lane] = min(max(ahead * look * curvature - damping * yaw_rate[lane], -1.0), 1.0)
+    angle, distance = observation[int(p[HEAD.angle])], observation[int(p[HEAD.distance])]
+    speed, yaw_rate = observation[int(p[HEAD.speed])], observation[int(p[HEAD.yaw_rate])]
+    for i in range(int(p[HEAD.n_outputs])):
+        raw[i] = splat(p[HEAD.size + i])
+    look = p[HEAD.look] * math.exp(min(max(theta[0], -10.0), 10.0))
+    acceleration = p[HEAD.acceleration] * math.exp(min(max(theta[1], -10.0), 10.0))
+    gain = p[HEAD.gain] * math.exp(min(max(theta[2], -10.0), 10.0))
+    damping = DAMPING * theta[3]
+    around = angle - math.pi if angle > 0.0 else angle + math.pi
+    bearing = angle if ahead > 0.0 else around
+    side = 1.0 if bearing > 0.0 else -1.0
+    sine = side if abs(bearing) > HALF else math.sin(bearing)
+    curvature = 2.0 * sine / max(distance, CLOSEST)
+    wanted = math.sqrt(acceleration / max(abs(curvature), STRAIGHTEST))
+    raw[int(p[HEAD.drive])] = min(max(ahead * gain * (wanted - ahead * speed), -1.0), 1.0)
+    raw[int(p[HEAD.steer])] = min(max(ahead * look * curvature - damping * yaw_rate, -1.0), 1.0)

@@ -11,6 +11,7 @@ from sysid_evo.controllers.program import (
     ConstantVector,
     Dot,
     Expression,
+    Joined,
     Number,
     Statement,
     Take,
@@ -129,6 +130,8 @@ class _CWriter:
             statements += self.each(value.size, f"memory->{key}[{{i}}] = {self.element(value)};")
         if not sizes:
             statements.append("(void)memory;")
+        if not any(OBSERVATION in line for line in statements):
+            statements.append(f"(void){OBSERVATION};")
         statements += [f"control[{i}] = {control.name};" for i, control in enumerate(law.controls)]
         reset = [line for key, n in sizes.items() for line in self.each(n, f"memory->{key}[{{i}}] = {self.number(0)};")]
         wants_dot = any(
@@ -183,8 +186,11 @@ class _CWriter:
         return [f"for (size_t i = 0; i < {n}; ++i)", f"    {line.replace('{i}', 'i')}"]
 
     def statement(self, statement: Statement) -> list[str]:
-        n, value = statement.expression.size, self.element(statement.expression)
-        remark = [f"/* {statement.remark} */"] if statement.remark else []
+        n, remark = statement.expression.size, [f"/* {statement.remark} */"] if statement.remark else []
+        if isinstance(statement.expression, Joined):
+            parts = ", ".join(self.element(part) for part in statement.expression.parts)
+            return [*remark, f"const {self.name}_real {statement.name}[{n}] = {{{parts}}};"]
+        value = self.element(statement.expression)
         if n == 1:
             return [*remark, f"const {self.name}_real {statement.name} = {value};"]
         declared = f"{self.name}_real {statement.name}[{n}];"

@@ -82,7 +82,8 @@ def law_of(champion: Champion) -> Law:
     if program is None:
         raise InvalidArgument(
             f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
-            f"{controller.unwritten}. The controllers recurrent, feed_forward, linear, lqr, pid, policy and pursuit can"
+            f"{controller.unwritten}. The controllers recurrent, feed_forward, constant, linear, lqr, pid, policy and "
+            "pursuit can"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))

@@ -14,6 +14,7 @@ from sysid_evo.controllers.program import (
     ConstantVector,
     Dot,
     Expression,
+    Joined,
     Number,
     Take,
     Unary,
@@ -124,6 +125,8 @@ class _Graph:
                 return self.node(OPERATORS[e.function], self.result(e.of))
             case Binary():
                 return self.node(OPERATORS[e.operator], self.result(e.left), self.result(e.right))
+            case Joined():
+                return self.node("Concat", *(self.result(part) for part in e.parts), axis=0)
             case Choice():
                 chosen = self.node(OPERATORS[e.operator], self.result(e.left), self.result(e.right))
                 return self.node("Where", chosen, self.result(e.yes), self.result(e.no))

@@ -8,6 +8,7 @@ from sysid_evo.controllers.program import (
     ConstantVector,
     Dot,
     Expression,
+    Joined,
     Number,
     Take,
     Unary,
@@ -84,7 +85,7 @@ def python_text(law: Law) -> str:
     for statement in program.statements:
         remark = f"  # {statement.remark}" if statement.remark else ""
         text = _text(statement.expression)[0]
-        vectors = (Variable, ConstantVector, Dot, Take)
+        vectors = (Variable, ConstantVector, Dot, Take, Joined)
         if not any(isinstance(part, vectors) for part in parts_of(statement.expression)):
             text = f"np.array([{text}])"
         statements.append(f"{statement.name} = {text}{remark}")
@@ -135,6 +136,8 @@ def _text(e: Expression) -> tuple[str, int]:
         case Unary():
             name = {"round": "rint"}.get(e.function, e.function)
             return f"np.{name}({_text(e.of)[0]})", ATOM
+        case Joined():
+            return f"np.hstack([{', '.join(_text(part)[0] for part in e.parts)}])", ATOM
         case Choice():
             parts = (_text(part)[0] for part in (e.left, e.right, e.yes, e.no))
             return "np.where({} {operator} {}, {}, {})".format(*parts, operator=e.operator), ATOM

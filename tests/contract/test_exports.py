@@ -128,8 +128,8 @@ def test_the_file_gives_the_commands_of_the_product_over_thousands_of_samples(sp
 @pytest.mark.parametrize(
     ("language", "real", "off", "specs"),
     [
-        ("python", "double", 1e-12, SPECS),
-        ("c", "float", 2e-3, SPECS),
+        ("python", "double", 1e-12, (*SPECS, "constant")),
+        ("c", "float", 2e-3, (*SPECS, "constant")),
         pytest.param("onnx", "double", 1e-12, SPECS[:1], marks=NEEDS_ONNX),
         pytest.param("onnx", "float", 1e-4, SPECS[:1], marks=NEEDS_ONNX),
     ],
@@ -194,7 +194,7 @@ def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_
 def test_the_python_file_checks_itself_without_this_package(tmp_path):
     text = python_text(law_of(champion_of("pid")))
     assert "sysid_evo" not in text
-    for source, code, said in ((text, 0, "ok: 20 samples\n"), (text.replace("K_P * error", "-K_P * error"), 1, "")):
+    for source, code, said in ((text, 0, "ok: 20 samples\n"), (text.replace("raw = np", "raw = -np"), 1, "")):
         file = write(source, tmp_path / "law.py")
         done = subprocess.run([sys.executable, "-I", file], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (code, said)
@@ -319,7 +319,7 @@ class Bare(Controller):
 
 def test_what_has_no_program_is_refused_with_what_to_do_instead(register, car_data, tmp_path):
     register(controllers, "bare", Bare)
-    with pytest.raises(InvalidArgument, match=r"'bare' cannot be written as a file .* recurrent, feed_forward, linear"):
+    with pytest.raises(InvalidArgument, match=r"'bare' cannot be written as a file .* feed_forward, constant"):
         law_of(champion_of("bare"))
     file = save_model(make_model("linear").fit(car_data), tmp_path / "body")
     with pytest.raises(InvalidArgument, match=r"'predictive' cannot be written .* Evolve a network in that model"):

@@ -24,6 +24,7 @@ from typing import Any
 from sysid_evo.engine.compiled import elementary
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, WORDS, KernelSource, Layout, Precision, Signature, Source
+from sysid_evo.laws import ScalarLaw, lane_form
 
 BUILTINS = {"abs", "min", "max", "range", "int", "float", "True", "False"}
 REAL = "_real"
@@ -92,6 +93,8 @@ class _ModuleWriter:
         tree.name, tree.decorator_list, tree.returns = name, [], None
         if tree.body and isinstance(tree.body[0], ast.Expr) and isinstance(tree.body[0].value, ast.Constant):
             tree.body = tree.body[1:]
+        if isinstance(source, ScalarLaw):
+            tree = lane_form(tree, source)
         arguments = {argument.arg for argument in tree.args.args}
         local = arguments | {
             node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
@@ -134,7 +137,9 @@ class _Specialise(ast.NodeTransformer):
     ) -> None:
         self.writer, self.function, self.bindings = writer, plain_function(source.function), source.bindings
         self.local, self.given, self.groups, self.own_name = local, given, groups, name
-        self.scope = {**self.function.__globals__, **inspect.getclosurevars(self.function).nonlocals}
+        self.law = source if isinstance(source, ScalarLaw) else None
+        words = {word.__name__: word for word in WORDS} if self.law else {}
+        self.scope = {**words, **self.function.__globals__, **inspect.getclosurevars(self.function).nonlocals}
 
     def visit_Lambda(self, node: ast.Lambda) -> ast.expr:  # ast's own naming
         raise self._unusable(ast.unparse(node), "write it as a function beside this one")
@@ -197,7 +202,7 @@ class _Specialise(ast.NodeTransformer):
         if getattr(value, "__module__", "") == "math":
             return ast.Attribute(ast.Name("math", ast.Load()), value.__name__, ast.Load())
         if isinstance(plain_function(value), FunctionType):
-            return self._named(KernelSource(value))
+            return self._named(ScalarLaw(value, width=self.law.width) if self.law else KernelSource(value))
         if isinstance(value, KernelSource) or hasattr(value, "write"):
             return self._named(value)
         raise self._unusable(text, f"a {type(value).__name__} cannot be compiled into a kernel")

@@ -8,6 +8,7 @@ import pytest
 
 from sysid_evo import DynamicsRunner, make_controller, make_robot, make_task
 from sysid_evo.controllers import FeedForward, LinearFeedback, Pid, Pursuit, RecurrentNetwork, View
+from sysid_evo.controllers.pid import HEAD, LOOP
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
@@ -108,8 +109,9 @@ def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows()
     assert Pid().bind_to(Errors().bind(system)).n_parameters == 3 * 2 * 1 + 2
     assert Pid().bind_to(PointToPoint().bind(system)).n_parameters == 3 * 2 * 4 + 2
     turning = SetPoint(channels="angle").bind(pendulum())
-    (loop,) = Pid().bind_to(turning).made
-    assert turning.observations[loop.observation].name == "sin_angle_error"
+    bound = Pid().bind_to(turning)
+    assert bound.n_parameters == 3 + 1
+    assert turning.observations[int(bound.law.parameters[HEAD.size + LOOP.observation])].name == "sin_angle_error"
 
 
 @pytest.mark.parametrize(
