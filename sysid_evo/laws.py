@@ -227,7 +227,7 @@ class _Lanes(ast.NodeTransformer):
         """Take ``min`` and ``max`` of two at a time."""
         called = self.generic_visit(node)
         if isinstance(node.func, ast.Name) and node.func.id in ("min", "max") and len(node.args) > 2:
-            return functools.reduce(lambda a, b: _call(node.func.id, a, b), node.args)
+            return functools.reduce(functools.partial(_call, node.func.id), node.args)
         return called
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:  # ast's own naming

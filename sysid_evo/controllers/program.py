@@ -372,8 +372,10 @@ class _Statements:
             if e not in self.known:
                 self.known[e] = self.statement(e.name, self.plain(e.of))
             return self.known[e]
-        inner = {key: part for key, part in vars(e).items() if isinstance(part, Expression)}
-        return replace(e, **{key: self.plain(part) for key, part in inner.items()}) if inner else e
+        inner: Mapping[str, Any] = {
+            key: self.plain(part) for key, part in vars(e).items() if isinstance(part, Expression)
+        }
+        return replace(e, **inner) if inner else e
 
 
 def _chosen(test: Any, yes: Operand, no: Operand) -> Operand:
