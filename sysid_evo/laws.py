@@ -38,7 +38,7 @@ LOGICAL = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class LawReading:
     """What the words of a law mean: a choice, the smaller and the larger of two, tests, a function, a named value."""
 
     where: Callable[[Any, Any, Any], Any]
@@ -55,7 +55,7 @@ def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @functools.cache
-def read(function: Callable[..., Any], reading: Reading) -> Callable[..., Any]:
+def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any]:
     """Return ``function`` in which words mean what ``reading`` says. Raises `InvalidArgument`."""
     plain = getattr(function, "py_func", function)
     try:
@@ -85,7 +85,7 @@ def read(function: Callable[..., Any], reading: Reading) -> Callable[..., Any]:
     return FunctionType(body, {**own, **names}, plain.__name__)
 
 
-def _meaning(value: Any, reading: Reading) -> Any:
+def _meaning(value: Any, reading: LawReading) -> Any:
     """Return what stands for a name of the function's module."""
     if value is math:
         return SimpleNamespace(**{name: _meaning(getattr(math, name), reading) for name in dir(math) if name[0] != "_"})
@@ -102,7 +102,7 @@ def _of_arrays(function: Any) -> Any:
     return np.rint if function is nearest else getattr(np, RENAMED.get(function.__name__, function.__name__), function)
 
 
-ARRAYS = Reading(np.where, np.minimum, np.maximum, LOGICAL, _of_arrays, lambda _, value: value)
+ARRAYS = LawReading(np.where, np.minimum, np.maximum, LOGICAL, _of_arrays, lambda _, value: value)
 
 
 class _ElementWise(ast.NodeTransformer):

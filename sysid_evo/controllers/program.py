@@ -19,7 +19,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import nearest
-from sysid_evo.laws import Reading
+from sysid_evo.laws import LawReading
 from sysid_evo.types import Array
 
 Vectors: TypeAlias = Mapping[str, Array]
@@ -61,24 +61,24 @@ class Expression:
     def __abs__(self) -> Expression:
         return apply("abs", self)
 
-    def __gt__(self, other: Operand) -> Comparison:
-        return Comparison(">", self, number(other))
+    def __gt__(self, other: Operand) -> Relation:
+        return Relation(">", self, number(other))
 
-    def __ge__(self, other: Operand) -> Comparison:
-        return Comparison(">=", self, number(other))
+    def __ge__(self, other: Operand) -> Relation:
+        return Relation(">=", self, number(other))
 
-    def __lt__(self, other: Operand) -> Comparison:
-        return Comparison(">", number(other), self)
+    def __lt__(self, other: Operand) -> Relation:
+        return Relation(">", number(other), self)
 
-    def __le__(self, other: Operand) -> Comparison:
-        return Comparison(">=", number(other), self)
+    def __le__(self, other: Operand) -> Relation:
+        return Relation(">=", number(other), self)
 
 
 Operand: TypeAlias = Expression | float
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Relation:
     """Whether left ``>`` (or ``>=``) right."""
 
     operator: str
@@ -87,7 +87,7 @@ class Comparison:
 
 
 @dataclass(frozen=True, eq=False)
-class Named(Expression):
+class NamedValue(Expression):
     """A value with a name, which becomes a statement."""
 
     name: str
@@ -353,7 +353,7 @@ class _Statements:
 
     def __init__(self) -> None:
         self.done: list[Statement] = []
-        self.known: dict[Named, Variable] = {}
+        self.known: dict[NamedValue, Variable] = {}
         self.count: dict[str, int] = {}
 
     def joined(self, name: str, values: Sequence[Operand]) -> Variable:
@@ -368,7 +368,7 @@ class _Statements:
 
     def plain(self, e: Expression) -> Expression:
         """Return ``e`` with variables for what has a name."""
-        if isinstance(e, Named):
+        if isinstance(e, NamedValue):
             if e not in self.known:
                 self.known[e] = self.statement(e.name, self.plain(e.of))
             return self.known[e]
@@ -379,7 +379,7 @@ class _Statements:
 
 
 def _chosen(test: Any, yes: Operand, no: Operand) -> Operand:
-    if not isinstance(test, Comparison):
+    if not isinstance(test, Relation):
         return yes if test else no
     return choose(test.left, test.operator, test.right, yes, no)
 
@@ -410,10 +410,10 @@ def _function(function: Any) -> Callable[..., Operand]:
 
 def _named(name: str, value: Any) -> Any:
     """Return ``value`` under a name, if it is worth one."""
-    if not isinstance(value, Expression) or isinstance(value, Number | Variable | Take | Named):
+    if not isinstance(value, Expression) or isinstance(value, Number | Variable | Take | NamedValue):
         return value
-    return Named(value.size, name, value)
+    return NamedValue(value.size, name, value)
 
 
-SYMBOLS = Reading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named)
+SYMBOLS = LawReading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named)
 """A law of expressions: numbers are computed, the rest is written down."""
