@@ -17,6 +17,7 @@ from evaluation.formatting import percent
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import TURN
 from sysid_evo.data import Trajectory
+from sysid_evo.engine.results import behaviour_names, sides
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
@@ -459,15 +460,14 @@ def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array
     states = np.concatenate([t.states[:-1] for t in trajectories])
     controls = np.concatenate([t.controls for t in trajectories])
     off = system.difference(states, np.broadcast_to(system.neutral_state, states.shape))
-    band = QUIET * largest
-    found = {STILL: float((np.abs(off) <= band).all(axis=1).mean())}
-    for i, channel in enumerate(system.states):
-        found[f"have {channel.name} above neutral"] = float((off[:, i] > band[i]).mean())
-        found[f"have {channel.name} below neutral"] = float((off[:, i] < -band[i]).mean())
-    for j, channel in enumerate(system.controls):
-        found[f"hold {channel.name} above neutral"] = float((controls[:, j] > channel.neutral).mean())
-        found[f"hold {channel.name} below neutral"] = float((controls[:, j] < channel.neutral).mean())
-    return found
+    quiet = np.abs(off) <= QUIET * largest
+    centre = np.concatenate([np.zeros(system.nx), system.neutral_control])
+    shares = sides(np.where(quiet, 0.0, off), controls, centre).mean(axis=0)
+    verbs = ["have"] * (2 * system.nx) + ["hold"] * (2 * system.nu)
+    named = zip(verbs, behaviour_names(system), shares, strict=True)
+    return {STILL: float(quiet.all(axis=1).mean())} | {
+        f"{verb} {name} neutral": float(one) for verb, name, one in named
+    }
 
 
 def behaviour_differences(
