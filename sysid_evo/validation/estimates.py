@@ -77,17 +77,9 @@ class Draws:
     blocks: int
 
     @classmethod
-    def of(
-        cls,
-        rows: Array,
-        blocks: IntArray,
-        figure: Callable[[Array], Array],
-        *,
-        resamples: int = RESAMPLES,
-        seed: int = 0,
-    ) -> Draws:
+    def of(cls, rows: Array, blocks: IntArray, figure: Callable[[Array], Array]) -> Draws:
         """Return the draws of what ``figure`` makes (R,) of sums (R, C) over the ``rows`` (N, C) of blocks (N,)."""
-        return cls(figure(drawn_sums(rows, blocks, resamples=resamples, seed=seed)), len(np.unique(blocks)))
+        return cls(figure(drawn_sums(rows, blocks)), len(np.unique(blocks)))
 
     @classmethod
     def joined(cls, rule: Callable[..., Array], figures: Sequence[Draws]) -> Draws:

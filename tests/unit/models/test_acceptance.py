@@ -17,7 +17,7 @@ from sysid_evo.models.adaptation.selection import (
     times_home,
 )
 from sysid_evo.models.base import make_model
-from sysid_evo.validation.acceptance import Held, Trial, failed, judged
+from sysid_evo.validation.acceptance import Held, Trial, failed, inside, judged, within_margin
 from sysid_evo.validation.folds import Block, blocks_of
 from tests.fixtures.systems import FloorCar, drive
 
@@ -30,8 +30,8 @@ def test_a_window_is_never_on_both_sides_and_every_block_is_held_back_once():
     assert len(blocks) == 3
     assert not (held_back & learned).any()
     assert (held_back.sum(axis=0) <= 1).all()
-    for block, inside, outside in zip(blocks, held_back, learned, strict=True):
-        assert (first[inside] >= block.low).all()
+    for block, within, outside in zip(blocks, held_back, learned, strict=True):
+        assert (first[within] >= block.low).all()
         assert not ((first[outside] < block.high) & (first[outside] + 20 > block.low)).any()
 
 
@@ -94,7 +94,7 @@ def test_more_training_or_a_mean_is_taken_if_it_is_better_than_the_simplest_that
 KINDS = ("alone", "beside", "further", "mean")
 
 
-@pytest.mark.parametrize(("t", "believed"), [(1.9, ""), (2.4, "alone beside"), (3.0, "alone beside further mean")])
+@pytest.mark.parametrize(("t", "believed"), [(1.9, ""), (2.6, "alone beside"), (2.8, "alone beside further mean")])
 def test_more_training_must_be_surely_better_as_one_of_three_amounts(t, believed):
     """Of 15 seconds Student's t is 2.14 for a single one, and 2.7 for three that are looked at together."""
     apart = np.tile([0.3, -0.3, 0.1, -0.1, 0.0], 3)
@@ -341,3 +341,9 @@ def test_a_refit_counts_the_new_seconds_as_much_as_all_the_old_ones():
     both, alone = refitted(model, old, new, rng), refitted(model, None, new, rng)
     assert pull(alone) == pytest.approx(0.5 * pull(model), rel=0.1)
     assert pull(both) == pytest.approx(0.5 * (pull(alone) + pull(model)), rel=0.06)
+
+
+def test_what_is_within_a_margin_exceeds_the_reference_by_at_most_that_share_of_its_size():
+    assert inside([0.3, 0.2, np.nan, 0.25, 0.2501], 1.25) == [1, 3]
+    for median, fitness in ((10.0, [6.9, 7.1, 12.0]), (-10.0, [-13.1, -12.9, -1.0])):
+        assert within_margin(-np.array(fitness), -median, 0.3).tolist() == [False, True, True]

@@ -14,6 +14,7 @@ from sysid_evo.validation.estimates import (
     drawn_rms,
     drawn_sums,
     paired,
+    standard_errors,
 )
 from tests.fixtures.known_models import Sliding, Weak, fitted, recording
 
@@ -68,6 +69,8 @@ def test_what_hangs_together_is_drawn_together():
 def test_of_figures_over_other_numbers_of_blocks_the_fewest_count(rng):
     many, few = (Draws.of(rng.normal(size=(n, 1)), np.arange(n), lambda sums: sums[:, 0]) for n in (40, 5))
     assert (many - few).blocks == (few / many).blocks == Draws.joined(np.mean, [many, few]).blocks == 5
+    high = Draws(np.exp(many.values), 40).times(Draws(np.exp(few.values), 5)).high
+    assert high == pytest.approx(np.exp((many - few).estimate.high))
     apart = np.hypot(many.estimate.standard_error, few.estimate.standard_error)
     assert (many - few).estimate.standard_error == pytest.approx(apart, rel=0.3)
 
@@ -78,6 +81,7 @@ def test_how_many_times_one_error_is_another_holds_as_often_on_either_side(rng):
         one, other = (Draws(drawn_rms(rng.normal(size=(8, 1)), np.arange(8), seed=s)[:, 0], 8) for s in (1, 2))
         found = one.times(other)
         assert found.value == pytest.approx(one.value / other.value)
+        assert np.log(found.high / found.value) == pytest.approx(t.ppf(0.975, 7) * found.standard_error / found.value)
         missed.append((found.low > 1.0) - (found.high < 1.0))
     assert 0.9 <= np.mean(np.equal(missed, 0)) <= 0.99
     assert abs(np.mean(missed)) < 0.03
@@ -115,6 +119,10 @@ def test_a_single_block_and_no_number_have_no_interval():
     for found in (paired(np.array([3.0])), Draws(np.full(5, np.nan), 9).estimate, across([3.0], ["a"])):
         assert np.isnan(found.interval).all()
         assert not found.differs_from(0.0)
+    assert np.isnan(standard_errors(np.zeros((5, 2, 3)), 1)).all()
+    assert standard_errors(np.zeros((5, 2, 3)), 1).shape == (2, 3)
+    assert not drawn_sums(np.zeros((0, 3)), np.zeros(0, int), resamples=4).any()
+    assert drawn_sums(np.zeros((0, 3)), np.zeros(0, int), resamples=4).shape == (5, 3)
     assert paired(np.full(2, 3.0)).interval == (3.0, 3.0)
     assert np.isfinite(Draws(np.array([1.0, np.nan, 0.9, 1.1, np.inf]), 9).estimate.low)
 
