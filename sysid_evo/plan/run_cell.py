@@ -95,7 +95,7 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
             value = cell.settings.compute(work)
     except Blocked as blocked:  # no failure of its own, so that none is stored
         return CellEnd("blocked", reason=str(blocked))
-    except (Exception, SystemExit) as error:  # whatever a plugin does, the other cells go on
+    except Exception as error:  # whatever a plugin does, the other cells go on
         return _failed(store, cell, error, time.perf_counter() - began)
     seconds = time.perf_counter() - began
     try:
@@ -108,9 +108,7 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
     return CellEnd("done", seconds)
 
 
-def _failed(store: Store, cell: Cell, error: Exception | SystemExit, seconds: float) -> CellEnd:
-    if isinstance(error, SystemExit):
-        error = RuntimeError(f"it ends its process, with code {error.code}")
+def _failed(store: Store, cell: Cell, error: Exception, seconds: float) -> CellEnd:
     reason = str(error) if isinstance(error, SysidEvoError) else described(error)
     trace = traceback.format_exc()
     store.fail(cell, reason=reason, traceback=trace, seconds=seconds)
@@ -174,6 +172,9 @@ def run_sent(store: Store, sent: bytes, failed: Collection[str], say: Callable[[
             why = f"{type(error).__name__}: {error}"
         if why:
             return CellEnd("unknown", reason=why)
-        end = run_cell(store, cell, failed, observer)
+        try:
+            end = run_cell(store, cell, failed, observer)
+        except SystemExit as error:  # of the cell, not of the worker
+            end = _failed(store, cell, RuntimeError(f"it ends its process, with code {error.code}"), 0.0)
     told = tuple(str(warning.message) for warning in caught)
     return replace(end, error=None, remarks=(*observer.remarks, *store.remarks), warnings=told)

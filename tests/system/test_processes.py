@@ -66,7 +66,7 @@ def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed
     for count in (1, 3):
         folder = tmp_path / str(count)
         cells = [("broken", "fail", []), ("after", "", ["broken"]), ("tolerant", "", ["broken", "base"]),
-                 ("odd", "warn", []), ("loud", "print", []), ("ends", "exit", [])]  # fmt: skip
+                 ("odd", "warn", []), ("loud", "print", [])]  # fmt: skip
         plan = planned(folder / "diary", *LADDER, *cells)
         own = Number(50, (plan.cells[5],), "own", folder / "diary").cell(local=True)
         last = number(60, (own,), "last", folder / "diary", then=lambda: None)
@@ -82,13 +82,13 @@ def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed
         found.append({cell.title: (store.outcome(cell).value, store.outcome(cell).reason) for cell in plan})
     assert found[0] == found[1]
     assert found[0]["count after"][1] == "needs count broken, which failed"
-    assert found[0]["count ends"][1] == "RuntimeError: it ends its process, with code 5"
     assert found[0]["count last"][0] == 60 + 50 + found[0]["count top"][0]
     assert all(eventually(lambda one=one: gone(one)) for one in processes(tmp_path / "3") - {os.getpid()})
 
 
 def test_a_worker_that_dies_in_a_cell_costs_that_cell_alone_and_that_only_the_second_time(tmp_path):
-    cells = [("bad", "kill 1", []), ("later", "", ["bad"]), ("worse", "crash", []), ("never", "", ["worse"])]
+    cells = [("bad", "kill 1", []), ("later", "", ["bad"]), ("worse", "crash", []), ("never", "", ["worse"]),
+             ("ends", "exit", [])]  # fmt: skip
     plan = planned(tmp_path / "diary", *LADDER, *cells)
     watching, store = run(tmp_path, plan)
     assert len(processes(tmp_path)) > 1
@@ -97,7 +97,8 @@ def test_a_worker_that_dies_in_a_cell_costs_that_cell_alone_and_that_only_the_se
         "count worse is computed again: its worker died (EXIT(5))",
     ]
     reason = "its worker died (EXIT(5)), 2 times"
-    assert watching.failed == {"worse": reason, "never": "needs count worse, which failed"}
+    ends = "RuntimeError: it ends its process, with code 5"
+    assert watching.failed == {"worse": reason, "never": "needs count worse, which failed", "ends": ends}
     assert {name: times for name, times in diary(tmp_path).items() if times > 1} == {"bad": 2, "worse": 2}
     found = {cell.name: cell for cell in plan}
     assert store.load(found["top"]) == 6 + sum(1 + n for n in (2, 3, 4, 5))
