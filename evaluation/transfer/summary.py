@@ -14,7 +14,7 @@ from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
 from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import surely_more
-from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks
+from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimate_of
 
 
 @dataclass(frozen=True)
@@ -213,13 +213,12 @@ class Figures:
 
     def others(self, champion: Champion) -> Draws | None:
         """Return the mean fitness over the models that it was run on and not evolved against."""
-        others = self.on_each(champion, [column for column in self.matrix.models if column not in champion.against])
-        return Draws.joined(np.mean, others) if others else None
+        others = [column for column in self.matrix.models if column not in champion.against]
+        return Draws.joined(self.on_each(champion, others))
 
     def summary(self, champion: Champion) -> ControllerSummary:
         """Return all of one controller."""
         robot, judges = self.matrix.robot, judges_of(champion, self.matrix)
-        judged = self.on_each(champion, judges)
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
         worst, worst_on = self.worst(champion)
@@ -228,14 +227,14 @@ class Figures:
             name=champion.name,
             against=champion.against,
             aggregate=champion.aggregate,
-            claimed=_estimate(claimed),
-            others=_estimate(others),
-            other_families=_estimate(Draws.joined(np.median, judged) if judged else None),
-            achieved=_estimate(achieved),
+            claimed=estimate_of(claimed),
+            others=estimate_of(others),
+            other_families=estimate_of(Draws.joined(self.on_each(champion, judges), np.median)),
+            achieved=estimate_of(achieved),
             exploitation_gap=_gap(claimed, others),
             reality_gap=_gap(claimed, achieved),
             kept=self._kept(claimed, self.elsewhere(champion)),
-            worst=_estimate(worst),
+            worst=estimate_of(worst),
             worst_on=worst_on,
             regret=None if regret is None else regret.estimate.clipped(low=0.0),
             judges=judges,
@@ -316,10 +315,6 @@ def judges_of(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
 
 def _value(figure: Draws | None) -> float | None:
     return None if figure is None else figure.value
-
-
-def _estimate(figure: Draws | None) -> Estimate | None:
-    return None if figure is None else figure.estimate
 
 
 def _gap(claimed: Draws | None, achieved: Draws | None) -> Estimate | None:

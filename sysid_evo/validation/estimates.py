@@ -21,7 +21,7 @@ numbers, whose root is taken, 90 %.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,9 +82,10 @@ class Draws:
         return cls(figure(drawn_sums(rows, blocks)), len(np.unique(blocks)))
 
     @classmethod
-    def joined(cls, rule: Callable[..., Array], figures: Sequence[Draws]) -> Draws:
-        """Return what ``rule``, such as ``np.median``, makes of several figures along its ``axis`` 0."""
-        return cls(rule(np.stack([one.values for one in figures]), axis=0), min(one.blocks for one in figures))
+    def joined(cls, figures: Iterable[Draws | None], rule: Callable[..., Array] = np.mean) -> Draws | None:
+        """Return what ``rule`` makes along axis 0 of the figures that are known, by default the mean; None of none."""
+        known = [one for one in figures if one is not None]
+        return cls(rule([one.values for one in known], axis=0), min(one.blocks for one in known)) if known else None
 
     def __sub__(self, other: Draws) -> Draws:
         left = self.values - other.values
@@ -115,6 +116,11 @@ class Draws:
     def one_of(self, figures: int) -> Estimate:
         """Return it with an interval so wide that all of so many ``figures`` hold the truth together (Bonferroni)."""
         return _students(self.value, float(standard_errors(self.values, self.blocks)), self.blocks, figures)
+
+
+def estimate_of(figure: Draws | None) -> Estimate | None:
+    """Return a figure with its interval; None of None."""
+    return None if figure is None else figure.estimate
 
 
 def paired(differences: Array, blocks: IntArray | None = None, *, figures: int = 1) -> Estimate:

@@ -44,4 +44,4 @@ def recording(log: str) -> tuple[Dataset, Dataset]:
 
 def pooled(rows: list[ModelPrediction], horizon: int | None) -> Draws:
     """Return the mean N over seeds with its draws; N is RMSE / standard deviation, the mean over states."""
-    return Draws.joined(np.mean, [score.draws for row in rows if (score := row.score(horizon)) is not None])
+    return Draws.joined([score.draws for row in rows if (score := row.score(horizon)) is not None])

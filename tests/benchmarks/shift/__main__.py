@@ -121,11 +121,11 @@ def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[d
 
 def table(case: Case, name: str, runs: list[dict[str, dict[int, Draws]]]) -> str:
     """Return a line for every way, means over the seeds."""
-    before = Draws.joined(np.mean, [run["before"][MARKED] for run in runs])
+    before = Draws.joined([run["before"][MARKED] for run in runs])
     lines = [f"{case.name}, {name}{'' if case.shifted else ' (nothing shifted)'}"]
     for way in runs[0]:
         of_way = [run[way] for run in runs if way in run]
-        mean = {h: Draws.joined(np.mean, [one[h] for one in of_way]) for h in of_way[0]}
+        mean = {h: Draws.joined([one[h] for one in of_way]) for h in of_way[0]}
         figures = "/".join(f"{mean[h].value:.3f}" for h in mean)
         gain = mean[MARKED].value / before.value - 1.0
         star = " *" if way != "before" and (mean[MARKED] - before).estimate.differs_from(0.0) else ""

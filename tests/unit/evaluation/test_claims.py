@@ -68,16 +68,16 @@ def test_differences_over_as_many_trials_are_paired_and_others_are_not(rng):
 
 
 def test_intervals_of_claims_hold_the_truth_in_nineteen_of_twenty_comparisons(rng):
-    """Of 400 with ten trials, whose luck is shared by all systems and controllers."""
+    """Of 150 with ten trials, whose luck is shared by all systems and controllers."""
     truth, held = {"claimed": 12.0, "achieved": 9.0, "reality_gap": 3.0, "kept": 0.75, "regret": 1.0}, {}
-    for _ in range(400):
+    for _ in range(150):
         luck = 2.0 * rng.normal(size=10) + rng.normal(size=(3, 10))
         cells = (Cell("c", "a", 12.0 + luck[0]), Cell("c", "car", 9.0 + luck[1]), Cell("d", "car", 10.0 + luck[2]))
         rivals = [champion("c", ("a",)), champion("d", ("b",))]
         found = summarise(TransferMatrix.of(rivals, ("a", "car"), cells, robot="car")).controller("c")
         for name, value in truth.items():
             held.setdefault(name, []).append(not getattr(found, name).differs_from(value))
-    assert all(0.925 <= np.mean(each) <= 0.985 for each in held.values()), {k: np.mean(v) for k, v in held.items()}
+    assert all(0.9 <= np.mean(each) <= 0.99 for each in held.values()), {k: np.mean(v) for k, v in held.items()}
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,7 @@ def test_intervals_over_blocks_hold_the_true_error_and_those_over_rows_do_not(rn
     blocks = np.repeat(np.arange(CLUSTERS), SIZE)
     rows = np.arange(CLUSTERS * SIZE)
     by_block, by_row = [], []
-    for _ in range(60):
+    for _ in range(40):
         errors = np.repeat(rng.normal(size=(CLUSTERS, 1)), SIZE, axis=0)
         for found, numbers in ((by_block, blocks), (by_row, rows)):
             drawn = Draws(drawn_rms(errors, numbers)[:, 0], len(np.unique(numbers)))
@@ -63,12 +63,13 @@ def test_what_hangs_together_is_drawn_together():
     assert one.estimate.standard_error > 1.0
     assert (one - other).estimate.interval == pytest.approx((3.0, 3.0))
     assert (one / one).estimate.interval == pytest.approx((1.0, 1.0))
-    assert Draws.joined(np.median, [one, other, other]).value == other.value
+    assert Draws.joined([one, None, other, other], np.median).value == other.value
+    assert Draws.joined([None]) is None
 
 
 def test_of_figures_over_other_numbers_of_blocks_the_fewest_count(rng):
     many, few = (Draws.of(rng.normal(size=(n, 1)), np.arange(n), lambda sums: sums[:, 0]) for n in (40, 5))
-    assert (many - few).blocks == (few / many).blocks == Draws.joined(np.mean, [many, few]).blocks == 5
+    assert (many - few).blocks == (few / many).blocks == Draws.joined([many, few]).blocks == 5
     high = Draws(np.exp(many.values), 40).times(Draws(np.exp(few.values), 5)).high
     assert high == pytest.approx(np.exp((many - few).estimate.high))
     apart = np.hypot(many.estimate.standard_error, few.estimate.standard_error)
