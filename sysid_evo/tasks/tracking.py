@@ -12,7 +12,8 @@ import numpy as np
 
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, nearest, view
+from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, nearest, splat, view
+from sysid_evo.laws import ScalarLaw, array_form
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Target, Task, TaskState
@@ -108,7 +109,11 @@ class Following(Task):
         bound = super().bind(system)
         bound.goals = self.goals_on(system)
         bound.observations = observations(system, bound.goals)
+        bound.numbers = bound._numbers()
         return bound
+
+    numbers: Array
+    """What the kernel and `follow` read of a bound task."""
 
     def begin(self, seeds: Seeds) -> FollowingState:
         trials, system, goals = len(seeds), self.system, self.goals
@@ -155,30 +160,14 @@ class Following(Task):
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("FollowingState", task_state)
-        moved = replace(here, step=here.step + 1)
-        tolerance, still, end = np.array([(goal.tolerance, goal.still, goal.end) for goal in self.goals]).T
-        errors = self._errors(moved.target, after)
-        rates = self._errors(after[:, [goal.place for goal in self.goals]], before) / self.system.dt
-        off = np.abs(errors) > tolerance
-        squares = ((errors / tolerance) ** 2).sum(axis=1)
-        moving = ((rates / still) ** 2).sum(axis=1)
-        reached = here.reached | ~off.any(axis=1)
-        past = (-np.sign(here.first) * errors / np.maximum(np.abs(here.first), tolerance)).max(axis=1)
-        power = np.zeros(len(control))  # mean square share of the full controls
-        if self.system.nu:
-            power = np.mean(((control - self.system.neutral_control) * full_controls(self.system)) ** 2, axis=1)
-        gained = (1.0 / (1.0 + squares + moving) + self.effort * (1.0 - power)) / (1.0 + self.effort)
-        advanced = replace(
-            moved,
+        moved = replace(
+            here,
+            step=here.step + 1,
             pose=self.system.move(here.pose, before, after) if pose is None else pose,
-            score=here.score + 100.0 / self.horizon * gained,
-            squared=here.squared + squares,
-            late=np.where(off.any(axis=1), moved.step, here.late),
-            reached=reached,
-            beyond=np.where(reached, np.maximum(here.beyond, past), here.beyond),
-            alive=here.alive & ~(np.abs(errors) > end).any(axis=1),
         )
-        return advanced, after
+        rows = list(_rows(moved))
+        array_form(follow)(rows, before.T, after.T, control.T, self.numbers.tolist())
+        return _state(moved, np.array(rows)), after
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("FollowingState", task_state).score
@@ -208,22 +197,34 @@ class Following(Task):
         )
 
     def kernel(self) -> TaskKernel[Any] | None:
-        system, goals = self.system, self.goals
+        system, m = self.system, len(self.goals)
         motion = system.motion_kernel()
         if motion is None:
             return None
-        samples, m = self.horizon + 1 if self.changes else 1, len(goals)
-        states = state_numbers(system)
-        controls = np.zeros((0, CONTROL.size))
+        score = ScalarLaw(follow, rows=("task", "before", "after", "control"))
+        return TaskKernel(
+            observe=KernelSource(observe_lanes),
+            advance=KernelSource(advance_lanes, {"move": motion.move, "score": score}),
+            n_rows=ROWS.pose + system.n_pose + 2 * m,
+            rows=_rows,
+            trial_data=lambda here: here.reference.reshape(len(here.reference), -1),
+            state=_state,
+            parameters=np.concatenate([self.numbers, motion.parameters]),
+            pose_row=ROWS.pose,
+            n_pose=system.n_pose,
+        )
+
+    def _numbers(self) -> Array:
+        system, m = self.system, len(self.goals)
+        states, controls = state_numbers(system), np.zeros((0, CONTROL.size))
         if system.nu:
             controls = np.stack([system.neutral_control, full_controls(system)], axis=1)
         of_goals = HEAD.size + states.size
         of_nu = of_goals + m * GOAL.size
-        parameters = HEAD.pack(
+        return HEAD.pack(
             states,
-            np.array([_of_goal(goal) for goal in goals]),
+            np.array([_of_goal(goal) for goal in self.goals]),
             controls,
-            motion.parameters,
             nx=system.nx,
             nu=system.nu,
             goals=m,
@@ -232,21 +233,10 @@ class Following(Task):
             gain=100.0 / self.horizon / (1.0 + self.effort),
             effort=self.effort,
             stride=m if self.changes else 0,
-            n_data=samples * m,
+            n_data=(self.horizon + 1 if self.changes else 1) * m,
             of_goals=of_goals,
             of_nu=of_nu,
             of_motion=of_nu + controls.size,
-        )
-        return TaskKernel(
-            observe=KernelSource(observe_lanes),
-            advance=KernelSource(advance_lanes, {"move": motion.move}),
-            n_rows=ROWS.pose + system.n_pose + 2 * m,
-            rows=_rows,
-            trial_data=lambda here: here.reference.reshape(len(here.reference), -1),
-            state=_state,
-            parameters=parameters,
-            pose_row=ROWS.pose,
-            n_pose=system.n_pose,
         )
 
     def _errors(self, target: Array, state: Array) -> Array:
@@ -503,18 +493,12 @@ def observe_lanes(task, state, observation, parameters):
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
-    """Take the next target, and score how near the state is to it."""
-    nu, goals, n_pose = int(parameters[HEAD.nu]), int(parameters[HEAD.goals]), int(parameters[HEAD.n_pose])
-    gain, effort = parameters[HEAD.gain], parameters[HEAD.effort]
-    pose, per_dt = view(task, ROWS.pose * LANES), 1.0 / parameters[HEAD.dt]
-    targets, firsts = view(pose, n_pose * LANES), view(pose, (n_pose + goals) * LANES)
+    """Move the pose, take the next target, and `follow`."""
+    goals, n_pose = int(parameters[HEAD.goals]), int(parameters[HEAD.n_pose])
+    pose, step = view(task, ROWS.pose * LANES), view(task, ROWS.step * LANES)
+    targets = view(pose, n_pose * LANES)
     move(pose, before, after, parameters[HEAD.dt], view(parameters, int(parameters[HEAD.of_motion])))
-    step, stride, n_data = view(task, ROWS.step * LANES), int(parameters[HEAD.stride]), int(parameters[HEAD.n_data])
-    late, reached, beyond = (
-        view(task, ROWS.late * LANES),
-        view(task, ROWS.reached * LANES),
-        view(task, ROWS.beyond * LANES),
-    )
+    stride, n_data = int(parameters[HEAD.stride]), int(parameters[HEAD.n_data])
     for lane in range(LANES):
         step[lane] += 1.0
     if stride > 0:
@@ -522,37 +506,48 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
             place = trials[lane] * n_data + min(int(step[lane]) * stride, n_data - goals)
             for i in range(goals):
                 targets[i * LANES + lane] = trial_data[place + i]
-    for lane in range(LANES):
-        squares, moving, off, past, over = 0.0, 0.0, 0.0, -NEVER, 0.0
-        for i in range(goals):
-            p = view(parameters, int(parameters[HEAD.of_goals]) + i * GOAL.size)
-            now, period = after[int(p[GOAL.place]) * LANES + lane], p[GOAL.period]
-            error, change = targets[i * LANES + lane] - now, now - before[int(p[GOAL.place]) * LANES + lane]
-            error = nearest_way(error, period) if period > 0.0 else error
-            change = nearest_way(change, period) if period > 0.0 else change
-            rate = change * per_dt * p[GOAL.per_still]
-            moving += rate * rate
-            share, first = error * p[GOAL.per_tolerance], firsts[i * LANES + lane]
-            squares += share * share
-            off = 1.0 if abs(share) > 1.0 else off
-            over = 1.0 if abs(error) > p[GOAL.end] else over
-            way = (1.0 if first > 0.0 else 0.0) - (1.0 if first < 0.0 else 0.0)
-            past = max(past, -way * share / max(abs(first) * p[GOAL.per_tolerance], 1.0))
-        power = 0.0
-        for j in range(nu):
-            c = view(parameters, int(parameters[HEAD.of_nu]) + j * CONTROL.size)
-            full = (control[j * LANES + lane] - c[CONTROL.neutral]) * c[CONTROL.full]
-            power += full * full
-        power = power / float(nu) if nu > 0 else 0.0
-        task[lane] += gain * (1.0 / (1.0 + squares + moving) + effort * (1.0 - power))
-        task[LANES + lane] = 0.0 if over > 0.0 else task[LANES + lane]
-        task[ROWS.squared * LANES + lane] += squares
-        late[lane] = step[lane] if off > 0.0 else late[lane]
-        reached[lane] = 1.0 if off == 0.0 else reached[lane]
-        beyond[lane] = max(beyond[lane], past) if reached[lane] > 0.0 else beyond[lane]
+    score(task, before, after, control, parameters)
+
+
+def follow(task, before, after, control, parameters):
+    """Score how near the state is to the target, see `Following`; the law of both forms, see `sysid_evo.laws`."""
+    goals, nu = int(parameters[HEAD.goals]), int(parameters[HEAD.nu])
+    targets = ROWS.pose + int(parameters[HEAD.n_pose])
+    squares, moving, off = splat(0.0), splat(0.0), splat(0.0)
+    past, over, power = splat(-NEVER), splat(0.0), splat(0.0)
+    per_dt = 1.0 / parameters[HEAD.dt]
+    for i in range(goals):
+        p = view(parameters, int(parameters[HEAD.of_goals]) + i * GOAL.size)
+        place, first = int(p[GOAL.place]), task[targets + goals + i]
+        error = nearest_way(task[targets + i] - after[place], p[GOAL.period])
+        rate = nearest_way(after[place] - before[place], p[GOAL.period]) * per_dt * p[GOAL.per_still]
+        moving += rate * rate
+        share = error * p[GOAL.per_tolerance]
+        squares += share * share
+        off = 1.0 if abs(share) > 1.0 else off
+        over = 1.0 if abs(error) > p[GOAL.end] else over
+        way = (1.0 if first > 0.0 else 0.0) - (1.0 if first < 0.0 else 0.0)
+        past = max(past, -way * share / max(abs(first) * p[GOAL.per_tolerance], 1.0))
+    for j in range(nu):
+        c = view(parameters, int(parameters[HEAD.of_nu]) + j * CONTROL.size)
+        full = (control[j] - c[CONTROL.neutral]) * c[CONTROL.full]
+        power += full * full
+    effort = parameters[HEAD.effort] * (1.0 - power / max(float(nu), 1.0))
+    task[ROWS.score] += parameters[HEAD.gain] * (1.0 / (1.0 + squares + moving) + effort)
+    task[ROWS.alive] = 0.0 if over > 0.0 else task[ROWS.alive]
+    task[ROWS.squared] += squares
+    task[ROWS.late] = task[ROWS.step] if off > 0.0 else task[ROWS.late]
+    reached = task[ROWS.reached] if off > 0.0 else 1.0
+    beyond = task[ROWS.beyond]
+    task[ROWS.reached] = reached
+    task[ROWS.beyond] = max(beyond, past) if reached > 0.0 else beyond
+
+
+SHORTEST = 1e-6
+"""Periods are longer."""
 
 
 def nearest_way(error, period):
-    """Return ``error`` within half a period of 0, as `sysid_evo.angles.wrap` does."""
-    error = error - period * nearest(error / period)
+    """Return ``error`` within half a ``period`` of 0, as `sysid_evo.angles.wrap` does; as it is without one (0)."""
+    error = error - period * nearest(error / max(period, SHORTEST))
     return error + period if error <= -0.5 * period else error
