@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import cloudpickle  # type: ignore[import-untyped]
 
-from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, SysidEvoError, described
+from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, SysidEvoError, described
 from sysid_evo.plan.cell import Cell, Work
 from sysid_evo.plan.run_state import Observer
 from sysid_evo.plan.store import Store, stored
@@ -177,4 +177,5 @@ def run_sent(store: Store, sent: bytes, failed: Collection[str], say: Callable[[
         except SystemExit as error:  # of the cell, not of the worker
             end = _failed(store, cell, RuntimeError(f"it ends its process, with code {error.code}"), 0.0)
     told = tuple(str(warning.message) for warning in caught)
-    return replace(end, error=None, remarks=(*observer.remarks, *store.remarks), warnings=told)
+    lost = end.error if isinstance(end.error, LinkLost) else None  # it ends a command; others may not be picklable
+    return replace(end, error=lost, remarks=(*observer.remarks, *store.remarks), warnings=told)

@@ -329,15 +329,16 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_stops_the_work_on_the_workers_and_takes_back_what_waits(tmp_path, cluster):
+@pytest.mark.parametrize("by", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.nightly)])
+def test_ctrl_c_and_kill_stop_the_work_on_the_workers_and_take_back_what_waits(tmp_path, cluster, by):
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(tmp_path), cluster.address], cwd=ROOT, stderr=subprocess.PIPE, text=True
     )
     assert eventually(lambda: sum(diary(tmp_path).values()) == 3)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(by)
     _, said = process.communicate(timeout=LIMIT)
     assert said == ""
-    assert process.returncode == 130
+    assert process.returncode == (130 if by == signal.SIGINT else -9)
     assert sum(diary(tmp_path).values()) == 3
     assert [record.title for record in Store(tmp_path).records()] == ["count quick"]
     assert [worker.poll() for worker in cluster.workers] == [None, None]

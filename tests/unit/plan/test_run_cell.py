@@ -6,6 +6,7 @@ from concurrent.futures import Future
 
 import pytest
 
+from sysid_evo.errors import LinkLost
 from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.plan.executors import Execution
 from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, pickled, run_cell, run_sent
@@ -57,6 +58,18 @@ def test_a_cell_that_was_sent_takes_its_lambdas_along_and_comes_back_with_what_w
     assert (end.status, end.warnings) == ("done", ("odd 7",))
     with pytest.raises(Unsendable, match="count one cannot be sent: "):
         pickled(number(2, then=Future().result), Store(tmp_path))
+
+
+def test_a_lost_link_comes_back_as_it_was_raised_and_other_errors_as_their_reason(tmp_path):
+    def lose():
+        raise LinkLost("no answer")
+
+    def fail():
+        raise RuntimeError("no")
+
+    assert isinstance(sent(number(2, then=lose), Store(tmp_path)).error, ConnectionError)
+    end = sent(number(3, then=fail), Store(tmp_path))
+    assert (end.status, end.error) == ("failed", None)
 
 
 def test_recordings_are_not_sent_but_their_record_is(tmp_path):
