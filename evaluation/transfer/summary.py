@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from evaluation.transfer.forecast import Forecast, forecasts, highest
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
-from sysid_evo.types import Array
+from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import surely_more
 from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimate_of
 
@@ -179,6 +179,12 @@ def mean_ranks(values: Sequence[float]) -> Array:
     return ranks[place]
 
 
+@lru_cache(maxsize=4)
+def _draws_of(trials: int) -> IntArray:
+    """Return the draws that all figures over so many trials share; making them takes longer than what follows."""
+    return draw_blocks(trials)
+
+
 @dataclass(frozen=True)
 class Figures:
     """Figures of the controllers of a matrix, with their draws of trials.
@@ -201,7 +207,7 @@ class Figures:
         trials = min(cell.trials for cell in cells)
         fitness = np.stack([cell.fitness[:trials] for cell in cells])
         rule = make_aggregate(champion.aggregate) if rule is None else rule
-        return Draws(np.concatenate([rule(fitness[:, None]), rule(fitness[:, draw_blocks(trials)])]), trials)
+        return Draws(np.concatenate([rule(fitness[:, None]), rule(fitness[:, _draws_of(trials)])]), trials)
 
     def on_each(self, champion: Champion, columns: Sequence[str]) -> list[Draws]:
         """Return the fitness on each of ``columns`` that it was run on, by the rule of its evolution."""
