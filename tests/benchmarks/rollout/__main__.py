@@ -1,7 +1,8 @@
 """How fast rollouts are: ``python -m tests.benchmarks.rollout``.
 
 For each model, a population of evolved controllers is rolled out by the fast engine on one and two
-threads and by the NumPy reference, in turn and in one process. Speeds and ratios are medians of
+threads, with `Disturbed` around the model and nothing that disturbs, and by the NumPy reference, in turn and in one
+process. Speeds and ratios are medians of
 processor time, which other processes disturb least; only the two threads are compared on the clock.
 """
 
@@ -22,7 +23,7 @@ from threadpoolctl import threadpool_limits
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import DynamicsRunner, rollout
 from sysid_evo.evolution import EnsembleObjective, MuPlusLambda, evolve
-from sysid_evo.models import Dynamics
+from sysid_evo.models import Disturbed, Dynamics
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array
@@ -51,11 +52,13 @@ def measure(case: Case, task: PointToPoint, population: Array, repeats: int) -> 
     dynamics, controller = case.dynamics, RecurrentNetwork()
     seeds = trial_seeds(SEED, TRIALS, generation=LATER)
 
-    def fast(threads: int) -> Array:
+    def fast(threads: int, dynamics: Dynamics = dynamics) -> Array:
         return rollout(dynamics, controller, population, task, seeds, engine="float32", threads=threads).fitness
 
+    undisturbed = Disturbed(dynamics)
     programs: dict[str, Callable[[], object]] = {
         "one_thread": lambda: fast(1),
+        "undisturbed": lambda: fast(1, undisturbed),
         "two_threads": lambda: fast(2),
         "numpy": lambda: rollout(dynamics, controller, population, task, seeds, engine="reference"),
     }
@@ -72,13 +75,14 @@ def measure(case: Case, task: PointToPoint, population: Array, repeats: int) -> 
         "seconds": {name: {"processor": t.processor, "wall": t.wall} for name, t in timings.items()},
         "ratio_to_numpy": timings["numpy"].processor / one.processor,
         "ratio_of_two_threads": one.wall / two.wall,
+        "time_with_nothing_that_disturbs": timings["undisturbed"].processor / one.processor,
     }
 
 
 def speeds(rows: Sequence[dict[str, Any]]) -> Table:
     """Return ``rows``, which are what `measure` returns, as a table of at most 80 columns."""
     table = Table(title="Million environment steps per second", box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True)
-    for column in ("model", "goals", "1 thr.", "2 thr.", "NumPy", "1/NumPy", "2/1"):
+    for column in ("model", "goals", "1 thr.", "2 thr.", "NumPy", "1/NumPy", "2/1", "zero"):
         table.add_column(column, justify="left" if column == "model" else "right", no_wrap=True)
     for row in rows:
         speed = row["million_steps_per_second"]
@@ -88,6 +92,7 @@ def speeds(rows: Sequence[dict[str, Any]]) -> Table:
             *(f"{speed[form]:.1f}" for form in ("one_thread", "two_threads", "numpy")),
             f"{row['ratio_to_numpy']:.1f}",
             f"{row['ratio_of_two_threads']:.2f}",
+            f"{row['time_with_nothing_that_disturbs']:.2f}",
         )
     return table
 
@@ -113,7 +118,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             rows.append(measure(case, task, population, repeats))
     console.print(speeds(rows))
     console.print(
-        "goals: mean fitness; thr.: threads. Processor time, but 2 thr. and 2/1 by the clock; "
+        "goals: mean fitness; thr.: threads. zero: time with nothing that disturbs to time without. "
+        "Processor time, but 2 thr. and 2/1 by the clock; "
         f"load average at the start {load:.1f} on {os.cpu_count()} processors."
     )
     if chosen.json is not None:
