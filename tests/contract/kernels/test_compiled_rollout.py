@@ -12,6 +12,7 @@ from sysid_evo.controllers import RecurrentNetwork, make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Engine, rollout
 from sysid_evo.engine.results import trajectories
+from sysid_evo.engine.rollout import BoundRollout
 from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.kernels import LANES, Predictor
 from sysid_evo.models import DynamicsModel
@@ -52,6 +53,20 @@ def test_every_number_of_rollouts_fills_its_blocks(ladder, engine, candidates, t
     fast, _ = compare(engine, CompiledClimber(ladder), parameters, task, seeds_from(*range(trials)))
     assert fast.engine == f"compiled {engine}"
     assert fast.fitness.shape == (candidates, trials)
+
+
+@pytest.mark.parametrize("engine", ["float32", "reference"])
+def test_what_is_bound_once_and_run_often_gives_what_each_rollout_gives_by_itself(ladder, engine):
+    given = CompiledClimber(ladder), CompiledConstant()
+    task, bound = CompiledLadder(horizon=9, top=9.3), None
+    for candidates, trials, record in ((70, 2, False), (3, 5, True), (70, 2, False)):
+        parameters, seeds = np.linspace(-1, 1, candidates)[:, None], seeds_from(*range(trials))
+        bound = bound or BoundRollout(*given, task, engine=engine)
+        alone = rollout(*given, parameters, task, seeds, engine=engine, record=record)
+        found = bound(parameters, seeds, record=record)
+        np.testing.assert_array_equal(found.fitness, alone.fitness)
+        np.testing.assert_array_equal(found.behaviour, alone.behaviour)
+        assert len(found.trajectories) == len(alone.trajectories) == (candidates * trials if record else 0)
 
 
 @EITHER

@@ -131,6 +131,21 @@ def test_a_runner_that_leaves_trials_out_cannot_be_part_of_an_ensemble(ladder):
         objective(np.zeros((1, 1)), 0)
 
 
+def test_an_objective_binds_controller_and_task_to_each_model_once_however_often_it_is_asked(ladder):
+    bound = []
+
+    class Counting(DynamicsRunner):
+        def bind(self, controller, task):
+            bound.append(self)
+            return super().bind(controller, task)
+
+    models = Counting(Climber(ladder)), Counting(Climber(ladder))
+    objective = EnsembleObjective(models, Constant(), Ladder(), seed=1, trials=2)
+    for generation in range(3):
+        objective(np.zeros((2, 1)), generation)
+    assert [id(one) for one in bound] == [id(model) for model in models]
+
+
 def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair):
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4)
     for generation in range(3):
