@@ -18,7 +18,7 @@ from sysid_evo.cli.console import err, note, out, problems, session, table_of, t
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.run_state import Observer
+from sysid_evo.plan.run_cell import Observer
 from sysid_evo.plan.store import Outcome, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on

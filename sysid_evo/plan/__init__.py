@@ -4,7 +4,7 @@ from sysid_evo.plan.cell import CELL_KINDS, CONTRACT, Cell, CellKind, CellSettin
 from sysid_evo.plan.dask_executor import Scheduler
 from sysid_evo.plan.executors import execute, number_of_jobs
 from sysid_evo.plan.plan import Plan, cell_seed
-from sysid_evo.plan.run_state import Observer
+from sysid_evo.plan.run_cell import Observer
 from sysid_evo.plan.store import CHECKPOINT, Outcome, Record, Store, blocked_by, stored
 
 __all__ = [

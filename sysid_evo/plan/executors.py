@@ -18,9 +18,8 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.dask_executor import Cluster, Scheduler
 from sysid_evo.plan.plan import Plan, at_home, work_ahead
 from sysid_evo.plan.processes import Processes
-from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, run_cell
-from sysid_evo.plan.run_state import Observer, RunState
-from sysid_evo.plan.store import Outcome, Store
+from sysid_evo.plan.run_cell import CellEnd, CellLost, Observer, Unsendable, run_cell
+from sysid_evo.plan.store import Outcome, Store, blocked_by
 from sysid_evo.processors import usable_processors
 
 
@@ -47,22 +46,22 @@ def execute(
     """
     if scheduler is not None and jobs not in (None, 1):
         raise InvalidArgument(f"{jobs} jobs in processes here and a scheduler: expected one of both; leave one out")
-    state = RunState(plan, store, observer, only)
-    left = state.open()
+    execution = Execution(plan, store, observer, only)
+    left = execution.left
     if scheduler is not None and left:
         check_installed("a scheduler", ["distributed"])
-        with Cluster(store, left, scheduler, state.tell) as workers:
-            Execution(state, left, workers, at_home(plan)).to_the_end()
-        return state.ended
+        with Cluster(store, left, scheduler, execution.tell) as workers:
+            execution.to_the_end(workers, at_home(plan))
+        return execution.ended
     count, sentence = number_of_jobs(jobs, left)
     if sentence:
-        state.tell(sentence)
+        execution.tell(sentence)
     if count > 1:
         with Processes(store, left, count) as workers:
-            Execution(state, left, workers).to_the_end()
+            execution.to_the_end(workers)
     else:
-        Execution(state, left).to_the_end()
-    return state.ended
+        execution.to_the_end()
+    return execution.ended
 
 
 PATIENCE = 0.1  # s, between two looks at cells that another process computes
@@ -88,55 +87,89 @@ class Workers(Protocol):
 
 
 class Execution:
-    """Brings ``cells`` of a plan to their end: those whose needs are there, first what most work waits for.
+    """Brings the cells of a plan to their end: those whose needs are there, first what most work waits for.
 
-    Workers compute them, and this process what is ``here`` by its digest, or unknown to them; without workers all of
-    them, in the order of the plan.
+    ``ended`` is how they ended, by digest; those whose results are there have ended at once, the others are ``left``.
+    With ``only``, no others are computed: what they gave is what the store knows.
     """
 
-    def __init__(
-        self, state: RunState, cells: Collection[Cell], workers: Workers | None = None, here: Collection[str] = ()
-    ) -> None:
-        self.state, self.workers, self.here = state, workers, set(here)
-        ahead = {} if workers is None else work_ahead(state.plan)
-        self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(state.plan)}
+    def __init__(self, plan: Plan, store: Store, observer: Observer | None, only: Collection[Cell] | None) -> None:
+        self.plan, self.store, self.observer, self.only = plan, store, observer or Observer(), only
+        self.workers: Workers | None = None
+        self.here: set[str] = set()
+        self.ended: dict[str, Outcome] = {}
+        self.told: set[str] = set()
+        self.started: set[str] = set()
+        self.tried: Counter[str] = Counter()
+        self.rank: dict[str, tuple[float, int]] = {}
         self.ready: list[tuple[tuple[float, int], Cell]] = []  # for workers
         self.own: list[tuple[tuple[float, int], Cell]] = []  # for this process
         self.later: list[tuple[float, Cell]] = []  # what another process computes, and when to look again
         self.away: dict[Future[Any], Cell] = {}
-        self.started: set[str] = set()
-        self.tried: Counter[str] = Counter()
         self.looked = 0.0
-        needs = {cell: {needed.digest for needed in cell.needs} - set(state.ended) for cell in cells}
-        self.open = {cell.digest: len(digests) for cell, digests in needs.items()}
-        self.waiting: dict[str, list[Cell]] = {}
-        for cell, digests in needs.items():
-            for digest in digests:
+        kept = {cell for cell in plan if store.done(cell) and not store.without(cell)}
+        self.tell()
+        self.left = [cell for cell in plan if cell not in kept]
+        self.observer.plan(len(plan), len(kept), sum(cell.seconds for cell in self.left))
+        for cell in plan:
+            if cell in kept:
+                self._end(cell, CellEnd("kept", store.seconds(cell)))
+        self.open: Counter[str] = Counter()  # how many cells each waits for
+        self.waiting: dict[str, list[Cell]] = {}  # by what they wait for
+        for cell in self.left:
+            for digest in {needed.digest for needed in cell.needs} - set(self.ended):
+                self.open[cell.digest] += 1
                 self.waiting.setdefault(digest, []).append(cell)
-        for cell, digests in needs.items():
-            if not digests:
-                self._free(cell)
 
-    def to_the_end(self) -> None:
-        """Compute all. Raises OSError if a result cannot be written, and what the workers raise if they are lost."""
+    def to_the_end(self, workers: Workers | None = None, here: Collection[str] = ()) -> None:
+        """Compute what is left: workers do, and this process what is ``here`` by its digest, or unknown to them.
+
+        Without workers this process computes all, in the order of the plan. Raises OSError if a result cannot be
+        written, and what the workers raise if they are lost.
+        """
+        self.workers, self.here = workers, set(here)
+        ahead = {} if workers is None else work_ahead(self.plan)
+        self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(self.plan)}
+        self._free([cell for cell in self.left if not self.open[cell.digest]])
         while self.ready or self.own or self.later or self.away:
             while self.later and self.later[0][0] <= time.monotonic():
                 self._push(self.later.pop(0)[1])
-            while self.ready and self.workers is not None and self.workers.room():
-                self._send(heappop(self.ready)[1])
+            while self.ready and workers is not None and workers.room():
+                self._send(heappop(self.ready)[1], workers)
             if self.own:
                 self._compute(heappop(self.own)[1])
-            self._take_in()
+            if self.away and workers is not None:
+                self._take_in(workers)
+            elif not self.own and (self.later or self.ready):
+                time.sleep(PATIENCE)
 
-    def _free(self, *cells: Cell) -> None:
-        """Take note that ``cells`` wait for nothing: they are computed, or end at once, and others with them."""
-        free = list(cells)
-        while free:
-            cell = free.pop()
-            if not self.state.decided(cell):
+    def tell(self, *sentences: str) -> None:
+        """Tell the observer these sentences and the store's remarks, each once."""
+        for sentence in (*sentences, *self.store.remarks):
+            if sentence not in self.told:
+                self.told.add(sentence)
+                self.observer.remark(sentence)
+
+    def _free(self, cells: list[Cell]) -> None:
+        """Have cells computed that wait for nothing, or end them, and then what waited for them."""
+        while cells:
+            cell = cells.pop()
+            end = self._decided(cell)
+            if end is None:
                 self._push(cell)
                 continue
-            free += self._released(cell)
+            self._end(cell, end)
+            cells += self._released(cell)
+
+    def _decided(self, cell: Cell) -> CellEnd | None:
+        """Return how ``cell`` ends without work: what it needs failed, or it is not asked for; else None."""
+        failed = [needed for needed in cell.needs if self.ended[needed.digest].failed]
+        if failed and not cell.tolerant:
+            return CellEnd("blocked", reason=blocked_by(failed[0]))
+        if self.only is not None and cell not in self.only:
+            known = self.store.outcome(cell)
+            return CellEnd("kept", known.seconds, known.reason)
+        return None
 
     def _released(self, ended: Cell) -> list[Cell]:
         """Return the cells that waited for ``ended`` alone."""
@@ -150,80 +183,79 @@ class Execution:
         heappush(self.own if here else self.ready, (self.rank[cell.digest], cell))
 
     def _failed(self, cell: Cell) -> set[str]:
-        return {needed.digest for needed in self.state.failed(cell)}
+        return {needed.digest for needed in cell.needs if self.ended[needed.digest].failed}
 
     def _compute(self, cell: Cell) -> None:
-        repair = self.state.only is None
         self.started.add(cell.digest)
-        self._over(cell, run_cell(self.state.store, cell, self._failed(cell), self.state.observer, repair=repair))
+        end = run_cell(self.store, cell, self._failed(cell), self.observer, repair=self.only is None)
+        self._over(cell, end)
 
-    def _send(self, cell: Cell) -> None:
-        assert self.workers is not None
+    def _send(self, cell: Cell, workers: Workers) -> None:
         try:
-            future = self.workers.submit(cell, self._failed(cell))
+            future = workers.submit(cell, self._failed(cell))
         except Unsendable as error:
             self._over(cell, CellEnd("unknown", reason=str(error)))
         else:
             if future is None:
-                self.later.append((time.monotonic() + PATIENCE, cell))
+                self._over(cell, CellEnd("busy"))
             else:
                 self.away[future] = cell
 
-    def _take_in(self) -> None:
+    def _take_in(self, workers: Workers) -> None:
         """Take in what workers have finished, wait a little if there is nothing, and pass on how far they are."""
-        if not self.away or self.workers is None:
-            if not self.own and (self.later or self.ready):
-                time.sleep(PATIENCE)
-            return
         patience = 0.0 if self.own else PATIENCE if self.later else LOOK
         ended, _ = wait(self.away, timeout=patience, return_when=FIRST_COMPLETED)
         for future in ended:
             cell = self.away.pop(future)
             try:
-                end = self.workers.result(cell, future)
+                end = workers.result(cell, future)
             except CellLost as lost:
                 self._again(cell, lost)
             else:
                 self._over(cell, end)
         if time.monotonic() - self.looked >= LOOK:
             self.looked = time.monotonic()
-            for cell, done, total, note in self.workers.progress():
+            for cell, done, total, note in workers.progress():
                 self._start(cell)
-                self.state.observer.progress(cell, done, total, note)
+                self.observer.progress(cell, done, total, note)
 
     def _start(self, cell: Cell) -> None:
         if cell.digest not in self.started:
             self.started.add(cell.digest)
-            self.state.observer.start(cell)
+            self.observer.start(cell)
 
     def _again(self, cell: Cell, lost: CellLost) -> None:
         """Try a cell that was lost once more; then it has failed."""
         self.tried[cell.digest] += 1
-        times = self.tried[cell.digest]
-        if times < TRIES:
-            self.state.tell(f"{cell.title} is computed again: {lost}")
+        if self.tried[cell.digest] < TRIES:
+            self.tell(f"{cell.title} is computed again: {lost}")
             self._push(cell)
             return
-        reason = f"{lost}, {times} times"
-        self.state.store.fail(cell, reason=reason, traceback="", seconds=0.0)
+        reason = f"{lost}, {TRIES} times"
+        self.store.fail(cell, reason=reason, traceback="", seconds=0.0)
         self._over(cell, CellEnd("failed", reason=reason))
 
     def _over(self, cell: Cell, end: CellEnd) -> None:
         """Take note of how an attempt at ``cell`` ended, and pass on what was said meanwhile."""
         for sentence in end.warnings:
             warnings.warn(sentence, stacklevel=2)
-        self.state.tell(*end.remarks)
+        self.tell(*end.remarks)
         if end.status == "busy":
             self.later.append((time.monotonic() + PATIENCE, cell))
         elif end.status == "unknown":
             self.here.add(cell.digest)
-            self.state.tell(f"what workers do not know is computed in this process ({end.reason})")
+            self.tell(f"what workers do not know is computed in this process ({end.reason})")
             self._push(cell)
         else:
             if end.status in ("done", "failed"):
                 self._start(cell)
-            self.state.end(cell, end.reason, end.seconds, cached=end.status == "kept", error=end.error)
-            self._free(*self._released(cell))
+            self._end(cell, end)
+            self._free(self._released(cell))
+
+    def _end(self, cell: Cell, end: CellEnd) -> None:
+        self.ended[cell.digest] = Outcome(None, end.reason, end.seconds, end.error)
+        self.observer.finish(cell, cached=end.status == "kept", reason=end.reason)
+        self.tell()
 
 
 VARIABLE = "SYSID_EVO_JOBS"

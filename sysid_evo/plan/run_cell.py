@@ -19,9 +19,30 @@ import cloudpickle  # type: ignore[import-untyped]
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, SysidEvoError, described
 from sysid_evo.plan.cell import Cell, Work
-from sysid_evo.plan.run_state import Observer
 from sysid_evo.plan.store import Store, stored
 from sysid_evo.processors import one_blas_thread
+
+
+class Observer:
+    """Is told what an execution is doing, and does nothing; the command line draws progress from it.
+
+    Cells may run side by side.
+    """
+
+    def plan(self, cells: int, kept: int, seconds: float) -> None:
+        """``cells`` in all, of which ``kept`` are done already; the others take about ``seconds``."""
+
+    def start(self, cell: Cell) -> None:
+        """``cell`` begins."""
+
+    def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
+        """``cell`` has done so many of its steps; ``note`` is what else there is to say."""
+
+    def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
+        """``cell`` is done, was done before (``cached``), or failed for ``reason``."""
+
+    def remark(self, sentence: str) -> None:
+        """Something that the user should know, and that stops nothing."""
 
 
 @dataclass(frozen=True)

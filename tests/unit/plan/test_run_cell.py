@@ -10,7 +10,6 @@ from sysid_evo.errors import LinkLost
 from sysid_evo.plan import Plan, Store, execute
 from sysid_evo.plan.executors import Execution
 from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, pickled, run_cell, run_sent
-from sysid_evo.plan.run_state import RunState
 from sysid_evo.plan.store import Stored
 from tests.fixtures.cells import Number, Watching, number, tolerant
 
@@ -124,10 +123,10 @@ class MadeUpWorkers:
 def executed(folder, *cells, here=(), **ends):
     """Return how cells ended, what the workers were asked, and what the user was told."""
     watching, store = Watching(), Store(folder)
-    state = RunState(Plan.of(cells), store, watching)
+    execution = Execution(Plan.of(cells), store, watching, None)
     workers = MadeUpWorkers(store, **ends)
-    Execution(state, state.open(), workers, here).to_the_end()
-    return {cell.name: state.ended[cell.digest].reason for cell in state.plan}, workers.asked, watching
+    execution.to_the_end(workers, here)
+    return {cell.name: execution.ended[cell.digest].reason for cell in execution.plan}, workers.asked, watching
 
 
 def test_that_comes_first_on_whose_result_most_work_waits(tmp_path):
