@@ -8,7 +8,7 @@ from rich.console import Console
 
 from sysid_evo.cli import console, progress
 from sysid_evo.cli.progress import Bars, duration
-from tests.fixtures.cells import Number
+from tests.fixtures.cells import Number, number
 from tests.fixtures.robots import ManualClock
 
 NOTE = (
@@ -16,8 +16,8 @@ NOTE = (
 )
 
 
-class Resumable(Number):
-    resumable = True
+def resumable(*given, **fields):
+    return Number(*given, **fields).cell(resumable=True)
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, 
     written = shown(terminal=True)
     with Bars() as bars:
         bars.plan(5, 0, 10.0)
-        cells = [Number(1, label="evolve linear+nearest_neighbour"), Number(2, label="fit"), Number(3, label="third")]
+        cells = [number(1, label="evolve linear+nearest_neighbour"), number(2, label="fit"), number(3, label="third")]
         for cell in cells:
             bars.start(cell)
         for done in (29, 30):
@@ -97,7 +97,7 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, 
 def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown):
     written = shown(terminal=False)
     with Bars("--out here") as bars:
-        cells = [Resumable(1, label="a"), Number(2, label="b"), Number(3, label="c")]
+        cells = [resumable(1, label="a"), number(2, label="b"), number(3, label="c")]
         for cell in cells:
             bars.start(cell)
             bars.progress(cell, 3, 9)
@@ -111,8 +111,8 @@ def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(sho
     written = shown(terminal=False)
     with Bars("--out here", elsewhere=True) as bars:
         for i in range(6):
-            bars.start(Resumable(i, label=str(i)))
-            bars.progress(Resumable(i, label=str(i)), 3, 9)
+            bars.start(resumable(i, label=str(i)))
+            bars.progress(resumable(i, label=str(i)), 3, 9)
         bars.__exit__(KeyboardInterrupt, None, None)
     assert written.getvalue().splitlines()[-1] == (
         "interrupted: count 0, count 1, count 2, count 3 and 2 more. Nothing unfinished is kept; go on with --out here"
@@ -158,26 +158,23 @@ def test_the_time_left_of_all_cells_is_said_from_a_tenth_of_what_is_foreseen_on(
         bars.plan(20, 0, 20.0)
         told = []
         for i in range(2):
-            bars.start(Number(i))
-            finish(bars, Number(i))
+            bars.start(number(i))
+            finish(bars, number(i))
             told.append("left" in bars._bars.tasks[0].fields["note"])
     assert told == [False, True]
 
 
 def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
-    class Run(Number):
-        @property
-        def group(self):
-            return f"count {self.label[0]}"
-
     written = shown(terminal=False)
     labels = ("a1", "b1", "a2", "c", "b2", "b3")
-    cells = [Number(9, label=label) if label == "c" else Run(i, label=label) for i, label in enumerate(labels)]
+    cells = [
+        Number(i, label=label).cell(group="" if label == "c" else f"count {label[0]}") for i, label in enumerate(labels)
+    ]
     with Bars(cells=cells) as bars:
         bars.plan(6, 0, 6.0)
         for cell in cells[:-1]:
             bars.start(cell)
-            finish(bars, cell, reason="it broke" if cell.label == "b1" else None)
+            finish(bars, cell, reason="it broke" if cell.name == "b1" else None)
     assert written.getvalue().splitlines() == [
         "failed count b1: it broke",
         "done 3 of 6: count a, 2 cells, 0.0 s",
@@ -188,7 +185,7 @@ def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
 
 def test_cells_of_one_title_are_told_apart_by_where_they_are(shown):
     written = shown(terminal=False)
-    cells = [Number(1, label="a"), Number(2, label="a")]
+    cells = [number(1, label="a"), number(2, label="a")]
     with Bars(where=lambda cell: f"car {cells.index(cell) + 1}: ") as bars:
         bars.plan(2, 0, 2.0)
         for cell in cells:
@@ -201,7 +198,7 @@ def test_many_cells_at_once_have_no_more_bars_than_a_terminal_has_lines(shown):
     shown(terminal=True)
     with Bars() as bars:
         bars.plan(100, 0, 100.0)
-        cells = [Number(i) for i in range(20)]
+        cells = [number(i) for i in range(20)]
         for cell in cells:
             bars.start(cell)
         assert sum(task.visible for task in bars._bars.tasks) == progress.SHOWN + 1
@@ -213,5 +210,5 @@ def test_a_cell_that_begins_again_elsewhere_has_one_bar(shown):
     shown(terminal=True)
     with Bars() as bars:
         for _ in range(2):
-            bars.start(Number(1))
+            bars.start(number(1))
         assert len(bars._bars.tasks) == 1
