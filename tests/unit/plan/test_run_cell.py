@@ -24,6 +24,8 @@ def test_an_attempt_ends_as_done_kept_failed_or_busy(tmp_path):
     failing = number(2, then=lambda: 1 / 0)
     end = run_cell(store, failing)
     assert end.status == "failed"
+    assert 0.0 < end.seconds < 60.0
+    assert 0.02 < run_cell(store, number(4, seconds_long=0.02)).seconds < 60.0
     assert end.reason.startswith("ZeroDivisionError: division by zero")
     assert store.find(failing.digest).reason == end.reason
     assert "ZeroDivisionError" in end.traceback
@@ -97,6 +99,7 @@ class MadeUpWorkers:
 
     def __init__(self, store, **ends):
         self.store, self.ends, self.asked, self.under_way = store, ends, [], 0
+        self.under_way_cell = None
 
     def room(self):
         return 2 - self.under_way
@@ -117,7 +120,7 @@ class MadeUpWorkers:
         return found
 
     def progress(self):
-        return ()
+        return [(self.under_way_cell, done, 2, "") for done in (1, 2)] if self.under_way_cell else []
 
 
 def executed(folder, *cells, here=(), **ends):
@@ -134,6 +137,25 @@ def test_that_comes_first_on_whose_result_most_work_waits(tmp_path):
     middle = number(3, (first,), "middle")
     _, asked, _ = executed(tmp_path, short, number(5, label="shorter"), number(4, (middle,), "end"))
     assert asked == ["first", "short", "middle", "shorter", "end"]
+
+
+def test_the_observer_is_told_once_that_a_cell_starts_and_of_a_kept_one_not_at_all(tmp_path):
+    told = []
+
+    class Told(Watching):
+        def start(self, cell):
+            told.append(cell.name)
+
+        def progress(self, cell, done, total, note=""):
+            told.append((cell.name, done, total))
+
+    cells = [ONE, number(2, label="two"), number(3, label="kept")]
+    execution = Execution(Plan.of(cells), Store(tmp_path), Told(), None)
+    workers = MadeUpWorkers(execution.store, kept=[CellEnd("kept")])
+    workers.under_way_cell = ONE
+    execution.to_the_end(workers)
+    assert sorted(what for what in told if isinstance(what, str)) == ["one", "two"]
+    assert told.index("one") < told.index(("one", 1, 2)) < told.index(("one", 2, 2))
 
 
 def test_a_cell_that_is_lost_is_tried_once_more_and_then_fails_alone(tmp_path):
