@@ -7,9 +7,9 @@ A law is a plain function of numbers. Those of a rollout that it reads or writes
             error = observation[i] if observation[i] > 0.0 else 0.5 * observation[i]
             raw[i] = min(max(theta[i] * error, -1.0), 1.0)
 
-It may use ``for`` over numbers that all rollouts share (``parameters``), ``a if test else b`` where they differ,
-`math`, ``min``, ``max``, ``abs`` and other such functions. `array_form` reads it in NumPy, `lane_form` in the kernel
-language, and `sysid_evo.controllers.program` with expressions.
+It may use ``for`` and ``if`` over numbers that all rollouts share (``parameters``), ``a if test else b`` where they
+differ, `math`, ``min``, ``max``, ``abs`` and other such functions. `read` turns it into NumPy, `lane_form` into the
+kernel language, and with the symbols of `sysid_evo.controllers.program` it writes itself down.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import functools
 import inspect
 import math
 import textwrap
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any, Literal
 
@@ -28,6 +28,7 @@ import numpy as np
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import LANES, QUARTER, KernelSource, nearest
+from sysid_evo.types import Array
 
 RENAMED = {
     "acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "acosh": "arccosh", "asinh": "arcsinh",
@@ -47,6 +48,8 @@ class LawReading:
     logical: Mapping[str, Callable[..., Any]]
     function: Callable[[Any], Any]
     named: Callable[[str, Any], Any]
+    branches: bool = False
+    """Whether ``if`` may stand in it, over numbers that all rollouts share."""
 
 
 def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -69,7 +72,7 @@ def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any
     tree.decorator_list, tree.returns, tree.name = [], None, plain.__name__
     for argument in tree.args.args:
         argument.annotation = None
-    module = ast.Module([_ElementWise(plain.__qualname__).visit(tree)], type_ignores=[])
+    module = ast.Module([_ElementWise(plain.__qualname__, reading.branches).visit(tree)], type_ignores=[])
     code = compile(ast.fix_missing_locations(module), inspect.getfile(plain), "exec")
     body = next(constant for constant in code.co_consts if isinstance(constant, CodeType))
     closure = inspect.getclosurevars(plain)
@@ -103,13 +106,23 @@ def _of_arrays(function: Any) -> Any:
 
 
 ARRAYS = LawReading(np.where, np.minimum, np.maximum, LOGICAL, _of_arrays, lambda _, value: value)
+ROLLOUTS = replace(ARRAYS, branches=True)
+"""As `ARRAYS`, of a law some of whose numbers are shared by all rollouts."""
+
+
+def together(values: Sequence[Array | float], grid: tuple[int, ...]) -> Array:
+    """Return the elements that a law wrote as one array (*grid, n), which shares nothing with them."""
+    found = np.empty((*grid, len(values)))
+    for i, value in enumerate(values):
+        found[..., i] = value
+    return found
 
 
 class _ElementWise(ast.NodeTransformer):
     """Rewrites what asks whether one number is true."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, branches: bool) -> None:
+        self.name, self.branches = name, branches
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.expr:  # ast's own naming
         parts = [self.visit(part) for part in (node.test, node.body, node.orelse)]
@@ -141,6 +154,8 @@ class _ElementWise(ast.NodeTransformer):
         return self.visit(_written_out(node))
 
     def visit_If(self, node: ast.If) -> ast.AST:  # ast's own naming
+        if self.branches:
+            return self.generic_visit(node)
         raise self._unusable(node, "if", "a if test else b")
 
     def visit_While(self, node: ast.While) -> ast.AST:  # ast's own naming
@@ -222,6 +237,11 @@ class _Lanes(ast.NodeTransformer):
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming
         return self.visit_Assign(_written_out(node))
+
+    def visit_If(self, node: ast.If) -> ast.AST:  # ast's own naming
+        if any(isinstance(part, ast.expr) and self._is_element(part) for part in ast.walk(node.test)):
+            raise self._unusable(node.test, f"if {ast.unparse(node.test)}", "a if test else b")
+        return self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> ast.AST:  # ast's own naming
         """Take ``min`` and ``max`` of two at a time."""

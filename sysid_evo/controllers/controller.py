@@ -14,7 +14,7 @@ from sysid_evo.angles import TURN
 from sysid_evo.controllers.program import SYMBOLS, Operand, Program, elements, observation, program_of, remembered
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import ControllerKernel
-from sysid_evo.laws import ScalarLaw, array_form, read
+from sysid_evo.laws import ROLLOUTS, ScalarLaw, read, together
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import controllers
 from sysid_evo.system import Channel
@@ -117,9 +117,9 @@ class LawController(Controller):
         grid = view.observation.shape[:2]
         kept, seen = (list(np.moveaxis(array, -1, 0)) for array in (memory, view.observation))
         raw, scratch = [0.0] * self.n_outputs, [0.0] * self.law.n_scratch
-        law = array_form(self.law.function)
+        law = read(self.law.function, ROLLOUTS)
         law(list(parameters.T[:, :, None]), kept, seen, raw, self.law.parameters.tolist(), scratch)
-        return _together(raw, grid), _together(kept, grid)
+        return together(raw, grid), together(kept, grid)
 
     def kernel(self) -> ControllerKernel:
         source = ScalarLaw(self.law.function, rows=LAW_ROWS, width=self.law.width)
@@ -137,14 +137,6 @@ class LawController(Controller):
 
 LAW_ROWS = ("theta", "memory", "observation", "raw", "scratch")
 MEMORY = "memory"
-
-
-def _together(values: Sequence[Array | float], grid: tuple[int, ...]) -> Array:
-    """Return ``values`` as one array (P, E, n), which shares nothing with them."""
-    found = np.empty((*grid, len(values)))
-    for i, value in enumerate(values):
-        found[..., i] = value
-    return found
 
 
 def observed(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:

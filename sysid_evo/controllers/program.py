@@ -85,6 +85,9 @@ class Relation:
     left: Expression
     right: Expression
 
+    def __bool__(self) -> bool:
+        raise InvalidArgument("program: an observation chooses what comes next: write a if test else b, not if")
+
 
 @dataclass(frozen=True, eq=False)
 class NamedValue(Expression):
@@ -415,5 +418,5 @@ def _named(name: str, value: Any) -> Any:
     return NamedValue(value.size, name, value)
 
 
-SYMBOLS = LawReading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named)
+SYMBOLS = LawReading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named, branches=True)
 """A law of expressions: numbers are computed, the rest is written down."""

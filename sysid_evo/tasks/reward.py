@@ -16,7 +16,7 @@ from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task, TaskState
-from sysid_evo.tasks.tracking import HEAD, formulas_of_states, observations, observe_lanes, shown_states, state_numbers
+from sysid_evo.tasks.tracking import HEAD, OBSERVING, formulas_of_states, numbers_of, observations, shown
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
 Worth: TypeAlias = Callable[[Array, Array], Array]
@@ -73,7 +73,10 @@ class Reward(Task):
     def bind(self, system: System) -> Self:
         bound = super().bind(system)
         bound.observations = observations(system, ())
+        bound.numbers = numbers_of(system, (), np.zeros(0))
         return bound
+
+    numbers: Array
 
     def begin(self, seeds: Seeds) -> RewardState:
         trials, system = len(seeds), self.system
@@ -85,7 +88,7 @@ class Reward(Task):
         return RewardState(state, pose, alive, np.zeros(trials))
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
-        return np.stack(shown_states(self.system, state), axis=1)
+        return shown(self.numbers, np.zeros((0, len(state))), state, len(self.observations))
 
     def formulas(self) -> Mapping[str, str]:
         return formulas_of_states(self.system)
@@ -277,33 +280,15 @@ def reward_kernel(
     if motion is None or system.nx + system.nu > LANES:
         return None
     worth = KernelSource(scalar) if callable(scalar) else scalar
-    states = state_numbers(system)
-    own = HEAD.size + states.size
-    parameters = HEAD.pack(
-        states,
-        OWN.pack(lowest=lowest, share=1.0 / horizon),
-        motion.parameters,
-        nx=system.nx,
-        nu=system.nu,
-        goals=0,
-        dt=system.dt,
-        n_pose=system.n_pose,
-        gain=0.0,
-        effort=0.0,
-        stride=0,
-        n_data=0,
-        of_goals=own,
-        of_nu=own,
-        of_motion=own + OWN.size,
-    )
+    numbers = numbers_of(system, (), OWN.pack(lowest=lowest, share=1.0 / horizon))
     return TaskKernel(
-        observe=KernelSource(observe_lanes),
+        observe=OBSERVING,
         advance=KernelSource(advance_lanes, {"move": motion.move, "worth": worth, "over": over or KernelSource(never)}),
         n_rows=ROWS.pose + system.n_pose + 1,
         rows=_rows,
         trial_data=lambda task_state: np.zeros((len(task_state.alive), 1)),
         state=_state,
-        parameters=parameters,
+        parameters=np.concatenate([numbers, motion.parameters]),
         pose_row=ROWS.pose,
         n_pose=system.n_pose,
     )

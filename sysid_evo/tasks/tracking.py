@@ -13,7 +13,7 @@ import numpy as np
 from sysid_evo.angles import TURN, wrap
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, nearest, splat, view
-from sysid_evo.laws import ScalarLaw, array_form
+from sysid_evo.laws import ROLLOUTS, ScalarLaw, read, together
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Target, Task, TaskState
@@ -109,11 +109,21 @@ class Following(Task):
         bound = super().bind(system)
         bound.goals = self.goals_on(system)
         bound.observations = observations(system, bound.goals)
-        bound.numbers = bound._numbers()
+        controls = np.stack([system.neutral_control, full_controls(system)], axis=1) if system.nu else np.zeros(0)
+        m, samples = len(bound.goals), self.horizon + 1 if self.changes else 1
+        bound.numbers = numbers_of(
+            system,
+            bound.goals,
+            controls,
+            gain=100.0 / self.horizon / (1.0 + self.effort),
+            effort=self.effort,
+            stride=m if self.changes else 0,
+            n_data=samples * m,
+        )
         return bound
 
     numbers: Array
-    """What the kernel and `follow` read of a bound task."""
+    """What `show` and `follow` read of a bound task."""
 
     def begin(self, seeds: Seeds) -> FollowingState:
         trials, system, goals = len(seeds), self.system, self.goals
@@ -143,11 +153,7 @@ class Following(Task):
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         here = cast("FollowingState", task_state)
-        columns = shown_states(self.system, state)
-        errors = here.target - state[:, [goal.place for goal in self.goals]]
-        for goal, error in zip(self.goals, errors.T, strict=True):
-            columns += _shown(goal.channel, error, 0.0, 1.0 / (SHOWN * goal.tolerance))
-        return np.stack(columns, axis=1)
+        return shown(self.numbers, _rows(here), state, len(self.observations))
 
     def formulas(self) -> Mapping[str, str]:
         found = formulas_of_states(self.system)
@@ -166,7 +172,7 @@ class Following(Task):
             pose=self.system.move(here.pose, before, after) if pose is None else pose,
         )
         rows = list(_rows(moved))
-        array_form(follow)(rows, before.T, after.T, control.T, self.numbers.tolist())
+        read(follow, ROLLOUTS)(rows, before.T, after.T, control.T, self.numbers.tolist())
         return _state(moved, np.array(rows)), after
 
     def fitness(self, task_state: TaskState) -> Array:
@@ -203,7 +209,7 @@ class Following(Task):
             return None
         score = ScalarLaw(follow, rows=("task", "before", "after", "control"))
         return TaskKernel(
-            observe=KernelSource(observe_lanes),
+            observe=OBSERVING,
             advance=KernelSource(advance_lanes, {"move": motion.move, "score": score}),
             n_rows=ROWS.pose + system.n_pose + 2 * m,
             rows=_rows,
@@ -212,31 +218,6 @@ class Following(Task):
             parameters=np.concatenate([self.numbers, motion.parameters]),
             pose_row=ROWS.pose,
             n_pose=system.n_pose,
-        )
-
-    def _numbers(self) -> Array:
-        system, m = self.system, len(self.goals)
-        states, controls = state_numbers(system), np.zeros((0, CONTROL.size))
-        if system.nu:
-            controls = np.stack([system.neutral_control, full_controls(system)], axis=1)
-        of_goals = HEAD.size + states.size
-        of_nu = of_goals + m * GOAL.size
-        return HEAD.pack(
-            states,
-            np.array([_of_goal(goal) for goal in self.goals]),
-            controls,
-            nx=system.nx,
-            nu=system.nu,
-            goals=m,
-            dt=system.dt,
-            n_pose=system.n_pose,
-            gain=100.0 / self.horizon / (1.0 + self.effort),
-            effort=self.effort,
-            stride=m if self.changes else 0,
-            n_data=(self.horizon + 1 if self.changes else 1) * m,
-            of_goals=of_goals,
-            of_nu=of_nu,
-            of_motion=of_nu + controls.size,
         )
 
     def _errors(self, target: Array, state: Array) -> Array:
@@ -258,19 +239,11 @@ def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]
     return tuple(found)
 
 
-def shown_states(system: System, state: Array) -> list[Array]:
-    """Return a bias and what is shown of every state (B, nx), (B,) each."""
-    columns = [np.ones(len(state))]
-    for channel, values in zip(system.states, state.T, strict=True):
-        columns += _shown(channel, values, *scaling(channel))
-    return columns
-
-
-def _shown(channel: Channel, values: Array, centre: float, scale: float) -> list[Array]:
-    if channel.period:
-        angle = TURN / channel.period * values
-        return [np.sin(angle), np.cos(angle)]
-    return [(values - centre) * scale]
+def shown(numbers: Array, rows: Array, state: Array, count: int) -> Array:
+    """Return the ``count`` observations of the law `show` in states (B, nx), (B, count)."""
+    found = [0.0] * count
+    read(show, ROLLOUTS)(rows, state.T, found, numbers.tolist())
+    return together(found, state.shape[:1])
 
 
 def scaling(channel: Channel) -> tuple[float, float]:
@@ -281,7 +254,7 @@ def scaling(channel: Channel) -> tuple[float, float]:
 
 
 def formulas_of_states(system: System) -> dict[str, str]:
-    """Return how what `shown_states` shows is computed, by the name of the observation."""
+    """Return how what `show` shows of states is computed, by the name of the observation."""
     found: dict[str, str] = {}
     for channel in system.states:
         found |= _formula(channel, channel.name, channel.name, *scaling(channel))
@@ -289,7 +262,7 @@ def formulas_of_states(system: System) -> dict[str, str]:
 
 
 def _formula(channel: Channel, name: str, value: str, centre: float, scale: float) -> dict[str, str]:
-    """Return the formulas of what `_shown` shows of a ``value``; none for what is shown as it is."""
+    """Return the formulas of what `show` shows of a ``value``; none for what is shown as it is."""
     if channel.period:
         factor = "" if math.isclose(channel.period, TURN) else f"{TURN / channel.period:.10g} "
         inside = f"{factor}({value})" if factor and " " in value else f"{factor}{value}"
@@ -415,13 +388,42 @@ CONTROL = Layout("neutral", "full")
 NEVER = 1e30
 
 
-def state_numbers(system: System) -> Array:
-    """Return how each state is shown, `STATE` after `STATE`."""
-    rows = []
-    for channel in system.states:
-        centre, scale = scaling(channel)
-        rows.append(STATE.pack(turn=TURN / channel.period if channel.period else 0.0, centre=centre, scale=scale))
-    return np.array(rows)
+def numbers_of(
+    system: System,
+    goals: Sequence[Goal],
+    own: Array,
+    *,
+    gain: float = 0.0,
+    effort: float = 0.0,
+    stride: int = 0,
+    n_data: int = 0,
+) -> Array:
+    """Return what `show` and `follow` read: `HEAD`, its tables, and the task's ``own`` numbers (of the controls)."""
+    states, of_goal = [_of_state(channel) for channel in system.states], [_of_goal(goal) for goal in goals]
+    of_goals = HEAD.size + len(states) * STATE.size
+    of_nu = of_goals + len(of_goal) * GOAL.size
+    return HEAD.pack(
+        *states,
+        *of_goal,
+        own,
+        nx=system.nx,
+        nu=system.nu,
+        goals=len(goals),
+        dt=system.dt,
+        n_pose=system.n_pose,
+        gain=gain,
+        effort=effort,
+        stride=stride,
+        n_data=n_data,
+        of_goals=of_goals,
+        of_nu=of_nu,
+        of_motion=of_nu + own.size,
+    )
+
+
+def _of_state(channel: Channel) -> Array:
+    centre, scale = scaling(channel)
+    return STATE.pack(turn=TURN / channel.period if channel.period else 0.0, centre=centre, scale=scale)
 
 
 def _of_goal(goal: Goal) -> Array:
@@ -456,40 +458,32 @@ def _state(here: FollowingState, rows: Array) -> TaskState:
     )
 
 
-def observe_lanes(task, state, observation, parameters):
-    """Bias, states, errors; sine and cosine of what is periodic."""
-    nx, goals = int(parameters[HEAD.nx]), int(parameters[HEAD.goals])
-    targets = view(task, (ROWS.pose + int(parameters[HEAD.n_pose])) * LANES)
-    for lane in range(LANES):
-        observation[lane] = 1.0
-    row = 1
-    for i in range(nx):
-        p, value = view(parameters, HEAD.size + i * STATE.size), view(state, i * LANES)
-        first, second = view(observation, row * LANES), view(observation, (row + 1) * LANES)
-        turn, centre, scale = p[STATE.turn], p[STATE.centre], p[STATE.scale]
-        if turn > 0.0:
-            for lane in range(LANES):
-                first[lane] = math.sin(turn * value[lane])
-                second[lane] = math.cos(turn * value[lane])
-            row += 2
+def show(task, state, observation, parameters):
+    """Bias, states, errors; sine and cosine of what is periodic. The law of both forms, see `sysid_evo.laws`."""
+    targets, at = ROWS.pose + int(parameters[HEAD.n_pose]), 1
+    observation[0] = splat(1.0)
+    for i in range(int(parameters[HEAD.nx])):
+        p = view(parameters, HEAD.size + i * STATE.size)
+        if p[STATE.turn] > 0.0:
+            observation[at] = math.sin(p[STATE.turn] * state[i])
+            observation[at + 1] = math.cos(p[STATE.turn] * state[i])
+            at += 2
         else:
-            for lane in range(LANES):
-                first[lane] = (value[lane] - centre) * scale
-            row += 1
-    for i in range(goals):
+            observation[at] = (state[i] - p[STATE.centre]) * p[STATE.scale]
+            at += 1
+    for i in range(int(parameters[HEAD.goals])):
         p = view(parameters, int(parameters[HEAD.of_goals]) + i * GOAL.size)
-        value, target = view(state, int(p[GOAL.place]) * LANES), view(targets, i * LANES)
-        first, second = view(observation, row * LANES), view(observation, (row + 1) * LANES)
-        turn, scale = p[GOAL.turn], p[GOAL.scale]
-        if turn > 0.0:
-            for lane in range(LANES):
-                first[lane] = math.sin(turn * (target[lane] - value[lane]))
-                second[lane] = math.cos(turn * (target[lane] - value[lane]))
-            row += 2
+        error = task[targets + i] - state[int(p[GOAL.place])]
+        if p[GOAL.turn] > 0.0:
+            observation[at] = math.sin(p[GOAL.turn] * error)
+            observation[at + 1] = math.cos(p[GOAL.turn] * error)
+            at += 2
         else:
-            for lane in range(LANES):
-                first[lane] = (target[lane] - value[lane]) * scale
-            row += 1
+            observation[at] = error * p[GOAL.scale]
+            at += 1
+
+
+OBSERVING = ScalarLaw(show, rows=("task", "state", "observation"))
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):

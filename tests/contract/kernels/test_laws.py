@@ -9,7 +9,7 @@ from sysid_evo.controllers.program import SYMBOLS, elements, observation, progra
 from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import CONTROLLER, LANES, nearest, splat, view
-from sysid_evo.laws import ScalarLaw, array_form, read
+from sysid_evo.laws import ROLLOUTS, ScalarLaw, read
 from tests.fixtures.lanes import PRECISIONS, RTOL, call_block
 
 ROWS = ("theta", "memory", "observation", "raw", "scratch")
@@ -31,6 +31,10 @@ def everything(theta, memory, observation, raw, parameters, scratch):
         before = scratch[0]
         scratch[0] += 1.0
         side = 1.0 if before <= 0.5 else before
+        if own[i] > 0.0:
+            side += 0.125
+        else:
+            side -= 0.125
         raw[i] = strength * bends(side, 0.75) - max(abs(observation[3]), 0.2, before) / (1.0 + memory[i] * memory[i])
         memory[i] += math.sqrt(abs(scratch[0]))
     memory[2] = splat(own[1])
@@ -56,7 +60,7 @@ def expected(rollouts):
 def test_for_arrays_it_gives_the_same_and_leaves_what_it_reads_alone(rollouts, expected):
     theta, memory, seen = ([*array.copy()] for array in rollouts)
     raw = [0.0] * OUTPUTS
-    array_form(everything)(theta, memory, seen, raw, TABLE.tolist(), [0.0])
+    read(everything, ROLLOUTS)(theta, memory, seen, raw, TABLE.tolist(), [0.0])
     np.testing.assert_allclose(np.stack(raw), expected[1], rtol=1e-12)
     np.testing.assert_allclose(np.stack([memory[0], memory[1]]), expected[0][:2], rtol=1e-12)
     assert memory[2] == TABLE[2]
@@ -99,6 +103,11 @@ def whole_rows(theta, memory, observation, raw, parameters, scratch):
     raw[0] = abs(observation)[0]
 
 
+def branches(theta, memory, observation, raw, parameters, scratch):
+    if observation[0] > theta[0]:
+        raw[0] = theta[0]
+
+
 def cosine(theta, memory, observation, raw, parameters, scratch):
     raw[0] = math.cos(theta[0]) * math.cos(observation[0])
 
@@ -108,6 +117,7 @@ def cosine(theta, memory, observation, raw, parameters, scratch):
     [
         (two_tests, r"law two_tests, line 2 of it: 'observation\[0\] > 0.0 and .*; write one comparison: < <= > >="),
         (whole_rows, r"law whole_rows, line 2 of it: 'observation' has no form for lanes; write observation\[i\]"),
+        (branches, r"law branches, line 2 of it: 'if observation\[0\] > theta\[0\]' has .*; write a if test else b"),
     ],
 )
 def test_what_has_no_form_for_lanes_is_refused_with_its_line_and_what_to_write(law, said):
@@ -118,3 +128,8 @@ def test_what_has_no_form_for_lanes_is_refused_with_its_line_and_what_to_write(l
 def test_a_function_that_other_languages_do_not_get_is_refused_unless_it_is_of_numbers():
     with pytest.raises(InvalidArgument, match="program: cos of an observation has no form; there are tanh, abs, round"):
         read(cosine, SYMBOLS)([0.3], [], elements(observation(1)), [0.0], [], [])
+
+
+def test_a_program_does_not_branch_on_what_it_is_shown():
+    with pytest.raises(InvalidArgument, match="an observation chooses what comes next: write a if test else b"):
+        read(branches, SYMBOLS)([0.3], [], elements(observation(1)), [0.0], [], [])
