@@ -376,7 +376,7 @@ def test_degrees_in_both_angle_and_rate_are_doubted(write_csv, tmp_path, rng):
 def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(log):
     in_degrees(log.table, "r")
     text = log.columns().read_text()
-    (doubt,) = log.doubts((text[text.index("[pose]") : text.index("[motion]")], ""))
+    (doubt,) = log.doubts((text[text.index("[pose]") :], ""))
     assert "state 'yaw_rate' reaches" in doubt
     assert "Then give unit = 'deg/s'" in doubt
 

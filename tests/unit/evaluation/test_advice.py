@@ -204,11 +204,11 @@ def test_a_pair_tried_now_and_then_is_untried_and_says_how_often():
     high = np.tile([[1, 0]] * 38 + [[0, 1]] * 48 + [[1, 1]] * 2 + [[0, 0]] * 12, (5, 1)).astype(float)
     system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
     gap = untried_pair(Steps(system, high[:, :1], high[:, 1:], high[:, :1]))
-    assert (gap.asked, gap.seen, gap.words) == (pytest.approx(0.2), 0.02, "steer at 1 and speed at 1")
+    assert (gap.asked, gap.seen, gap.words) == (pytest.approx(0.2), 0.02, "speed at 1 and steer at 1")
 
 
 @pytest.mark.parametrize(
-    "slow, words", [(True, "steer at 1 and speed above 0.5"), (False, "steer at 1 and speed below 0.5")]
+    "slow, words", [(True, "speed above 0.5 and steer at 1"), (False, "speed below 0.5 and steer at 1")]
 )
 def test_a_channel_is_cut_at_its_median(slow, words):
     speed = np.linspace(0.0, 1.0, 1001)[:, None]
