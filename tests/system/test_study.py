@@ -185,6 +185,7 @@ def stopped_after(cells, folder, number):
     return process.returncode, " ".join(said.split())
 
 
+@pytest.mark.nightly
 def test_a_study_that_is_killed_and_interrupted_goes_on_to_the_same_tables_and_computes_nothing_twice(
     tmp_path, study_folder
 ):

@@ -61,7 +61,7 @@ FAMILIES = {
 """Every family with settings that are quick to fit; the two that are left out have tests of their own."""
 EXACT = ("k_neighbours", "gaussian_process")
 """Families whose kernels ask for double precision."""
-AT_NIGHT = ("torch_ode", "latent_ode", "average", "evolved3", "hybrid_ode", "sindy")
+AT_NIGHT = ("backprop27", "torch_ode", "latent_ode", "average", "evolved3", "neural_ode_history", "hybrid_ode", "sindy")
 """Compiled by day in tests of their own, or made of what other rows compile: one network, a derivative and a body."""
 JUMPS = {"nearest_neighbour": 0.8}
 """The share of trajectories and steps that must agree where rounding decides between two neighbours."""

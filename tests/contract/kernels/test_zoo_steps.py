@@ -93,7 +93,7 @@ def test_every_function_an_integral_and_a_spread_are_compiled():
     np.testing.assert_array_equal(after[:, -1], carry[:, -1] + 1)
 
 
-@pytest.mark.parametrize("rest_hold", [False, True])
+@pytest.mark.parametrize("rest_hold", [pytest.param(False, marks=pytest.mark.nightly), True])
 def test_noise_is_added_before_limits_and_rest_hold_a_state(rest_hold):
     """A tank that runs full stays full, unless the noise of a step takes more than ran over."""
     rng, runs = np.random.default_rng(0), []
