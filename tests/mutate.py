@@ -39,9 +39,13 @@ NIGHTLY_LINES, NIGHTLY = 60, (
 """Lines that are changed in a night, of all these folders together: verdicts, statistics, refusals and protocols."""
 NEVER = {"benchmarks", "docs", "packaging", "rig", "mutation"}
 """Folders of tests that are not run here; those of ``tests/system`` only where no other test imports a module."""
-MOST_STEPS, MOST_TESTS, MOST_SECONDS = 3, 25, 60.0
+MOST_STEPS, MOST_TESTS, MOST_SECONDS = 3, 25, 120.0
 """Imports from a test to the module, modules of tests for it, and what these may take together without a change."""
-RUNS = ((0, 3), (3, 10), (10, MOST_TESTS))
+COMMANDS = tuple(
+    f"tests/system/test_{name}.py" for name in ("commands", "controller_commands", "outcomes", "robot_commands")
+)
+"""Modules of tests that run the commands in this process."""
+RUNS = ((0, 3), (3, 10), (10, MOST_TESTS + len(COMMANDS)))
 """Which of them are run together: most changes are noticed by the nearest few."""
 MEMORY = 8 << 30  # bytes of a run: a size that was changed must not fill the machine
 COMPILED = re.compile(r"kernel|compiled|motion", re.IGNORECASE)
@@ -262,7 +266,10 @@ class Imports:
         return found | {"plugin " + re.split(r"\W", text)[0] for text in texts}
 
     def tests_of(self, file: str) -> list[str]:
-        """Return the modules of tests that import the module ``file``, those first between which few others stand."""
+        """Return the modules of tests that import the module ``file``, those first between which few others stand.
+
+        Last come those that run the commands, which import as they run.
+        """
         steps, front = dict[str, int](), {_dotted(Path(file))}
         imported = self.imported | {f"plugin {name}": modules for name, modules in self.plugins.items()}
         while front:
@@ -277,7 +284,9 @@ class Imports:
 
         near = [name for name in tests if steps[name] <= MOST_STEPS] or tests
         ranked = [self.files[name].as_posix() for name in sorted(sorted(near), key=rank)]
-        return [test for test in ranked if not test.startswith("tests/system/")] or ranked
+        ranked = [test for test in ranked if not test.startswith("tests/system/")] or ranked
+        known = {path.as_posix() for path in self.files.values()}
+        return ranked[:MOST_TESTS] + [test for test in COMMANDS if test in known and test not in ranked]
 
 
 def _dotted(file: Path) -> str:
@@ -439,7 +448,7 @@ def try_all(root: Path, changes: Sequence[Change], jobs: int) -> list[str]:
     imports, say, by = Imports(root), sys.stderr.write, [""] * len(changes)
     with tempfile.TemporaryDirectory(prefix="sysid-evo-mutate-") as folder:
         tree = Tree(root, Path(folder, "tree"))
-        tests = chosen_tests(tree, {change.file: imports.tests_of(change.file)[:MOST_TESTS] for change in changes})
+        tests = chosen_tests(tree, {change.file: imports.tests_of(change.file) for change in changes})
         for module, near in tests.items():
             say(f"{module}: {len(near)} modules of tests, {sum(near.values()):.0f} s\n")
         say("".join(f"fails without a change: {test}\n" for test in tree.deselected))

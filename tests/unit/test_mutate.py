@@ -119,15 +119,20 @@ def test_tests_are_those_that_import_a_module_the_nearest_first(tmp_path):
             "tests/unit/test_other.py": "import numbers\n\n\ndef test(rng): ...\n",
             "tests/unit/test_types.py": "if TYPE_CHECKING:\n    import product.numbers\n",
             "tests/system/test_process.py": "import product.numbers\n",
+            "tests/system/test_commands.py": "def test(call): ...\n",
             "tests/docs/test_pages.py": "import product.numbers\n",
         },
     )
-    tests = [Path(test).stem for test in Imports(tmp_path).tests_of("product/numbers.py")]
+    *tests, last = (Path(test).stem for test in Imports(tmp_path).tests_of("product/numbers.py"))
+    assert last == "test_commands"
     assert tests[:2] + tests[-1:] == ["test_numbers", "test_a_direct", "test_named"]
     assert sorted(tests[2:-1]) == ["test_fixture", "test_helper", "test_through"]
     for test in tests:
         (tmp_path / f"tests/unit/{test}.py").unlink()
-    assert Imports(tmp_path).tests_of("product/numbers.py") == ["tests/system/test_process.py"]
+    assert Imports(tmp_path).tests_of("product/numbers.py") == [
+        "tests/system/test_process.py",
+        "tests/system/test_commands.py",
+    ]
 
 
 def test_the_nearest_tests_are_run_first_whatever_their_folders():
