@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-import cloudpickle  # type: ignore[import-untyped]
+import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, SysidEvoError, described
 from sysid_evo.plan.cell import Cell, Work
