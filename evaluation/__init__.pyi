@@ -14,7 +14,7 @@ from .report.save import FORMATS, write_format
 from .report.sections.advice import advice_lines, remark_lines
 from .report.sections.summary import tells_nothing
 from .report.study import study_brief, study_document
-from .results import DataSummary, Failure, ModelSummary, Report
+from .results import ComparisonResults, DataSummary, Failure, ModelSummary
 from .run_evolution import (
     EvolutionPlan,
     EvolutionResult,
@@ -28,7 +28,7 @@ from .run_evolution import (
 from .run_folder import (
     check_run_folder,
     latest_run_folder,
-    owner_of,
+    run_of_controller,
     runs_in,
     seed_of_run,
     settings_of_run,
@@ -46,13 +46,13 @@ from .transfer import Cell
 from .transfer.matrix import (
     MeasuredResult,
     TransferMatrix,
-    cell_of,
     load_measured,
     measured_by_person,
-    run_cell,
+    result_of,
     save_measured,
     transfer,
     transfer_seeds,
+    try_controller,
 )
 from .transfer.summary import TransferSummary, summarise
 
@@ -62,6 +62,7 @@ __all__ = [
     "STUDY_FILE",
     "Cell",
     "Comparison",
+    "ComparisonResults",
     "DataSummary",
     "EvolutionPlan",
     "EvolutionResult",
@@ -75,7 +76,6 @@ __all__ = [
     "Prediction",
     "PredictionProtocol",
     "Remark",
-    "Report",
     "Study",
     "StudyResults",
     "TransferMatrix",
@@ -85,7 +85,7 @@ __all__ = [
     "assess_exploitability",
     "assess_prediction",
     "brief",
-    "cell_of",
+    "by_error",
     "check_experiment",
     "check_fit",
     "check_run_folder",
@@ -106,18 +106,17 @@ __all__ = [
     "main_horizon",
     "matrix_of",
     "measured_by_person",
-    "owner_of",
-    "transfer_targets",
     "plain",
     "plan_comparison",
     "plan_evolution",
     "plan_exploit",
     "plan_run",
     "plan_study",
-    "report_again",
     "remark_lines",
+    "report_again",
     "report_of",
-    "run_cell",
+    "result_of",
+    "run_of_controller",
     "run_study",
     "runs_in",
     "save_measured",
@@ -140,10 +139,11 @@ __all__ = [
     "transfer",
     "transfer_seeds",
     "transfer_tables",
+    "transfer_targets",
     "transfer_to_json",
+    "try_controller",
     "unneeded_files",
     "unsettled",
     "write_format",
     "write_study",
-    "by_error",
 ]

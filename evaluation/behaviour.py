@@ -1,8 +1,8 @@
 """How a controller behaves in recorded trials: numbers, differences between systems, sentences.
 
-A `Manner` holds the numbers of all recorded trials of a controller on one system: for any system, and more of a body on
-a plane, of targets and of markers. They are named by channels and plain words. A `BehaviourDifference` compares shares
-of the time on two systems, to find what no probe of single steps can see.
+A `DrivingSummary` holds the numbers of all recorded trials of a controller on one system: for any system, and more of a
+body on a plane, of targets and of markers. They are named by channels and plain words. A `BehaviourDifference` compares
+shares of the time on two systems, to find what no probe of single steps can see.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from evaluation.formatting import percent
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import TURN
 from sysid_evo.data import Trajectory
-from sysid_evo.engine.results import behaviour_names, sides
+from sysid_evo.engine.results import above_and_below, behaviour_names
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
@@ -39,7 +39,7 @@ class Measure:
 
 
 @dataclass(frozen=True)
-class Manner:
+class DrivingSummary:
     """How ``controller`` went about its task on ``column`` in ``trials`` recorded trials, each number by its name."""
 
     controller: str
@@ -53,7 +53,7 @@ class Manner:
         return float("nan") if found is None else found.value
 
 
-def manners(matrix: TransferMatrix) -> tuple[Manner, ...]:
+def driving_summaries(matrix: TransferMatrix) -> tuple[DrivingSummary, ...]:
     """Return the manner of every controller on the robots and on what it was evolved against, as far as recorded."""
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
     kept = {key: cell.traces for key, cell in matrix.cells.items() if cell.traces}
@@ -75,9 +75,9 @@ USUAL = 0.75
 """Share of the trials that are slower than what counts as fast: a single exploited model may be faster than all."""
 
 
-def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> Manner:
+def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> DrivingSummary:
     """Return the manner of these trials; ``fastest`` (nx,) is the largest size that each state has anywhere."""
-    found = [measured(trace, system, fastest) for trace in traces]
+    found = [trial_measures(trace, system, fastest) for trace in traces]
     names = dict.fromkeys(name for one in found for name in one)
     measures = {}
     for name in names:
@@ -85,7 +85,7 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
         if len(values):
             ends = paired(values).clipped(0.0, np.inf if unit_of(name) else 1.0).interval  # nothing is below 0
             measures[name] = Measure(float(values.mean()), *ends, len(values))
-    return Manner(controller, column, len(traces), measures)
+    return DrivingSummary(controller, column, len(traces), measures)
 
 
 UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
@@ -109,7 +109,7 @@ SETTLED = 0.1
 """A trial has settled if nothing leaves the tolerance in this last share of it."""
 
 
-def measured(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
+def trial_measures(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
     """Return the numbers of one trial by their names, nan where the trial has none.
 
     ``fastest`` (nx,) is the largest size that each state has anywhere.
@@ -211,7 +211,7 @@ REACTIONS: tuple[Reaction, ...] = ("drives on", "stops", "turns back")
 
 
 @dataclass(frozen=True)
-class Chase:
+class WaypointApproach:
     """One trial: how many markers came up and were ``reached``, and what followed each miss (``reactions``).
 
     ``missed`` counts the markers that were missed at least once, ``after`` holds for every miss whose marker was then
@@ -226,7 +226,7 @@ class Chase:
     orbiting: float
 
 
-def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float, *, still: float) -> Chase:
+def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float, *, still: float) -> WaypointApproach:
     """Return how a body at ``place`` (T + 1, 2) m went for ``markers`` (k, 2), one after the other.
 
     ``forward`` (T + 1,) is its signed speed, and it stands below ``still``, in m/s.
@@ -253,7 +253,7 @@ def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float
         begin = end
         if not there or begin >= len(place) - 1:
             break
-    return Chase(
+    return WaypointApproach(
         len(markers),
         reached,
         missed,
@@ -310,20 +310,20 @@ APART = 0.15
 """Difference of two shares, or of two rates as a share of the larger, that is told between two systems."""
 
 
-def described(manners: Sequence[Manner], robot: str | None) -> dict[str, str]:
+def driving_sentences(manners: Sequence[DrivingSummary], robot: str | None) -> dict[str, str]:
     """Return what each controller does: on the robot, or else where it was evolved, and what it does otherwise."""
-    found: dict[str, list[Manner]] = {}
+    found: dict[str, list[DrivingSummary]] = {}
     for manner in manners:
         found.setdefault(manner.controller, []).append(manner)
     told = {}
     for controller, several in found.items():
         here = next((one for one in several if one.column == robot), several[0])
         place = "on the robot" if here.column == robot else f"in {here.column}"
-        told[controller] = describe(here, [one for one in several if one is not here], place=place)
+        told[controller] = driving_sentence(here, [one for one in several if one is not here], place=place)
     return {controller: text for controller, text in told.items() if text}
 
 
-def describe(here: Manner, there: Sequence[Manner] = (), *, place: str = "") -> str:
+def driving_sentence(here: DrivingSummary, there: Sequence[DrivingSummary] = (), *, place: str = "") -> str:
     """Return what a controller does on one system, and what it does otherwise on others.
 
     ``place`` are the words for the system ("on the robot").
@@ -334,7 +334,7 @@ def describe(here: Manner, there: Sequence[Manner] = (), *, place: str = "") -> 
     return " ".join(filter(None, (text, *others)))
 
 
-def _driving(manner: Manner) -> list[str]:
+def _driving(manner: DrivingSummary) -> list[str]:
     speed, back, left = (manner.value(name) for name in ("speed", "backwards", "turning left"))
     if not np.isfinite(speed):
         return []
@@ -354,7 +354,7 @@ def _driving(manner: Manner) -> list[str]:
     return parts
 
 
-def _chasing(manner: Manner) -> list[str]:
+def _chasing(manner: DrivingSummary) -> list[str]:
     missed, orbiting = manner.value("missed at first"), manner.value("orbiting")
     parts = []
     if np.isfinite(missed):
@@ -367,7 +367,7 @@ def _chasing(manner: Manner) -> list[str]:
     return parts
 
 
-def _after(manner: Manner) -> str:
+def _after(manner: DrivingSummary) -> str:
     """Return what follows a miss, most often first."""
     shares = {what: manner.value(f"{what} after a miss") for what in REACTIONS}
     known = {what: share for what, share in shares.items() if np.isfinite(share) and share >= HARDLY}
@@ -377,7 +377,7 @@ def _after(manner: Manner) -> str:
     return f", then {' or '.join(told)}{back}" if told else ""
 
 
-def _settling(manner: Manner) -> list[str]:
+def _settling(manner: DrivingSummary) -> list[str]:
     settled, seconds, within = (manner.value(name) for name in ("settled", "settling time", "within tolerance"))
     if not np.isfinite(settled):
         return []
@@ -387,7 +387,7 @@ def _settling(manner: Manner) -> list[str]:
     return [*parts, f"settles after {seconds:.1f} s in {percent(settled)} of the trials"]
 
 
-def _switching(manner: Manner) -> list[str]:
+def _switching(manner: DrivingSummary) -> list[str]:
     ending = " switches per second"
     rates = {name.removesuffix(ending): one.value for name, one in manner.measures.items() if name.endswith(ending)}
     parts = [f"{name} {rate:.1f} times" for name, rate in rates.items() if rate >= HARDLY]
@@ -399,7 +399,7 @@ def _switching(manner: Manner) -> list[str]:
     return told
 
 
-def _otherwise(here: Manner, other: Manner) -> str:
+def _otherwise(here: DrivingSummary, other: DrivingSummary) -> str:
     """Return what differs clearly on another system, the most different first; empty if nothing does."""
     found = []
     for name, one in other.measures.items():
@@ -443,7 +443,7 @@ class BehaviourDifference:
         """How far apart the two shares are."""
         return abs(self.here - self.there)
 
-    def told(self, elsewhere: str) -> str:
+    def sentence(self, elsewhere: str) -> str:
         """Return the difference in words that go on after: its controllers ...; ``elsewhere`` says where that is."""
         return f"{self.name} {percent(self.here)} of the time here, {percent(self.there)} {elsewhere}"
 
@@ -462,7 +462,7 @@ def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array
     off = system.difference(states, np.broadcast_to(system.neutral_state, states.shape))
     quiet = np.abs(off) <= QUIET * largest
     centre = np.concatenate([np.zeros(system.nx), system.neutral_control])
-    shares = sides(np.where(quiet, 0.0, off), controls, centre).mean(axis=0)
+    shares = above_and_below(np.where(quiet, 0.0, off), controls, centre).mean(axis=0)
     verbs = ["have"] * (2 * system.nx) + ["hold"] * (2 * system.nu)
     named = zip(verbs, behaviour_names(system), shares, strict=True)
     return {STILL: float(quiet.all(axis=1).mean())} | {

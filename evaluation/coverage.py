@@ -52,7 +52,7 @@ class UncoveredBox:
         return ", ".join(parts)
 
 
-def what_to_record(
+def suggest_recordings(
     support: Support, driven: Steps | Iterable[Trajectory], *, most: int = MOST
 ) -> tuple[UncoveredBox, ...]:
     """Return the boxes of states and controls in which ``driven`` is most often outside the data.
@@ -119,7 +119,7 @@ FEWEST_STEPS, MOST_STEPS = 200, 20_000
 
 
 @dataclass(frozen=True)
-class Gap:
+class CoverageGap:
     """A place, of one or two channels, where the share ``asked`` of steps lies and the share ``seen`` of the data."""
 
     place: tuple[Region, ...]
@@ -135,7 +135,7 @@ class Gap:
         return {"asked": self.asked, "seen": self.seen}
 
 
-def largest_gap(seen: Steps, asked: Steps) -> Gap | None:
+def largest_gap(seen: Steps, asked: Steps) -> CoverageGap | None:
     """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
     seen, asked = seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
     if len(seen) < FEWEST_STEPS or len(asked) < FEWEST_STEPS:
@@ -150,7 +150,7 @@ UNTRIED = 0.03
 """An untried pair matters from this share on: of the time of a state times that of a command."""
 
 
-def untried_pair(seen: Steps) -> Gap | None:
+def untried_pair(seen: Steps) -> CoverageGap | None:
     """Return the state and the command that each occur in ``seen``, and hardly together; None without one.
 
     Its share ``asked`` is what it would be if every command were tried everywhere.
@@ -164,7 +164,7 @@ def untried_pair(seen: Steps) -> Gap | None:
     return _largest(regions, states[:, None] & ~states[None, :] & (expected >= UNTRIED), expected, together)
 
 
-def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, there: Array) -> Gap | None:
+def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, there: Array) -> CoverageGap | None:
     """Return the pair of regions with the largest share ``wanted`` among ``candidates`` that are hardly ``there``.
 
     All three are (regions, regions). One region says it more simply, if its share is nearly as large.
@@ -177,11 +177,11 @@ def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, th
     if single.max() < 0.8 * size.max():
         first, second = (int(place) for place in np.unravel_index(int(size.argmax()), size.shape))
     place = (regions[first],) if first == second else (regions[first], regions[second])
-    return Gap(place, float(wanted[first, second]), float(there[first, second]))
+    return CoverageGap(place, float(wanted[first, second]), float(there[first, second]))
 
 
 def _columns(steps: Steps) -> Array:
-    return np.concatenate([steps.system.wrapped(steps.before), steps.control], axis=1)
+    return np.concatenate([steps.system.wrap(steps.before), steps.control], axis=1)
 
 
 def _together(regions: Sequence[Region], steps: Steps) -> Array:

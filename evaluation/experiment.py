@@ -23,33 +23,33 @@ NONE = "none"
 Positive = Annotated[int, Field(ge=1)]
 
 
-Recipe: TypeAlias = Literal["recommended", "plain"]
+Procedure: TypeAlias = Literal["recommended", "plain"]
 """How a controller comes about: searched in single models, chosen by others and polished on all, or evolved at once."""
 
 
 class Budget(BaseModel):
     """How controllers are evolved, and how long evolution may think; see `ControllerEvolution`.
 
-    With the ``recipe`` "recommended" controllers are chosen by models of other families, and one more is made
-    of the best of all, by ``polish`` generations against all models at once.
+    With the ``procedure`` "recommended" controllers are chosen by models of other families, and one more is made
+    of the best of all, by ``polish_generations`` generations against all models at once.
     """
 
     model_config = ConfigDict(frozen=True)
 
     controller: str = "recurrent(hidden=10)"
     strategy: str = "niches"
-    recipe: Recipe = "recommended"
+    procedure: Procedure = "recommended"
     generations: Positive
     trials: Positive
-    runs: Positive
-    polish: Positive = 240
+    repeats: Positive
+    polish_generations: Positive = 240
 
 
 BUDGETS: dict[str, Budget] = {
-    "quick": Budget(generations=900, trials=5, runs=1, polish=240),
-    "standard": Budget(generations=1200, trials=5, runs=1, polish=400),
+    "quick": Budget(generations=900, trials=5, repeats=1, polish_generations=240),
+    "standard": Budget(generations=1200, trials=5, repeats=1, polish_generations=400),
     "paper": Budget(
-        generations=300, trials=10, runs=2, controller="recurrent", strategy="mu_plus_lambda", recipe="plain"
+        generations=300, trials=10, repeats=2, controller="recurrent", strategy="mu_plus_lambda", procedure="plain"
     ),
 }
 """Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
@@ -60,20 +60,20 @@ class Experiment(BaseModel):
 
     Everything that has a name is a text in the grammar of `Spec`. Without ``data`` (logs, or a folder
     that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
-    back, by default the last ``held_back`` share of each. With ``leave_out`` every family is also fitted without each
-    condition of the recordings (`Dataset.labelled`) in turn, and tested there. Every model is an ensemble of one;
-    ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
+    back, by default the last ``held_out`` share of each. With ``leave_out`` every family is also fitted without each
+    condition of the recordings (`Dataset.label_conditions`) in turn, and tested there. Every model is an ensemble of
+    one; ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
     `plan_comparison`, as it does for ``models``. A ``task`` of None is the robot's own (`Robot.usual_task`), else
-    `USUAL_TASK`. ``controller``, ``strategy``, ``recipe``, ``generations``,
-    ``trials``, ``runs`` and ``polish`` are those of the ``preset`` where they are None, see `Budget`. The ``schedule``
-    holds easier stages that come before the task, see `Stage`. With ``yardstick`` a controller is also evolved
-    on the robot itself, if that is simulated, by one search no longer than those in models: a reference for
+    `USUAL_TASK`. ``controller``, ``strategy``, ``procedure``, ``generations``,
+    ``trials``, ``repeats`` and ``polish_generations`` are those of the ``preset`` where they are None, see `Budget`.
+    The ``schedule`` holds easier stages that come before the task, see `Stage`. With ``reference`` a controller is also
+    evolved on the robot itself, if that is simulated, by one search no longer than those in models: a reference for
     comparison, not an upper limit. None: only if this run records an emulated robot and follows the recommended
-    recipe. ``only`` stops after the models ("fit") or after their prediction errors ("prediction").
-    Controllers get a state that is ``estimator_delay`` s old. They are evolved with ``noise`` (`RadicalEnvelope`) and
-    the uncertainty penalty ``caution`` (`Doubt`), neither of which counts in their claims; "none" switches one off.
-    ``noise`` None is `Task.usual_noise`, which applies to models only: robots have their own.
-    ``by_hand`` names controllers that need no evolution (`Champion.hand_written`), each a row of the matrix.
+    procedure. ``stop_after`` stops after the models ("fit") or after their prediction errors ("prediction").
+    Controllers get a state that is ``estimator_delay`` s old. They are evolved with ``noise`` (`DomainRandomisation`)
+    and the uncertainty penalty ``penalty`` (`UncertaintyPenalty`), neither of which counts in their claims; "none"
+    switches one off. ``noise`` None is `Task.default_noise`, which applies to models only: robots have their own.
+    ``baselines`` names controllers that need no evolution (`Champion.baseline`), each a row of the matrix.
     ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
     """
 
@@ -84,31 +84,31 @@ class Experiment(BaseModel):
     columns: str | None = None
     test: tuple[str, ...] | None = None
     leave_out: Literal["condition"] | None = None
-    held_back: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
+    held_out: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
     robot: str | None = None
     minutes: Annotated[float, Field(ge=0.1)] = 6.0
     models: tuple[str, ...] | None = None
     ensembles: tuple[str, ...] | None = None
     preset: Literal["quick", "standard", "paper"] = "quick"
-    only: Literal["fit", "prediction"] | None = None
+    stop_after: Literal["fit", "prediction"] | None = None
     task: str | None = None
     controller: str | None = None
-    by_hand: tuple[str, ...] = ()
+    baselines: tuple[str, ...] = ()
     strategy: str | None = None
-    recipe: Recipe | None = None
+    procedure: Procedure | None = None
     aggregate: str = "min"
     noise: str | None = None
-    caution: str = ""
+    penalty: str = ""
     schedule: str = ""
     generations: Positive | None = None
     trials: Positive | None = None
-    runs: Positive | None = None
-    polish: Positive | None = None
+    repeats: Positive | None = None
+    polish_generations: Positive | None = None
     selection_trials: Positive = 100
     estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
     transfer_trials: Positive = 100
     traces: Annotated[int, Field(ge=0)] = 10
-    yardstick: bool | None = None
+    reference: bool | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     plugins: tuple[str, ...] = ()
     data_digest: str | None = None
@@ -146,8 +146,8 @@ class Experiment(BaseModel):
             raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
         given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
         found = BUDGETS[self.preset].model_copy(update=given)
-        if self.polish is None:
-            found = found.model_copy(update={"polish": min(found.polish, found.generations)})
+        if self.polish_generations is None:
+            found = found.model_copy(update={"polish_generations": min(found.polish_generations, found.generations)})
         return found
 
 
@@ -158,50 +158,51 @@ class Settings(TypedDict, total=False):
     columns: str | Path | None
     test: Sequence[str] | None
     leave_out: Literal["condition"] | None
-    held_back: float
+    held_out: float
     robot: str | None
     minutes: float
     models: Sequence[str] | None
     ensembles: Sequence[str] | None
     preset: Literal["quick", "standard", "paper"]
-    only: Literal["fit", "prediction"] | None
+    stop_after: Literal["fit", "prediction"] | None
     task: str | None
     controller: str | None
-    by_hand: Sequence[str]
+    baselines: Sequence[str]
     strategy: str | None
-    recipe: Recipe | None
+    procedure: Procedure | None
     aggregate: str
     noise: str | None
-    caution: str
+    penalty: str
     schedule: str
     generations: int | None
     trials: int | None
-    runs: int | None
-    polish: int | None
+    repeats: int | None
+    polish_generations: int | None
     selection_trials: int
     estimator_delay: float
     transfer_trials: int
     traces: int
-    yardstick: bool | None
+    reference: bool | None
     seed: int
     plugins: Sequence[str | Path]
 
 
 OF_CONTROLLERS = (
-    "task", "controller", "by_hand", "strategy", "recipe", "aggregate", "noise", "caution", "schedule", "generations",
-    "trials", "runs", "polish", "selection_trials", "estimator_delay", "transfer_trials", "traces", "yardstick",
+    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "schedule",
+    "generations", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay", "transfer_trials",
+    "traces", "reference",
     "ensembles",
 )  # fmt: skip
-NO_CONTROLLERS = {"only": ("fit", "prediction")}
+NO_CONTROLLERS = {"stop_after": ("fit", "prediction")}
 
 MEANINGLESS = (
     Meaningless(OF_CONTROLLERS, "no controller is evolved or run", NO_CONTROLLERS),
     Meaningless(("robot",), "nothing is run on a robot", {**NO_CONTROLLERS, "data": ()}),
-    Meaningless(("leave_out", "held_back"), "nothing is tested", {"only": ("fit",)}),
-    Meaningless(("held_back",), "these episodes are held back instead", {"test": ()}),
+    Meaningless(("leave_out", "held_out"), "nothing is tested", {"stop_after": ("fit",)}),
+    Meaningless(("held_out",), "these episodes are held back instead", {"test": ()}),
     Meaningless(("minutes",), "no robot is recorded", {"data": ()}),
     Meaningless(("columns",), "no logs are read", unless=("data",)),
-    Meaningless(("polish",), "nothing is polished", {"recipe": ("plain",)}),
+    Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
 )
 """Settings that others make meaningless: giving both is refused."""
 

@@ -7,27 +7,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evaluation.cells.models import Predict, StoredModel
+from evaluation.cells.models import Predict, StoredModelCell
 from evaluation.cells.plants import Plant, emulated, runner_of
 from evaluation.experiment import FILE, usual_task
 from evaluation.planning import comparison_of
-from evaluation.run_folder import is_run, latest_run_folder, owner_of
-from evaluation.transfer.matrix import TransferMatrix, run_cell, transfer_seeds
-from sysid_evo.artefacts import is_stored, stored_file
+from evaluation.run_folder import is_run, latest_run_folder, run_of_controller
+from evaluation.transfer.matrix import TransferMatrix, transfer_seeds, try_controller
+from sysid_evo.artefacts import is_stored_dataset, stored_file
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, observed_late
+from sysid_evo.evolution import Champion, ControllerEvolution, delayed_runner
 from sysid_evo.evolution.champion import load_champion
-from sysid_evo.evolution.controller_evolution import farthest_driven
+from sysid_evo.evolution.controller_evolution import simulated_state_range
 from sysid_evo.models import Dynamics, load_model
-from sysid_evo.plan import Cell, Record, Store, stored
+from sysid_evo.plan import Cell, CellRecord, Store, stored
 from sysid_evo.progress import Progress
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
-CONTROLLER_KINDS = ("by_hand", "evolve", "choose", "polish")
+CONTROLLER_KINDS = ("baseline", "evolve", "select", "polish")
 """Kinds of cells whose result is a controller; of the same name the later kind counts."""
 
 
@@ -52,7 +52,7 @@ class TransferTarget:
 
 
 @dataclass(frozen=True)
-class Contender:
+class StoredController:
     """A controller, and the run folder that it comes from; None if it comes from none."""
 
     champion: Champion
@@ -82,26 +82,26 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
 
 def contenders(
     names: Sequence[str], system: System, task: str | None, *, robots: Sequence[Spec | None] = ()
-) -> tuple[Contender, ...]:
+) -> tuple[StoredController, ...]:
     """Return the controllers named by ``names``: run folders, files, specs of baseline controllers.
 
     A run folder gives all its controllers. All perform ``task``; without one, each the task that it was evolved for,
     and a baseline controller that of the first, else that of the first of ``robots``. Raises `InvalidArgument` if
     these tasks differ.
     """
-    found: list[Contender] = []
+    found: list[StoredController] = []
     written: list[str] = []
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
-            found += [Contender(champion, Path(name)) for champion in _of_run(Path(name))]
-        elif is_stored(name, "controller"):
-            found.append(Contender(load_champion(name), owner_of(Path(name))))
+            found += [StoredController(champion, Path(name)) for champion in _of_run(Path(name))]
+        elif is_stored_dataset(name, "controller"):
+            found.append(StoredController(load_champion(name), run_of_controller(Path(name))))
         else:
             written.append(name)
     if task is not None:
         found = [replace(one, champion=replace(one.champion, task=Spec.parse(task))) for one in found]
     goal = found[0].champion.task if found else Spec.parse(task or usual_task(robots))
-    found += [Contender(Champion.hand_written(name, goal, system)) for name in written]
+    found += [StoredController(Champion.baseline(name, goal, system)) for name in written]
     others = [one.champion for one in found if one.champion.task != goal]
     if others:
         raise InvalidArgument(
@@ -114,7 +114,7 @@ def contenders(
     )
 
 
-def check_fit(controllers: Sequence[Contender], systems: Sequence[TransferTarget]) -> None:
+def check_fit(controllers: Sequence[StoredController], systems: Sequence[TransferTarget]) -> None:
     """Raise for the first controller that does not fit: `IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`."""
     for place in systems:
         system, runner = place.system, place.runner
@@ -124,7 +124,7 @@ def check_fit(controllers: Sequence[Contender], systems: Sequence[TransferTarget
                 champion.check_system(system)
             except IncompatibleSystem as error:
                 raise IncompatibleSystem(f"{champion.name} cannot be run on {place.label}: {error}") from error
-            observed_late(place.label, runner, champion.estimator_delay)
+            delayed_runner(place.label, runner, champion.estimator_delay)
             law = make_controller(champion.controller).bind_to(make_task(champion.task).bind(system))
             if law.n_parameters != len(champion.parameters):
                 raise InvalidArgument(
@@ -133,7 +133,7 @@ def check_fit(controllers: Sequence[Contender], systems: Sequence[TransferTarget
                 )
 
 
-def with_models(one: Contender, systems: Sequence[TransferTarget]) -> tuple[Champion, dict[str, str]]:
+def with_models(one: StoredController, systems: Sequence[TransferTarget]) -> tuple[Champion, dict[str, str]]:
     """Return the controller with what it was evolved against named as in ``systems``, and the families of the rest.
 
     A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
@@ -142,7 +142,7 @@ def with_models(one: Contender, systems: Sequence[TransferTarget]) -> tuple[Cham
     robots = {place.column.label: place.label for place in systems if place.column.robot is not None}
     digests = {place.column.model.digest: place.label for place in systems if place.column.model is not None}
     for label in one.champion.against:
-        record: Record | None = None
+        record: CellRecord | None = None
         if one.run is not None and label not in robots:
             try:
                 record = find_model(Store(one.run), label)
@@ -160,7 +160,7 @@ def _of_run(run: Path) -> list[Champion]:
     """Return the controllers of a run: the rows of its matrix, and of what was evolved since what nothing needs."""
     store = Store(run)
     matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
-    rows = [] if matrix is None else [cell for cell in matrix.champions if store.done(cell)]
+    rows = [] if matrix is None else [cell for cell in matrix.controllers if store.done(cell)]
     made: list[Any] = [
         record for record in store.records() if record.kind in CONTROLLER_KINDS and record.status == "done"
     ]
@@ -196,8 +196,8 @@ def check_evolution(store: Store, columns: tuple[Plant, ...], evolution: Control
     evolution.stages(task, tuple(systems))
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
     known = next((column for column in columns if has_dynamics(column)), None)
-    farthest = None if known is None else farthest_driven(dynamics_of(store, known))
-    return () if farthest is None else task.doubts(farthest)
+    farthest = None if known is None else simulated_state_range(dynamics_of(store, known))
+    return () if farthest is None else task.feasibility_warnings(farthest)
 
 
 def other_models(store: Store, columns: tuple[Plant, ...]) -> tuple[Plant, ...]:
@@ -208,7 +208,7 @@ def other_models(store: Store, columns: tuple[Plant, ...]) -> tuple[Plant, ...]:
     return tuple(column for column in others if not system.differences(system_of(store, column)))
 
 
-def fitted_models(store: Store) -> list[Record]:
+def fitted_models(store: Store) -> list[CellRecord]:
     """Return the records of the models of a run, the oldest first."""
     return [record for record in store.records() if record.kind == "fit" and record.status == "done"]
 
@@ -225,17 +225,17 @@ def is_robot(name: str) -> bool:
 
 def is_model_of_a_run(name: str) -> bool:
     """Whether ``name`` can only be a model in a run folder."""
-    return not is_stored(name, "model") and not is_robot(name)
+    return not is_stored_dataset(name, "model") and not is_robot(name)
 
 
 def find_column(store: Store, name: str) -> Plant:
     """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
-    if is_stored(name, "model"):
+    if is_stored_dataset(name, "model"):
         file = stored_file(name, "model")
         own = record_of_file(store, file)
         if own is not None:
             return column_of(store, own)
-        model = StoredModel(file).cell()
+        model = StoredModelCell(file).cell()
         return Plant(model.name, model.settings.family, model)
     if is_robot(name):
         spec = robot_spec(name)
@@ -244,7 +244,7 @@ def find_column(store: Store, name: str) -> Plant:
     return column_of(store, find_model(store, name))
 
 
-def column_of(store: Store, record: Record) -> Plant:
+def column_of(store: Store, record: CellRecord) -> Plant:
     """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
     model, family = stored(record), record.inputs["model"]["name"]
     data = data_of(store, record)
@@ -254,19 +254,19 @@ def column_of(store: Store, record: Record) -> Plant:
     return Plant(record.name, family, model=model, prediction=prediction)
 
 
-def data_of(store: Store, model: Record) -> Cell | None:
+def data_of(store: Store, model: CellRecord) -> Cell | None:
     """Return the cell of the data that a model of a run was fitted to, None where they are not in the run."""
     found = (store.find(digest) for digest in model.needs)
     return next((stored(one) for one in found if one is not None and one.status == "done"), None)
 
 
-def record_of_file(store: Store, file: Path) -> Record | None:
+def record_of_file(store: Store, file: Path) -> CellRecord | None:
     """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
     stem = file.with_suffix("").resolve()
     return next((one for one in fitted_models(store) if (store.path / one.artefact).resolve() == stem), None)
 
 
-def find_model(store: Store, name: str) -> Record:
+def find_model(store: Store, name: str) -> CellRecord:
     """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
     models = fitted_models(store)
     files = {Path(record.artefact).name: record for record in models}
@@ -301,7 +301,7 @@ def dynamics_of(store: Store, column: Plant) -> Dynamics:
         return emulated(column.robot)
     assert column.model is not None
     settings = column.model.settings
-    model: Dynamics = load_model(settings.path) if isinstance(settings, StoredModel) else store.load(column.model)
+    model: Dynamics = load_model(settings.path) if isinstance(settings, StoredModelCell) else store.load(column.model)
     return model
 
 
@@ -310,7 +310,7 @@ TRACES = 10
 
 
 def matrix_of(
-    drivers: Sequence[Contender],
+    drivers: Sequence[StoredController],
     systems: Sequence[TransferTarget],
     *,
     seed: int,
@@ -329,8 +329,8 @@ def matrix_of(
     runners = {place.label: place.runner for place in systems}
     for champion in champions:
         for label, runner in runners.items():
-            late = observed_late(label, runner, champion.estimator_delay)
-            cells.append(run_cell(champion, label, late, seeds, traces=TRACES))
+            late = delayed_runner(label, runner, champion.estimator_delay)
+            cells.append(try_controller(champion, label, late, seeds, traces=TRACES))
             if progress is not None:
                 progress(len(cells), len(champions) * len(systems))
     return TransferMatrix.of(

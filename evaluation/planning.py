@@ -8,10 +8,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from evaluation.cells.assessment import Advise, AssessExploitability, Matrix, Run
+from evaluation.cells.assessment import Advise, AssessExploitability, PlannedMatrix, Run
 from evaluation.cells.controllers import (
     POLISHED,
-    ByHand,
+    Baseline,
     ControllerCell,
     Evolve,
     chosen_cell,
@@ -20,7 +20,7 @@ from evaluation.cells.controllers import (
     evolution_settings,
     labels_inside,
 )
-from evaluation.cells.data import GivenData, RecordedData, Split
+from evaluation.cells.data import GivenData, HoldOut, RecordedData
 from evaluation.cells.models import Fit, JudgeFit, LeaveConditionsOut, Predict
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
@@ -41,14 +41,14 @@ from sysid_evo.errors import (
 )
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.evolution.aggregates import make_aggregate
-from sysid_evo.evolution.controller_evolution import farthest_driven, farthest_recorded
+from sysid_evo.evolution.controller_evolution import recorded_state_range, simulated_state_range
 from sysid_evo.models import DynamicsModel
 from sysid_evo.plan import Cell, Plan, Store, stored
 from sysid_evo.registry import (
     Registry,
     Spec,
+    check_labels,
     controllers,
-    distinct,
     load_named_plugins,
     make_robot,
     models,
@@ -73,7 +73,7 @@ class Comparison:
     fits: dict[str, Cell[Fit]]
     predictions: dict[str, Cell[Predict]]
     advice: Cell[Advise]
-    matrix: Matrix | None = None
+    matrix: PlannedMatrix | None = None
     exploitability: Cell[AssessExploitability] | None = None
     conditions: Mapping[str, Cell[LeaveConditionsOut]] = field(default_factory=dict)
     judged: Mapping[str, Cell[JudgeFit]] = field(default_factory=dict)
@@ -103,7 +103,7 @@ def plan_comparison(
     remarks: list[str] = []
     check_settings(experiment, has_data=dataset is not None or held is not None)
     robot = _robot(experiment, has_data=dataset is not None or held is not None)
-    if experiment.only is None:
+    if experiment.stop_after is None:
         experiment = with_task(experiment, (robot,))
     evolution = evolution_settings(experiment)
     _constructible(evolution)
@@ -116,20 +116,20 @@ def plan_comparison(
     ensembles = ensembles_of(experiment, tuple(spec.label for spec in specs))
     fits = {spec.label: Fit(spec, data, experiment.seed, experiment.preset).cell() for spec in specs}
     predictions: dict[str, Cell[Predict]] = {}
-    if experiment.only != "fit":
+    if experiment.stop_after != "fit":
         predictions[PERSISTENCE] = Predict(PERSISTENCE, PERSISTENCE, data).cell()
         for label, fit in fits.items():
             predictions[label] = Predict(label, fit.settings.spec.name, data, fit).cell()
     matrix, exploitability = None, None
-    if experiment.only is None:
+    if experiment.stop_after is None:
         column = _robot_column(experiment, robot, system, remarks)
         _check_control(evolution, system)
         farthest = _farthest(dataset, robot)
         if farthest is not None:
-            remarks += evolution.make_task(system).doubts(farthest)
+            remarks += evolution.make_task(system).feasibility_warnings(farthest)
         # recorded here, or when the run was made
         recorded = "robot" in data.settings.inputs()
-        yardstick = _has_yardstick(experiment, column, remarks, recorded=recorded)
+        reference = _has_reference(experiment, column, remarks, recorded=recorded)
         matrix = _matrix(
             experiment,
             evolution,
@@ -140,12 +140,12 @@ def plan_comparison(
             ensembles,
             tuple(measured),
             _by_hand(experiment, evolution, system, fits),
-            yardstick=yardstick,
+            reference=reference,
         )
         if column is not None and column.timed:
-            experiment = experiment.model_copy(update={"yardstick": yardstick})  # it is not decided again elsewhere
+            experiment = experiment.model_copy(update={"reference": reference})  # it is not decided again elsewhere
         exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
-    judged = {label: JudgeFit(fit).cell() for label, fit in fits.items()} if experiment.only == "fit" else {}
+    judged = {label: JudgeFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
     several = _conditions(experiment, dataset)
     without = {label: LeaveConditionsOut(fit, several).cell() for label, fit in fits.items()} if several else {}
     settled = experiment.model_copy(
@@ -160,7 +160,7 @@ def plan_comparison(
     advice = Advise(data, fits, predictions, matrix, experiment.seed).cell()
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *judged.values()]
     if matrix is not None and exploitability is not None:
-        wanted += [*matrix.champions, *matrix.runs, exploitability]
+        wanted += [*matrix.controllers, *matrix.runs, exploitability]
     wanted.append(advice)
     plan = Plan.of(wanted, remarks=remarks)
     return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged)
@@ -174,11 +174,11 @@ def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
     """
     experiment = Experiment.of(Experiment.read(run))
     plugins = load_named_plugins(experiment.plugins, run / FILE)
-    comparison, damaged = comparison_again(experiment.model_copy(update={"plugins": plugins}), run)
+    comparison, damaged = comparison_in(experiment.model_copy(update={"plugins": plugins}), run)
     return comparison, (*comparison.plan.remarks, *damaged)
 
 
-def comparison_again(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
+def comparison_in(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
     """Return the comparison whose data stand in the folder ``run``, and remarks on what is damaged there.
 
     Raises `ArtefactError` if the data are missing or damaged.
@@ -199,7 +199,7 @@ def check_experiment(experiment: Experiment) -> None:
     robot = _robot(experiment, has_data=experiment.data is not None)
     if robot is not None:
         make_robot(robot)
-    _constructible(evolution_settings(with_task(experiment, (robot,)) if experiment.only is None else experiment))
+    _constructible(evolution_settings(with_task(experiment, (robot,)) if experiment.stop_after is None else experiment))
     asked = asked_models(experiment)
     if asked is not None:
         for spec in asked:
@@ -233,7 +233,9 @@ def _check_control(evolution: ControllerEvolution, system: System) -> None:
     try:
         task = evolution.make_task(system)
     except IncompatibleTask as error:
-        raise IncompatibleTask(f"{error}. Name a task that fits (--task), or compare --only prediction") from error
+        raise IncompatibleTask(
+            f"{error}. Name a task that fits (--task), or compare --stop-after prediction"
+        ) from error
     evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
 
 
@@ -243,7 +245,7 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
     A robot that is too slow to be tried is not.
     """
     if dataset is not None:
-        return farthest_recorded(dataset)
+        return recorded_state_range(dataset)
     if robot is None or Plant(robot.label, robot.name, robot=robot).step_seconds() > SLOW:
         return None
     return _farthest_driven(robots.get(robot.name), str(robot))
@@ -256,17 +258,17 @@ LONGEST_YARDSTICK = 600.0
 """Seconds, about, that evolution on the robot itself may take to be part of a comparison without being asked for."""
 
 
-def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
+def _has_reference(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
     """Return whether a controller is evolved on the robot itself; add a remark if that would take too long."""
-    if robot is None or robot.robot is None or experiment.yardstick is not None:
-        return robot is not None and bool(experiment.yardstick)
-    usual = recorded and experiment.budget.recipe == "recommended" and make_robot(robot.robot).dynamics is not None
+    if robot is None or robot.robot is None or experiment.reference is not None:
+        return robot is not None and bool(experiment.reference)
+    usual = recorded and experiment.budget.procedure == "recommended" and make_robot(robot.robot).dynamics is not None
     own = Evolve((robot,), evolution_on(experiment, (robot,)), experiment.seed)
-    about = own.cell().seconds if usual else 0.0
+    about = own.cell().expected_seconds if usual else 0.0
     if about > LONGEST_YARDSTICK:
         remarks.append(
             f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
-            f"so this would take about {about / 3600.0:.1f} hours. Use --yardstick to do it anyway"
+            f"so this would take about {about / 3600.0:.1f} hours. Use --reference to do it anyway"
         )
     return usual and about <= LONGEST_YARDSTICK
 
@@ -275,13 +277,13 @@ def _has_yardstick(experiment: Experiment, robot: Plant | None, remarks: list[st
 def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
     """Return how far the states go on ``robot``, once for all plans of a study; its factory tells namesakes apart."""
     dynamics = make_robot(robot_spec(robot)).dynamics
-    return None if dynamics is None else farthest_driven(dynamics)
+    return None if dynamics is None else simulated_state_range(dynamics)
 
 
 def _robot(experiment: Experiment, *, has_data: bool) -> Spec | None:
     if experiment.robot is None:
-        if experiment.yardstick and has_data:
-            raise InvalidArgument("yardstick: name the emulated robot that it is evolved on with --robot")
+        if experiment.reference and has_data:
+            raise InvalidArgument("reference: name the emulated robot that it is evolved on with --robot")
         return None if has_data else robot_spec(DEFAULT_ROBOT)
     return robot_spec(experiment.robot)
 
@@ -299,26 +301,26 @@ def _robot_column(experiment: Experiment, robot: Spec | None, system: System, re
         )
     if not machine.physical:
         return Plant(robot.label, robot.label, robot=robot)
-    if experiment.yardstick:
+    if experiment.reference:
         runner_of(robot)
     remarks.append(f"{robot.label} is a physical robot: its column is filled by sysid-evo drive --controller")
     return None
 
 
 def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -> Cell:
-    share = 0.0 if experiment.only == "fit" and experiment.test is None else experiment.held_back
-    split = Split(experiment.test, share)
+    share = 0.0 if experiment.stop_after == "fit" and experiment.test is None else experiment.held_out
+    split = HoldOut(experiment.test, share)
     if dataset is None and experiment.test is not None:
         raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
-    if share == 0.0 and experiment.test is None and experiment.only != "fit":
-        raise InvalidArgument("held_back: expected a share above 0, so that models can be tested")
+    if share == 0.0 and experiment.test is None and experiment.stop_after != "fit":
+        raise InvalidArgument("held_out: expected a share above 0, so that models can be tested")
     if dataset is None:
         recorded = robot or robot_spec(DEFAULT_ROBOT)
         make_robot(recorded).check()
         return RecordedData(recorded, experiment.seed, experiment.minutes, split).cell()
     parts = split.of(dataset)
     check_usable(parts.training, name="the training data")
-    if parts.test is not None and experiment.only != "fit":
+    if parts.test is not None and experiment.stop_after != "fit":
         cases = measured_cases(parts.training, parts.test, PredictionProtocol())
         if not cases.horizons:
             raise InvalidData(
@@ -353,7 +355,7 @@ def _by_hand(
     rest are among them, unless they are known to bring nothing: who is no better is of no use, and shares are measured
     from there.
     """
-    specs = distinct(tuple(Spec.parse(text) for text in experiment.by_hand))
+    specs = check_labels(tuple(Spec.parse(text) for text in experiment.baselines))
     task = evolution.make_task(system)
     if not task.rest_is_zero and all(spec.name != AT_REST for spec in specs):
         specs = (*specs, Spec.parse(f"rest={AT_REST}"))
@@ -365,10 +367,10 @@ def _by_hand(
             made(controllers, spec)
         else:
             try:
-                Champion.hand_written(spec, evolution.task, system)
+                Champion.baseline(spec, evolution.task, system)
             except UnknownName as error:
-                raise UnknownName(f"by_hand: {spec}: {error}; the models compared are {', '.join(fits)}") from error
-        cells.append(ByHand(spec, evolution.task, system, inside).cell())
+                raise UnknownName(f"baselines: {spec}: {error}; the models compared are {', '.join(fits)}") from error
+        cells.append(Baseline(spec, evolution.task, system, inside).cell())
     return tuple(cells)
 
 
@@ -379,31 +381,31 @@ def _matrix(
     robot: Plant | None,
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[MeasuredResult, ...],
-    by_hand: tuple[ControllerCell, ...],
+    baselines: tuple[ControllerCell, ...],
     *,
-    yardstick: bool,
-) -> Matrix:
+    reference: bool,
+) -> PlannedMatrix:
     by_label = {column.label: column for column in models}
     columns = models if robot is None else (*models, robot)
     groups: list[tuple[Plant, ...]] = [(column,) for column in models]
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
-    if robot is not None and yardstick:
+    if robot is not None and reference:
         groups.append((robot,))
     evolved = tuple(Evolve(members, evolution_on(experiment, members), experiment.seed).cell() for members in groups)
     champions: tuple[ControllerCell, ...] = evolved
-    if experiment.budget.recipe == "recommended":
+    if experiment.budget.procedure == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
             several = tuple(cell for cell in evolved if len(cell.settings.members) > 1)
             champions += (
                 controller_cell(experiment, models, judges=models, label=POLISHED, sift=True, further=several),
             )
-    champions += by_hand
+    champions += baselines
     names = [champion.name for champion in champions]
-    taken = [cell.name for cell in by_hand if names.count(cell.name) > 1]
+    taken = [cell.name for cell in baselines if names.count(cell.name) > 1]
     if taken:
         raise InvalidArgument(
-            f"by_hand: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
+            f"baselines: another controller is called {taken[0]!r}; give a label of its own, label=NAME"
         )
     runs = tuple(
         Run(
@@ -419,7 +421,7 @@ def _matrix(
         for champion in champions
         for column in columns
     )
-    return Matrix(champions, columns, runs, None if robot is None else robot.label, measured)
+    return PlannedMatrix(champions, columns, runs, None if robot is None else robot.label, measured)
 
 
 ALL = "all"
@@ -439,7 +441,7 @@ def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
         return None
     if not experiment.models:
         raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
-    return distinct(tuple(Spec.parse(text) for text in experiment.models))
+    return check_labels(tuple(Spec.parse(text) for text in experiment.models))
 
 
 def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
@@ -473,7 +475,7 @@ def _usable(spec: Spec, preset: str, system: System) -> Spec:
 def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
     """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
     models.check(spec)
-    lacking = models.lacking(spec.name)
+    lacking = models.missing_package(spec.name)
     if lacking is not None:
         raise lacking
     whole = with_preset(spec, preset)
@@ -483,7 +485,7 @@ def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
 
 def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
     """Return the members of each ensemble; those that are asked for in two orders are one."""
-    if experiment.only is not None:
+    if experiment.stop_after is not None:
         return ()
     if experiment.ensembles is None:
         chosen = tuple(members for members in DEFAULT_ENSEMBLES if set(members) <= set(labels))

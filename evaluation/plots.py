@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MARKS = (
     ("claimed", "claimed (where evolved)", "o", "none", COLOURS[0]),
-    ("others", "mean on other models", "s", COLOURS[5], COLOURS[5]),
+    ("other_models", "mean on other models", "s", COLOURS[5], COLOURS[5]),
     ("other_families", "median on other families", "D", COLOURS[4], COLOURS[4]),
     ("achieved", "achieved on the robot", "o", COLOURS[1], COLOURS[1]),
 )
@@ -254,7 +254,7 @@ def plot_free_run(
 
 def _continuous(system: System, states: Array, channel: int) -> Array:
     """Return one channel of a run (T, nx) to draw; a periodic one is wrapped, and its line breaks at a jump."""
-    values = np.array(system.wrapped(states)[:, channel])
+    values = np.array(system.wrap(states)[:, channel])
     if channel in system.periods:
         values[1:][np.abs(np.diff(values)) > 0.5 * system.periods[channel]] = np.nan
     return values
@@ -355,7 +355,7 @@ SHOWN_STATES = 3
 """States that are drawn of a trial without targets."""
 
 
-def plotted_places(trace: Trace, system: System) -> tuple[int, ...]:
+def plotted_states(trace: Trace, system: System) -> tuple[int, ...]:
     """Return which states of a trial are drawn: those that were led to a target, else the first ones."""
     return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
 

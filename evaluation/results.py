@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any
 
 from evaluation.advice.evidence import ModelAdvice
-from evaluation.behaviour import Manner, manners
+from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability
-from evaluation.prediction.scores import ConditionErrors, Prediction, error_of
+from evaluation.prediction.scores import ConditionError, Prediction, error_of
 from evaluation.transfer.forecast import Forecast, ModelForecast, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
@@ -21,7 +21,7 @@ from sysid_evo.system import System
 
 
 @dataclass(frozen=True, repr=False)
-class Report(Displayed):
+class ComparisonResults(Displayed):
     """Everything a comparison found. Parts that were not computed are None or empty.
 
     ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
@@ -42,7 +42,7 @@ class Report(Displayed):
     versions: Mapping[str, str] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
-    conditions: Mapping[str, tuple[ConditionErrors, ...]] = field(default_factory=dict)
+    conditions: Mapping[str, tuple[ConditionError, ...]] = field(default_factory=dict)
 
     def facts(self) -> Mapping[str, str]:
         matrix = self.matrix
@@ -71,9 +71,9 @@ class Report(Displayed):
         return {} if self.matrix is None else model_forecasts(self.matrix, self.forecasts)
 
     @cached_property
-    def manners(self) -> tuple[Manner, ...]:
+    def manners(self) -> tuple[DrivingSummary, ...]:
         """How every controller goes about its task, on robots and where it was evolved."""
-        return () if self.matrix is None else manners(self.matrix)
+        return () if self.matrix is None else driving_summaries(self.matrix)
 
     @property
     def all_failures(self) -> tuple[Failure, ...]:

@@ -24,7 +24,7 @@ from evaluation.members import (
     other_models,
 )
 from evaluation.prediction.scores import error_of
-from evaluation.run_folder import owner_of
+from evaluation.run_folder import run_of_controller
 from evaluation.steps import Steps
 from evaluation.transfer.forecast import Forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix, TransferResult, transfer, transfer_seeds
@@ -33,7 +33,7 @@ from sysid_evo.data import Trajectory
 from sysid_evo.data.support import Support, split_pairs
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution import Champion, observed_late
+from sysid_evo.evolution import Champion, delayed_runner
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
 from sysid_evo.plan import Cell, Plan, Store
@@ -155,12 +155,14 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -
 
 def _what_to_record(champion: Champion, models: Mapping[str, Dynamics]) -> tuple[Remark, ...]:
     """Return where ``champion`` drives outside the data of the first of ``models`` that was fitted to some."""
-    fitted = [model for model in models.values() if isinstance(model, DynamicsModel) and hasattr(model, "pairs_")]
+    fitted = [
+        model for model in models.values() if isinstance(model, DynamicsModel) and hasattr(model, "training_sample_")
+    ]
     if not fitted:
         return ()
     system = fitted[0].system
     visited = Steps.of(system, _driven(champion, models))
-    found = driven_outside(visited, Support.of(system, *split_pairs(system, fitted[0].pairs_)))
+    found = driven_outside(visited, Support.of(system, *split_pairs(system, fitted[0].training_sample_)))
     return () if found is None else (found,)
 
 
@@ -169,7 +171,7 @@ def _driven(champion: Champion, models: Mapping[str, Dynamics]) -> Iterator[Traj
     task, law, seeds = make_task(champion.task), make_controller(champion.controller), transfer_seeds(0, TRIALS)
     for label, model in models.items():
         if isinstance(model, DynamicsModel):
-            runner = observed_late(label, DynamicsRunner(model), champion.estimator_delay)
+            runner = delayed_runner(label, DynamicsRunner(model), champion.estimator_delay)
             yield from runner.bind(law, task)(champion.parameters[None], seeds, record=True).trajectories
 
 
@@ -180,7 +182,7 @@ def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:
     """
     champion = load_champion(controller)
     champion.check_system(system)
-    folder = owner_of(controller)
+    folder = run_of_controller(controller)
     if folder is None:
         raise InvalidArgument(
             f"--controller: expected a file in controllers/ of a run, which holds its models too, got {controller}"

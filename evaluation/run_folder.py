@@ -51,7 +51,7 @@ CHOSEN = "recommended"
 """The file in ``controllers`` that holds a copy of the controller to take, under its own name."""
 
 
-def owner_of(controller: Path) -> Path | None:
+def run_of_controller(controller: Path) -> Path | None:
     """Return the run folder that a controller's file lies in, if it does."""
     folder = controller.resolve().parent
     return folder.parent if folder.name == "controllers" else None

@@ -16,10 +16,10 @@ from evaluation.prediction.cases import measured_cases
 from evaluation.prediction.scores import ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
-from evaluation.results import DataSummary, Failure, ModelSummary, Report
+from evaluation.results import ComparisonResults, DataSummary, Failure, ModelSummary
 from evaluation.run_folder import CHOSEN, check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
-from evaluation.study.results import StudyResults, gather, save_parquet
+from evaluation.study.results import StudyResults, gather_study, save_parquet
 from evaluation.study.study import STUDY_FILE, Study
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
@@ -41,7 +41,7 @@ def compare(
     scheduler: Scheduler | None = None,
     progress: Progress | bool | None = None,
     **settings: Unpack[Settings],
-) -> Report:
+) -> ComparisonResults:
     """Fit models, evolve controllers in them, and compare both; return the report.
 
     ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
@@ -129,7 +129,7 @@ def _storable(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> Report:
+def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> ComparisonResults:
     """Return the report of what ``store`` holds, and write it into the run folder.
 
     A page that shows just that already is drawn again only if it is wanted ``afresh``.
@@ -142,7 +142,7 @@ def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> 
     return report
 
 
-def _copy_chosen(report: Report, store: Store) -> None:
+def _copy_chosen(report: ComparisonResults, store: Store) -> None:
     """Copy the chosen controller to ``controllers/recommended``, and remove an earlier copy if none is chosen.
 
     A controller of the run that has this name itself is not touched.
@@ -159,7 +159,7 @@ def _copy_chosen(report: Report, store: Store) -> None:
             copy.with_suffix(suffix).unlink(missing_ok=True)
 
 
-def report_again(comparison: Comparison, store: Store, *, written: bool = True) -> Report | None:
+def report_again(comparison: Comparison, store: Store, *, written: bool = True) -> ComparisonResults | None:
     """Write and return the report of a run with the cells measured since; None if the run has no model yet.
 
     With ``written`` False it is made from the stored results and no file is changed.
@@ -176,7 +176,7 @@ def report_again(comparison: Comparison, store: Store, *, written: bool = True) 
     return report_of(comparison, store, afresh=True)
 
 
-def gather_results(comparison: Comparison, store: Store) -> Report:
+def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
     """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
 
     Raises `InvalidData` if there are no data, or no model was fitted.
@@ -225,8 +225,8 @@ def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
     if comparison.matrix is None:
         return {}
     return {
-        cell.name: f"{store.where(cell).relative_to(store.path).as_posix()}.json"
-        for cell in comparison.matrix.champions
+        cell.name: f"{store.result_path(cell).relative_to(store.path).as_posix()}.json"
+        for cell in comparison.matrix.controllers
         if store.find(cell.digest) is not None
     }
 
@@ -304,7 +304,7 @@ def study_folder(out: str | Path | None, file: Path) -> Path:
 
 def write_study(planned: PlannedStudy, folder: Path) -> StudyResults:
     """Return what stands in ``folder``, and write tables, document and page there."""
-    results = gather(planned, folder)
+    results = gather_study(planned, folder)
     save_parquet(results, folder)
     save_study(results, folder)
     return results

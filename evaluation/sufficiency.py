@@ -14,7 +14,7 @@ from evaluation.exploitability.results import TIMES_NORMAL, ModelExploitability
 from evaluation.formatting import percent
 from evaluation.prediction.scores import PERSISTENCE, ErrorScore, ModelPrediction, Prediction
 from evaluation.transfer.matrix import TransferMatrix
-from evaluation.transfer.summary import Figures
+from evaluation.transfer.summary import MatrixEstimates
 from sysid_evo.evolution.aggregates import mean
 from sysid_evo.validation.estimates import Estimate
 
@@ -92,7 +92,7 @@ def gain_over_rest(matrix: TransferMatrix, name: str) -> Estimate | None:
     models: the first of these on which both were run. If neutral controls were not run at all they count as 0, unless
     some fitness is negative: then the gain is unknown.
     """
-    figures, champions = Figures(matrix), {one.name: one for one in matrix.champions}
+    figures, champions = MatrixEstimates(matrix), {one.name: one for one in matrix.champions}
     others = [model for model in matrix.models if model not in champions[name].against]
     for columns in ([] if matrix.robot is None else [matrix.robot], others, matrix.models):
         own = figures.on(champions[name], columns, mean)

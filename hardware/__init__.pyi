@@ -4,13 +4,13 @@ from .driving.hand_driving import HandTrial, check_driving_by_hand, driven_by_ha
 from .driving.server import PageAddress, check_page
 from .driving.trials import RobotRunner
 from .emulation.simulated_robot import in_real_time
-from .emulation.tracked_robots import ModelledRobot
+from .emulation.tracked_robots import ModelRobot
 from .preflight import check_driving, check_recording
 from .recording.journal import JOURNALS, Recorder, recorder_of
-from .recording.manoeuvres import measuring
-from .recording.record import save_raw, store_journals
+from .recording.manoeuvres import measuring_manoeuvres
+from .recording.record import save_raw_log, store_journals
 from .robot import Robot, find_robot
-from .run_report import LoopReport, Reason, Stops
+from .run_report import LoopReport, StopReason, StopRequest
 from .testing import CONTRACTS
 
 __all__ = [
@@ -19,13 +19,13 @@ __all__ = [
     "GateLimits",
     "HandTrial",
     "LoopReport",
-    "ModelledRobot",
+    "ModelRobot",
     "PageAddress",
-    "Reason",
     "Recorder",
     "Robot",
     "RobotRunner",
-    "Stops",
+    "StopReason",
+    "StopRequest",
     "check_driving",
     "check_driving_by_hand",
     "check_page",
@@ -33,10 +33,10 @@ __all__ = [
     "driven_by_hand",
     "find_robot",
     "in_real_time",
-    "measuring",
+    "measuring_manoeuvres",
     "play_back",
     "recorder_of",
-    "save_raw",
+    "save_raw_log",
     "shown_live",
     "store_journals",
 ]

@@ -11,35 +11,35 @@ from sysid_evo.errors import InvalidArgument, did_you_mean
 LARGEST_SEED = 2**64 - 1
 
 
-def text(what: str, value: object) -> str:
+def check_text(what: str, value: object) -> str:
     """Return ``value`` if it is a text with something in it."""
     if not isinstance(value, str) or not value.strip():
         raise InvalidArgument(f"{what}: expected a text in quotes, got {value!r}")
     return value
 
 
-def number(what: str, value: object, *, least: float = -math.inf, above: float = -math.inf) -> float:
-    """Return ``value`` as a finite number that is ``least`` or more and greater than ``above``."""
+def check_number(what: str, value: object, *, minimum: float = -math.inf, above: float = -math.inf) -> float:
+    """Return ``value`` as a finite number that is ``minimum`` or more and greater than ``above``."""
     given = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    if math.isfinite(given) and least <= given and above < given:
+    if math.isfinite(given) and minimum <= given and above < given:
         return given
-    limits = f" above {above:g}" if above > -math.inf else f" of {least:g} or more" if least > -math.inf else ""
+    limits = f" above {above:g}" if above > -math.inf else f" of {minimum:g} or more" if minimum > -math.inf else ""
     raise InvalidArgument(f"{what}: expected a number{limits}, got {value!r}")
 
 
-def whole(what: str, value: object, *, least: int, most: int) -> int:
-    """Return ``value`` if it is a whole number from ``least`` to ``most``."""
-    if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
+def check_integer(what: str, value: object, *, minimum: int, maximum: int) -> int:
+    """Return ``value`` if it is a whole number from ``minimum`` to ``maximum``."""
+    if isinstance(value, int) and not isinstance(value, bool) and minimum <= value <= maximum:
         return value
-    raise InvalidArgument(f"{what}: expected a whole number from {least} to {most}, got {value!r}")
+    raise InvalidArgument(f"{what}: expected a whole number from {minimum} to {maximum}, got {value!r}")
 
 
-def seed(what: str, value: object) -> int | None:
+def check_seed(what: str, value: object) -> int | None:
     """Return ``value`` if it is a seed, or None for none."""
-    return None if value is None else whole(f"{what}: seed", value, least=0, most=LARGEST_SEED)
+    return None if value is None else check_integer(f"{what}: seed", value, minimum=0, maximum=LARGEST_SEED)
 
 
-def choice(what: str, value: object, among: Iterable[str]) -> str:
+def check_choice(what: str, value: object, among: Iterable[str]) -> str:
     """Return ``value`` if it is one of the words ``among``."""
     words = tuple(among)
     if isinstance(value, str) and value in words:
@@ -47,7 +47,7 @@ def choice(what: str, value: object, among: Iterable[str]) -> str:
     raise InvalidArgument(f"{what}: expected one of {', '.join(map(repr, words))}, got {value!r}")
 
 
-def table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
+def check_table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
     """Return ``value`` if it is a table that has none but these ``keys``."""
     known = tuple(keys)
     if not isinstance(value, Mapping):
@@ -59,7 +59,7 @@ def table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
     return dict(value)
 
 
-def flag(what: str, value: object) -> bool:
+def check_flag(what: str, value: object) -> bool:
     """Return ``value`` if it is true or false."""
     if isinstance(value, bool):
         return value

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from hardware.arguments import number, table, whole
+from hardware.arguments import check_integer, check_number, check_table
 from sysid_evo.models import Dynamics
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -138,13 +138,13 @@ class Listener:
     Called from the loop's own thread: a listener returns within a millisecond and never raises.
     """
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         """Take note of a frame of the tracker."""
 
-    def commanded(self, command: Command) -> None:
+    def on_command(self, command: Command) -> None:
         """Take note of a control that was sent."""
 
-    def reported(self, status: RobotStatus) -> None:
+    def on_status(self, status: RobotStatus) -> None:
         """Take note of what the robot said."""
 
     def close(self) -> None:
@@ -182,12 +182,12 @@ class GateLimits:
         for name in ("speed", "yaw_rate", "jump", "turn", "recover"):
             value = getattr(self, name)
             if value != math.inf:
-                number(f"gate: {name}", value, above=0.0)
+                check_number(f"gate: {name}", value, above=0.0)
         for name in ("position_error", "heading_error"):
-            number(f"gate: {name}", getattr(self, name), least=0.0)
-        whole("gate: confirm", self.confirm, least=1, most=MOST_FRAMES)
+            check_number(f"gate: {name}", getattr(self, name), minimum=0.0)
+        check_integer("gate: confirm", self.confirm, minimum=1, maximum=MOST_FRAMES)
         if self.frozen is not None:
-            whole("gate: frozen", self.frozen, least=1, most=MOST_FRAMES)
+            check_integer("gate: frozen", self.frozen, minimum=1, maximum=MOST_FRAMES)
 
     @classmethod
     def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
@@ -197,7 +197,7 @@ class GateLimits:
         """
         if isinstance(given, GateLimits):
             return given
-        return cls(**table("gate", {} if given is None else given, (item.name for item in fields(cls))))
+        return cls(**check_table("gate", {} if given is None else given, (item.name for item in fields(cls))))
 
     def to_dict(self) -> dict[str, float | None]:
         """Return the limits as strict JSON (an absent limit is null)."""

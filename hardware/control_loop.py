@@ -17,7 +17,7 @@ import numpy as np
 from hardware.connection import TIME_TO_LIVE, Command, Connection, Listener, Measurement, RobotStatus
 from hardware.estimator import PoseEstimator, StateEstimate, StateEstimator
 from hardware.gate import PoseGate
-from hardware.run_report import LoopReport, Reason, Stops
+from hardware.run_report import LoopReport, StopReason, StopRequest
 from sysid_evo.errors import IncompatibleSystem, LinkLost
 from sysid_evo.system import System
 from sysid_evo.types import Array
@@ -57,12 +57,12 @@ class ControlLoop:
         listeners: Sequence[Listener] = (),
         estimator: StateEstimator | None = None,
         gate: PoseGate | None = None,
-        stops: Stops | None = None,
+        stop: StopRequest | None = None,
     ) -> None:
         check_loop(system)
         self.connection = connection
         self.system = system
-        self.stops = Stops() if stops is None else stops
+        self.stop = StopRequest() if stop is None else stop
         self._listeners = tuple(listeners)
         self._estimator: StateEstimator = PoseEstimator(system) if estimator is None else estimator
         self._gate = gate
@@ -91,7 +91,7 @@ class ControlLoop:
                 if not reason.is_fault:
                     self._send(self.system.neutral_control, self.connection.time)
             except LinkLost as error:
-                reason, detail = self.stops.reason or Reason.LINK_LOST, str(error)
+                reason, detail = self.stop.reason or StopReason.LINK_LOST, str(error)
         except BaseException:
             self.connection.close()
             raise
@@ -110,7 +110,7 @@ class ControlLoop:
             rejected=dict(self._rejected),
         )
 
-    def _drive(self, pilot: Pilot, samples: int | None) -> tuple[Reason, str]:
+    def _drive(self, pilot: Pilot, samples: int | None) -> tuple[StopReason, str]:
         """Send a command for every tick until something ends the run; return what."""
         neutral, dt = self.system.neutral_control, self.system.dt
         self._opened = opened = self.connection.time
@@ -131,37 +131,39 @@ class ControlLoop:
                 first = index
             if first is None:
                 if now - opened > FIRST_POSE:
-                    return Reason.TRACKER_LOST, self._why_no_pose(f"no pose to start from within {FIRST_POSE:.1f} s")
+                    return StopReason.TRACKER_LOST, self._why_no_pose(
+                        f"no pose to start from within {FIRST_POSE:.1f} s"
+                    )
                 self._send(neutral, opened + index * dt)
                 continue
             self._tick = index - first
             if samples is not None and self._tick >= samples:
-                return Reason.SAMPLES, ""
+                return StopReason.SAMPLES, ""
             if estimate is None:
                 self._stale += 1
                 self._send(neutral, opened + index * dt)
             else:
                 control = pilot.decide(self._tick, estimate)
                 if control is None:
-                    return Reason.PILOT, ""
+                    return StopReason.PILOT, ""
                 if not np.isfinite(control).all():
-                    return Reason.NOT_FINITE, f"sample {self._tick}: the pilot decided on {np.asarray(control)}"
+                    return StopReason.NOT_FINITE, f"sample {self._tick}: the pilot decided on {np.asarray(control)}"
                 self._send(self.system.check_control(control), opened + index * dt)
             self._ticks.append((opened + index * dt, self.connection.time))
 
-    def _wait(self, due: float, *, started: bool) -> tuple[Reason, str] | None:
+    def _wait(self, due: float, *, started: bool) -> tuple[StopReason, str] | None:
         """Take in frames until ``due`` and then those that are waiting; return what ends the run, if anything."""
         connection = self.connection
         enough = max(due, connection.time) + 0.5 * self.system.dt
         while True:
-            if self.stops.reason is not None:
-                return self.stops.reason, self.stops.detail
+            if self.stop.reason is not None:
+                return self.stop.reason, self.stop.detail
             now = connection.time
             until_stale = max(SHORTEST, STALE - self._age(now)) if started and self._driving else math.inf
-            with self.stops.answer("the robot or its tracker"):
+            with self.stop.answer("the robot or its tracker"):
                 measurement = connection.measure(max(0.0, min(due - now, POLL, until_stale)))
             if self._tripped():
-                return Reason.TRIPPED, ""
+                return StopReason.TRIPPED, ""
             now = connection.time
             if measurement is not None:
                 self._take(measurement)
@@ -169,7 +171,7 @@ class ControlLoop:
                     continue  # newer ones are waiting: what is known is not as new as it gets
             age = self._age(now)
             if started and age > LOST + CLOCK_TOLERANCE:
-                return Reason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
+                return StopReason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
             if started and self._driving and age > STALE + CLOCK_TOLERANCE:
                 self._send(self.system.neutral_control, now)
             if due - now <= CLOCK_TOLERANCE and (measurement is None or now >= enough):
@@ -178,11 +180,11 @@ class ControlLoop:
     def _take(self, measurement: Measurement) -> None:
         """Tell the listeners of a frame and use it if it is believed."""
         for listener in self._listeners:
-            listener.measured(measurement)
+            listener.on_measurement(measurement)
         if self._gate is None:
             self._gate = PoseGate(measurement.body, self.connection.gate_limits)
         verdict = self._gate.accept(measurement, driving=self._driving)
-        if verdict.broke:
+        if verdict.new_track:
             self._estimator.restart()
         if verdict.accepted:
             self._estimator.add(measurement)
@@ -191,12 +193,12 @@ class ControlLoop:
             self._rejected[verdict.reason] += 1
 
     def _send(self, control: Array, due: float) -> None:
-        with self.stops.answer("the robot"):
+        with self.stop.answer("the robot"):
             self.connection.send(control, valid_for=TIME_TO_LIVE)
         self._driving = not np.array_equal(control, self.system.neutral_control)
         command = Command(self._tick, due, self.connection.time, control.copy())
         for listener in self._listeners:
-            listener.commanded(command)
+            listener.on_command(command)
 
     def _tripped(self) -> bool:
         """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
@@ -205,7 +207,7 @@ class ControlLoop:
             return False
         self._status = status
         for listener in self._listeners:
-            listener.reported(status)
+            listener.on_status(status)
         return status.state == "tripped" and status.time >= self._opened
 
     def _age(self, now: float) -> float:

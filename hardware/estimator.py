@@ -124,7 +124,7 @@ class PoseEstimator:
         return enough and self._times[-1] - self._times[first] >= READY * self.window
 
 
-class NewestPose:
+class NewestPoseEstimator:
     """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
 
     def __init__(self, system: System) -> None:
@@ -151,7 +151,7 @@ FREQUENCIES = (0.3, 0.7, 1.1)  # Hz: how fast the speeds of a known drive change
 
 
 @dataclass(frozen=True)
-class EstimateDelay:
+class EstimatorDelay:
     """How late the estimate of ``channel`` is, in s, and what is left of its error.
 
     ``correlation`` with the truth so long ago; ``error`` is the root mean square difference from it,
@@ -168,7 +168,7 @@ class EstimateDelay:
 
 def measure_delays(
     system: System, times: Array, truth: Array, estimate_times: Array, estimates: Array
-) -> tuple[EstimateDelay, ...]:
+) -> tuple[EstimatorDelay, ...]:
     """Return the delay of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
 
     The delay is where the parabola through the highest correlation and its neighbours has its top,
@@ -191,7 +191,7 @@ def measure_delays(
         bend = before - 2.0 * at + after
         delay = shifts[peak] + (STEP * 0.5 * (before - after) / bend if bend < 0.0 else 0.0)
         found.append(
-            EstimateDelay(
+            EstimatorDelay(
                 channel.name,
                 channel.unit,
                 float(delay),
@@ -203,10 +203,10 @@ def measure_delays(
     return tuple(found)
 
 
-def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimateDelay, ...]:
+def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimatorDelay, ...]:
     """Return the delays of `PoseEstimator` alone, on a known drive seen every ``frame_interval`` s without noise."""
     times: Array = np.arange(0.0, duration, frame_interval)
-    states, poses = known_drive(system, times)
+    states, poses = synthetic_drive(system, times)
     estimator = PoseEstimator(system)
     known: list[tuple[float, Array]] = []
     for frame, (time, pose) in enumerate(zip(times, poses, strict=True)):
@@ -217,7 +217,7 @@ def estimator_delays(system: System, *, frame_interval: float, duration: float =
     return measure_delays(system, times, states, np.array([t for t, _ in known]), np.array([s for _, s in known]))
 
 
-def known_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
+def synthetic_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
     """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds swing smoothly around zero."""
     motion = system.motion
     assert isinstance(motion, PlanarBody)

@@ -21,11 +21,11 @@ LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``broke``: a new track begins with it."""
+    """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``new_track``: a new track begins with it."""
 
     accepted: bool
     reason: str = ACCEPTED
-    broke: bool = False
+    new_track: bool = False
 
 
 class PoseGate:
@@ -69,7 +69,7 @@ class PoseGate:
             self._excess.add(self._last, self._before, measurement)
             self._before = measurement
         self._counts[verdict.reason if not verdict.accepted else "accepted"] += 1
-        if verdict.broke:
+        if verdict.new_track:
             self._counts["tracks"] += 1
         return verdict
 
@@ -103,7 +103,7 @@ class PoseGate:
     def _begin(self, frame: Measurement) -> GateVerdict:
         self._last, self._thawed = frame, False
         self._rival.clear()
-        return GateVerdict(True, broke=True)
+        return GateVerdict(True, new_track=True)
 
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
         """Count equal poses under a drive command; say whether there are too many.

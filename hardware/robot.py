@@ -13,9 +13,9 @@ import numpy as np
 
 from hardware.connection import Connection
 from hardware.control_loop import check_loop
-from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import Recorded, RecordingJob, record_through_loop
-from hardware.run_report import PATIENCE, Stops
+from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
+from hardware.recording.record import RecordingJob, RecordingResult, record_through_loop
+from hardware.run_report import PATIENCE, StopRequest
 from hardware.self_test import SelfTestFinding, self_test
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
@@ -85,11 +85,11 @@ class Robot(ABC):
     def connect(self, *, seed: int | None = None) -> Connection:
         """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
 
-    def look_at(
-        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    def self_test(
+        self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
         """Say whether it is ready to be driven, after ``seconds`` in which nothing moves; see `self_test`."""
-        return self_test(self, seconds=seconds, seed=seed, stops=stops)
+        return self_test(self, seconds=seconds, seed=seed, stop=stop)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         """Return what it is driven through for ``duration`` s to be recorded.
@@ -98,7 +98,7 @@ class Robot(ABC):
         time for them.
         """
         check_loop(self.system)
-        return excitation(self.system, duration=duration, rng=rng)
+        return excitation_manoeuvres(self.system, duration=duration, rng=rng)
 
     def record_manoeuvres(
         self,
@@ -106,11 +106,11 @@ class Robot(ABC):
         *,
         seed: int,
         folder: Path | None = None,
-        stops: Stops | None = None,
+        stop: StopRequest | None = None,
         progress: Progress | None = None,
-    ) -> Recorded:
+    ) -> RecordingResult:
         """Drive these manoeuvres and record the answer. Raises `LinkLost` or `InvalidData` if it is too short."""
-        return self._record_run(manoeuvres, RecordingJob(seed, folder, stops or Stops(), progress))
+        return self._record_run(manoeuvres, RecordingJob(seed, folder, stop or StopRequest(), progress))
 
     def record(
         self,
@@ -118,18 +118,18 @@ class Robot(ABC):
         seed: int,
         duration: float,
         folder: Path | None = None,
-        stops: Stops | None = None,
+        stop: StopRequest | None = None,
         progress: Progress | bool | None = None,
-    ) -> Recorded:
+    ) -> RecordingResult:
         """Excite it for ``duration`` s, as ``seed`` draws it, and record the answer; True shows a bar."""
         with told(progress, "record") as report:
-            return self._record_excitation(duration, RecordingJob(seed, folder, stops or Stops(), report))
+            return self._record_excitation(duration, RecordingJob(seed, folder, stop or StopRequest(), report))
 
-    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+    def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
         """Record what excites it for ``duration`` s: its `manoeuvres`, unless a class excites it in another way."""
         return self._record_run(self.manoeuvres(duration=duration, rng=np.random.default_rng(job.seed)), job)
 
-    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
         """Record these manoeuvres: through the control loop, unless a class has sessions of another kind."""
         return record_through_loop(self, manoeuvres, job)
 

@@ -25,7 +25,7 @@ ROBOT = 4
 """Exit code of a command that link, tracker or robot ended; the command line has the same, for other commands too."""
 
 
-class Reason(Enum):
+class StopReason(Enum):
     """Why a run ended: a sentence, and the exit code of a command that ended so (0: as it should).
 
     That of a signal is the one that shells give it; what went wrong with link, tracker or robot is 4.
@@ -37,7 +37,7 @@ class Reason(Enum):
     TRACKER_LOST = ("the tracker lost the robot", ROBOT)
     TRIPPED = ("the robot stopped itself", ROBOT)
     NOT_FINITE = ("the control was not a number", ROBOT)
-    RESTLESS = ("the robot did not come to rest", ROBOT)
+    NOT_AT_REST = ("the robot did not come to rest", ROBOT)
     THREAD_DIED = ("a thread died", ROBOT)
     SIGHUP = ("hung up", 129)
     SIGINT = ("interrupted", 130)
@@ -63,7 +63,7 @@ class LoopReport:
     not used, by reason.
     """
 
-    reason: Reason
+    reason: StopReason
     detail: str
     lateness: Array
     gaps: Array
@@ -107,10 +107,10 @@ PATIENCE = 10.0
 GRACE = 1.0
 """Seconds that it has left to answer when a signal has come."""
 
-SIGNALS = {signal.SIGINT: Reason.SIGINT, signal.SIGTERM: Reason.SIGTERM, signal.SIGHUP: Reason.SIGHUP}
+SIGNALS = {signal.SIGINT: StopReason.SIGINT, signal.SIGTERM: StopReason.SIGTERM, signal.SIGHUP: StopReason.SIGHUP}
 
 
-class Stops:
+class StopRequest:
     """Remembers that a run must end, and why; the loop looks at it at least every 20 ms.
 
     Within a ``with`` statement, which only the main thread can enter, SIGINT, SIGTERM, SIGHUP and an
@@ -121,13 +121,13 @@ class Stops:
 
     def __init__(self, patience: float = PATIENCE) -> None:
         self.patience = patience
-        self.reason: Reason | None = None
+        self.reason: StopReason | None = None
         self.detail = ""
         self._handlers: dict[signal.Signals, Any] = {}
         self._asked = ""
         self._excepthook = threading.excepthook
 
-    def request(self, reason: Reason, detail: str = "") -> None:
+    def request(self, reason: StopReason, detail: str = "") -> None:
         """End the run for ``reason``; the first request counts. Any thread may call it."""
         if self.reason is None:
             self.detail = detail
@@ -184,5 +184,5 @@ class Stops:
 
     def _died(self, arguments: threading.ExceptHookArgs) -> None:
         name = "a thread" if arguments.thread is None else arguments.thread.name
-        self.request(Reason.THREAD_DIED, f"{name}: {arguments.exc_type.__name__}: {arguments.exc_value}")
+        self.request(StopReason.THREAD_DIED, f"{name}: {arguments.exc_type.__name__}: {arguments.exc_value}")
         self._excepthook(arguments)

@@ -12,7 +12,7 @@ import numpy as np
 from hardware.connection import Connectable, Connection, Listener, Measurement, RobotStatus
 from hardware.control_loop import LATEST, STALE, ControlLoop, Pilot, check_loop
 from hardware.estimator import StateEstimate, estimator_delays
-from hardware.run_report import LoopReport, Stops
+from hardware.run_report import LoopReport, StopRequest
 from sysid_evo.carry import clip_state
 from sysid_evo.data.units import spelled_range
 from sysid_evo.errors import LinkLost
@@ -38,7 +38,7 @@ STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
 
 
 def self_test(
-    robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stops: Stops | None = None
+    robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stop: StopRequest | None = None
 ) -> tuple[SelfTestFinding, ...]:
     """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
 
@@ -46,36 +46,36 @@ def self_test(
     """
     check_loop(robot.system)
     began = time.perf_counter()
-    stops = Stops() if stops is None else stops
+    stop = StopRequest() if stop is None else stop
     try:
-        with stops.answer(robot.name, math.inf):
+        with stop.answer(robot.name, math.inf):
             connection = robot.connect(seed=seed)
     except LinkLost as error:
         return (SelfTestFinding("handshake", False, f"Nothing answers: {error}"),)
     with connection:
         took = time.perf_counter() - began
-        sitter = Sitter(connection, robot.system)
-        loop = ControlLoop(connection, robot.system, listeners=[sitter], stops=stops)
+        sitter = NeutralObserver(connection, robot.system)
+        loop = ControlLoop(connection, robot.system, listeners=[sitter], stop=stop)
         report = loop.run(sitter.pilot, samples=round(seconds / robot.system.dt))
         handshake = SelfTestFinding("handshake", True, f"{robot.name} answered within {took:.2f} s.", {"seconds": took})
         return (handshake, sitter.link(), sitter.tracker(), _loop(report), *sitter.estimate())
 
 
-class Sitter(Listener):
+class NeutralObserver(Listener):
     """Writes down everything while nothing is done."""
 
     def __init__(self, connection: Connection, system: System) -> None:
-        self.pilot = Idle(system)
+        self.pilot = NeutralPilot(system)
         self._connection = connection
         self._system = system
         self._frames: list[Measurement] = []
         self._statuses: list[RobotStatus] = []
         self._round_trips: list[float] = []
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         self._frames.append(measurement)
 
-    def reported(self, status: RobotStatus) -> None:
+    def on_status(self, status: RobotStatus) -> None:
         self._statuses.append(status)
         if self._connection.round_trip is not None:
             self._round_trips.append(self._connection.round_trip)
@@ -148,7 +148,7 @@ class Sitter(Listener):
         )
 
 
-class Idle(Pilot):
+class NeutralPilot(Pilot):
     """Decides on neutral and keeps the ages of the poses."""
 
     def __init__(self, system: System) -> None:
@@ -185,22 +185,26 @@ LONG = 2.0
 """Seconds of it that are enough to know how slow it is."""
 
 
-def examine(dynamics: Dynamics, sensors: SelfTestFinding, *, stops: Stops | None = None) -> tuple[SelfTestFinding, ...]:
+def equation_findings(
+    dynamics: Dynamics, sensors: SelfTestFinding, *, stop: StopRequest | None = None
+) -> tuple[SelfTestFinding, ...]:
     """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
-    stops = Stops() if stops is None else stops
-    findings = [system_finding(dynamics.system), sensors, _rest(dynamics, stops)]
-    findings += [_answer(dynamics, place, stops) for place in range(dynamics.system.nu) if stops.reason is None]
-    return (*findings, _speed(dynamics, stops))
+    stop = StopRequest() if stop is None else stop
+    findings = [system_finding(dynamics.system), sensors, _rest(dynamics, stop)]
+    findings += [_answer(dynamics, place, stop) for place in range(dynamics.system.nu) if stop.reason is None]
+    return (*findings, _speed(dynamics, stop))
 
 
 def system_finding(system: System) -> SelfTestFinding:
     """Return states, controls and sampling time in a sentence."""
-    states, controls = (", ".join(map(described, channels)) or "none" for channels in (system.states, system.controls))
+    states, controls = (
+        ", ".join(map(describe_channel, channels)) or "none" for channels in (system.states, system.controls)
+    )
     sentence = f"States: {states}. Controls: {controls}. One sample every {system.dt:g} s; no pose, so no tracker."
     return SelfTestFinding("system", True, sentence, {"dt": system.dt})
 
 
-def described(channel: Channel) -> str:
+def describe_channel(channel: Channel) -> str:
     """Return name, and in brackets what it is known to be: period, levels or limits, with the unit; its description."""
     unit, facts = f" {channel.unit}" if channel.unit else "", channel.unit
     if channel.period is not None:
@@ -230,9 +234,9 @@ def sensors_finding(
     return SelfTestFinding("sensors", bool(np.isfinite(readings).all()), sentence)
 
 
-def _rest(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
+def _rest(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
     """Say where the equations go when nothing is commanded."""
-    path = tried(dynamics, dynamics.system.neutral_control, stops)
+    path = constant_control_response(dynamics, dynamics.system.neutral_control, stops)
     finite = bool(np.isfinite(path).all())
     moved = f"goes through {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "stays where it is"
     sentence = (
@@ -241,16 +245,19 @@ def _rest(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
     return SelfTestFinding("rest", finite, sentence)
 
 
-def _answer(dynamics: Dynamics, place: int, stops: Stops) -> SelfTestFinding:
+def _answer(dynamics: Dynamics, place: int, stops: StopRequest) -> SelfTestFinding:
     """Say what one control does at its two ends: the others neutral, or full if it changes nothing then."""
     system, channel = dynamics.system, dynamics.system.controls[place]
     if not all(control.bounded for control in system.controls):
         return SelfTestFinding(
             channel.name, channel.bounded, "Controls must have finite limits: give low and high, or levels."
         )
-    for others, how in ((system.neutral_control, ""), (full(system), " with the other controls full")):
+    for others, how in ((system.neutral_control, ""), (full_controls(system), " with the other controls full")):
         here = np.arange(system.nu) == place
-        paths = {end: tried(dynamics, np.where(here, end, others), stops) for end in (channel.low, channel.high)}
+        paths = {
+            end: constant_control_response(dynamics, np.where(here, end, others), stops)
+            for end in (channel.low, channel.high)
+        }
         low, high = paths.values()
         if low.shape != high.shape or not np.array_equal(low, high):
             ok = all(np.isfinite(path).all() for path in paths.values())
@@ -260,7 +267,7 @@ def _answer(dynamics: Dynamics, place: int, stops: Stops) -> SelfTestFinding:
     return SelfTestFinding(channel.name, False, sentence)
 
 
-def full(system: System) -> Array:
+def full_controls(system: System) -> Array:
     """Return every control at the limit farther from neutral, (nu,)."""
     return np.array([c.high if c.high - c.neutral >= c.neutral - c.low else c.low for c in system.controls])
 
@@ -273,7 +280,7 @@ def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
     return f"{at}: {_ranges(dynamics.system, path)}{_clipped(dynamics, path)}"
 
 
-def tried(dynamics: Dynamics, control: Array, stops: Stops) -> Array:
+def constant_control_response(dynamics: Dynamics, control: Array, stops: StopRequest) -> Array:
     """Return the states (STEPS + 1, nx) from rest under a constant ``control`` (nu,), without noise."""
     system = dynamics.system
     carry = started(dynamics, system.neutral_state[None])
@@ -285,7 +292,7 @@ def tried(dynamics: Dynamics, control: Array, stops: Stops) -> Array:
             if not np.isfinite(carry[0, : system.nx]).all():
                 states.append(carry[0, : system.nx].copy())
                 break
-            carry, _ = clip_state(carry, dynamics.envelope)
+            carry, _ = clip_state(carry, dynamics.state_bounds)
             states.append(carry[0, : system.nx].copy())
     return np.array(states)
 
@@ -305,13 +312,13 @@ def _ranges(system: System, path: Array) -> str:
 
 def _clipped(dynamics: Dynamics, path: Array) -> str:
     """Return which states are held at a limit."""
-    if dynamics.envelope is None:
+    if dynamics.state_bounds is None:
         return ""
     rest = dynamics.system.neutral_state
     held = [
         channel.name
         for channel, values, least, most, start in zip(
-            dynamics.system.states, path.T, *dynamics.envelope, rest, strict=True
+            dynamics.system.states, path.T, *dynamics.state_bounds, rest, strict=True
         )
         if (values.max() >= most > start) or (values.min() <= least < start)
     ]
@@ -327,7 +334,7 @@ def _lost(system: System, path: Array) -> str:
     )
 
 
-def _speed(dynamics: Dynamics, stops: Stops) -> SelfTestFinding:
+def _speed(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
     """Say how fast rollouts step it."""
     system = dynamics.system
     carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))

@@ -19,14 +19,14 @@ from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.registry import Spec, robots
 from sysid_evo.system import System
 from sysid_evo.testing.closed_loop import CONTROLLER, TASK
-from sysid_evo.testing.contract import Contract, DoesNotApply, expect, expect_error, expect_numbers, normal, same
+from sysid_evo.testing.contract import Contract, NotApplicable, expect, expect_error, expect_numbers, normal, same
 from sysid_evo.testing.evolution import STRATEGY
 from sysid_evo.testing.models import (
     MODEL,
     StepInputs,
-    expect_compiled_alike,
     expect_independent_rows,
-    expect_pure,
+    expect_pure_step,
+    expect_same_compiled,
     expect_shape_and_type,
 )
 from sysid_evo.testing.readers import READER
@@ -48,13 +48,13 @@ class RobotExample:
 
     @property
     def dynamics(self) -> Dynamics:
-        """What steps in an emulated robot. Raises `DoesNotApply` for a physical one."""
+        """What steps in an emulated robot. Raises `NotApplicable` for a physical one."""
         if self.robot.dynamics is None:
-            raise DoesNotApply
+            raise NotApplicable
         return self.robot.dynamics
 
     def connect(self) -> Connection:
-        """Open a session with an emulated robot. Raises `DoesNotApply` for a physical one."""
+        """Open a session with an emulated robot. Raises `NotApplicable` for a physical one."""
         assert self.dynamics is not None
         return self.robot.connect(seed=1)
 
@@ -111,12 +111,12 @@ def rows_are_independent(given: RobotExample) -> None:
 
 def a_step_is_pure(given: RobotExample) -> None:
     """A step changes neither its arguments nor its own later results"""
-    expect_pure(given.dynamics, _some_inputs(given.dynamics))
+    expect_pure_step(given.dynamics, _some_inputs(given.dynamics))
 
 
 def the_compiled_form_steps_as_step_does(given: RobotExample) -> None:
     """The compiled form steps as step does"""
-    expect_compiled_alike(given.dynamics, _some_inputs(given.dynamics))
+    expect_same_compiled(given.dynamics, _some_inputs(given.dynamics))
 
 
 def a_session_shows_frames(given: RobotExample) -> None:
@@ -142,7 +142,7 @@ def a_command_moves_it(given: RobotExample) -> None:
     """A command moves it, and only as long as it is valid"""
     system = given.robot.system
     if system.n_pose == 0:
-        raise DoesNotApply
+        raise NotApplicable
     resting = _driven(given, system.neutral_control, valid_for=SECONDS)
     moves = [_driven(given, command, valid_for=SECONDS) for command in _extremes(system)]
     expect(any(not same(moved, resting) for moved in moves), "no command changes where it goes")

@@ -9,11 +9,11 @@ import numpy as np
 
 from sysid_evo import Dataset, DynamicsModel, make_model, register_model
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
-from sysid_evo.models.ensemble import MeanOfMembers
+from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry import Spec, models
 from sysid_evo.system import System
-from sysid_evo.validation.folds import FOLDS, folds_of
+from sysid_evo.validation.folds import FOLDS, make_folds
 
 FAMILIES = ("narx", "k_neighbours")
 
@@ -22,7 +22,7 @@ PARTS = 100
 
 
 @register_model("average")
-class Average(MeanOfMembers):
+class Average(MeanModel):
     """The mean of the next states of ``families``, each fitted to all the data, with equal weights.
 
     ``families`` are named with their settings, such as ``[narx, neural_ode(updates=200)]``; `narx` and `k_neighbours`
@@ -40,8 +40,8 @@ class Average(MeanOfMembers):
 
     families: list[str] | None = None
     stochastic: bool = False
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:
         super().check_parameters()
@@ -60,7 +60,7 @@ class Average(MeanOfMembers):
                 raise IncompatibleSystem(f"families: {spec.text} is not periodic, and {turning} comes round")
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        pairs = folds_of(dataset, FOLDS) if self.stochastic else []
+        pairs = make_folds(dataset, FOLDS) if self.stochastic else []
         counter = Counter(progress, PARTS * len(self._named()) * (1 + len(pairs)) + 1)
 
         def fitted(data: Dataset) -> list[DynamicsModel]:
@@ -77,9 +77,9 @@ class Average(MeanOfMembers):
         """Return the mean of ``fitted`` models of one system as a fitted model."""
         mean = cls()
         mean._hold(fitted)
-        envelopes = np.array([model.envelope_ for model in fitted])
-        mean.system_, mean.pairs_ = fitted[0].system, fitted[0].pairs_
-        mean.envelope_ = np.stack([envelopes[:, 0].min(axis=0), envelopes[:, 1].max(axis=0)])
+        bounds = np.array([model.state_bounds_ for model in fitted])
+        mean.system_, mean.training_sample_ = fitted[0].system, fitted[0].training_sample_
+        mean.state_bounds_ = np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
         return mean
 
     def _hold(self, fitted: Sequence[DynamicsModel]) -> None:
@@ -91,7 +91,7 @@ class Average(MeanOfMembers):
     def _unfitted(self) -> list[DynamicsModel]:
         return [make_model(spec) for spec in self._named()]
 
-    def uses(self) -> tuple[str, ...]:
+    def families_used(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(spec.name for spec in self._named()))
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from model_zoo.control_grid import CommandCells
+from model_zoo.control_grid import ControlGrid
 from model_zoo.features import Features, integrals, next_state, next_state_predictor
 from model_zoo.networks.network import random_network
 from model_zoo.scaling import deviation
@@ -41,7 +41,7 @@ class Backprop27(DynamicsModel):
     """
 
     knowledge = "black"
-    structure = "network"
+    model_class = "network"
     periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
     limits: ClassVar[dict[str, Limit]] = {
@@ -58,14 +58,14 @@ class Backprop27(DynamicsModel):
     levels: int = 3
     state_lags: int = 0
     control_lags: int = 0
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def check_system(self, system: System) -> None:
-        CommandCells.of(system, self.levels)
+        ControlGrid.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        cells = CommandCells.of(dataset.system, self.levels)
+        cells = ControlGrid.of(dataset.system, self.levels)
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         self.filled_ = np.unique(cell)
@@ -88,7 +88,7 @@ class Backprop27(DynamicsModel):
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        cells, nx = CommandCells.of(self.system, self.levels), self.system.nx
+        cells, nx = ControlGrid.of(self.system, self.levels), self.system.nx
         seen = Features(self.system, self.lags).n_carry + len(cells.exact)
         return {
             "filled_": Numbers("commands", whole=True, least=0, most=cells.count - 1, rising=True),
@@ -131,9 +131,9 @@ class Backprop27(DynamicsModel):
         return next_state_predictor(self.added_, with_angles(networks, self.system, self.lags))
 
     @cached_property
-    def _serving(self) -> tuple[CommandCells, IntArray]:
+    def _serving(self) -> tuple[ControlGrid, IntArray]:
         """The cells, and for each the number of the networks that serve it."""
-        cells = CommandCells.of(self.system, self.levels)
+        cells = ControlGrid.of(self.system, self.levels)
         return cells, np.searchsorted(self.filled_, cells.fallback(self.filled_))
 
     def _trained(

@@ -17,7 +17,7 @@ MOST_CELLS, BYTES = 2**20, 32
 
 
 @dataclass(frozen=True)
-class CommandCells:
+class ControlGrid:
     """The grid of control levels. A control belongs to the cell of its nearest levels.
 
     Discrete channels bring their levels; a continuous one gets ``n_levels`` equal steps between its
@@ -29,7 +29,7 @@ class CommandCells:
     exact: tuple[int, ...]
 
     @classmethod
-    def of(cls, system: System, n_levels: int) -> CommandCells:
+    def of(cls, system: System, n_levels: int) -> ControlGrid:
         """Return the cells of ``system``. Raises `IncompatibleSystem`, of more than `MOST_CELLS` too."""
         cells = cls(
             tuple(_levels(channel, n_levels) for channel in system.controls),

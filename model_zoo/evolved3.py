@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from model_zoo.features import Features
-from model_zoo.scaling import Standard
+from model_zoo.scaling import ChannelScaling
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import Weights
@@ -31,53 +31,53 @@ class Evolved3(DynamicsModel):
     outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
     (none in the paper) are further inputs of every network. Of a periodic state sine and cosine are inputs.
 
-    The error is the square of the last step only. With ``weights="spread"`` every state is divided by its
+    The error is the square of the last step only. With ``error_units="spread"`` every state is divided by its
     standard deviation; with "paper", the preset of that name, states count in their own units: the lateral
     speed, small in numbers, hardly counts then, and may be further off than a state that does not change
     (192 % in the paper's table 1), most of all after one step.
     """
 
     knowledge = "dark grey"
-    structure = "network"
+    model_class = "network"
     periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 150},
-        "paper": {"weights": "paper"},
+        "paper": {"error_units": "paper"},
     }
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("hidden", "generations", "windows", "horizon")},
-        "spread": above(0),
+        "initial_std": above(0),
     }
 
     hidden: int = 5
     generations: int = 1000
     windows: int = 100
     horizon: int = 10
-    spread: float = 0.5
-    weights: Weights = "spread"
+    initial_std: float = 0.5
+    error_units: Weights = "spread"
     state_lags: int = 0
     control_lags: int = 0
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        standard = Standard.of(dataset)
+        standard = ChannelScaling.of(dataset)
         self.centre_, self.scale_ = standard.of_inputs(self.layout)
         self.output_scale_ = standard.change / dataset.system.dt
         n = dataset.system.nx * (self.hidden * (len(self.centre_) + 1) + self.hidden + 1)
         search = ModelEvolution(
-            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+            generations=self.generations, windows=self.windows, horizon=self.horizon, error_units=self.error_units
         )
         self.parameters_ = search.run(
             self._advance,
             dataset,
             initial=np.zeros(n),
-            spread=self.spread,
+            spread=self.initial_std,
             rng=rng,
             progress=progress,
             checkpoint=self.checkpoint,
             kernel=self._kernels,
-            start=self.lagged,
+            start=self.initial_carry,
             history=self.n_lags,
         )
         return self
@@ -130,4 +130,4 @@ class Evolved3(DynamicsModel):
         by_state = hidden.reshape(p, len(control), nx, self.hidden)
         change = np.einsum("pbsh,psh->pbs", by_state, last.reshape(p, nx, self.hidden)) + last_bias[:, None]
         after = self.system.integrate(carry[..., :nx], change * self.output_scale_)
-        return self.remember(carry, held, self.held(carry, held, after))
+        return self.shift_lags(carry, held, self.apply_limits(carry, held, after))

@@ -48,7 +48,7 @@ class Features:
     def __post_init__(self) -> None:
         known = self.input_names if self.functions else []
         for text in self.functions:
-            function = FunctionOf.read(text)
+            function = ChannelFunction.read(text)
             if function is None or function.input not in known:
                 raise InvalidArgument(
                     f"functions: expected NAME(CHANNEL) with one of {', '.join(FUNCTIONS)} and one of "
@@ -137,10 +137,10 @@ class Features:
         return [*self._layout.each_input(of_states, of_controls), *functions]
 
     @cached_property
-    def _functions(self) -> list[tuple[FunctionOf, int]]:
+    def _functions(self) -> list[tuple[ChannelFunction, int]]:
         """The functions, and the place of what each is of in (carry, control)."""
         known = self.input_names
-        read = [function for text in self.functions if (function := FunctionOf.read(text)) is not None]
+        read = [function for text in self.functions if (function := ChannelFunction.read(text)) is not None]
         return [(function, known.index(function.input)) for function in read]
 
     @property
@@ -173,7 +173,7 @@ FUNCTIONS: dict[str, Callable[[Array], Array]] = {
 CALL = re.compile(r"\s*(?P<function>\w+)\(\s*(?:(?P<factor>[-+.\deE]+)\s*\*\s*)?(?P<input>[^()*]+?)\s*\)\s*")
 
 
-class FunctionOf(NamedTuple):
+class ChannelFunction(NamedTuple):
     """``function`` of ``factor`` times the input called ``input``; read from ``sin(2*speed)`` or ``abs(speed)``."""
 
     function: str
@@ -181,7 +181,7 @@ class FunctionOf(NamedTuple):
     input: str
 
     @classmethod
-    def read(cls, text: str) -> FunctionOf | None:
+    def read(cls, text: str) -> ChannelFunction | None:
         """Return what ``text`` says, None if it is no function of one input."""
         found = CALL.fullmatch(text)
         if found is None or found["function"] not in FUNCTIONS:

@@ -11,18 +11,18 @@ from scipy.linalg import blas, cho_solve, cholesky, lapack
 from scipy.optimize import Bounds, minimize
 
 from model_zoo.features import Features
-from model_zoo.scaling import Standard, positive
+from model_zoo.scaling import ChannelScaling, positive
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.kernels import Predictor, gaussian_predictor, with_angles
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import Limit, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
-from sysid_evo.validation.folds import unseen_parts
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.folds import recording_or_time_folds
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
 from sysid_evo.validation.intervals import conformal_scale
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 
 JITTER = 1e-6
 """What the covariance of the inducing points has more on its diagonal, as a share of the amplitude's square."""
@@ -36,7 +36,7 @@ SUBSETS = 3
 
 
 @register_model("gaussian_process")
-class GaussianProcess(Uncertain):
+class GaussianProcess(StochasticModel):
     """Acceleration = linear part + Gaussian process of (carry, control), squared exponential, one length an input.
 
     The linear part, fitted first by ridge regression, is what remains far from the data. Lengths, amplitude and noise
@@ -45,13 +45,13 @@ class GaussianProcess(Uncertain):
     deterministic training conditional over all data (Seeger 2003; Quinonero Candela, Rasmussen 2005, equation 20): mean
     k_* S K_uf y / s^2, variance k_** - k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Lags left at
     None are chosen by the simulation error over one second on held-out blocks of time. With ``stochastic`` every step
-    adds normal noise of that variance, scaled as `Uncertain` says on recordings held out in turn (blocks of time, if
-    there is one recording only); switched on after the fit, so that 90 % intervals hold 90 % of samples one second
+    adds normal noise of that variance, scaled as `StochasticModel` says on recordings held out in turn (blocks of time,
+    if there is one recording only); switched on after the fit, so that 90 % intervals hold 90 % of samples one second
     ahead. Of a periodic state sine and cosine are inputs.
     """
 
     knowledge = "dark grey"
-    structure = "neighbours"
+    model_class = "neighbours"
     periodic = True
     precision = "float64"  # its large weights cancel
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -63,25 +63,27 @@ class GaussianProcess(Uncertain):
     inducing: int = 250
     state_lags: int | None = None
     control_lags: int | None = None
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         options = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
-        counter = Counter(progress, (trials(options) + 1) * dataset.system.nx + 1)
-        blocks = HeldOut.of(dataset, 1)
-        lags = best(options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter)))
-        self.keep_lags(lags)
+        counter = Counter(progress, (count_fits(options) + 1) * dataset.system.nx + 1)
+        blocks = HeldOutError.of(dataset, 1)
+        lags = best_candidate(
+            options, lambda lags: blocks.error(lambda learned: self._trial(learned, lags, rng, counter))
+        )
+        self.record_lags(lags)
         self._learn(dataset, rng, counter)
         parts = []  # models with the same hyper-parameters and inducing points
-        for seen, unseen in unseen_parts(dataset):
+        for seen, unseen in recording_or_time_folds(dataset):
             parts.append((self.variant(stochastic=False), unseen))
             parts[-1][0]._condition(seen)
         if self.stochastic:
             self.spread_on(parts, rng, lambda: counter.advance(0), own_deviation=True)
             return self
         self.keep_one_scale(np.ones(self.system.nx))
-        cases = [(model, judging_windows(unseen, self.n_lags)) for model, unseen in parts]
+        cases = [(model, error_windows(unseen, self.n_lags)) for model, unseen in parts]
         self.keep_one_scale(conformal_scale(cases, rng, still=lambda: counter.advance(0)))
         return self
 
@@ -142,7 +144,7 @@ class GaussianProcess(Uncertain):
     def _trial(
         self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter
     ) -> GaussianProcess:
-        """Return a smaller model that learned from ``dataset``, with the envelope of this one."""
+        """Return a smaller model that learned from ``dataset``, with the state_bounds of this one."""
         inducing = min(TRIAL_INDUCING, self.inducing)
         trial = self.variant(state_lags=lags[0], control_lags=lags[1], inducing=inducing, stochastic=False)
         trial._learn(dataset, rng, counter)
@@ -151,14 +153,14 @@ class GaussianProcess(Uncertain):
     def _learn(self, dataset: Dataset, rng: np.random.Generator, counter: Counter) -> None:
         """Choose inducing points and hyper-parameters, then learn from all data."""
         inputs, targets = self._residuals(dataset)
-        _, scale = Standard.of(dataset).of_inputs(self.layout)
+        _, scale = ChannelScaling.of(dataset).of_inputs(self.layout)
         count, size = min(self.inducing, len(inputs)), positive(targets.std(axis=0))
         subsets = [np.sort(rng.choice(len(inputs), size=count, replace=False)) for _ in range(SUBSETS)]
         nx, n = targets.shape[1], inputs.shape[1]
         self.lengths_, self.amplitude_, self.noise_ = np.empty((nx, n)), np.empty(nx), np.empty(nx)
         for channel in range(nx):
             found = [
-                most_likely(
+                maximise_likelihood(
                     inputs[rows] / scale, targets[rows, channel] / size[channel], told=lambda: counter.advance(0)
                 )
                 for rows in subsets
@@ -175,7 +177,7 @@ class GaussianProcess(Uncertain):
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
         inputs = Features(dataset.system, self.lags)(data.carry, data.control)
         targets = dataset.system.acceleration(data.state, data.after)
-        _, scale = Standard.of(dataset).of_inputs(self.layout)
+        _, scale = ChannelScaling.of(dataset).of_inputs(self.layout)
         centre = inputs.mean(axis=0)
         gram = (inputs - centre).T @ (inputs - centre) + LINEAR_RIDGE * len(inputs) * np.diag(scale**2)
         self.slope_ = np.linalg.solve(gram, (inputs - centre).T @ (targets - targets.mean(axis=0)))
@@ -192,9 +194,9 @@ class GaussianProcess(Uncertain):
             square = self.noise_[channel] ** 2
             own = self._kernel(points, points, channel) + JITTER * self.amplitude_[channel] ** 2 * identity
             cross = self._kernel(points, inputs, channel)
-            posterior = factor(own + cross @ cross.T / square)
+            posterior = cholesky_with_jitter(own + cross @ cross.T / square)
             self.weights_[channel] = cho_solve((posterior, True), cross @ targets[:, channel]) / square
-            prior = cho_solve((factor(own), True), identity)
+            prior = cho_solve((cholesky_with_jitter(own), True), identity)
             self.reduction_[channel] = prior - cho_solve((posterior, True), identity)
 
 
@@ -297,7 +299,7 @@ def negative_log_likelihood(logarithms: Array, inputs: Array, targets: Array) ->
     return float(value), np.concatenate([[0.5 * apart.sum()], moments, [by_noise]])
 
 
-def most_likely(inputs: Array, targets: Array, *, told: Callable[[], None]) -> Likely:
+def maximise_likelihood(inputs: Array, targets: Array, *, told: Callable[[], None]) -> Likely:
     """Return what maximises the marginal likelihood within the bounds; ``told`` is called before every evaluation."""
 
     def objective(logarithms: Array) -> tuple[float, Array]:
@@ -309,7 +311,7 @@ def most_likely(inputs: Array, targets: Array, *, told: Callable[[], None]) -> L
     return Likely(float(np.sqrt(found[0])), found[1:-1], float(np.sqrt(found[-1])))
 
 
-def factor(matrix: Array) -> Array:
+def cholesky_with_jitter(matrix: Array) -> Array:
     """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
 
     Data without noise make the covariance singular in double precision: the diagonal then grows by

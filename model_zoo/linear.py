@@ -12,14 +12,14 @@ from model_zoo.scaling import deviation
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.parameters import Limit, Searched, Within, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
 
 
 @register_model("linear")
-class Linear(Uncertain):
+class Linear(StochasticModel):
     """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
 
     With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
@@ -29,16 +29,16 @@ class Linear(Uncertain):
     """
 
     knowledge = "black"
-    cheap = True
-    structure = "polynomial"
-    searched: ClassVar[dict[str, Searched]] = {"ridge": Within(1e-6, 100.0, log=True)}
+    fast_fit = True
+    model_class = "polynomial"
+    search_ranges: ClassVar[dict[str, SearchRange]] = {"ridge": Within(1e-6, 100.0, log=True)}
     limits: ClassVar[dict[str, Limit]] = {"ridge": at_least(0)}
 
     ridge: float = 0.0
     intercept: bool = True
     state_lags: int = 0
     control_lags: int = 0
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])

@@ -9,20 +9,20 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from model_zoo.control_grid import CommandCells
+from model_zoo.control_grid import ControlGrid
 from model_zoo.features import Features
 from model_zoo.neighbours_kernel import plane_predictor
-from model_zoo.scaling import Standard, deviation
+from model_zoo.scaling import ChannelScaling, deviation
 from sysid_evo import Dataset, DynamicsModel, System, register_model
 from sysid_evo.models.kernels import Predictor, neighbour_predictor, on_top, with_angles
 from sysid_evo.models.kernels.neighbours import EXACT_INTEGERS, numbers_taken
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.parameters import Limit, SearchRange, Within, above, at_least
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import FOLDS
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
 
 
 @register_model("nearest_neighbour")
@@ -36,21 +36,21 @@ class NearestNeighbour(DynamicsModel):
     """
 
     knowledge = "dark grey"
-    cheap = True
-    structure = "neighbours"
+    fast_fit = True
+    model_class = "neighbours"
     periodic = True
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}
 
     levels: int = 3
     state_lags: int = 0
     control_lags: int = 0
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def check_system(self, system: System) -> None:
-        CommandCells.of(system, self.levels)
+        ControlGrid.of(system, self.levels)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        cells = CommandCells.of(dataset.system, self.levels)
+        cells = ControlGrid.of(dataset.system, self.levels)
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1])
         cell = cells.index(data.control)
         order = np.argsort(cell, kind="stable")
@@ -60,7 +60,7 @@ class NearestNeighbour(DynamicsModel):
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        cells = CommandCells.of(self.system, self.levels)
+        cells = ControlGrid.of(self.system, self.levels)
         seen = Features(self.system, self.lags).n_carry + len(cells.exact)
         return {
             "cell_": Numbers("points", whole=True, least=0, most=cells.count - 1, rising=True),
@@ -97,8 +97,8 @@ class NearestNeighbour(DynamicsModel):
         return with_angles(predictor, self.system, self.lags)
 
     @cached_property
-    def _tables(self) -> tuple[CommandCells, dict[int, tuple[Any, slice]], IntArray]:
-        cells = CommandCells.of(self.system, self.levels)
+    def _tables(self) -> tuple[ControlGrid, dict[int, tuple[Any, slice]], IntArray]:
+        cells = ControlGrid.of(self.system, self.levels)
         filled, first, count = np.unique(self.cell_, return_index=True, return_counts=True)
         tables = {}
         for number, begin, size in zip(filled, first, count, strict=True):
@@ -114,7 +114,7 @@ RIDGE = 0.03
 
 
 @register_model("k_neighbours")
-class KNeighbours(Uncertain):
+class KNeighbours(StochasticModel):
     """The change of the state on a plane fitted to the ``neighbours`` nearest steps (locally weighted regression).
 
     The plain change in one step is used, not the acceleration: a lateral acceleration balances
@@ -129,9 +129,9 @@ class KNeighbours(Uncertain):
     """
 
     knowledge = "dark grey"
-    cheap = True
-    structure = "neighbours"
-    searched: ClassVar[dict[str, Searched]] = {
+    fast_fit = True
+    model_class = "neighbours"
+    search_ranges: ClassVar[dict[str, SearchRange]] = {
         "neighbours": Within(3, 60, log=True),
         "control_weight": Within(0.2, 5.0, log=True),
     }
@@ -144,29 +144,29 @@ class KNeighbours(Uncertain):
     control_weight: float = 1.0
     state_lags: int | None = None
     control_lags: int | None = None
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         lags = lag_candidates(self.state_lags, self.control_lags, ((0, 0), (0, 3), (1, 3)))
         counts = NEIGHBOURS if self.neighbours is None else (self.neighbours,)
         settings = [(count, pair) for pair in lags for count in counts]
-        counter = Counter(progress, trials(settings) * FOLDS + 1)
-        blocks = HeldOut.of(dataset)
+        counter = Counter(progress, count_fits(settings) * FOLDS + 1)
+        blocks = HeldOutError.of(dataset)
 
         def learned(part: Dataset, count: int, pair: tuple[int, int]) -> DynamicsModel:
             own = {"neighbours": count, "state_lags": pair[0], "control_lags": pair[1]}
-            return self.unfitted().set_params(**own, stochastic=False).fit(part, rng=rng)
+            return self.clone_unfitted().set_params(**own, stochastic=False).fit(part, rng=rng)
 
-        self.neighbours_, chosen = best(
+        self.neighbours_, chosen = best_candidate(
             settings,
             lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, told=counter.advance),
         )
-        self.keep_lags(chosen)
+        self.record_lags(chosen)
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
         system, features = dataset.system, Features(dataset.system, self.lags)
         inputs = features(data.carry, data.control)
-        scale = Standard.of(dataset).of_inputs(self.layout)[1] if features.plain else deviation(inputs)
+        scale = ChannelScaling.of(dataset).of_inputs(self.layout)[1] if features.plain else deviation(inputs)
         weight = np.full(len(scale), 0.5)
         weight[: len(system.regressor_names)] = 1.0
         weight[len(weight) - system.nu :] = self.control_weight

@@ -18,7 +18,7 @@ CONSTANT = 1e-12
 
 
 @dataclass(frozen=True)
-class Standard:
+class ChannelScaling:
     """Deviation of states, centre and deviation of what is seen of them and of controls, RMS ``change`` in one step.
 
     Of a periodic state sine and cosine are seen (`Features`).
@@ -32,7 +32,7 @@ class Standard:
     change: Array
 
     @classmethod
-    def of(cls, dataset: Dataset, mirror: Mirror | None = None) -> Standard:
+    def of(cls, dataset: Dataset, mirror: Mirror | None = None) -> ChannelScaling:
         """Measure ``dataset``; with ``mirror``, what changes sign there is centred at zero."""
         windows = dataset.windows(1, moving=True)
         if not len(windows):

@@ -18,7 +18,7 @@ from safetensors.numpy import load_file, save
 
 from sysid_evo.errors import ArtefactError, CheckpointWarning, InvalidArgument, closest
 from sysid_evo.files import write_atomically
-from sysid_evo.progress import State
+from sysid_evo.progress import CheckpointState
 from sysid_evo.version import versions
 
 SCHEMA: Literal["sysid-evo/artefact/3"] = "sysid-evo/artefact/3"
@@ -111,7 +111,7 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
     return found[0] if found else named
 
 
-def is_stored(name: str, kind: Literal["model", "controller"]) -> bool:
+def is_stored_dataset(name: str, kind: Literal["model", "controller"]) -> bool:
     """Whether ``name`` is the path of something stored, and not the name of a plugin."""
     return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
 
@@ -215,7 +215,7 @@ class CheckpointFile:
         self._took = 0.0
         self._fails = False
 
-    def load(self, identity: str) -> State | None:
+    def load(self, identity: str) -> CheckpointState | None:
         """Return what was saved under this ``identity``, None if there is nothing that can be used."""
         if not self.path.is_file():
             return None
@@ -238,7 +238,7 @@ class CheckpointFile:
         """Whether it is time to save again."""
         return time.monotonic() - self._saved >= max(self.every, self._took / SHARE)
 
-    def save(self, identity: str, state: State) -> None:
+    def save(self, identity: str, state: CheckpointState) -> None:
         """Write ``state`` in place of what was kept before; where that fails, warn once and keep what there was."""
         began, failed = time.monotonic(), self._fails
         try:
@@ -257,7 +257,7 @@ class CheckpointFile:
         self._took = self._saved - began
 
 
-def write_checkpoint(path: Path, identity: str, state: State) -> None:
+def write_checkpoint(path: Path, identity: str, state: CheckpointState) -> None:
     """Write ``state`` to the file ``path``. Raises `OSError`."""
     numbers = [name for name, value in state.items() if isinstance(value, (float, np.floating))]
     tensors = {
@@ -274,7 +274,7 @@ def write_checkpoint(path: Path, identity: str, state: State) -> None:
     write_atomically(path, lambda file: file.write_bytes(payload))
 
 
-def read_checkpoint(path: Path) -> tuple[str, State]:
+def read_checkpoint(path: Path) -> tuple[str, CheckpointState]:
     """Return identity and state in the file ``path``. Raises `ArtefactError` if it is damaged or something else."""
     try:
         with safe_open(path, framework="numpy") as file:

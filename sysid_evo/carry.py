@@ -32,7 +32,7 @@ class CarryLayout:
         return self.nx * (1 + self.state_lags) + self.nu * self.control_lags
 
     @property
-    def history(self) -> int:
+    def n_lags(self) -> int:
         """Number of samples before the present that it takes to start."""
         return max(self.state_lags, self.control_lags)
 
@@ -41,12 +41,12 @@ class CarryLayout:
         """Where the earlier controls stand."""
         return slice(self.nx * (1 + self.state_lags), self.size)
 
-    def started(self, states: Any, controls: Any) -> list[Any]:
+    def initial_parts(self, states: Any, controls: Any) -> list[Any]:
         """Return the parts of a carry after a history of states (..., L + 1, nx) and controls (..., L, nu)."""
         parts = [states[..., -1 - lag, :] for lag in range(self.state_lags + 1)]
         return parts + [controls[..., -1 - lag, :] for lag in range(self.control_lags)]
 
-    def moved(self, carry: Any, control: Any, after: Any) -> list[Any]:
+    def shifted_parts(self, carry: Any, control: Any, after: Any) -> list[Any]:
         """Return the parts of the next carry (..., size): states and controls move one place back."""
         parts = [after, carry[..., : self.nx * self.state_lags]] if self.state_lags else [after]
         if self.control_lags:
@@ -85,15 +85,16 @@ REST_BAND = 0.005
 """Share of the range of the training states, around neutral, that counts as rest."""
 
 
-def band_of(system: System, envelope: Array, multiple: float) -> Array:
-    """Return how near to neutral (nx,) a state counts as rest, by an ``envelope`` (2, nx) ``multiple`` ranges wide."""
-    ranges = (envelope[1] - envelope[0]) / multiple
+def dead_band_size(system: System, state_bounds: Array, multiple: float) -> Array:
+    """Return how near to neutral (nx,) a state counts as rest, by an ``state_bounds`` (2, nx) ``multiple`` ranges
+    wide."""
+    ranges = (state_bounds[1] - state_bounds[0]) / multiple
     for i, period in system.periods.items():
         ranges[i] = period
     return np.asarray(REST_BAND * ranges)
 
 
-def held_at_rest(
+def hold_at_rest(
     system: System, earlier: slice | Sequence[int], band: Array, carry: Array, control: Array, after: Array
 ) -> Array:
     """Return ``after`` (B, nx), neutral where the body rests within ``band`` (nx,) and all controls are neutral.
@@ -107,14 +108,14 @@ def held_at_rest(
     return np.where((still & idle)[..., None], neutral, after)
 
 
-def clip_state(carry: Array, envelope: Array | None) -> tuple[Array, np.ndarray]:
-    """Clip the state at the head of ``carry`` to ``envelope``; also return which rows were changed (B,).
+def clip_state(carry: Array, state_bounds: Array | None) -> tuple[Array, np.ndarray]:
+    """Clip the state at the head of ``carry`` to ``state_bounds``; also return which rows were changed (B,).
 
     A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
     """
-    if envelope is None:
+    if state_bounds is None:
         return carry, np.zeros(len(carry), dtype=bool)
-    low, high = envelope
+    low, high = state_bounds
     inside = np.ones(len(carry), dtype=bool)
     for value, least, most in zip(carry.T, low, high, strict=False):
         inside &= (value >= least) & (value <= most)

@@ -29,7 +29,7 @@ For this to work:
 kernel are `DYNAMICS`, `CONTROLLER`, `OBSERVE` and `ADVANCE`, each a `Signature`.
 
 **Three ways to a kernel of a model**, the shorter first: a predictor of the kernel library (networks, polynomials,
-neighbours) in `stepping_kernel`; a step of one sample, `Lifted` to all lanes; a block function of one's own.
+neighbours) in `stepping_kernel`; a step of one sample, `ScalarStep` to all lanes; a block function of one's own.
 Integration and the turning of the body's frame come from the system's motion. A motion without a compiled form has
 none here either: shells then return None, and the model runs in NumPy.
 
@@ -221,7 +221,7 @@ class Layout:
 class Arrays(Layout):
     """The names of several arrays that a loop gets as one argument, all of one kind."""
 
-    def __init__(self, *names: str, kind: Kind | None = None) -> None:
+    def __init__(self, *names: str, kind: ArgumentKind | None = None) -> None:
         super().__init__(*names)
         self.kind = kind or REALS
 
@@ -235,7 +235,7 @@ def padded(array: Array, align: int = CACHE_LINE) -> Array:
     return np.pad(array, (0, -len(array) % align))
 
 
-class Kind(Enum):
+class ArgumentKind(Enum):
     """What an argument is, in the words of a generated file: R, I and types."""
 
     REALS = "R"
@@ -243,13 +243,14 @@ class Kind(Enum):
     NUMBER = "types.int64"
 
 
-REALS, WHOLES, NUMBER = Kind.REALS, Kind.WHOLES, Kind.NUMBER
+REALS, INTEGERS, INTEGER = ArgumentKind.REALS, ArgumentKind.WHOLES, ArgumentKind.NUMBER
 
 
 class Signature:
-    """Named arguments in order; nothing comes back. Each is a `Kind`, a `Layout`, or the signature of a function.
+    """Named arguments in order; nothing comes back. Each is a `ArgumentKind`, a `Layout`, or the signature of a
+    function.
 
-    ``REALS`` is an array of the kernel's own precision, ``WHOLES`` one of int64, ``NUMBER`` an int64. In a loop a
+    ``REALS`` is an array of the kernel's own precision, ``INTEGERS`` one of int64, ``INTEGER`` an int64. In a loop a
     `Layout` is an array of int64 whose numbers have names, and `Arrays` are several: ``sizes.nx``, ``work.carry``.
     """
 
@@ -291,10 +292,12 @@ class Signature:
         return f"types.void({', '.join(f'types.CPointer({kind}.dtype)' for kind in self._arrays())})"
 
     def _arrays(self) -> list[str]:
-        others = [name for name, kind in self.arguments.items() if kind not in (Kind.REALS, Kind.WHOLES)]
+        others = [
+            name for name, kind in self.arguments.items() if kind not in (ArgumentKind.REALS, ArgumentKind.WHOLES)
+        ]
         if others:
             raise InvalidArgument(f"a kernel that is passed takes arrays alone, got {', '.join(others)}")
-        return [kind.value for kind in self.arguments.values() if isinstance(kind, Kind)]
+        return [kind.value for kind in self.arguments.values() if isinstance(kind, ArgumentKind)]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Signature) and list(self.arguments.items()) == list(other.arguments.items())
@@ -303,16 +306,16 @@ class Signature:
         return hash(tuple(self.arguments.items()))
 
 
-Argument: TypeAlias = Kind | Layout | Signature
+Argument: TypeAlias = ArgumentKind | Layout | Signature
 
 
 def _text(argument: Argument) -> str:
-    if isinstance(argument, Kind):
+    if isinstance(argument, ArgumentKind):
         return argument.value
     if isinstance(argument, Arrays):
         return f"types.UniTuple({argument.kind.value}, {len(argument.names)})"
     if isinstance(argument, Layout):
-        return Kind.WHOLES.value
+        return ArgumentKind.WHOLES.value
     return f"types.FunctionType({argument.of_pointers()})"
 
 
@@ -327,7 +330,7 @@ class KernelSource:
         return hash((self.function, tuple(sorted((name, hash(bound)) for name, bound in self.bindings.items()))))
 
 
-class Wrapped(Protocol):
+class GeneratedSource(Protocol):
     """A function and the text of another one around it."""
 
     @property
@@ -352,7 +355,7 @@ Scalars: TypeAlias = Sequence[float]
 
 
 @dataclass(frozen=True)
-class Lifted:
+class ScalarStep:
     """A scalar step ``f(x, u, p) -> tuple``, or ``f(x, u, w, p)`` with noise, repeated over the lanes.
 
     ``x``, ``u`` and ``w`` are tuples of ``n_carry``, ``nu`` and ``n_noise`` numbers, ``p`` is the flat
@@ -383,7 +386,7 @@ class Lifted:
 
 
 @dataclass(frozen=True)
-class Picked:
+class ScalarFunction:
     """A function of single numbers, called as a function of ``x`` and ``u`` with ``arguments``, such as ``x[0]``."""
 
     function: Callable[..., Any]
@@ -396,7 +399,7 @@ class Picked:
         return f"def {name}(x, u):\n    return {inner}({', '.join(self.arguments)})"
 
 
-Source: TypeAlias = KernelSource | Wrapped
+Source: TypeAlias = KernelSource | GeneratedSource
 
 
 DYNAMICS = Signature(carry=REALS, control=REALS, noise=REALS, parameters=REALS, scratch=REALS)
@@ -406,7 +409,7 @@ CONTROLLER = Signature(theta=REALS, memory=REALS, observation=REALS, raw=REALS, 
 OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS)
 """Write ``observation``."""
 ADVANCE = Signature(
-    task=REALS, before=REALS, after=REALS, control=REALS, trials=WHOLES, trial_data=REALS, parameters=REALS
+    task=REALS, before=REALS, after=REALS, control=REALS, trials=INTEGERS, trial_data=REALS, parameters=REALS
 )
 """Overwrite ``task``, perhaps ``after``.
 

@@ -27,23 +27,23 @@ SMALL_STEP = 1e-6
 class MotionGradient(Protocol):
     """From the ``gradient`` of a number by a result (..., nx), its gradients by what the result was made of."""
 
-    def integrated(
+    def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
     ) -> tuple[Numbers, Numbers]:
         """Return the gradients by state and by acceleration of what `Motion.integrate` gives."""
 
-    def turned(self, state: Numbers, gradient: Numbers) -> Numbers:
-        """Return the gradient by the state of what `Motion.turning` gives."""
+    def of_frame_rotation(self, state: Numbers, gradient: Numbers) -> Numbers:
+        """Return the gradient by the state of what `Motion.frame_rotation` gives."""
 
 
 class Motion(ABC):
     """Names the state channels that move a pose, by role, and is the only one that turns them.
 
     A motion is a frozen dataclass of channel names, registered under its ``kind``. Five methods are
-    wanted: `roles`, `acceleration`, `integrate`, `turning`, `move`; all take states (..., nx) and the
+    wanted: `roles`, `acceleration`, `integrate`, `frame_rotation`, `move`; all take states (..., nx) and the
     ``names`` of their channels. `kernel` is the same in compiled arithmetic: without it systems with
     this motion run in NumPy. `gradient_form` is the derivative: by default it is taken by differences.
-    `velocities` and `seen_from` are wanted only by what works with measured poses: preparation of
+    `velocities` and `relative_pose` are wanted only by what works with measured poses: preparation of
     logs, and robots.
     """
 
@@ -65,7 +65,7 @@ class Motion(ABC):
         """Return the state ``dt`` later: the exact inverse of `acceleration`."""
 
     @abstractmethod
-    def turning(self, state: Array, names: Sequence[str]) -> Array:
+    def frame_rotation(self, state: Array, names: Sequence[str]) -> Array:
         """Return w(x) in dx/dt = acceleration + w(x): how the turning frame changes the state, per second."""
 
     @abstractmethod
@@ -79,7 +79,7 @@ class Motion(ABC):
         """
         raise IncompatibleSystem(f"motion {self.kind} does not say which velocities a moving pose means")
 
-    def seen_from(self, origin: Array, pose: Array) -> Array:
+    def relative_pose(self, origin: Array, pose: Array) -> Array:
         """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); angles are not wrapped.
 
         Raises `IncompatibleSystem` if this motion does not say so.
@@ -140,17 +140,19 @@ class CentralDifferences:
     motion: Motion
     names: Sequence[str]
 
-    def integrated(
+    def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
     ) -> tuple[Numbers, Numbers]:
-        by_state = pulled(lambda x: self.motion.integrate(x, acceleration, dt, self.names), state, gradient)
-        return by_state, pulled(lambda a: self.motion.integrate(state, a, dt, self.names), acceleration, gradient)
+        by_state = vector_jacobian(lambda x: self.motion.integrate(x, acceleration, dt, self.names), state, gradient)
+        return by_state, vector_jacobian(
+            lambda a: self.motion.integrate(state, a, dt, self.names), acceleration, gradient
+        )
 
-    def turned(self, state: Numbers, gradient: Numbers) -> Numbers:
-        return pulled(lambda x: self.motion.turning(x, self.names), state, gradient)
+    def of_frame_rotation(self, state: Numbers, gradient: Numbers) -> Numbers:
+        return vector_jacobian(lambda x: self.motion.frame_rotation(x, self.names), state, gradient)
 
 
-def pulled(function: Callable[[Numbers], Numbers], at: Numbers, gradient: Numbers) -> Numbers:
+def vector_jacobian(function: Callable[[Numbers], Numbers], at: Numbers, gradient: Numbers) -> Numbers:
     """Return the gradient by ``at`` (..., n) from that by what ``function`` makes of it, by central differences."""
     at, found = np.asarray(at, dtype=np.float64), np.empty(at.shape)
     for column in range(at.shape[-1]):
@@ -164,12 +166,12 @@ def pulled(function: Callable[[Numbers], Numbers], at: Numbers, gradient: Number
 class StraightGradient:
     """Of a system without a motion: no frame turns."""
 
-    def integrated(
+    def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
     ) -> tuple[Numbers, Numbers]:
         return gradient, dt * gradient
 
-    def turned(self, state: Numbers, gradient: Numbers) -> Numbers:
+    def of_frame_rotation(self, state: Numbers, gradient: Numbers) -> Numbers:
         return np.zeros_like(state)
 
 
@@ -230,7 +232,7 @@ class PlanarBody(Motion):
             )
         return after
 
-    def turning(self, state: Array, names: Sequence[str]) -> Array:
+    def frame_rotation(self, state: Array, names: Sequence[str]) -> Array:
         forward, lateral, yaw_rate = self.indices(names)
         change = np.zeros_like(state)
         if lateral is not None:
@@ -276,7 +278,7 @@ class PlanarBody(Motion):
         found = {self.forward: forward, self.yaw_rate: rate[..., 2]}
         return found if self.lateral is None else {**found, self.lateral: lateral}
 
-    def seen_from(self, origin: Array, pose: Array) -> Array:
+    def relative_pose(self, origin: Array, pose: Array) -> Array:
         x, y = rotate(pose[..., 0] - origin[0], pose[..., 1] - origin[1], -origin[2])
         return np.stack([x, y, pose[..., 2] - origin[2]], axis=-1)
 
@@ -299,7 +301,7 @@ class PlanarBodyGradient:
     lateral: int | None
     yaw_rate: int
 
-    def integrated(
+    def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
     ) -> tuple[Numbers, Numbers]:
         by_state = gradient.copy()
@@ -313,7 +315,7 @@ class PlanarBodyGradient:
         by_state[..., self.yaw_rate] -= dt * (before[..., self.forward] * across - before[..., self.lateral] * along)
         return by_state, by_acceleration
 
-    def turned(self, state: Numbers, gradient: Numbers) -> Numbers:
+    def of_frame_rotation(self, state: Numbers, gradient: Numbers) -> Numbers:
         found = np.zeros_like(state)
         if self.lateral is not None:
             along, across = gradient[..., self.forward], gradient[..., self.lateral]

@@ -9,8 +9,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View
-from sysid_evo.controllers.inner_model import inner_model
-from sysid_evo.engine.imagined import Imagination
+from sysid_evo.controllers.inner_model import load_inner_model
+from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.registry.registry import register_controller
@@ -30,7 +30,7 @@ class Predictive(Controller):
     plan of the step before, each constant sequence of full and no output, and random variations of the plan, each
     kept for ``hold`` steps. The new plan is their mean, weighted by exp((score - best) / (temperature sigma)), sigma
     the standard deviation of the scores; its first outputs are given. The score is the task's own fitness
-    with its `Task.promise`, of what may be known of the trial (`Task.foreseen`).
+    with its `Task.potential`, of what may be known of the trial (`Task.hide_future`).
 
     ``model`` is the file of a fitted model, the name of an emulated robot, a `Dynamics`, or a list of these: then the
     lowest of the scores counts. The two parameters are the logarithms of the temperature and of the ``spread`` of the
@@ -40,8 +40,8 @@ class Predictive(Controller):
     Source: Williams, Aldrich and Theodorou, "Model Predictive Path Integral Control", J. Guidance 40 (2017).
     """
 
-    hand_written: ClassVar[bool] = True
-    unwritten: ClassVar[str] = (
+    is_baseline: ClassVar[bool] = True
+    not_exportable: ClassVar[str] = (
         "it plans with a whole model at every sample. Evolve a network in that model and export it"
     )
     n_parameters = 2
@@ -70,7 +70,7 @@ class Predictive(Controller):
         if not models:
             raise InvalidArgument("predictive: expected at least one model, got none")
         bound = copy.copy(self)
-        bound.imagined = tuple(Imagination(inner_model("predictive", model, task), task) for model in models)
+        bound.imagined = tuple(ImaginedTrials(load_inner_model("predictive", model, task), task) for model in models)
         bound.task, bound.n_lags = task, max(imagined.dynamics.n_lags for imagined in bound.imagined)
         system = task.system
         bound.n_memory = self.horizon * system.nu + 2 + bound.n_lags * (system.nx + system.nu)
@@ -78,7 +78,7 @@ class Predictive(Controller):
         return bound
 
     task: Task
-    imagined: tuple[Imagination, ...]
+    imagined: tuple[ImaginedTrials, ...]
     n_lags: int
     constant: Array
     random: Array
@@ -97,7 +97,7 @@ class Predictive(Controller):
         )
         sequences = self._variations(plan, steps, spread)
         states = np.concatenate([past_states, state[:, None]], axis=1)
-        known = self.task.foreseen(view.task_state)
+        known = self.task.hide_future(view.task_state)
         scores = np.min([one.scores(states, past_controls, sequences, known) for one in self.imagined], axis=0)
         better = scores - scores.max(axis=0)
         weights = np.exp(better / (temperature * scores.std(axis=0) + 1e-12))

@@ -63,11 +63,11 @@ class TimeLeft:
 
 def told(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
     """Return a context with the receiver of progress reports: a progress bar for True, None for False."""
-    return shown(title) if progress is True else nullcontext(progress or None)
+    return progress_bar(title) if progress is True else nullcontext(progress or None)
 
 
 @contextmanager
-def shown(title: str) -> Iterator[Progress]:
+def progress_bar(title: str) -> Iterator[Progress]:
     """Draw a progress bar with rate and time left on standard error.
 
     If that is no terminal, as in a notebook or a file, print a line every few seconds.
@@ -110,14 +110,14 @@ def _lines(title: str) -> Progress:
     return update
 
 
-State: TypeAlias = Mapping[str, Array | int | float | str]
+CheckpointState: TypeAlias = Mapping[str, Array | int | float | str]
 """Everything that is needed to go on, by name: float64 arrays, numbers and text, which can be stored."""
 
 
 class Checkpoint(Protocol):
     """Keeps the last state of long work; `sysid_evo.artefacts.CheckpointFile` keeps it in a file."""
 
-    def load(self, identity: str) -> State | None:
+    def load(self, identity: str) -> CheckpointState | None:
         """Return what was saved under this ``identity``, None if there is nothing that can be used."""
         ...
 
@@ -125,6 +125,6 @@ class Checkpoint(Protocol):
         """Whether it is time to save again; results never depend on it."""
         ...
 
-    def save(self, identity: str, state: State) -> None:
+    def save(self, identity: str, state: CheckpointState) -> None:
         """Keep ``state`` in place of what was kept before."""
         ...

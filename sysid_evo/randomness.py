@@ -50,7 +50,7 @@ def trial_seeds(seed: int, trials: int, *, generation: int = 0) -> Seeds:
     )
 
 
-def drawn(
+def draw(
     seeds: Seeds, stream: int, shape: tuple[int, ...], draw: str = "standard_normal", *, out: Array | None = None
 ) -> Array:
     r"""Return what the `generator` of each seed draws first from one stream, (E, \*shape).
@@ -71,16 +71,16 @@ def drawn(
     return found
 
 
-def step_noise(
+def draw_for_steps(
     seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STREAM, *, out: Array | None = None
 ) -> Array:
     """Return standard normal numbers for every trial and step, (E, horizon, n_noise): a dynamics' or another stream."""
-    return drawn(seeds, stream, (horizon, n_noise), out=out)
+    return draw(seeds, stream, (horizon, n_noise), out=out)
 
 
-def trial_draws(seeds: Seeds, n_draws: int) -> Array:
+def draw_for_trials(seeds: Seeds, n_draws: int) -> Array:
     """Return standard normal numbers for every trial, (E, n_draws)."""
-    return drawn(seeds, DRAW_STREAM, (n_draws,))
+    return draw(seeds, DRAW_STREAM, (n_draws,))
 
 
 def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:

@@ -204,7 +204,7 @@ class System(Displayed):
                 )
         return control
 
-    def raw_of(self, control: Array) -> Array:
+    def raw_output(self, control: Array) -> Array:
         """Return outputs in [-1, 1] that `actuate` turns into ``control`` (..., nu): its inverse.
 
         What lies beyond the limits becomes the limit, what lies between two levels the nearest one.
@@ -238,7 +238,7 @@ class System(Displayed):
         """
         before, after = check_last("before", before, self.nx), check_last("after", after, self.nx)
         if self.periods:
-            after = self.near(after, before)
+            after = self.unwrap_towards(after, before)
         if self.motion is None:
             return (after - before) / self.dt
         return self.motion.acceleration(before, after, self.dt, self.state_names)
@@ -255,13 +255,13 @@ class System(Displayed):
             change[..., i] = wrap(change[..., i], period)
         return change
 
-    def near(self, states: Array, reference: Array) -> Array:
+    def unwrap_towards(self, states: Array, reference: Array) -> Array:
         """Return ``states`` (..., nx) with periodic ones moved by whole periods to be nearest to ``reference``."""
         return reference + self.difference(states, reference) if self.periods else states
 
-    def wrapped(self, states: Array) -> Array:
+    def wrap(self, states: Array) -> Array:
         """Return ``states`` (..., nx) with periodic ones within half a period of their neutral value."""
-        return self.near(states, np.broadcast_to(self.neutral_state, np.shape(states)))
+        return self.unwrap_towards(states, np.broadcast_to(self.neutral_state, np.shape(states)))
 
     def spread(self, states: Array) -> Array:
         """Return the standard deviation (nx,) of ``states`` (..., nx).
@@ -278,7 +278,7 @@ class System(Displayed):
         off = self.difference(states, np.broadcast_to(middle, states.shape))
         return np.asarray(np.sqrt(np.mean(off**2, axis=axes)))
 
-    def unwrapped(self, states: Array) -> Array:
+    def unwrap(self, states: Array) -> Array:
         """Return the states of one run (T, nx) without the jumps of periodic ones; the first stays what it is."""
         if not self.periods:
             return states
@@ -359,11 +359,11 @@ class System(Displayed):
             found.append(f"motion {kinds[0]} against {kinds[1]}")
         return tuple(found)
 
-    def turning(self, state: Array) -> Array:
+    def frame_rotation(self, state: Array) -> Array:
         """Return w(x) (..., nx): how the motion's turning frame changes the state, per second; zero without one."""
         if self.motion is None:
             return np.zeros_like(state)
-        return self.motion.turning(state, self.state_names)
+        return self.motion.frame_rotation(state, self.state_names)
 
     def move(self, pose: Array, before: Array, after: Array, dt: float | None = None) -> Array:
         """Return the pose (..., n_pose) after ``dt`` s (default: the system's), given the states at both ends.
@@ -374,9 +374,9 @@ class System(Displayed):
             return pose
         return self.motion.move(pose, before, after, self.dt if dt is None else dt, self.state_names)
 
-    def seen_from(self, origin: Array, pose: Array) -> Array:
+    def relative_pose(self, origin: Array, pose: Array) -> Array:
         """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); without a motion what came."""
-        return pose if self.motion is None else self.motion.seen_from(origin, pose)
+        return pose if self.motion is None else self.motion.relative_pose(origin, pose)
 
     def with_dt(self, dt: float) -> System:
         """Return the same system sampled every ``dt`` seconds."""

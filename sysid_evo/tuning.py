@@ -19,13 +19,13 @@ import numpy as np
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import InvalidArgument, described
 from sysid_evo.extras import check_installed
-from sysid_evo.models.parameters import OneOf, Searched, Within, check_names, limits_of
+from sysid_evo.models.parameters import OneOf, SearchRange, Within, check_names, limits_of
 from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress, told
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
-from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import FEWEST_STEPS, SECOND, HeldOutTest, Judge, history_of, horizons_of
+from sysid_evo.validation.folds import make_folds
+from sysid_evo.validation.simulation_error import FEWEST_STEPS, SECOND, HeldOutTest, Scorer, history_of, horizons_of
 
 if TYPE_CHECKING:
     import optuna
@@ -38,7 +38,7 @@ PARTS = 1000
 
 
 @dataclass(frozen=True)
-class Tried:
+class TuningTrial:
     """One trial: the whole spec, its error (None if it failed or was broken off), and why."""
 
     spec: Spec
@@ -66,19 +66,19 @@ class Tuning:
         *,
         horizons: Sequence[int] | None = None,
         folds: int = 3,
-        only: Sequence[str] | None = None,
+        parameters: Sequence[str] | None = None,
         seed: int = 0,
         file: str | Path | None = None,
     ) -> None:
         check_installed("tuning", ["optuna"])
         self.spec, self.dataset, self.seed = models.check(spec), dataset, seed
-        lacking = models.lacking(self.spec.name)
+        lacking = models.missing_package(self.spec.name)
         if lacking is not None:
             raise lacking
         models.make(self.spec).check_system(dataset.system)
-        self.space = search_space(self.spec.name, fixed=self.spec.parameters, only=only)
+        self.space = search_space(self.spec.name, fixed=self.spec.parameters, parameters=parameters)
         second = max(FEWEST_STEPS, round(SECOND / dataset.system.dt))
-        pairs = folds_of(dataset, folds)
+        pairs = make_folds(dataset, folds)
         self.horizons = tuple(horizons_of(pairs, list(horizons or [second])))
         if horizons and set(horizons) - {*self.horizons}:
             raise InvalidArgument(
@@ -87,7 +87,7 @@ class Tuning:
             )
         self.pairs = pairs
         history = history_of(pairs, self.horizons)
-        self.judge = Judge.of(dataset, [HeldOutTest.of(held, self.horizons, history) for _, held in pairs])
+        self.judge = Scorer.of(dataset, [HeldOutTest.of(held, self.horizons, history) for _, held in pairs])
         self.file = None if file is None else Path(file)
         self.seeds = np.random.default_rng(seed).integers(2**32, size=len(pairs)).tolist()
 
@@ -131,7 +131,7 @@ class Tuning:
 
     def run(
         self, *, seconds: float | None = None, trials: int | None = None, progress: Progress | None = None
-    ) -> Iterator[Tried]:
+    ) -> Iterator[TuningTrial]:
         """Yield trials until ``seconds`` are over or there are so many; what was tried before counts too.
 
         A trial that has begun is brought to its end. What stops it, Ctrl-C too, loses that trial alone.
@@ -143,7 +143,7 @@ class Tuning:
         began = time.monotonic()
         while True:
             share = 0.0 if seconds is None else (time.monotonic() - began) / seconds
-            count = len(self.tried)
+            count = len(self.trials)
             share = max(share, 0.0 if trials is None else count / trials)
             if progress is not None:
                 progress(min(PARTS, int(PARTS * share)), PARTS, self._note)
@@ -165,17 +165,17 @@ class Tuning:
             yield self._told(self.study.trials[trial.number])
 
     @property
-    def tried(self) -> list[Tried]:
+    def trials(self) -> list[TuningTrial]:
         """All trials that came to an end, the best first."""
         ended = [self._told(trial) for trial in self.study.trials if "seconds" in trial.user_attrs]
         return sorted(ended, key=lambda one: np.inf if one.error is None else one.error)
 
     @property
-    def best(self) -> Tried:
+    def best(self) -> TuningTrial:
         """The best trial. Raises `InvalidArgument` if none came to an end."""
-        found = [one for one in self.tried if one.error is not None]
+        found = [one for one in self.trials if one.error is not None]
         if not found:
-            reasons = "; ".join(dict.fromkeys(one.reason for one in self.tried if one.reason)) or "there was no time"
+            reasons = "; ".join(dict.fromkeys(one.reason for one in self.trials if one.reason)) or "there was no time"
             raise InvalidArgument(f"tune: no trial of {self.spec} came to an end: {reasons}")
         return found[0]
 
@@ -184,7 +184,7 @@ class Tuning:
         """How much each parameter decides of the error, shares of 1, the most first; empty with too few trials."""
         import optuna
 
-        if sum(one.error is not None for one in self.tried) < 4:
+        if sum(one.error is not None for one in self.trials) < 4:
             return {}
         evaluator = optuna.importance.FanovaImportanceEvaluator(seed=self.seed)
         with warnings.catch_warnings():
@@ -197,8 +197,8 @@ class Tuning:
 
     @property
     def _note(self) -> str:
-        found = [one for one in self.tried if one.error is not None]
-        return f"{len(self.tried)} trials, best error {found[0].error:.3f}" if found else ""
+        found = [one for one in self.trials if one.error is not None]
+        return f"{len(self.trials)} trials, best error {found[0].error:.3f}" if found else ""
 
     def _error(self, trial: optuna.Trial) -> tuple[float | None, str]:
         """Return the error of a trial; None with the reason if it fails, without one if it is broken off."""
@@ -213,7 +213,7 @@ class Tuning:
                     runs.append(judged.run(model))
             except Exception as error:  # a plugin may fail in any way; the other trials go on
                 return None, described(error).splitlines()[0]
-            part = Judge(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
+            part = Scorer(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
             found = min(part.errors(runs).mean, WORST)
             trial.report(found, fold)
             if fold + 1 < len(self.pairs) and trial.number > 0 and trial.should_prune():
@@ -227,18 +227,18 @@ class Tuning:
         }
         return {**self.spec.parameters, **chosen}
 
-    def _told(self, trial: optuna.trial.FrozenTrial) -> Tried:
+    def _told(self, trial: optuna.trial.FrozenTrial) -> TuningTrial:
         spec = Spec(self.spec.name, self._parameters(trial.params))
         reason = str(trial.user_attrs.get("reason", ""))
         complete = trial.state.name == "COMPLETE"
-        return Tried(
+        return TuningTrial(
             spec,
             trial.value if complete else None,
             float(trial.user_attrs["seconds"]),
             reason or ("" if complete else "broken off"),
         )
 
-    def _distribution(self, key: str, where: Searched) -> Any:
+    def _distribution(self, key: str, where: SearchRange) -> Any:
         from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
         if isinstance(where, OneOf):
@@ -281,7 +281,7 @@ def tune(
     return found
 
 
-NEVER = frozenset({"stochastic", "rest_hold", "most_steps", "folds", "lag_search", "state_lags", "control_lags"})
+NOT_SEARCHED = frozenset({"stochastic", "dead_band", "max_steps", "folds", "lag_search", "state_lags", "control_lags"})
 """What has little to do with how well a model predicts, or has ranges of its own."""
 LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
 FACTOR = 8.0
@@ -290,17 +290,19 @@ SMALLEST, LARGEST = 1e-6, 1.0
 """Where a number is searched that is 0 by default."""
 
 
-def search_space(name: str, *, fixed: Collection[str] = (), only: Collection[str] | None = None) -> dict[str, Searched]:
+def search_space(
+    name: str, *, fixed: Collection[str] = (), parameters: Collection[str] | None = None
+) -> dict[str, SearchRange]:
     """Return where each parameter of the registered family ``name`` is searched, those that are ``fixed`` left out.
 
-    What the family declares in ``searched`` comes first. Of the rest, lags are searched from 0 to 2 earlier states and
-    6 earlier controls, a positive number within a factor of 8 of its default and its limits, words of a `Literal` and
-    truth values in turn. Left out are names, lists, numbers without a default, and what a preset changes: that is a
-    matter of time. ``only`` names those to search. Raises `InvalidArgument` if nothing is left.
+    What the family declares in ``search_ranges`` comes first. Of the rest, lags are searched from 0 to 2 earlier states
+    and 6 earlier controls, a positive number within a factor of 8 of its default and its limits, words of a `Literal`
+    and truth values in turn. Left out are names, lists, numbers without a default, and what a preset changes: that is a
+    matter of time. ``parameters`` names those to search. Raises `InvalidArgument` if nothing is left.
     """
     family: Any = models.get(name)
-    check_names(family, only or ())
-    found: dict[str, Searched] = dict(declared(family))
+    check_names(family, parameters or ())
+    found: dict[str, SearchRange] = dict(declared(family))
     annotations, limits = typing.get_type_hints(family.__init__), limits_of(family)
     budgets = {key for preset in family.presets.values() for key in preset}
     for key, default in models.parameters(name).items():
@@ -308,25 +310,27 @@ def search_space(name: str, *, fixed: Collection[str] = (), only: Collection[str
             continue
         if key in LAGS:
             found[key] = LAGS[key]
-        elif key not in NEVER and (key not in budgets or key in (only or ())):
+        elif key not in NOT_SEARCHED and (key not in budgets or key in (parameters or ())):
             derived = _derived(annotations.get(key, Any), default, limits.get(key))
             found |= {} if derived is None else {key: derived}
-    chosen = {key: one for key, one in found.items() if key not in fixed and (only is None or key in only)}
+    chosen = {key: one for key, one in found.items() if key not in fixed and (parameters is None or key in parameters)}
     if not chosen:
-        wanted = "" if only is None else f" among {', '.join(only)}"
-        raise InvalidArgument(f"model {name!r} has no parameter to search{wanted}; it declares some in ``searched``")
+        wanted = "" if parameters is None else f" among {', '.join(parameters)}"
+        raise InvalidArgument(
+            f"model {name!r} has no parameter to search{wanted}; it declares some in ``search_ranges``"
+        )
     return chosen
 
 
-def declared(family: type) -> Mapping[str, Searched]:
-    """Return the ``searched`` of a class, those of its bases included; the class nearest to it wins."""
-    merged: dict[str, Searched] = {}
+def declared(family: type) -> Mapping[str, SearchRange]:
+    """Return the ``search_ranges`` of a class, those of its bases included; the class nearest to it wins."""
+    merged: dict[str, SearchRange] = {}
     for base in reversed(family.__mro__):
-        merged.update(base.__dict__.get("searched", {}))
+        merged.update(base.__dict__.get("search_ranges", {}))
     return merged
 
 
-def _derived(kind: Any, default: Any, limit: Any) -> Searched | None:
+def _derived(kind: Any, default: Any, limit: Any) -> SearchRange | None:
     """Return where a parameter of this type, default and `Limit` is searched, None if that cannot be told."""
     options = [one for one in _options(kind) if one is not types.NoneType]
     if typing.get_origin(kind) is Literal:

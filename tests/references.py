@@ -84,7 +84,11 @@ CHAMPIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "cma_es": ("emulated_car", {"strategy": "cma_es", "aggregate": "cvar"}),
     "niches": (
         "emulated_car",
-        {"strategy": "niches", "noise": "envelope", "schedule": "stage(task=point_to_point(horizon=40), at_most=3)"},
+        {
+            "strategy": "niches",
+            "noise": "domain_randomisation",
+            "schedule": "stage(task=point_to_point(horizon=40), at_most=3)",
+        },
     ),
     "swing_up": ("pendulum", {"strategy": "mu_plus_lambda", "task": "swing_up(horizon=80)", "aggregate": "median"}),
 }
@@ -197,7 +201,7 @@ def report(_: str) -> Found:
             generations=6,
             trials=3,
             transfer_trials=10,
-            by_hand=["pursuit"],
+            baselines=["pursuit"],
             seed=2,
         )
     return {

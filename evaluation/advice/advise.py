@@ -99,7 +99,7 @@ def advise_model(
     """Say what limits a fitted ``model`` and what to record next, at most five sentences: `ranked` remarks.
 
     ``test`` are recordings that it has not learned from. Without them a copy is fitted to three quarters of each
-    episode and judged on the rest, if the family is `DynamicsModel.cheap`; any other is judged on its own training
+    episode and judged on the rest, if the family is `DynamicsModel.fast_fit`; any other is judged on its own training
     data. ``visited`` is what controllers do in models and on robots.
     """
     name = name or type(model).__name__
@@ -111,30 +111,30 @@ def advise_model(
         visited=Steps.of(training.system, visited) or None,
         known=recording_quality(training),
     )
-    judged_on = "the test part"
+    evaluated_on = "the test part"
     if test is None:
-        where, judged_on = _held_back(where, seed)
+        where, evaluated_on = _held_back(where, seed)
     if not where.varying.any():
         said = f"No state varies in the data that {name} is judged on: nothing can be said of it. Excite the controls."
-        return ModelAdvice(name, judged_on, (Remark("variation", said, 1.0),))
+        return ModelAdvice(name, evaluated_on, (Remark("variation", said, 1.0),))
     looks = (*CHECKS, *OF_PLACES, *OF_MODELS)
     remarks = [remark for look in looks if (remark := look(where)) is not None]
-    if where.test is not None and where.model.cheap and (more := _with_half(where, seed)) is not None:
+    if where.test is not None and where.model.fast_fit and (more := _with_half(where, seed)) is not None:
         remarks.append(more)
     if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
         remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
     if not enough_blocks(len(np.unique(where.test_windows.blocks))):
         remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
-    return ModelAdvice(name, judged_on, ranked(remarks)[:MOST])
+    return ModelAdvice(name, evaluated_on, ranked(remarks)[:MOST])
 
 
 def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
     """Return the evidence on a copy with a part held back, or as it is, and what it is judged on."""
-    if not evidence.model.cheap:
+    if not evidence.model.fast_fit:
         return evidence, "its own training data"
     try:
         training, test = evidence.training.split(HELD_BACK)
-        copy = evidence.model.unfitted().fit(training, rng=np.random.default_rng(seed))
+        copy = evidence.model.clone_unfitted().fit(training, rng=np.random.default_rng(seed))
         found = replace(evidence, model=copy, training=training, test=test)
         short = len(found.test_windows.errors) < FEWEST
     except InvalidData:
@@ -146,7 +146,7 @@ def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
 
 def _with_half(evidence: Evidence, seed: int) -> Remark | None:
     try:
-        half = evidence.model.unfitted().fit(halved(evidence.training), rng=np.random.default_rng(seed))
+        half = evidence.model.clone_unfitted().fit(halved(evidence.training), rng=np.random.default_rng(seed))
     except InvalidData:
         return None
     return too_few_data(evidence, half)

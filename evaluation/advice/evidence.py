@@ -10,7 +10,7 @@ import numpy as np
 
 from evaluation.coverage import MOST_STEPS
 from evaluation.prediction.cases import PredictionProtocol, measured_cases, spread_of
-from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
+from evaluation.prediction.residuals import OneStepErrors, Residuals, analyse_residuals, step_errors
 from evaluation.steps import Steps
 from sysid_evo.data import Dataset, RecordingQuality, recording_quality
 from sysid_evo.data.response import Delay, acting_controls
@@ -98,13 +98,13 @@ class Evidence(Recordings):
         return spread_of(self.system, np.concatenate(moving))
 
     @cached_property
-    def steps(self) -> StepErrors:
+    def steps(self) -> OneStepErrors:
         """What is wrong one step ahead."""
         return step_errors(self.model, self.judged)
 
     @cached_property
     def residuals(self) -> Residuals:
-        return analyse(self.steps)
+        return analyse_residuals(self.steps)
 
     @cached_property
     def test_windows(self) -> WindowErrors:
@@ -149,7 +149,7 @@ BLOCK_WINDOWS = 15
 def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> WindowErrors:
     """Simulate up to `MOST_WINDOWS` windows, evenly spread, and return the errors at their end."""
     system = dataset.system
-    places = dataset.window_places(horizon, stride=STRIDE, history=model.n_lags, first=FIRST, moving=True)
+    places = dataset.find_windows(horizon, stride=STRIDE, history=model.n_lags, first=FIRST, moving=True)
     count = len(places)
     windows = places[evenly_spaced(count, MOST_WINDOWS, nearest=True)]
     if not len(windows):
@@ -164,7 +164,7 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
     blocks = windows.episode * (count + 1) + (windows.start // (STRIDE * BLOCK_WINDOWS))
     return WindowErrors(
         errors[usable],
-        system.wrapped(windows.start_states)[usable],
+        system.wrap(windows.start_states)[usable],
         np.array(pushes)[usable],
         names[windows.episode][usable],
         blocks[usable],
@@ -187,8 +187,8 @@ class Remark:
 
 @dataclass(frozen=True)
 class ModelAdvice:
-    """The remarks on ``model``, the most important first; ``judged_on`` says which data it was judged on."""
+    """The remarks on ``model``, the most important first; ``evaluated_on`` says which data it was judged on."""
 
     model: str
-    judged_on: str = ""
+    evaluated_on: str = ""
     remarks: tuple[Remark, ...] = ()

@@ -31,7 +31,7 @@ MOST_PAIRS = 4000
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseEstimate:
     """The one-step error N, the ``floor`` that noise sets it, and the share that a plain regression still explains."""
 
     n: float
@@ -65,7 +65,7 @@ def noise_floor(evidence: Evidence) -> Remark | None:
     return None
 
 
-def estimate_noise(evidence: Evidence) -> Noise | None:
+def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
     """Compare what is left at the nearest inputs; None with too few steps.
 
     Two steps from nearly the same inputs differ by their noise alone: half the mean squared difference of what the
@@ -95,7 +95,9 @@ def estimate_noise(evidence: Evidence) -> Noise | None:
     pairs = near[np.arange(len(near)), apart.argmax(axis=1)]
     floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)
-    return Noise(float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left))
+    return NoiseEstimate(
+        float(np.sqrt(np.mean(left**2, axis=0)).mean()), float(floor.mean()), explained(features, left)
+    )
 
 
 SHARE = 0.1

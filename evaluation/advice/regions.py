@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from evaluation.advice.evidence import Evidence, Recordings, Remark
-from evaluation.coverage import ASKED, MOST_STEPS, largest_gap, untried_pair, what_to_record
+from evaluation.coverage import ASKED, MOST_STEPS, largest_gap, suggest_recordings, untried_pair
 from evaluation.formatting import percent
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, candidate_regions, region_errors, worst_region
@@ -63,7 +63,7 @@ def often_outside(evidence: Evidence) -> Remark | None:
 def driven_outside(visited: Steps, support: Support) -> Remark | None:
     """Return how much of what was driven lies outside ``support``, and the boxes in which most of that lies."""
     visited = visited.thinned(MOST_STEPS)
-    share, boxes = visited.share_outside(support), what_to_record(support, visited, most=BOXES)
+    share, boxes = visited.share_outside(support), suggest_recordings(support, visited, most=BOXES)
     if share is None or not boxes:
         return None
     return Remark(
@@ -151,7 +151,7 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
     usable = np.flatnonzero(moving & np.isfinite(control))
     usable = usable[:: max(1, len(usable) // MOST_STEPS)]
     change = system.acceleration(steps.before, steps.after)[usable, state]
-    before, now, control = system.wrapped(steps.before)[usable], steps.control[usable], control[usable]
+    before, now, control = system.wrap(steps.before)[usable], steps.control[usable], control[usable]
     others = np.concatenate([system.regressors(before), np.delete(now, place, axis=1)], axis=1)
     now[:, place] = control
     found = []

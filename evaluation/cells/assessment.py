@@ -8,10 +8,10 @@ from typing import Any
 
 from evaluation.advice.advise import advise_model
 from evaluation.advice.evidence import Evidence, ModelAdvice
-from evaluation.cells.controllers import CONTROLLERS, ByHand, ControllerCell, identity_of
-from evaluation.cells.data import Parts
+from evaluation.cells.controllers import CONTROLLERS, Baseline, ControllerCell, identity_of
+from evaluation.cells.data import SplitDataset
 from evaluation.cells.models import Fit, Predict
-from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, labels_of, runners
+from evaluation.cells.plants import BELIEVED, STEPS, Plant, accurate_plants, labels_of, runners
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.exploitability.search import search_exploit
@@ -22,14 +22,14 @@ from evaluation.transfer.matrix import (
     MeasuredResult,
     TransferMatrix,
     TransferResult,
-    run_on,
+    run_controller,
     transfer_seeds,
     with_measured,
 )
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.evolution import Champion, ControllerEvolution
 from sysid_evo.models import DynamicsModel
-from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, Outcome, Work, cell_seed
+from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellOutcome, CellSettings, cell_seed
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Run(CellSettings):
             needs=(self.champion, *self.column.needs),
             labels={"champion": champion, "column": column},
             group=f"run {champion}",
-            seconds=0.05 + self.trials * STEPS * self.column.step_seconds(),
+            expected_seconds=0.05 + self.trials * STEPS * self.column.step_seconds(),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -69,10 +69,10 @@ class Run(CellSettings):
             "seed": self.seed,
         }
 
-    def compute(self, work: Work) -> TransferResult:
+    def compute(self, work: CellContext) -> TransferResult:
         champion: Champion = work.result(self.champion)
         champion.check_system(self.column.system(work))
-        cell = run_on(
+        cell = run_controller(
             champion,
             self.column.label,
             self.column.runner(work, delay=self.delay),
@@ -85,22 +85,22 @@ class Run(CellSettings):
 
 
 @dataclass(frozen=True)
-class Matrix:
+class PlannedMatrix:
     """The cells of a transfer matrix, from which it is put together: rows, columns, and every pair.
 
     ``robot`` labels the column of the emulated robot, if there is one; ``measured`` are cells driven
     on robots and by people.
     """
 
-    champions: tuple[ControllerCell, ...]
+    controllers: tuple[ControllerCell, ...]
     columns: tuple[Plant, ...]
     runs: tuple[Cell[Run], ...]
     robot: str | None
     measured: tuple[MeasuredResult, ...] = ()
 
-    def of(self, outcome: Callable[[Cell], Outcome]) -> TransferMatrix | None:
-        """Return the matrix of what is there; ``outcome(cell)`` gives the `Outcome` of a cell."""
-        champions = [value for cell in self.champions if (value := outcome(cell).value) is not None]
+    def of(self, outcome: Callable[[Cell], CellOutcome]) -> TransferMatrix | None:
+        """Return the matrix of what is there; ``outcome(cell)`` gives the `CellOutcome` of a cell."""
+        champions = [value for cell in self.controllers if (value := outcome(cell).value) is not None]
         known = {champion.name for champion in champions}
         cells = []
         for cell in self.runs:
@@ -117,7 +117,7 @@ class Matrix:
 class AssessExploitability(CellSettings):
     """Assesses how each model is exploited by the controllers that were evolved on it."""
 
-    matrix: Matrix
+    matrix: PlannedMatrix
     data: Cell
     seed: int
 
@@ -130,25 +130,25 @@ class AssessExploitability(CellSettings):
             name="exploitability",
             title="assess exploitability",
             settings=self,
-            needs=(self.data, *matrix.champions, *matrix.runs, *models),
-            seconds=1.0 * len(matrix.columns),
+            needs=(self.data, *matrix.controllers, *matrix.runs, *models),
+            expected_seconds=1.0 * len(matrix.columns),
         )
 
     def inputs(self) -> dict[str, Any]:
         return {
             "seed": self.seed,
             "columns": [[column.label, column.family] for column in self.matrix.columns],
-            "rows": [champion.name for champion in self.matrix.champions],
+            "rows": [champion.name for champion in self.matrix.controllers],
             "robot": self.matrix.robot,
             "measured": [measured.digest for measured in self.matrix.measured],
         }
 
-    def compute(self, work: Work) -> tuple[ModelExploitability, ...]:
+    def compute(self, work: CellContext) -> tuple[ModelExploitability, ...]:
         parts = work.result(self.data)
 
-        def outcome(cell: Cell) -> Outcome:
+        def outcome(cell: Cell) -> CellOutcome:
             value = work.result(cell)
-            return Outcome(value, None if value is not None else f"{cell.title} failed", 0.0)
+            return CellOutcome(value, None if value is not None else f"{cell.title} failed", 0.0)
 
         matrix = self.matrix.of(outcome)
         if matrix is None:
@@ -168,12 +168,12 @@ class Advise(CellSettings):
     data: Cell
     fits: Mapping[str, Cell[Fit]]
     predictions: Mapping[str, Cell[Predict]]
-    matrix: Matrix | None
+    matrix: PlannedMatrix | None
     seed: int
 
     def cell(self) -> Cell[Advise]:
         """Return the cell of the advice."""
-        controllers = () if self.matrix is None else (*self.matrix.champions, *self.matrix.runs)
+        controllers = () if self.matrix is None else (*self.matrix.controllers, *self.matrix.runs)
         return Cell(
             kind="advise",
             name="advice",
@@ -185,20 +185,20 @@ class Advise(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {"seed": self.seed, "models": list(self.fits)}
 
-    def compute(self, work: Work) -> ModelAdvice:
-        parts: Parts = work.result(self.data)
+    def compute(self, work: CellContext) -> ModelAdvice:
+        parts: SplitDataset = work.result(self.data)
         models = {label: model for label, fit in self.fits.items() if (model := work.result(fit)) is not None}
         if not models:
             return ModelAdvice("")
         best = self._best(models, parts, work)
         # what evolved controllers did in their recorded trials, in models and on robots
         runs = () if self.matrix is None else self.matrix.runs
-        evolved = [run for run in runs if not isinstance(run.settings.champion.settings, ByHand)]
+        evolved = [run for run in runs if not isinstance(run.settings.champion.settings, Baseline)]
         cells = [cell for run in evolved if (cell := work.result(run)) is not None]
         visited = [trace.trajectory for cell in cells for trace in cell.traces]
         return advise_model(models[best], parts.training, parts.test, visited=visited, name=best, seed=self.seed)
 
-    def _best(self, models: Mapping[str, DynamicsModel], parts: Parts, work: Work) -> str:
+    def _best(self, models: Mapping[str, DynamicsModel], parts: SplitDataset, work: CellContext) -> str:
         """Return the label of the model with the lowest N at the main horizon, as far as that is known."""
         first = next(iter(models))
         if parts.test is None:
@@ -245,8 +245,8 @@ class SearchExploit(CellSettings):
             name=f"exploit-of-{self.target.label}",
             title=f"search the worst exploit of {self.target.label}",
             settings=self,
-            needs=(*self.target.needs, *(cell for other in self.others for cell in other.believing)),
-            seconds=0.04 * self.evolution.generations * (1 + len(self.others)),
+            needs=(*self.target.needs, *(cell for other in self.others for cell in other.needs_with_prediction)),
+            expected_seconds=0.04 * self.evolution.generations * (1 + len(self.others)),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -257,10 +257,10 @@ class SearchExploit(CellSettings):
             "seed": self.seed,
         }
 
-    def compute(self, work: Work) -> Champion:
+    def compute(self, work: CellContext) -> Champion:
         return search_exploit(
             self.target.label,
-            runners((self.target, *believed(self.others, work)), work),
+            runners((self.target, *accurate_plants(self.others, work)), work),
             self.target.system(work),
             self.evolution,
             seed=cell_seed(self.seed, f"search {self.target.registered}"),

@@ -1,4 +1,4 @@
-"""Cells whose result is a controller: evolved, chosen, polished or written by hand, and which a recipe takes."""
+"""Cells whose result is a controller: evolved, chosen, polished or written by hand, and which a procedure takes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
-from evaluation.cells.plants import BELIEVED, STEPS, Plant, believed, fitted, labels_of, prediction_error, runners
+from evaluation.cells.plants import (
+    BELIEVED,
+    STEPS,
+    Plant,
+    accurate_plants,
+    fitted,
+    labels_of,
+    prediction_error,
+    runners,
+)
 from evaluation.experiment import NONE, USUAL_TASK, Experiment
-from evaluation.transfer.forecast import RULE, worth_by
+from evaluation.transfer.forecast import FORECAST_RULE, forecast_judgement
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.errors import Blocked, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.evolution.champion import load_champion, save_champion
-from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work, blocked_by, cell_seed
+from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
-from sysid_evo.registry.registry import cautions, noises
+from sysid_evo.registry.registry import noises, penalties
 from sysid_evo.system import System
 
 POLISHED = "polished"
@@ -41,7 +50,7 @@ def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
         "selection_trials": settings.selection_trials,
         "estimator_delay": settings.estimator_delay,
         "noise": noises.identity(settings.noise) if settings.noise else None,
-        "caution": cautions.identity(settings.caution) if settings.caution else None,
+        "penalty": penalties.identity(settings.penalty) if settings.penalty else None,
     }
 
 
@@ -56,7 +65,7 @@ class Evolve(CellSettings):
     def cell(self) -> Cell[Evolve]:
         """Return the cell of the controller."""
         evolution = self.evolution
-        rollouts = evolution.runs * evolution.generations * evolution.trials * 100
+        rollouts = evolution.repeats * evolution.generations * evolution.trials * 100
         return Cell(
             kind="evolve",
             name=self.name,
@@ -64,9 +73,9 @@ class Evolve(CellSettings):
             settings=self,
             needs=tuple(cell for member in self.members for cell in member.needs),
             labels={"name": self.name, "against": labels_of(self.members)},
-            seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
             resumable=True,
-            at_home=any(named_files(evolution.controller)),
+            local_only=any(named_files(evolution.controller)),
         )
 
     @property
@@ -79,7 +88,7 @@ class Evolve(CellSettings):
         return {
             "members": [member.inputs() for member in self.members],
             **identity_of(evolution),
-            "runs": evolution.runs,
+            "repeats": evolution.repeats,
             "schedule": [self._stage(stage) for stage in evolution.schedule],
             "seed": self.seed,
         }
@@ -90,7 +99,7 @@ class Evolve(CellSettings):
         missing = [model for model in stage.models if model not in labels]
         if missing:
             raise InvalidArgument(
-                f"schedule: {missing[0]!r} is not among the models of evolve {self.name}. With the recipe 'plain' "
+                f"schedule: {missing[0]!r} is not among the models of evolve {self.name}. With the procedure 'plain' "
                 "a controller is evolved on all its models at once"
             )
         return {
@@ -101,7 +110,7 @@ class Evolve(CellSettings):
             "over": stage.over,
         }
 
-    def compute(self, work: Work) -> Champion:
+    def compute(self, work: CellContext) -> Champion:
         names = "+".join(member.registered for member in self.members)
         return evolve_controller(
             self.name,
@@ -116,7 +125,7 @@ class Evolve(CellSettings):
 
 @dataclass(frozen=True)
 class Choose(CellSettings):
-    """Chooses among the finalists of all ``contenders`` by their forecasts, see `worth_by`.
+    """Chooses among the finalists of all ``contenders`` by their forecasts, see `forecast_judgement`.
 
     ``judges`` are the columns of models; a contender is judged where one of them is of another family than it was
     evolved in. What failed among contenders and judges is left out.
@@ -132,13 +141,13 @@ class Choose(CellSettings):
         only = self.contenders[0] if len(self.contenders) == 1 else None
         name = f"best of {'+'.join(labels_of(self.members))}" if only is None else only.name
         return Cell(
-            kind="choose",
+            kind="select",
             name=name,
             title=f"choose {name}",
             settings=self,
-            needs=(*self.contenders, *(cell for judge in self.judges for cell in judge.believing)),
+            needs=(*self.contenders, *(cell for judge in self.judges for cell in judge.needs_with_prediction)),
             labels={} if only is None else only.labels,
-            seconds=0.1 * len(self.judges),
+            expected_seconds=0.1 * len(self.judges),
         )
 
     @property
@@ -150,13 +159,13 @@ class Choose(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {
             "contenders": [sorted({member.registered for member in one.settings.members}) for one in self.contenders],
-            "judges": [judge.registered for judge in self.judges],
-            "rule": [RULE.power, RULE.own],
+            "scoring_models": [judge.registered for judge in self.judges],
+            "rule": [FORECAST_RULE.power, FORECAST_RULE.own],
             "trials": self.trials,
             "seed": self.seed,
         }
 
-    def compute(self, work: Work) -> Champion:
+    def compute(self, work: CellContext) -> Champion:
         judges = fitted(self.judges, work)
         judging = runners(judges, work)
         contenders = []
@@ -166,14 +175,14 @@ class Choose(CellSettings):
                 own = {member.registered for member in contender.settings.members}
                 contenders.append((champion, judging if any(judge.registered not in own for judge in judges) else {}))
         if not contenders:
-            raise Blocked(blocked_by(self.contenders[0]))
+            raise Blocked(blocked_reason(self.contenders[0]))
         errors = {judge.label: prediction_error(judge, work) for judge in judges}
         families = {column.label: column.registered for column in (*self.members, *judges)}
         return choose(
             contenders,
             seed=cell_seed(self.seed, "choose"),
             trials=self.trials,
-            judgement=worth_by(errors, families),
+            judgement=forecast_judgement(errors, families),
         )
 
 
@@ -181,7 +190,7 @@ class Choose(CellSettings):
 class Polish(CellSettings):
     """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
 
-    Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `believed`.
+    Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `accurate_plants`.
     """
 
     chosen: Cell[Choose]
@@ -201,9 +210,12 @@ class Polish(CellSettings):
             name=self.label,
             title="polish the best" if self.label == POLISHED else f"polish {self.label}",
             settings=self,
-            needs=(self.chosen, *(cell for m in self.members for cell in (m.believing if self.sift else m.needs))),
+            needs=(
+                self.chosen,
+                *(cell for m in self.members for cell in (m.needs_with_prediction if self.sift else m.needs)),
+            ),
             labels={"name": self.label, "against": labels_of(self.members)},
-            seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
+            expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
             resumable=True,
         )
 
@@ -217,15 +229,15 @@ class Polish(CellSettings):
             "seed": self.seed,
         }
 
-    def compute(self, work: Work) -> Champion:
+    def compute(self, work: CellContext) -> Champion:
         champion = work.result(self.chosen)
         if champion is None:
-            raise Blocked(blocked_by(self.chosen))
+            raise Blocked(blocked_reason(self.chosen))
         members = fitted(self.members, work)
         return polish(
             self.label,
             champion,
-            runners(believed(members, work) if self.sift else members, work),
+            runners(accurate_plants(members, work) if self.sift else members, work),
             self.evolution,
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
@@ -240,7 +252,7 @@ MODEL = "model"
 
 
 @dataclass(frozen=True)
-class ByHand(CellSettings):
+class Baseline(CellSettings):
     """Makes a controller that is run as it is on ``system``; files that it names count by what is in them.
 
     ``models`` are the cells of the models of the comparison that its parameter ``model`` names by their labels.
@@ -253,16 +265,16 @@ class ByHand(CellSettings):
     system: System
     models: Mapping[str, Cell] = field(default_factory=dict)
 
-    def cell(self) -> Cell[ByHand]:
+    def cell(self) -> Cell[Baseline]:
         """Return the cell of the controller."""
         return Cell(
-            kind="by_hand",
+            kind="baseline",
             name=self.spec.label,
             title=f"make {self.spec.label}",
             settings=self,
             needs=tuple(self.models.values()),
             labels={"name": self.spec.label},
-            at_home=bool(self.models) or any(named_files(self.spec)),
+            local_only=bool(self.models) or any(named_files(self.spec)),
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -274,17 +286,17 @@ class ByHand(CellSettings):
             "system": self.system.to_dict(),
         }
 
-    def compute(self, work: Work) -> Champion:
-        files = {label: f"{work.where(cell).resolve()}.json" for label, cell in self.models.items()}
-        return Champion.hand_written(named_models(self.spec, files), self.task, self.system)
+    def compute(self, work: CellContext) -> Champion:
+        files = {label: f"{work.path_of(cell).resolve()}.json" for label, cell in self.models.items()}
+        return Champion.baseline(named_models(self.spec, files), self.task, self.system)
 
 
-ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | ByHand]
+ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline]
 """A cell that gives a controller; the ``members`` of its settings are what this one was evolved against."""
 
 CONTROLLERS = ResultType("controllers", lambda value, path, _: files_of(save_champion(value, path)), load_champion)
-CELL_KINDS["evolve"] = CELL_KINDS["by_hand"] = CellKind(CONTROLLERS)
-CELL_KINDS["choose"] = CELL_KINDS["polish"] = CellKind(CONTROLLERS, tolerant=True)
+CELL_KINDS["evolve"] = CELL_KINDS["baseline"] = CellKind(CONTROLLERS)
+CELL_KINDS["select"] = CELL_KINDS["polish"] = CellKind(CONTROLLERS, tolerant=True)
 
 
 def labels_inside(spec: Spec, labels: Collection[str]) -> tuple[str, ...]:
@@ -308,18 +320,18 @@ ALONE = "min"
 MEAN_OF_ONE = ("min", "mean", "median")
 """Rules that give, where there is one model, the mean over its trials."""
 MOST_POLISHED = 2
-"""Finalists that the recommended recipe polishes."""
+"""Finalists that the recommended procedure polishes."""
 
 
 def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     """Return how controllers are evolved. Raises what the registries say about wrong names and parameters."""
     budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or USUAL_TASK)
     if noise is None:
-        noise = str(getattr(tasks.get(task.name), "usual_noise", ""))
+        noise = str(getattr(tasks.get(task.name), "default_noise", ""))
     return ControllerEvolution(
         generations=budget.generations,
         trials=budget.trials,
-        runs=budget.runs,
+        repeats=budget.repeats,
         aggregate=experiment.aggregate,
         selection_trials=experiment.selection_trials,
         estimator_delay=experiment.estimator_delay,
@@ -327,7 +339,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         task=task,
         strategy=Spec.parse(budget.strategy),
         noise="" if noise == NONE else noise,
-        caution=experiment.caution,
+        penalty=experiment.penalty,
         schedule=Stage.listed(experiment.schedule) if experiment.schedule else (),
     )
 
@@ -354,7 +366,7 @@ def controller_cell(
     sift: bool = False,
     further: tuple[Cell[Evolve], ...] = (),
 ) -> ControllerCell:
-    """Return the cell of one controller against all of ``members``, by the recipe of ``experiment``.
+    """Return the cell of one controller against all of ``members``, by the procedure of ``experiment``.
 
     By the recommended one each member is searched alone, the best are chosen by their median on those of
     ``judges`` that are models of other families and predict well, and polished on all members at once; with
@@ -362,7 +374,7 @@ def controller_cell(
     finalists of ``further`` evolutions, in several models at once, can be chosen, too.
     """
     evolution = evolution_on(experiment, members)
-    if experiment.budget.recipe == "plain":
+    if experiment.budget.procedure == "plain":
         return Evolve(members, evolution, experiment.seed).cell()
     models = tuple(column for column in judges if column.robot is None)
     singles = tuple(Evolve((one,), evolution_on(experiment, (one,)), experiment.seed).cell() for one in members)
@@ -370,7 +382,9 @@ def controller_cell(
         return chosen_cell(experiment, singles, models)
     chosen = Choose((*singles, *further), models, experiment.selection_trials, experiment.seed).cell()
     name = label or ensemble_name(labels_of(members), experiment.aggregate)
-    polished = Polish(chosen, members, evolution, experiment.budget.polish, MOST_POLISHED, experiment.seed, name, sift)
+    polished = Polish(
+        chosen, members, evolution, experiment.budget.polish_generations, MOST_POLISHED, experiment.seed, name, sift
+    )
     return polished.cell()
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, LinkLost
-from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work
+from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType
 from sysid_evo.registry import Spec, make_robot, robots
 
 TRAINING, TEST = "training", "test"
@@ -20,7 +20,7 @@ PREDICTABLE = 65
 
 
 @dataclass(frozen=True)
-class Parts:
+class SplitDataset:
     """The two parts of a data set; without ``test`` all of it is for training."""
 
     training: Dataset
@@ -28,7 +28,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Split:
+class HoldOut:
     """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test.
 
     Where most of the time is in many episodes of which the last share is too short to predict anything, whole ones
@@ -38,16 +38,16 @@ class Split:
     episodes: tuple[str, ...] | None = None
     share: float = 0.25
 
-    def of(self, dataset: Dataset) -> Parts:
+    def of(self, dataset: Dataset) -> SplitDataset:
         """Return both parts. Raises `InvalidArgument` or `InvalidData`, see `Dataset.split`."""
         if self.episodes is None and self.share == 0.0:
-            return Parts(dataset, None)
+            return SplitDataset(dataset, None)
         if self.episodes is not None:
             try:
-                return Parts(*dataset.split(self.episodes))
+                return SplitDataset(*dataset.split(self.episodes))
             except InvalidArgument as error:
                 raise InvalidArgument(f"test: {str(error).removeprefix('split: ')}") from error
-        return Parts(*dataset.split(whole_episodes(dataset, self.share) or self.share))
+        return SplitDataset(*dataset.split(whole_episodes(dataset, self.share) or self.share))
 
 
 def whole_episodes(dataset: Dataset, share: float) -> list[str]:
@@ -69,7 +69,7 @@ class GivenData(CellSettings):
     """Recordings that were read already, split."""
 
     dataset: Dataset
-    split: Split
+    split: HoldOut
 
     def cell(self) -> Cell[GivenData]:
         """Return the cell of both parts."""
@@ -81,7 +81,7 @@ class GivenData(CellSettings):
         told = {"conditions": named} if any(named) else {}
         return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **told}
 
-    def compute(self, work: Work) -> Parts:
+    def compute(self, work: CellContext) -> SplitDataset:
         return self.split.of(self.dataset)
 
 
@@ -92,7 +92,7 @@ class RecordedData(CellSettings):
     robot: Spec
     seed: int
     minutes: float
-    split: Split
+    split: HoldOut
 
     def cell(self) -> Cell[RecordedData]:
         """Return the cell of both parts."""
@@ -102,7 +102,12 @@ class RecordedData(CellSettings):
             seconds = 0.5 * self.minutes + 60.0 * self.minutes / robot.system.dt * plant.step_seconds()
         label = self.robot.label
         return Cell(
-            kind=DATA, name=label, title=f"record {label}", settings=self, seconds=seconds, local=robot.physical
+            kind=DATA,
+            name=label,
+            title=f"record {label}",
+            settings=self,
+            expected_seconds=seconds,
+            local=robot.physical,
         )
 
     def inputs(self) -> dict[str, Any]:
@@ -113,12 +118,12 @@ class RecordedData(CellSettings):
             "split": asdict(self.split),
         }
 
-    def compute(self, work: Work) -> Parts:
+    def compute(self, work: CellContext) -> SplitDataset:
         robot = make_robot(self.robot)
         recorded = robot.record(
             seed=self.seed,
             duration=60.0 * self.minutes,
-            folder=work.place / "journal" if robot.physical else None,
+            folder=work.path / "journal" if robot.physical else None,
             progress=work.progress,
         )
         if recorded.report.reason.is_fault:
@@ -126,7 +131,7 @@ class RecordedData(CellSettings):
         return self.split.of(recorded.dataset)
 
 
-def _save(value: Parts, path: Path, _: Cell) -> list[Path]:
+def _save(value: SplitDataset, path: Path, _: Cell) -> list[Path]:
     written = []
     for name, part in ((TRAINING, value.training), (TEST, value.test)):
         if part is not None:
@@ -135,9 +140,9 @@ def _save(value: Parts, path: Path, _: Cell) -> list[Path]:
     return written
 
 
-def _load(path: Path) -> Parts:
+def _load(path: Path) -> SplitDataset:
     test = path / TEST
-    return Parts(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
+    return SplitDataset(Dataset.load(path / TRAINING), Dataset.load(test) if test.is_dir() else None)
 
 
 DATA = "data"

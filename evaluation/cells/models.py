@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.cells.data import Split
+from evaluation.cells.data import HoldOut
 from evaluation.prediction.cases import SECOND, PredictionProtocol, measured_cases
 from evaluation.prediction.scores import (
-    ConditionErrors,
+    ConditionError,
     ModelPrediction,
 )
-from evaluation.prediction.scoring import Persistence, score_model, within_and_across
+from evaluation.prediction.scoring import Persistence, condition_errors, score_model
 from evaluation.storage import result_of
 from sysid_evo.artefacts import CheckpointFile, Manifest, read_artefact
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.base import make_model
-from sysid_evo.plan import CELL_KINDS, Cell, CellKind, CellSettings, ResultType, Work, cell_seed
+from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, cell_seed
 from sysid_evo.registry import Spec, models
 from sysid_evo.validation.measures import mean_over_channels
 
@@ -52,21 +52,21 @@ class Fit(CellSettings):
             title=f"fit {self.spec.label}",
             settings=self,
             needs=(self.data,),
-            seconds=float(self.spec.parameters.get("budget", usual)),
+            expected_seconds=float(self.spec.parameters.get("budget", usual)),
             resumable=bool(getattr(models.get(self.spec.name), "resumable", False)),
-            at_home=any(named_files(self.spec)),
+            local_only=any(named_files(self.spec)),
         )
 
     def inputs(self) -> dict[str, Any]:
-        used = [models.identity(name) for name in make_model(self.spec).uses()]
+        used = [models.identity(name) for name in make_model(self.spec).families_used()]
         files = file_digests(self.spec)
-        further = {**({"uses": used} if used else {}), **({"files": files} if files else {})}
+        further = {**({"families_used": used} if used else {}), **({"files": files} if files else {})}
         return {"model": models.identity(self.spec), "seed": self.seed, **further}
 
-    def compute(self, work: Work) -> DynamicsModel:
+    def compute(self, work: CellContext) -> DynamicsModel:
         return self.learn(work.result(self.data).training, work)
 
-    def learn(self, training: Dataset, work: Work | None = None) -> DynamicsModel:
+    def learn(self, training: Dataset, work: CellContext | None = None) -> DynamicsModel:
         """Return a model of its family that was fitted to ``training``, with the same seed as the one of this cell.
 
         With ``work`` it reports its progress there, and goes on after an interruption.
@@ -108,7 +108,7 @@ class Predict(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {"protocol": asdict(self.protocol)}
 
-    def compute(self, work: Work) -> ModelPrediction:
+    def compute(self, work: CellContext) -> ModelPrediction:
         parts = work.result(self.data)
         cases = measured_cases(parts.training, parts.test, self.protocol)
         if self.model is None:
@@ -122,13 +122,13 @@ class Predict(CellSettings):
 class HeldOutScore:
     """Normalised error N of a model after ``steps`` on held-out data that form ``blocks`` blocks of time.
 
-    ``judged_on`` names these data in words; ``n`` is None if they do not allow an estimate.
+    ``evaluated_on`` names these data in words; ``n`` is None if they do not allow an estimate.
     """
 
     n: float | None
     steps: int | None
     blocks: int | None
-    judged_on: str
+    evaluated_on: str
 
 
 @dataclass(frozen=True)
@@ -150,15 +150,15 @@ class JudgeFit(CellSettings):
             title=f"judge {name}",
             settings=self,
             needs=(self.fit.settings.data, self.fit),
-            seconds=self.fit.seconds,
+            expected_seconds=self.fit.expected_seconds,
         )
 
     def inputs(self) -> dict[str, Any]:
         return {"protocol": asdict(self.protocol)}
 
-    def compute(self, work: Work) -> HeldOutScore:
+    def compute(self, work: CellContext) -> HeldOutScore:
         fit = self.fit.settings
-        parts, model, judged_on = work.result(fit.data), work.result(self.fit), "the test part"
+        parts, model, evaluated_on = work.result(fit.data), work.result(self.fit), "the test part"
         if parts.test is None and model.held_out_error_ is not None:
             moving = [e.states[rows] for e, rows in zip(parts.training, parts.training.moving, strict=True)]
             spread = model.system.spread(np.concatenate(moving))
@@ -167,27 +167,27 @@ class JudgeFit(CellSettings):
             return HeldOutScore(float(mean_over_channels(errors)), second, None, "what it held out while it was fitted")
         try:
             if parts.test is None:
-                parts = Split().of(parts.training)
-                judged_on = "the last quarter of the data, which a copy of it has not learned from"
+                parts = HoldOut().of(parts.training)
+                evaluated_on = "the last quarter of the data, which a copy of it has not learned from"
             cases = measured_cases(parts.training, parts.test, self.protocol)
             horizon = cases.main_horizon
-            if judged_on != "the test part":
+            if evaluated_on != "the test part":
                 model = fit.learn(parts.training, work)
             score = score_model(self.fit.name, model, cases, family="").score(horizon)
         except InvalidData as error:
             return HeldOutScore(None, None, None, str(error))
         if score is None or not np.isfinite(score.n):
             return HeldOutScore(None, None, None, "; ".join(cases.notes))
-        return HeldOutScore(score.n, horizon, cases.blocks(horizon), judged_on)
+        return HeldOutScore(score.n, horizon, cases.blocks(horizon), evaluated_on)
 
 
 @dataclass(frozen=True)
-class StoredModel(CellSettings):
+class StoredModelCell(CellSettings):
     """A model in a file of its own, outside any run: found by what the file holds."""
 
     path: Path
 
-    def cell(self) -> Cell[StoredModel]:
+    def cell(self) -> Cell[StoredModelCell]:
         """Return the cell of the model."""
         name = DIGEST.sub("", self.path.stem)
         return Cell(kind="model", name=name, title=f"read {self.path}", settings=self, local=True)
@@ -211,7 +211,7 @@ class StoredModel(CellSettings):
             "tensors": manifest.sha256,
         }
 
-    def compute(self, work: Work) -> DynamicsModel:
+    def compute(self, work: CellContext) -> DynamicsModel:
         return load_model(self.path)
 
     @property
@@ -242,16 +242,16 @@ class LeaveConditionsOut(CellSettings):
             title=f"leave conditions out of {name}",
             settings=self,
             needs=(self.fit.settings.data, self.fit),
-            seconds=self.conditions * FIT_SECONDS.get(self.fit.settings.preset, 2.0),
+            expected_seconds=self.conditions * FIT_SECONDS.get(self.fit.settings.preset, 2.0),
         )
 
     def inputs(self) -> dict[str, Any]:
         return {"model": models.identity(self.fit.settings.spec), "protocol": asdict(self.protocol)}
 
-    def compute(self, work: Work) -> tuple[ConditionErrors, ...]:
+    def compute(self, work: CellContext) -> tuple[ConditionError, ...]:
         fit = self.fit.settings
         parts = work.result(fit.data)
-        return within_and_across(work.result(self.fit), fit.learn, parts.training, parts.test, self.protocol)
+        return condition_errors(work.result(self.fit), fit.learn, parts.training, parts.test, self.protocol)
 
 
 def file_digests(spec: Spec) -> list[str]:
@@ -268,7 +268,7 @@ def named_files(spec: Spec) -> Iterator[Path]:
                 yield from (file for file in map(Path, (f"{stem}.json", f"{stem}.safetensors")) if file.is_file())
 
 
-def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModel]) -> list[Path]:
+def _save(value: DynamicsModel, path: Path, cell: Cell[Fit | StoredModelCell]) -> list[Path]:
     return files_of(save_model(value, path, **cell.settings.origin))
 
 
@@ -276,4 +276,4 @@ MODELS = ResultType("models", _save, load_model)
 CELL_KINDS["fit"] = CELL_KINDS["model"] = CellKind(MODELS)
 CELL_KINDS["predict"] = CellKind(result_of(ModelPrediction))
 CELL_KINDS["judge"] = CellKind(result_of(HeldOutScore))
-CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionErrors, ...]))
+CELL_KINDS["conditions"] = CellKind(result_of(tuple[ConditionError, ...]))

@@ -10,9 +10,9 @@ from typing import Any
 from evaluation.prediction.scores import error_of
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution import observed_late
+from sysid_evo.evolution import delayed_runner
 from sysid_evo.models import Dynamics
-from sysid_evo.plan import Cell, Work
+from sysid_evo.plan import Cell, CellContext
 from sysid_evo.processors import resolve
 from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
@@ -43,7 +43,7 @@ class Plant:
         return () if self.model is None else (self.model,)
 
     @property
-    def believing(self) -> tuple[Cell, ...]:
+    def needs_with_prediction(self) -> tuple[Cell, ...]:
         """The cells that must be there to say whether the model is believed."""
         return self.needs if self.prediction is None else (*self.needs, self.prediction)
 
@@ -60,7 +60,7 @@ class Plant:
         """Whether the same model or robot stands behind both, whatever their labels."""
         return self.model == other.model and self.inputs() == other.inputs()
 
-    def system(self, work: Work) -> System:
+    def system(self, work: CellContext) -> System:
         """Return the system of the model or of the robot."""
         if self.model is not None:
             model: Dynamics = work.result(self.model)
@@ -78,20 +78,20 @@ class Plant:
         """Return about how long one step of one trial takes."""
         return self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
 
-    def runner(self, work: Work, *, delay: float) -> Runner:
+    def runner(self, work: CellContext, *, delay: float) -> Runner:
         """Return how controllers are run here, with states observed ``delay`` s late."""
         if self.model is not None:
-            return observed_late(self.label, DynamicsRunner(work.result(self.model)), delay)
+            return delayed_runner(self.label, DynamicsRunner(work.result(self.model)), delay)
         assert self.robot is not None
-        return observed_late(self.label, runner_of(self.robot), delay)
+        return delayed_runner(self.label, runner_of(self.robot), delay)
 
 
-def runners(columns: Iterable[Plant], work: Work) -> dict[str, Runner]:
+def runners(columns: Iterable[Plant], work: CellContext) -> dict[str, Runner]:
     """Return how controllers are run on each of ``columns``, with states observed at once."""
     return {column.label: column.runner(work, delay=0.0) for column in columns}
 
 
-def fitted(columns: Iterable[Plant], work: Work) -> list[Plant]:
+def fitted(columns: Iterable[Plant], work: CellContext) -> list[Plant]:
     """Return those of ``columns`` that are there: robots, and models that could be fitted."""
     return [column for column in columns if column.model is None or work.result(column.model) is not None]
 
@@ -132,7 +132,7 @@ FAMILIES = 2
 """The best of this many families are always believed, so that there is one to judge what comes from the other."""
 
 
-def believed(columns: Sequence[Plant], work: Work) -> tuple[Plant, ...]:
+def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant, ...]:
     """Return those of ``columns`` that predict well: N at most `BELIEVED` times that of the best.
 
     A model that misses a lag or a force of the robot tells nothing about fast controllers, and several such models
@@ -151,6 +151,6 @@ def believed(columns: Sequence[Plant], work: Work) -> tuple[Plant, ...]:
     return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
 
 
-def prediction_error(column: Plant, work: Work) -> float | None:
+def prediction_error(column: Plant, work: CellContext) -> float | None:
     """Return N of a model on held-out data, None where it is not known."""
     return None if column.prediction is None else error_of(work.result(column.prediction))

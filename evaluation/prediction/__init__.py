@@ -2,7 +2,7 @@
 
 from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, RegionError, worst_region
-from evaluation.prediction.residuals import Residuals, StepErrors, analyse, step_errors
+from evaluation.prediction.residuals import OneStepErrors, Residuals, analyse_residuals, step_errors
 from evaluation.prediction.scores import (
     PERSISTENCE,
     Coverage,
@@ -24,14 +24,14 @@ __all__ = [
     "ErrorScore",
     "MeasuredCases",
     "ModelPrediction",
+    "OneStepErrors",
     "Persistence",
     "Prediction",
     "PredictionProtocol",
     "Region",
     "RegionError",
     "Residuals",
-    "StepErrors",
-    "analyse",
+    "analyse_residuals",
     "assess_model",
     "assess_prediction",
     "measured_cases",

@@ -212,7 +212,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     truth = np.concatenate([e.states[rows] for e, rows in zip(test.episodes, test.moving, strict=True)])
     if not len(truth):
         raise InvalidData("prediction: the test set stands still throughout; hold back an episode that moves")
-    std, rms = spread_of(system, truth), np.sqrt(np.mean(system.wrapped(truth) ** 2, axis=0))
+    std, rms = spread_of(system, truth), np.sqrt(np.mean(system.wrap(truth) ** 2, axis=0))
     constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
     if constant:
         notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
@@ -285,7 +285,7 @@ def _guard(training: Dataset, multiple: float) -> Array:
 
 def spread_of(system: System, states: Array) -> Array:
     """Return the standard deviation (nx,) of ``states`` (N, nx), 0 for one that is constant but for rounding."""
-    spread, size = system.spread(states), np.sqrt(np.mean(system.wrapped(states) ** 2, axis=0))
+    spread, size = system.spread(states), np.sqrt(np.mean(system.wrap(states) ** 2, axis=0))
     return np.where(spread > ROUNDING * size, spread, 0.0)
 
 

@@ -120,7 +120,7 @@ def worst_region(regions: tuple[RegionError, ...]) -> RegionError | None:
 
 def candidate_regions(system: System, states: Array, controls: Array) -> Iterator[tuple[Region, BoolArray]]:
     """Yield regions of each channel and which of the rows (N,) lie inside."""
-    wrapped = system.wrapped(states)
+    wrapped = system.wrap(states)
     for channel, values in (
         *zip(system.states, wrapped.T, strict=True),
         *zip(system.controls, controls.T, strict=True),

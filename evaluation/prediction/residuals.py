@@ -32,7 +32,7 @@ MOST_STEPS, PIECE = 20_000, 2_000
 
 
 @dataclass(frozen=True)
-class StepErrors:
+class OneStepErrors:
     """One-step errors, measured minus predicted, in rows that follow each other in time.
 
     ``errors`` (M, nx) are nan where nothing was predicted; as many rows of nan as the longest lag stand between
@@ -49,7 +49,7 @@ class StepErrors:
         return np.asarray(np.isfinite(self.errors).all(axis=1))
 
 
-def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> StepErrors:
+def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> OneStepErrors:
     """Predict every step that starts and ends in motion, from sample ``first`` or the first with enough history."""
     system = dataset.system
     windows = dataset.windows(1, history=model.n_lags, first=first, moving=True)
@@ -72,7 +72,7 @@ def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> St
         rows = begins[windows.episode] + windows.start
         kept = lands[rows + 1] & np.isfinite(off).all(axis=1)
         errors[rows[kept]] = off[kept]
-    return StepErrors(errors, states, controls)
+    return OneStepErrors(errors, states, controls)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Residuals:
         return np.asarray(self.cross[AHEAD + lag])
 
 
-def analyse(steps: StepErrors) -> Residuals:
+def analyse_residuals(steps: OneStepErrors) -> Residuals:
     """Return autocorrelation and cross-correlation of one-step errors."""
     errors = steps.errors - _mean(steps.errors)
     controls = steps.controls - _mean(steps.controls)

@@ -32,7 +32,7 @@ class ModelPrediction:
 
     name: str
     family: str
-    at: tuple[ErrorScore, ...] = ()
+    scores: tuple[ErrorScore, ...] = ()
     free_run: ErrorScore | None = None
     curve: Array = field(default_factory=lambda: np.empty(0), repr=False)
     curve_interval: Array = field(default_factory=lambda: np.empty((2, 0)), repr=False)
@@ -53,7 +53,7 @@ class ModelPrediction:
         """Return the score at ``horizon`` steps, or of the free run (None); None where there is none."""
         if horizon is None:
             return self.free_run
-        return next((score for score in self.at if score.horizon == horizon), None)
+        return next((score for score in self.scores if score.horizon == horizon), None)
 
 
 @dataclass(frozen=True)
@@ -111,14 +111,14 @@ class Coverage:
         return float(np.mean(self.inside))
 
     @property
-    def honest(self) -> bool:
+    def calibrated(self) -> bool:
         """Whether that share is within five hundredths of what the intervals are to hold."""
         return abs(self.mean - self.share) <= HONEST
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """How often and when simulations reached the model's envelope or the guard.
+    """How often and when simulations reached the model's state_bounds or the guard.
 
     ``share`` of the windows; ``median_time`` in s of the first touch among those;
     ``free_run_times`` in s, one for each free run, None for never.
@@ -143,7 +143,7 @@ class EpisodeError:
 
 
 @dataclass(frozen=True)
-class ConditionErrors:
+class ConditionError:
     """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
 
     ``within``: it also learned from recordings of that condition; ``across``: it learned from the others alone. None
@@ -233,6 +233,6 @@ HORIZON = 20
 
 def error_of(found: ModelPrediction | None) -> float | None:
     """Return N of a model on held-out data, None where it is not known."""
-    if found is None or not found.at:
+    if found is None or not found.scores:
         return None
-    return (found.score(HORIZON) or found.at[-1]).n
+    return (found.score(HORIZON) or found.scores[-1]).n

@@ -10,10 +10,10 @@ import numpy as np
 
 from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, main_horizon, measured_cases
 from evaluation.prediction.regions import region_errors
-from evaluation.prediction.residuals import analyse, step_errors
+from evaluation.prediction.residuals import analyse_residuals, step_errors
 from evaluation.prediction.scores import (
     PERSISTENCE,
-    ConditionErrors,
+    ConditionError,
     Coverage,
     Divergence,
     EpisodeError,
@@ -47,7 +47,7 @@ def assess_prediction(
     A model that fails is a row with its reason. Raises `InvalidData` if the test set is of no use.
     """
     if PERSISTENCE in models:
-        raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the yardstick")
+        raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the reference")
     cases = measured_cases(training, test, protocol or PredictionProtocol())
     still = Persistence().fit(training, rng=np.random.default_rng(0))
     rows = [assess_model(PERSISTENCE, still, cases, family=PERSISTENCE)]
@@ -73,7 +73,7 @@ def assess_model(
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
-    forecasts = forecast(model.without_noise(), cases)
+    forecasts = simulate_cases(model.without_noise(), cases)
     notes = [f"{name} {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
@@ -87,7 +87,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
     return ModelPrediction(
         name=name,
         family=family,
-        at=tuple(
+        scores=tuple(
             _score(h, states[:, h - 1], forecasts.windows[:, h - 1], cases.moving[:, h - 1], cases.window_block, cases)
             for h in cases.horizons
         ),
@@ -95,7 +95,7 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
         curve=curve,
         curve_interval=curve_interval,
         divergence=divergence,
-        residuals=analyse(step_errors(model.without_noise(), cases.test, first=cases.protocol.first)),
+        residuals=analyse_residuals(step_errors(model.without_noise(), cases.test, first=cases.protocol.first)),
         regions=() if horizon is None else region_errors(cases, forecasts.windows, horizon),
         episodes=episode_errors(cases, forecasts.windows, forecasts.free_runs),
         coverage=interval_coverage(model, cases),
@@ -123,11 +123,11 @@ NEVER = -1
 
 
 @dataclass(frozen=True)
-class Forecasts:
+class SimulatedCases:
     """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each free run, clipped to the guard.
 
     ``touched`` (N,) and ``free_touched`` (number of free runs,) are the first step (from 1) at which
-    a simulation reached the model's envelope or the guard, or stopped being a number; -1 for never.
+    a simulation reached the model's state_bounds or the guard, or stopped being a number; -1 for never.
     """
 
     windows: Array
@@ -136,7 +136,7 @@ class Forecasts:
     free_touched: IntArray
 
 
-def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
+def simulate_cases(model: DynamicsModel, cases: MeasuredCases) -> SimulatedCases:
     """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
     windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
     free_runs, free_touched = [], []
@@ -147,7 +147,7 @@ def forecast(model: DynamicsModel, cases: MeasuredCases) -> Forecasts:
         states, limited = _simulate(model, *history, run.controls[None], cases.guard)
         free_runs.append(states[0])
         free_touched.append(int(limited[0]))
-    return Forecasts(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
+    return SimulatedCases(windows, touched, tuple(free_runs), np.array(free_touched, dtype=np.int64))
 
 
 def _simulate(
@@ -157,8 +157,8 @@ def _simulate(
         return np.empty((*controls.shape[:2], past_states.shape[2])), np.empty(0, dtype=np.int64)
     states = model.simulate(past_states, past_controls, controls)
     hit = ~np.isfinite(states).all(axis=2) | _at_limit(states, guard)
-    if model.envelope is not None:
-        hit |= _at_limit(states, model.envelope)
+    if model.state_bounds is not None:
+        hit |= _at_limit(states, model.state_bounds)
     touched = np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, NEVER).astype(np.int64)
     low, high = guard
     return np.clip(np.where(np.isfinite(states), states, np.where(np.isfinite(high), high, 0.0)), low, high), touched
@@ -173,7 +173,7 @@ def _at_limit(states: Array, limits: Array) -> BoolArray:
     return np.asarray(reached.any(axis=-1))
 
 
-def _free_run(forecasts: Forecasts, cases: MeasuredCases) -> ErrorScore | None:
+def _free_run(forecasts: SimulatedCases, cases: MeasuredCases) -> ErrorScore | None:
     moving = [run.moving for run in cases.free_runs]
     if not any(rows.any() for rows in moving):
         return None
@@ -191,7 +191,7 @@ def _score(
 ) -> ErrorScore:
     """Score the rows ``scored`` (N,) of (N, nx); blocks without such a row are not drawn."""
     truth = true[scored]
-    guess = cases.system.near(predicted[scored], truth)
+    guess = cases.system.unwrap_towards(predicted[scored], truth)
     drawn = mean_over_channels(drawn_rms(guess - truth, blocks[scored]) / cases.scale)
     return ErrorScore(
         horizon=horizon,
@@ -204,7 +204,7 @@ def _score(
     )
 
 
-def _curve(forecasts: Forecasts, cases: MeasuredCases) -> tuple[Array, Array]:
+def _curve(forecasts: SimulatedCases, cases: MeasuredCases) -> tuple[Array, Array]:
     """Return N (H,) after every step, nan at a step where no target moves, and its interval (2, H)."""
     errors = cases.system.difference(forecasts.windows, cases.windows.states)
     squares = np.where(cases.moving[:, :, None], errors**2, 0.0)
@@ -256,7 +256,7 @@ def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
     )
     ends = [horizon - 1 for horizon in cases.horizons]
     low, high = np.quantile(drawn[:, :, ends], [0.5 - SHARE / 2, 0.5 + SHARE / 2], axis=0, method="weibull")
-    truth = cases.system.near(windows.states[:, ends], 0.5 * (low + high))
+    truth = cases.system.unwrap_towards(windows.states[:, ends], 0.5 * (low + high))
     return ((truth >= low) & (truth <= high)).transpose(1, 0, 2).astype(np.float64)
 
 
@@ -265,7 +265,9 @@ def episode_errors(cases: MeasuredCases, windows: Array, free_runs: Sequence[Arr
     errors, system = cases.system.difference(windows, cases.windows.states), cases.system
     nothing = np.full(system.nx, np.nan)
     fits = {
-        run.episode: measures.fit_percent(run.states, system.near(predicted, run.states), std=system.spread(run.states))
+        run.episode: measures.fit_percent(
+            run.states, system.unwrap_towards(predicted, run.states), std=system.spread(run.states)
+        )
         for run, predicted in zip(cases.free_runs, free_runs, strict=True)
         if len(run.states)
     }
@@ -301,13 +303,13 @@ class Persistence(DynamicsModel):
         return carry
 
 
-def within_and_across(
+def condition_errors(
     model: DynamicsModel,
     learn: Callable[[Dataset], DynamicsModel],
     training: Dataset,
     test: Dataset,
     protocol: PredictionProtocol,
-) -> tuple[ConditionErrors, ...]:
+) -> tuple[ConditionError, ...]:
     """Return the errors in every condition of ``test``; ``learn`` fits the family of ``model`` to other data."""
     found = []
     dt = test.system.dt
@@ -320,7 +322,7 @@ def within_and_across(
         if others and within is not None:
             rest = training.with_episodes(others)
             across = _error(learn(rest), rest, here, protocol, horizon)
-        found.append(ConditionErrors(condition, horizon, within, across))
+        found.append(ConditionError(condition, horizon, within, across))
     return tuple(found)
 
 

@@ -5,15 +5,15 @@ from evaluation.report.report import brief, report_schema, save_report, tables, 
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.summary import tells_nothing, verdict
-from evaluation.results import DataSummary, EpisodeSummary, Failure, ModelSummary, Report
+from evaluation.results import ComparisonResults, DataSummary, EpisodeSummary, Failure, ModelSummary
 
 __all__ = [
+    "ComparisonResults",
     "DataSummary",
     "EpisodeSummary",
     "Failure",
     "Finding",
     "ModelSummary",
-    "Report",
     "advice_lines",
     "brief",
     "drive_command",

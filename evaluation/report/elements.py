@@ -20,13 +20,13 @@ Tone = Literal["good", "bad", "open"]
 
 
 @dataclass(frozen=True)
-class Story:
+class Page:
     """A report in its order: answers in a few words, then in sentences, a short table, and the sections."""
 
     title: str
     headlines: Sequence[Headline]
     findings: Sequence[Finding]
-    overview: Sheet | None
+    overview: TableElement | None
     sections: Sequence[Section]
 
 
@@ -69,18 +69,18 @@ class Section:
         return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
 
     @property
-    def sheets(self) -> tuple[Sheet, ...]:
+    def sheets(self) -> tuple[TableElement, ...]:
         """The tables alone."""
-        return tuple(item for item in self.items if isinstance(item, Sheet))
+        return tuple(item for item in self.items if isinstance(item, TableElement))
 
     @property
-    def pictures(self) -> tuple[Picture, ...]:
+    def pictures(self) -> tuple[FigureElement, ...]:
         """The figures alone."""
-        return tuple(item for item in self.items if isinstance(item, Picture))
+        return tuple(item for item in self.items if isinstance(item, FigureElement))
 
 
 @dataclass(frozen=True)
-class Sheet:
+class TableElement:
     """A table of plain text: the first column names the rows. A cell may hold several lines.
 
     ``note`` says how the numbers came about; ``details`` asks the page to fold the table away, ``prose``
@@ -94,7 +94,7 @@ class Sheet:
     details: bool = False
     prose: bool = False
     code: bool = False
-    heat: Heat | None = None
+    heat: Shading | None = None
 
     @property
     def sorts(self) -> bool:
@@ -106,7 +106,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Heat:
+class Shading:
     """What the page paints behind the cells of a table, without its first column.
 
     ``shades`` (rows, columns) from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
@@ -120,7 +120,7 @@ class Heat:
 
 
 @dataclass(frozen=True)
-class Picture:
+class FigureElement:
     """Drawings under one title; ``caption`` says what they show. With ``columns`` they stand side by side."""
 
     title: str
@@ -157,7 +157,7 @@ class Drawing:
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayElement:
     """What the page's script plays: ``document`` is JSON for a script element, ``rows`` the names of the controllers.
 
     ``paths`` tells whether bodies on a plane are shown, or states over time.
@@ -192,7 +192,7 @@ class Card:
     time: float = 0.0
 
 
-Item = Picture | Sheet | Replay | Cards
+Item = FigureElement | TableElement | ReplayElement | Cards
 
 
 def present(*items: Item | None) -> list[Item]:

@@ -13,11 +13,11 @@ from typing import Any
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from evaluation.behaviour import manners
-from evaluation.report.elements import Section, Story, Tone
+from evaluation.behaviour import driving_summaries
+from evaluation.report.elements import Page, Section, Tone
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import findings_lines, indented, plain_text, to_rich
+from evaluation.report.render.terminal import findings_lines, indented, plain_text, table_lines
 from evaluation.report.save import json_text, write_page, write_text
 from evaluation.report.sections import (
     advice,
@@ -35,17 +35,17 @@ from evaluation.report.sections.behaviour import behaviour_to_json
 from evaluation.report.sections.controllers import forecast_to_json, overview_sheet, summary_to_json, use_command
 from evaluation.report.sections.evolution import champion_to_json
 from evaluation.report.sections.exploitability import exploitability_to_json
-from evaluation.report.sections.prediction import condition_sheet, prediction_to_json
+from evaluation.report.sections.prediction import condition_table, prediction_to_json
 from evaluation.report.sections.summary import SAID, headlines, verdict
 from evaluation.report.sections.transfer import matrix_to_json
-from evaluation.results import Report
+from evaluation.results import ComparisonResults
 from evaluation.storage import plain
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import summary_of
 
 DOCUMENT, PAGE = "report.json", "report.html"
 
-SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
+SECTIONS: tuple[Callable[[ComparisonResults], Section | None], ...] = (
     prediction.section,
     advice.section,
     transfer.section,
@@ -60,28 +60,28 @@ SECTIONS: tuple[Callable[[Report], Section | None], ...] = (
 """What makes the sections, in the order in which they are read."""
 
 
-def sections(report: Report) -> list[Section]:
+def sections(report: ComparisonResults) -> list[Section]:
     """Return the parts of the report after the verdict, without those that have nothing to show."""
     return [section for make in SECTIONS if (section := make(report)) is not None]
 
 
-def story_of(report: Report) -> Story:
+def story_of(report: ComparisonResults) -> Page:
     """Return the content of a report in its order; page and Markdown are made of it."""
-    return Story(report.title, headlines(report), verdict(report), overview_sheet(report), sections(report))
+    return Page(report.title, headlines(report), verdict(report), overview_sheet(report), sections(report))
 
 
-def to_html(report: Report) -> str:
+def to_html(report: ComparisonResults) -> str:
     """Return the page of a report as text; it holds no link and no source outside itself."""
     return page_of(story_of(report))
 
 
-def to_markdown(report: Report, *, figures: str = "") -> str:
+def to_markdown(report: ComparisonResults, *, figures: str = "") -> str:
     """Return the report as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
     return story_to_markdown(story_of(report), figures=figures)
 
 
 def save_report(
-    report: Report, folder: str | Path, *, of: str | None = None, afresh: bool = False
+    report: ComparisonResults, folder: str | Path, *, of: str | None = None, afresh: bool = False
 ) -> tuple[Path, Path]:
     """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
 
@@ -104,7 +104,7 @@ def report_schema() -> dict[str, Any]:
     return schema
 
 
-def to_json(report: Report) -> dict[str, Any]:
+def to_json(report: ComparisonResults) -> dict[str, Any]:
     """Return the report as strict JSON: what is not a number is null, durations stand under ``timings`` alone."""
     document = {
         "schema": SCHEMA,
@@ -148,7 +148,7 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "champions": [champion_to_json(champion) for champion in matrix.champions],
         "transfer": matrix_to_json(matrix),
         "controllers": summary_to_json(summary_of(matrix)),
-        "behaviour": behaviour_to_json(manners(matrix), matrix),
+        "behaviour": behaviour_to_json(driving_summaries(matrix), matrix),
     }
     strict: dict[str, Any] = plain(document)
     return strict
@@ -156,16 +156,16 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
 
 def transfer_tables(matrix: TransferMatrix) -> list[RenderableType]:
     """Return a transfer matrix without a report as the tables that a report has of it."""
-    manner = behaviour.manner_sheet(manners(matrix), matrix.robot)
+    manner = behaviour.driving_table(driving_summaries(matrix), matrix.robot)
     sheets = (transfer.transfer_sheet(matrix), controllers.standing_sheet(matrix, summary_of(matrix)), manner)
-    return [part for sheet in sheets if sheet is not None for part in to_rich(sheet)]
+    return [part for sheet in sheets if sheet is not None for part in table_lines(sheet)]
 
 
 SHOWN_FAILURES = 5
 """Failures whose reasons fit on a screen."""
 
 
-def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
+def brief(report: ComparisonResults, *, folder: str | Path = "") -> list[RenderableType]:
     """Return the verdict and one short table: what fits on a screen.
 
     ``folder``, the run folder, is put before the file of the chosen controller. The path of the report is not
@@ -177,8 +177,8 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
         reasons = [indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
-    for sheet in (overview_sheet(report), condition_sheet(report.conditions)):
-        parts += [] if sheet is None else to_rich(sheet)
+    for sheet in (overview_sheet(report), condition_table(report.conditions)):
+        parts += [] if sheet is None else table_lines(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := use_command(report, pick, folder=folder)) is not None:
         told = Text.assemble(("Use the chosen controller: ", "bold"), command)
@@ -187,14 +187,14 @@ def brief(report: Report, *, folder: str | Path = "") -> list[RenderableType]:
     return parts
 
 
-def tables(report: Report) -> list[RenderableType]:
+def tables(report: ComparisonResults) -> list[RenderableType]:
     """Return the verdict and all main tables as rich renderables, each at most 80 columns wide."""
     parts, found = _verdict(report), sections(report)
     if report.advice is not None and len(report.advice.remarks) > SAID:
         parts += advice_lines(report.advice)
     for section in found:
         for sheet in () if section.background else section.sheets:
-            parts += [] if sheet.code else to_rich(sheet)
+            parts += [] if sheet.code else table_lines(sheet)
     if report.exploitability:
         parts.append(Group(*(Text(model.sentence) for model in report.exploitability)))
     absent = [sentence for section in found for sentence in section.absent]
@@ -208,7 +208,7 @@ TONES: dict[Tone, str] = {"good": "#009e73", "bad": "#d55e00", "open": "#888888"
 
 
 @dataclass(frozen=True, repr=False)
-class PrintedReport(Report):
+class PrintedReport(ComparisonResults):
     """A report that prints as the terminal shows it, and shows its answers as cards in a notebook."""
 
     def __str__(self) -> str:
@@ -223,5 +223,5 @@ class PrintedReport(Report):
         return f'<p><strong>{escape(self.title)}</strong></p><div style="display: flex; flex-wrap: wrap">{cards}</div>'
 
 
-def _verdict(report: Report) -> list[RenderableType]:
+def _verdict(report: ComparisonResults) -> list[RenderableType]:
     return [Text(report.title, style="bold"), *findings_lines(verdict(report))]

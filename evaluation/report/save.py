@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.report.elements import Story
+from evaluation.report.elements import Page
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
 from evaluation.report.render.svg import svg_file
@@ -32,32 +32,32 @@ def write_text(path: Path, text: str) -> Path:
     return write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
 
 
-def write_format(story: Story, name: str, folder: str | Path) -> tuple[Path, ...]:
+def write_format(story: Page, name: str, folder: str | Path) -> tuple[Path, ...]:
     """Write the form ``name`` of a report into ``folder`` and return the files. Raises `InvalidArgument`."""
     if name not in FORMATS:
         raise InvalidArgument(f"format: expected one of {', '.join(FORMATS)}, got {name!r}")
     return FORMATS[name](story, Path(folder))
 
 
-def _markdown(story: Story, folder: Path) -> tuple[Path, ...]:
+def _markdown(story: Page, folder: Path) -> tuple[Path, ...]:
     drawn = _figures(story, folder)
     return (write_text(folder / TEXT, story_to_markdown(story, figures=FIGURES)), *drawn)
 
 
-def _figures(story: Story, folder: Path) -> tuple[Path, ...]:
+def _figures(story: Page, folder: Path) -> tuple[Path, ...]:
     pictures = [picture for section in story.sections for picture in section.pictures]
     drawings = [panel.wide for picture in pictures for panel in picture.panels]
     return tuple(write_text(folder / FIGURES / f"{drawing.key}.svg", svg_file(drawing)) for drawing in drawings)
 
 
-FORMATS: dict[str, Callable[[Story, Path], tuple[Path, ...]]] = {
+FORMATS: dict[str, Callable[[Page, Path], tuple[Path, ...]]] = {
     "markdown": _markdown,
     "svg": _figures,
 }
 """Names of the forms beside document and page, and what writes them."""
 
 
-def write_page(page: Path, story: Callable[[], Story], *, made_of: Sequence[str] = (), afresh: bool = False) -> Path:
+def write_page(page: Path, story: Callable[[], Page], *, made_of: Sequence[str] = (), afresh: bool = False) -> Path:
     """Write the HTML page of a story and return its path.
 
     ``made_of`` stands for all that the page shows. With it a page is not drawn again that is there already, made of the

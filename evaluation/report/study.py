@@ -18,17 +18,17 @@ from evaluation.report.elements import (
     WIDE,
     Drawing,
     DrawingPair,
+    FigureElement,
     Finding,
     Headline,
-    Picture,
+    Page,
     Section,
-    Sheet,
-    Story,
+    TableElement,
     present,
 )
 from evaluation.report.render.html import page_of
 from evaluation.report.render.markdown import story_to_markdown
-from evaluation.report.render.terminal import findings_lines, to_rich
+from evaluation.report.render.terminal import findings_lines, table_lines
 from evaluation.report.save import json_text, write_text
 from evaluation.storage import plain
 from evaluation.study.figures import (
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def study_story(results: StudyResults) -> Story:
+def study_story(results: StudyResults) -> Page:
     """Tell what a study found."""
     controllers = present(share_picture(results), controller_sheet(results), gap_picture(results))
     models = present(error_picture(results), prediction_sheet(results), exploit_sheet(results))
@@ -66,13 +66,13 @@ def study_story(results: StudyResults) -> Story:
         Section("Time", [time_sheet(results)]),
         Section("Points", [point_sheet(results)]),
         *(
-            [Section("Failures", [Sheet("Failures", ("point", "cell", "reason"), tuple(failed), prose=True)])]
+            [Section("Failures", [TableElement("Failures", ("point", "cell", "reason"), tuple(failed), prose=True)])]
             if failed
             else []
         ),
         Section("Settings", [settings_sheet(results)], background=True),
     ]
-    return Story(results.study.title, headlines(results), findings(results), short_sheet(results), sections)
+    return Page(results.study.title, headlines(results), findings(results), summary_table(results), sections)
 
 
 DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
@@ -82,7 +82,7 @@ def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
     """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
     story = study_story(results)
     unfolded = [
-        replace(one, items=[item for item in one.items if not (isinstance(item, Sheet) and item.details)])
+        replace(one, items=[item for item in one.items if not (isinstance(item, TableElement) and item.details)])
         for one in story.sections
     ]
     short = replace(story, sections=[one for one in unfolded if one.items or one.absent])
@@ -103,11 +103,11 @@ def study_brief(results: StudyResults, *, verbose: bool = False) -> list[Rendera
         *findings_lines(story.findings),
     ]
     short = story.overview or prediction_sheet(results)
-    parts += [] if short is None else to_rich(short)
+    parts += [] if short is None else table_lines(short)
     if verbose:
         for section in story.sections:
             for sheet in section.sheets:
-                parts += [] if sheet.details else to_rich(sheet)
+                parts += [] if sheet.details else table_lines(sheet)
     return parts
 
 
@@ -126,7 +126,7 @@ def _achieving(results: StudyResults) -> Headline:
     best = max(named, key=_mean_share)
     assert best.share is not None
     alone = [one for one in named if one.kind == "single"]
-    told = f"It achieves {_shares(best.share)} of the yardstick, {percent(best.share.lowest)} at worst."
+    told = f"It achieves {_shares(best.share)} of the best_known, {percent(best.share.lowest)} at worst."
     if alone and best.kind != "single":
         other = max(alone, key=_mean_share)
         assert other.share is not None
@@ -159,7 +159,7 @@ def _forecasting(results: StudyResults) -> Headline:
     told = f"Within a point, of the forecast with what is achieved{group and f' ({group})'}."
     if one.loss is not None and claim is not None and claim.loss is not None:
         told += (
-            f" Choosing by it loses {percent(one.loss.mean)} of the yardstick, choosing by the claim "
+            f" Choosing by it loses {percent(one.loss.mean)} of the best_known, choosing by the claim "
             f"{percent(claim.loss.mean)}."
         )
     if one.inside is not None:
@@ -177,7 +177,7 @@ def _predicting(results: StudyResults) -> Headline:
 
 
 def findings(results: StudyResults) -> list[Finding]:
-    """Say what the numbers rest on: points, robots and seeds, yardsticks, and what failed or is missing."""
+    """Say what the numbers rest on: points, robots and seeds, best known, and what failed or is missing."""
     finished, all_points = len(results.finished), len(results.points)
     done = [f"{all_points} points. {_basis(results)}"]
     if finished < all_points:
@@ -189,21 +189,21 @@ def findings(results: StudyResults) -> list[Finding]:
         )
     if results.failures:
         done.append(f"{len(results.failures)} cells failed; the reasons are listed below.")
-    yardsticks = {}
+    best_known = {}
     for row in results.controllers:
-        if row.yardstick is not None:
-            yardsticks[results.point(row.point).where] = row.yardstick
+        if row.best_known is not None:
+            best_known[results.point(row.point).where] = row.best_known
     found = [Finding("What do the numbers rest on?", tuple(done))]
-    if yardsticks:
-        told = ", ".join(f"{robot} {three_digits(value)}" for robot, value in yardsticks.items())
-        found.append(Finding("What is possible?", (f"Best achieved on each robot, its yardstick: {told}.",)))
+    if best_known:
+        told = ", ".join(f"{robot} {three_digits(value)}" for robot, value in best_known.items())
+        found.append(Finding("What is possible?", (f"Best achieved on each robot, best known: {told}.",)))
     return found
 
 
-def short_sheet(results: StudyResults) -> Sheet | None:
+def summary_table(results: StudyResults) -> TableElement | None:
     """The main rows of each group: the chosen controller, the polished one, the best single family; None if empty."""
     figures = controller_figures(results)
-    axes, labels = _told_apart(results, [one.group for one in figures])
+    axes, labels = differing_axes(results, [one.group for one in figures])
     rows = []
     for group in dict.fromkeys(one.group for one in figures):
         own = [one for one in figures if one.group == group]
@@ -221,15 +221,15 @@ def short_sheet(results: StudyResults) -> Sheet | None:
     heads = ("controller", *axes, "share", "worst", "claimed -\nachieved")
     unit = _unit(results, ", in {}")
     note = f"share: achieved on the robot, of the best known there. claimed - achieved{unit}. Below: 95 % intervals."
-    return Sheet("In short", heads, tuple(rows), note=note)
+    return TableElement("In short", heads, tuple(rows), note=note)
 
 
-def controller_sheet(results: StudyResults) -> Sheet | None:
+def controller_sheet(results: StudyResults) -> TableElement | None:
     """Every controller of every group over robots and seeds; None without one that was run on a robot."""
     figures = controller_figures(results)
     reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
     compared = any(one.difference is not None for one in figures)
-    axes, labels = _told_apart(results, [one.group for one in figures])
+    axes, labels = differing_axes(results, [one.group for one in figures])
     heads = ["controller", *axes, "share", "worst", "claimed -\nachieved"]
     heads += ["reference\nminus this"] if compared else []
     rows = []
@@ -248,14 +248,14 @@ def controller_sheet(results: StudyResults) -> Sheet | None:
     paired = f" Reference: {reference}, paired by robot and seed." if compared else ""
     note = (
         "share: achieved on the robot, of the best that is achieved there by any controller of the study (its "
-        "yardstick). worst: the lowest share of a point. claimed - achieved: what is claimed too much"
+        "best_known). worst: the lowest share of a point. claimed - achieved: what is claimed too much"
         f"{_unit(results, ', in {}')}. {CHOSEN}: what the program picks in each point without the robot; {HINDSIGHT}: "
         f"what it would have picked knowing the outcome.{paired} {_basis(results)}"
     )
-    return Sheet("Controllers", (*heads, "points"), tuple(rows), note=note)
+    return TableElement("Controllers", (*heads, "points"), tuple(rows), note=note)
 
 
-def prediction_sheet(results: StudyResults) -> Sheet | None:
+def prediction_sheet(results: StudyResults) -> TableElement | None:
     """How well each model predicts and how long a fit takes; None without a model."""
     figures = prediction_figures(results)
     if not figures:
@@ -272,15 +272,15 @@ def prediction_sheet(results: StudyResults) -> Sheet | None:
         for one in figures
     ]
     note = "N: mean over channels of RMSE / standard deviation on held-out data (0 is perfect). fit: mean duration."
-    return Sheet("Prediction", heads, tuple(rows), note=f"{note} {_basis(results)}")
+    return TableElement("Prediction", heads, tuple(rows), note=f"{note} {_basis(results)}")
 
 
-def exploit_sheet(results: StudyResults) -> Sheet | None:
+def exploit_sheet(results: StudyResults) -> TableElement | None:
     """How often the controllers evolved in each model exploit it; None where nothing was assessed."""
     figures = exploit_figures(results)
     if not figures:
         return None
-    axes, labels = _told_apart(results, [one.group for one in figures])
+    axes, labels = differing_axes(results, [one.group for one in figures])
     heads = ("model", *axes, "exploited\nin", "claim kept")
     rows = [
         (one.model, *labels(one.group), f"{one.exploited} of {one.judged}", _spread(one.kept, 2)) for one in figures
@@ -289,15 +289,15 @@ def exploit_sheet(results: StudyResults) -> Sheet | None:
         "exploited in: points in which the claims of its own controllers exceed what they achieve on the robot by a "
         "tenth, and surely. claim kept: share of the claim that is achieved."
     )
-    return Sheet("Exploitability", heads, tuple(rows), note=f"{note} {_basis(results)}")
+    return TableElement("Exploitability", heads, tuple(rows), note=f"{note} {_basis(results)}")
 
 
-def forecast_sheet(results: StudyResults) -> Sheet | None:
+def forecast_sheet(results: StudyResults) -> TableElement | None:
     """How well controllers are ranked and chosen without the robot; None where no point is finished."""
     figures = forecast_figures(results)
     if not figures:
         return None
-    axes, labels = _told_apart(results, [one.group for one in figures])
+    axes, labels = differing_axes(results, [one.group for one in figures])
     heads = (
         "chosen by",
         *axes,
@@ -320,14 +320,16 @@ def forecast_sheet(results: StudyResults) -> Sheet | None:
         for one in figures
     ]
     note = (
-        "rank correlation with what is achieved on the robot, within a point; loss: by how much of the yardstick the "
+        "rank correlation with what is achieved on the robot, within a point; loss: by how much of the best_known the "
         "controller chosen in a point falls short of the best there; intervals hold: share of the 90 % intervals of "
         "forecasts in which what is achieved lies. prediction error: of the models that a controller was evolved in."
     )
-    return Sheet("Forecasts", (*heads, "intervals\nhold", "controllers"), tuple(rows), note=f"{note} {_basis(results)}")
+    return TableElement(
+        "Forecasts", (*heads, "intervals\nhold", "controllers"), tuple(rows), note=f"{note} {_basis(results)}"
+    )
 
 
-def time_sheet(results: StudyResults) -> Sheet:
+def time_sheet(results: StudyResults) -> TableElement:
     """Where time went, by kind of cell; cells that points share count once."""
     kinds = dict.fromkeys(time.kind for time in results.times)
     rows = []
@@ -341,10 +343,10 @@ def time_sheet(results: StudyResults) -> Sheet:
         for kind, count, seconds in rows
     ]
     note = "Time on one processor each, whenever it was; cells that several points need count once."
-    return Sheet("Time", ("kind of cell", "cells", "min", "s a cell"), tuple(text), note=note)
+    return TableElement("Time", ("kind of cell", "cells", "min", "s a cell"), tuple(text), note=note)
 
 
-def point_sheet(results: StudyResults) -> Sheet:
+def point_sheet(results: StudyResults) -> TableElement:
     """Every point: how far it is, which controller is picked there, and what it achieves."""
     chosen = {row.point: row for row in results.controllers if row.chosen}
     rows = []
@@ -357,21 +359,21 @@ def point_sheet(results: StudyResults) -> Sheet:
                 row.controller,
                 three_digits(row.forecast),
                 three_digits(row.achieved),
-                three_digits(row.yardstick),
+                three_digits(row.best_known),
             )
         rows.append((point.name, state, *picked))
-    heads = ("point", "cells", "picked", "forecast", "achieved", "yardstick")
-    return Sheet("Points", heads, tuple(rows), details=len(rows) > 12)
+    heads = ("point", "cells", "picked", "forecast", "achieved", "best_known")
+    return TableElement("Points", heads, tuple(rows), details=len(rows) > 12)
 
 
-def settings_sheet(results: StudyResults) -> Sheet:
+def settings_sheet(results: StudyResults) -> TableElement:
     """What all points share, the axes, and the versions of what computed them."""
     study = results.study
     rows = [(name, label_of(value)) for name, value in study.experiment.items()]
     for grid in study.grids:
         rows += [(f"{axis} (axis)", "; ".join(values.values)) for axis, values in grid.items()]
     rows += [(f"version of {name}", version) for name, version in results.versions.items()]
-    return Sheet("Settings", ("name", "value"), tuple(rows), prose=True, details=True)
+    return TableElement("Settings", ("name", "value"), tuple(rows), prose=True, details=True)
 
 
 def _spread(found: Spread | None, digits: int | None = None, *, sign: bool = False) -> str:
@@ -405,7 +407,7 @@ def _basis(results: StudyResults) -> str:
     return f"Means over {counted}: too few for an interval, which takes three robots, or three seeds of one."
 
 
-def _told_apart(
+def differing_axes(
     results: StudyResults, groups: Sequence[tuple[str, ...]]
 ) -> tuple[list[str], Callable[[tuple[str, ...]], list[str]]]:
     """Return the axes along which ``groups`` differ, and what picks the labels of a group along these."""
@@ -420,15 +422,15 @@ def _unit(results: StudyResults, form: str) -> str:
     return form.format(next(iter(units))) if len(units) == 1 else ""
 
 
-def share_picture(results: StudyResults) -> Picture | None:
-    """Draw the share of the yardstick that each controller achieves."""
+def share_picture(results: StudyResults) -> FigureElement | None:
+    """Draw the share of the best_known that each controller achieves."""
     figures = [(one.group, one.controller, one.share) for one in controller_figures(results)]
     caption = "Share of the best that is known to be achieved on each robot."
-    label = "share of the yardstick"
+    label = "share of the best_known"
     return _picture("share", "What controllers achieve", _drawn(figures), label, caption, line=1.0)
 
 
-def gap_picture(results: StudyResults) -> Picture | None:
+def gap_picture(results: StudyResults) -> FigureElement | None:
     """Draw what each controller claims too much."""
     figures = [(one.group, one.controller, one.gap) for one in controller_figures(results)]
     unit = _unit(results, " ({})")
@@ -437,7 +439,7 @@ def gap_picture(results: StudyResults) -> Picture | None:
     return _picture("gap", "What controllers claim too much", _drawn(figures), label, caption, line=0)
 
 
-def error_picture(results: StudyResults) -> Picture | None:
+def error_picture(results: StudyResults) -> FigureElement | None:
     """Draw how well each model predicts a second ahead."""
     axes = prediction_axes(results)
     figures = [(one.group if axes else (), one.model, one.n[20]) for one in prediction_figures(results)]
@@ -465,7 +467,7 @@ def _picture(
     label: str,
     caption: str,
     line: float | None = None,
-) -> Picture | None:
+) -> FigureElement | None:
     if not drawn:
         return None
     rows = len({name for found in drawn.values() for name in found})
@@ -483,7 +485,7 @@ def _picture(
     pair = DrawingPair(drawing(key, WIDE, 26), drawing(f"{key}-narrow", NARROW, 13))
     bars_are = f"Bars: {percent(CONFIDENCE)} intervals over robots and seeds."
     no_bars = "There are no intervals: the study has too few robots and seeds."
-    return Picture(title, f"{caption} {bars_are if bars else no_bars}", (pair,))
+    return FigureElement(title, f"{caption} {bars_are if bars else no_bars}", (pair,))
 
 
 SCHEMA = "sysid-evo/study/2"

@@ -15,18 +15,18 @@ from evaluation.study.figures import (
     prediction_figures,
 )
 from evaluation.study.planning import PlannedStudy, plan_study
-from evaluation.study.results import ControllerRow, ModelRow, PointRow, StudyResults, gather
+from evaluation.study.results import ControllerRow, ModelRow, PointRow, StudyResults, gather_study
 from evaluation.study.study import STUDY_FILE, Point, Study
 
 __all__ = [
     "CHOSEN",
     "HINDSIGHT",
+    "STUDY_FILE",
     "ControllerFigures",
     "ControllerRow",
     "ExploitFigures",
     "ForecastFigures",
     "ModelRow",
-    "STUDY_FILE",
     "PlannedStudy",
     "Point",
     "PointRow",
@@ -38,7 +38,7 @@ __all__ = [
     "differences",
     "exploit_figures",
     "forecast_figures",
-    "gather",
+    "gather_study",
     "plan_study",
     "prediction_figures",
 ]

@@ -62,7 +62,7 @@ CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
 class ControllerFigures:
     """One row: a controller in the points of one ``group``, over robots and seeds.
 
-    ``share`` of the yardstick that is achieved, ``gap`` claimed minus achieved in the unit of fitness, ``difference``
+    ``share`` of the best_known that is achieved, ``gap`` claimed minus achieved in the unit of fitness, ``difference``
     the share of the reference minus that of this one, paired by robot and seed; None where there is nothing to tell.
     ``planned`` is the number of points that could have it, ``failed`` that of those in which it could not be made.
     """
@@ -144,7 +144,7 @@ def _reference(
     results: StudyResults, keys: Sequence[tuple[tuple[str, ...], str]]
 ) -> tuple[tuple[str, ...], str] | None:
     """Return which row others are compared with: the one that the study names, else the first polished one."""
-    asked: Mapping[str, str] = results.study.reference
+    asked: Mapping[str, str] = results.study.compare_with
     axes = results.study.group_axes
     fitting = [
         (group, name)
@@ -291,7 +291,7 @@ FITNESS = ("forecast", "claim")
 class ForecastFigures:
     """One row: ranking and choosing by one ``figure`` within the points of one group, over robots and seeds.
 
-    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the yardstick by which the controller
+    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the best_known by which the controller
     that is chosen falls short of the best, ``rmse`` by how much a fitness misses, over all ``controllers``;
     ``inside`` the share of 90 % intervals that hold what is achieved, of forecasts alone.
     """
@@ -336,7 +336,7 @@ def _figures(
         shares = [(value, row.share) for value, row in known if row.share is not None]
         if shares:
             losses[key] = max(share for _, share in shares) - max(shares, key=lambda pair: pair[0])[1]
-        held = [row.expected for _, row in known if row.expected is not None]
+        held = [row.within_forecast for _, row in known if row.within_forecast is not None]
         if held:
             inside[key] = float(np.mean(held))
         misses += [value - achieved for value, achieved in pairs]

@@ -11,7 +11,7 @@ from evaluation.planning import Comparison, plan_comparison
 from evaluation.study.study import Point, Study, name_of
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, SysidEvoError
-from sysid_evo.plan import Cell, Plan, Record
+from sysid_evo.plan import Cell, CellRecord, Plan
 from sysid_evo.registry import load_named_plugins, load_plugin, make_robot, robot_spec
 
 
@@ -81,7 +81,7 @@ def plan_study(study: Study) -> PlannedStudy:
     return PlannedStudy(study, tuple(comparisons), plan)
 
 
-def seconds_about(planned: PlannedStudy, records: Mapping[str, Record | None]) -> dict[str, float]:
+def seconds_about(planned: PlannedStudy, records: Mapping[str, CellRecord | None]) -> dict[str, float]:
     """Return about how long each cell takes, by digest: what it foresees, corrected by what its kind took here."""
     took: dict[str, float] = {}
     foreseen: dict[str, float] = {}
@@ -89,6 +89,6 @@ def seconds_about(planned: PlannedStudy, records: Mapping[str, Record | None]) -
         record = records[cell.digest]
         if record is not None and record.status == "done":
             took[cell.kind] = took.get(cell.kind, 0.0) + record.seconds
-            foreseen[cell.kind] = foreseen.get(cell.kind, 0.0) + cell.seconds
+            foreseen[cell.kind] = foreseen.get(cell.kind, 0.0) + cell.expected_seconds
     ratio = {kind: took[kind] / expected for kind, expected in foreseen.items() if expected > 0.0}
-    return {cell.digest: cell.seconds * ratio.get(cell.kind, 1.0) for cell in planned.plan}
+    return {cell.digest: cell.expected_seconds * ratio.get(cell.kind, 1.0) for cell in planned.plan}

@@ -17,22 +17,22 @@ from evaluation.planning import Comparison
 from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
 from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
-from evaluation.transfer.forecast import Forecast, forecasts, highest
+from evaluation.transfer.forecast import Forecast, best_forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, summarise
 from sysid_evo.display import Displayed
 from sysid_evo.files import write_atomically
-from sysid_evo.plan import Cell, Record, Store
+from sysid_evo.plan import Cell, CellRecord, Store
 from sysid_evo.plan.store import WAITING
 from sysid_evo.registry import Spec, tasks
 from sysid_evo.version import versions
 
-Kind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "by hand"]
+ControllerKind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "by hand"]
 """What a controller comes from: one model, several at once, polishing on all of them, the robot itself, a person."""
 
 
 @dataclass(frozen=True)
-class Error:
+class HorizonError:
     """N of a model ``horizon`` steps ahead, with its 95 % interval over the test data; it has no unit."""
 
     horizon: int
@@ -52,7 +52,7 @@ class ModelRow:
     point: str
     model: str
     family: str
-    errors: tuple[Error, ...] = ()
+    errors: tuple[HorizonError, ...] = ()
     exploited: bool | None = None
     claimed: float | None = None
     achieved: float | None = None
@@ -70,15 +70,15 @@ class ControllerRow:
     """One controller of one point, or the ``reason`` why there is none; fitness is in the unit of the point's task.
 
     ``achieved`` is that on the robot; ``worst`` that on ``worst_on``, the system where it is lowest of all that it was
-    not evolved against. ``expected`` says whether what is achieved lies in the 90 % interval of the forecast.
-    ``error`` is the mean of N after a second of the models that it was evolved in. ``yardstick`` is the best that is
-    achieved on this robot in the study, ``share`` what is achieved of it, both measured from ``floor``, controls at
-    rest, where those were run.
+    not evolved against. ``within_forecast`` says whether what is achieved lies in the 90 % interval of the forecast.
+    ``error`` is the mean of N after a second of the models that it was evolved in. ``best_known`` is the best that is
+    achieved on this robot in the study, ``share`` what is achieved of it, both measured from ``rest_fitness``, controls
+    at rest, where those were run.
     """
 
     point: str
     controller: str
-    kind: Kind
+    kind: ControllerKind
     members: tuple[str, ...]
     aggregate: str = ""
     claimed: float | None = None
@@ -87,13 +87,13 @@ class ControllerRow:
     forecast: float | None = None
     forecast_low: float | None = None
     forecast_high: float | None = None
-    expected: bool | None = None
+    within_forecast: bool | None = None
     worst: float | None = None
     worst_on: str = ""
     error: float | None = None
     exploited: bool | None = None
-    floor: float | None = None
-    yardstick: float | None = None
+    rest_fitness: float | None = None
+    best_known: float | None = None
     share: float | None = None
     chosen: bool = False
     file: str = ""
@@ -132,7 +132,7 @@ class PointRow:
 
 
 @dataclass(frozen=True)
-class Failed:
+class FailedCell:
     """A cell that failed, in which point, and why."""
 
     point: str
@@ -157,7 +157,7 @@ class StudyResults(Displayed):
     points: tuple[PointRow, ...]
     models: tuple[ModelRow, ...] = ()
     controllers: tuple[ControllerRow, ...] = ()
-    failures: tuple[Failed, ...] = ()
+    failures: tuple[FailedCell, ...] = ()
     times: tuple[CellTime, ...] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -176,12 +176,12 @@ class StudyResults(Displayed):
         return next(point for point in self.points if point.name == name)
 
 
-def gather(planned: PlannedStudy, folder: Path) -> StudyResults:
+def gather_study(planned: PlannedStudy, folder: Path) -> StudyResults:
     """Return all that the store in ``folder`` knows of a study; nothing is computed."""
     points: list[PointRow] = []
     models: list[ModelRow] = []
     controllers: list[ControllerRow] = []
-    failures: dict[str, Failed] = {}
+    failures: dict[str, FailedCell] = {}
     times: dict[str, CellTime] = {}
     for point, comparison in planned.points:
         one = _Gathered(point, comparison, Store(folder), {})
@@ -191,7 +191,7 @@ def gather(planned: PlannedStudy, folder: Path) -> StudyResults:
             if record is not None:
                 times[cell.digest] = CellTime(cell.kind, record.seconds, record.status == "failed")
             if record is not None and record.status == "failed":
-                failures.setdefault(cell.digest, Failed(point.name, cell.title, record.reason or ""))
+                failures.setdefault(cell.digest, FailedCell(point.name, cell.title, record.reason or ""))
         rows = list(one.controllers())
         points.append(one.row(next((row.controller for row in rows if row.chosen), "")))
         models += one.models()
@@ -200,7 +200,7 @@ def gather(planned: PlannedStudy, folder: Path) -> StudyResults:
         study=planned.study,
         points=tuple(points),
         models=tuple(models),
-        controllers=with_yardsticks(points, controllers),
+        controllers=with_best_known(points, controllers),
         failures=tuple(failures.values()),
         times=tuple(times.values()),
         versions=versions(),
@@ -214,7 +214,7 @@ class _Gathered:
     point: Point
     comparison: Comparison
     store: Store
-    records: dict[str, Record | None]
+    records: dict[str, CellRecord | None]
 
     def row(self, chosen: str) -> PointRow:
         """Return how far the point is."""
@@ -249,7 +249,7 @@ class _Gathered:
                 point=self.point.name,
                 model=label,
                 family=fit.settings.spec.name,
-                errors=() if prediction is None else tuple(_error(score) for score in prediction.at),
+                errors=() if prediction is None else tuple(_error(score) for score in prediction.scores),
                 exploited=None if one is None else one.exploited,
                 claimed=None if one is None or one.claimed is None else one.claimed.value,
                 achieved=None if one is None or one.achieved is None else one.achieved.value,
@@ -266,21 +266,23 @@ class _Gathered:
             return
         errors = {label: error_of(self._value(cell)) for label, cell in self.comparison.predictions.items()}
         waiting = [run.settings.champion for run in planned.runs if self._state(run) == "missing"]
-        ran = {cell.name for cell in planned.champions if not any(cell is one for one in waiting)}
+        ran = {cell.name for cell in planned.controllers if not any(cell is one for one in waiting)}
         found = {} if matrix is None else forecasts(matrix, errors)
         found = {name: forecast for name, forecast in found.items() if name in ran}
         resting = None if matrix is None else next(iter(matrix.at_rest), None)
         summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}
-        floor = None if matrix is None or resting is None else _achieved(matrix, resting)
+        rest_fitness = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
-        in_models = [cell.name for cell in planned.champions if self._kind(cell) in ("single", "ensemble", "polished")]
-        chosen = highest(found, in_models) if finished else None
-        for cell in planned.champions:
+        in_models = [
+            cell.name for cell in planned.controllers if self._kind(cell) in ("single", "ensemble", "polished")
+        ]
+        chosen = best_forecast(found, in_models) if finished else None
+        for cell in planned.controllers:
             if self._state(cell) == "missing":
                 continue
             row = self._controller(cell, summaries.get(cell.name), found.get(cell.name), errors)
             achieved = None if matrix is None else _achieved(matrix, cell.name)
-            yield replace(row, achieved=achieved, floor=floor, chosen=cell.name == chosen)
+            yield replace(row, achieved=achieved, rest_fitness=rest_fitness, chosen=cell.name == chosen)
 
     def _controller(
         self,
@@ -300,7 +302,7 @@ class _Gathered:
             error=float(np.mean(known)) if known else None,
             file=""
             if self.records[cell.digest] is None
-            else f"{self.store.where(cell).relative_to(self.store.path).as_posix()}.json",
+            else f"{self.store.result_path(cell).relative_to(self.store.path).as_posix()}.json",
             reason=self._reason(cell),
         )
         if summary is not None:
@@ -313,14 +315,14 @@ class _Gathered:
                 worst=None if worst is None else worst.value,
                 worst_on=summary.worst_on,
                 exploited=summary.exploited if row.in_models else None,
-                expected=forecast.holds(achieved) if forecast and achieved and on_robot else None,
+                within_forecast=forecast.covers(achieved) if forecast and achieved and on_robot else None,
             )
         if forecast is not None:
             row = replace(row, forecast=forecast.value, forecast_low=forecast.low, forecast_high=forecast.high)
         return row
 
-    def _kind(self, cell: ControllerCell) -> Kind:
-        if cell.kind == "by_hand":
+    def _kind(self, cell: ControllerCell) -> ControllerKind:
+        if cell.kind == "baseline":
             return "by hand"
         if cell.kind == "polish":
             return "polished"
@@ -342,8 +344,8 @@ class _Gathered:
         return None if cell is None else self.store.outcome(cell).value
 
 
-def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
-    """Return ``rows`` with the yardsticks of their robots, and the shares of these that they achieve."""
+def with_best_known(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
+    """Return ``rows`` with the best known of their robots, and the shares of these that they achieve."""
     place = {point.name: (point.where, point.task) for point in points}
     best: dict[tuple[str, str], float] = {}
     for row in rows:
@@ -352,11 +354,11 @@ def with_yardsticks(points: list[PointRow], rows: list[ControllerRow]) -> tuple[
             best[key] = max(best.get(key, -np.inf), row.achieved)
     found = []
     for row in rows:
-        yardstick, floor = best.get(place[row.point]), row.floor or 0.0
+        best_known, rest_fitness = best.get(place[row.point]), row.rest_fitness or 0.0
         share = row.share
-        if row.achieved is not None and yardstick is not None and yardstick > floor:
-            share = (row.achieved - floor) / (yardstick - floor)
-        found.append(replace(row, yardstick=yardstick, share=share))
+        if row.achieved is not None and best_known is not None and best_known > rest_fitness:
+            share = (row.achieved - rest_fitness) / (best_known - rest_fitness)
+        found.append(replace(row, best_known=best_known, share=share))
     return tuple(found)
 
 
@@ -368,9 +370,9 @@ def _achieved(matrix: TransferMatrix, controller: str) -> float | None:
     return None if cell.failed else cell.mean
 
 
-def _error(score: ErrorScore) -> Error:
+def _error(score: ErrorScore) -> HorizonError:
     assert score.horizon is not None
-    return Error(score.horizon, score.n, *score.estimate.interval)
+    return HorizonError(score.horizon, score.n, *score.estimate.interval)
 
 
 POINT_COLUMNS = {
@@ -412,14 +414,14 @@ CONTROLLER_COLUMNS = {
     "forecast": "what was expected of it on the robot, unit of fitness",
     "forecast_low": "lower end of the 90 % interval of the forecast, unit of fitness",
     "forecast_high": "upper end of the 90 % interval of the forecast, unit of fitness",
-    "expected": "whether what is achieved lies in that interval",
+    "within_forecast": "whether what is achieved lies in that interval",
     "worst": "lowest fitness on a system that it was not evolved against, unit of fitness",
     "worst_on": "that system",
     "error": "mean N after 20 steps of its members",
     "exploited": "whether its claim exceeds what is achieved by a tenth, and surely",
-    "floor": "what controls at rest achieve, unit of fitness; missing where fitness begins at 0",
-    "yardstick": "best achieved on this robot in the study, unit of fitness",
-    "share": "(achieved - floor) / (yardstick - floor)",
+    "rest_fitness": "what controls at rest achieve, unit of fitness; missing where fitness begins at 0",
+    "best_known": "best achieved on this robot in the study, unit of fitness",
+    "share": "(achieved - rest_fitness) / (best_known - rest_fitness)",
     "chosen": "whether the program picks it by its forecast",
     "file": "its file in the folder of the study",
     "reason": "why there is none; empty for none",

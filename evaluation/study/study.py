@@ -16,9 +16,9 @@ from sysid_evo.errors import InvalidArgument, closest, refuse_meaningless
 
 STUDY_FILE = "study.toml"
 
-PARTS = ("title", "experiment", "grid", "reference")
+PARTS = ("title", "experiment", "grid", "compare_with")
 CONTROLLER = "controller"
-"""Under ``reference``: the controller that others are compared with."""
+"""Under ``compare_with``: the controller that others are compared with."""
 REPEATED = ("robot", "data", "seed")
 """Axes over which means and intervals are taken; the others tell rows of a table apart."""
 USUAL = "usual"
@@ -67,14 +67,14 @@ class Study(Displayed):
     """A grid of experiments: what all share, and the axes whose combinations are the points.
 
     ``experiment`` holds settings of `Experiment` that are common to all points, ``grids`` the axes by setting; the
-    points of several grids are united. ``reference`` names the row that others are compared with: a controller, and
+    points of several grids are united. ``compare_with`` names the row that others are compared with: a controller, and
     the labels of the axes that vary; empty for the polished controller. ``file`` is where it was read from.
     """
 
     title: str
     experiment: Mapping[str, Any]
     grids: tuple[Mapping[str, Axis], ...]
-    reference: Mapping[str, str] = field(default_factory=dict)
+    compare_with: Mapping[str, str] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
     file: Path | None = field(default=None, compare=False, repr=False)
 
@@ -109,7 +109,7 @@ class Study(Displayed):
         for name in dict.fromkeys(name for grid in grids for name in grid):
             if name in common:
                 raise InvalidArgument(f"{name} stands under [experiment] and in the grid; leave it out of one of them")
-        study = cls(title, common, grids, _reference(settings.get("reference", {}), grids), dict(settings))
+        study = cls(title, common, grids, _reference(settings.get("compare_with", {}), grids), dict(settings))
         if not study.points:
             raise InvalidArgument("grid: expected at least one axis, such as seed = [0, 1, 2], got none")
         return study
@@ -179,15 +179,15 @@ def _table(name: str, value: Any) -> dict[str, Any]:
 
 def _reference(value: Any, grids: Sequence[Mapping[str, Axis]]) -> dict[str, str]:
     """Return the labels of the row that others are compared with. Raises `InvalidArgument`."""
-    given = {name: str(label) for name, label in _table("reference", value).items()}
+    given = {name: str(label) for name, label in _table("compare_with", value).items()}
     for name, label in given.items():
         known = dict.fromkeys(one for grid in grids if name in grid for one in grid[name].values)
         if name in REPEATED or (name != CONTROLLER and not known):
             raise InvalidArgument(
-                f"reference.{name}: expected controller, or an axis of the grid other than {', '.join(REPEATED)}"
+                f"compare_with.{name}: expected controller, or an axis of the grid other than {', '.join(REPEATED)}"
             )
         if known and label not in known:
-            raise InvalidArgument(f"reference.{name}: expected one of {', '.join(known)}, got {label!r}")
+            raise InvalidArgument(f"compare_with.{name}: expected one of {', '.join(known)}, got {label!r}")
     return given
 
 

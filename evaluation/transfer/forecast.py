@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluation.transfer.matrix import TransferMatrix
-from sysid_evo.evolution import Champion, Judgement
+from sysid_evo.evolution import Champion, FinalistScore
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.estimates import Estimate
@@ -28,7 +28,7 @@ class Forecast:
     high: float
     weights: Mapping[str, float]
 
-    def holds(self, achieved: Estimate) -> bool:
+    def covers(self, achieved: Estimate) -> bool:
         """Whether what was measured on the robot is in the interval, made wider by the error of the measurement."""
         error = achieved.standard_error if np.isfinite(achieved.standard_error) else 0.0
         below, above = np.hypot(self.value - self.low, 2.0 * error), np.hypot(self.high - self.value, 2.0 * error)
@@ -36,7 +36,7 @@ class Forecast:
 
 
 @dataclass(frozen=True)
-class Rule:
+class ForecastRule:
     """How what models say of a controller becomes one number with an interval; nothing in it has a unit.
 
     The credibility of a model falls with its prediction error to the ``power``. A model of a family that the
@@ -54,7 +54,7 @@ class Rule:
     share: float = 0.9
 
 
-RULE = Rule()
+FORECAST_RULE = ForecastRule()
 """Calibrated on five cars of the emulated family; ``python -m tests.benchmarks.forecast`` prints the constants.
 
 ``low`` and ``high`` are near the 5 and 95 % quantiles of what was missed: -2.4 and 1.3 by 550 controllers with nine
@@ -62,7 +62,9 @@ families, -2.1 and 1.2 by 1247 with all 22. The others are round numbers on a pl
 """
 
 
-def forecasts(matrix: TransferMatrix, errors: Mapping[str, float | None], *, rule: Rule = RULE) -> dict[str, Forecast]:
+def forecasts(
+    matrix: TransferMatrix, errors: Mapping[str, float | None], *, rule: ForecastRule = FORECAST_RULE
+) -> dict[str, Forecast]:
     """Return the forecast of every controller that ran in two models or more, by its name.
 
     ``errors`` are the prediction errors of the models by their columns, see `error_of`. What was evolved on a robot
@@ -73,7 +75,7 @@ def forecasts(matrix: TransferMatrix, errors: Mapping[str, float | None], *, rul
 
 
 def _of_champion(
-    champion: Champion, matrix: TransferMatrix, errors: Mapping[str, float | None], rule: Rule
+    champion: Champion, matrix: TransferMatrix, errors: Mapping[str, float | None], rule: ForecastRule
 ) -> Forecast | None:
     robots = {matrix.robot, *matrix.other_robots}
     cells = [matrix.cell(champion.name, model) for model in matrix.models]
@@ -82,7 +84,7 @@ def _of_champion(
         return None
     families = {matrix.families.get(model, model) for model in champion.against}
     own = np.array([matrix.families[cell.column] in families for cell in cells])
-    weights = credibilities([errors.get(cell.column) for cell in cells], own, rule=rule)
+    weights = model_weights([errors.get(cell.column) for cell in cells], own, rule=rule)
     one_number = make_aggregate(champion.aggregate)
     means = np.array([float(one_number(cell.fitness[None, None])[0]) for cell in cells])
     value, low, high = _joined(means, [cell.fitness for cell in cells], weights, rule)
@@ -91,18 +93,24 @@ def _of_champion(
 
 
 def forecast_of(
-    fitness: Sequence[Array] | Array, errors: Sequence[float | None], own: Sequence[bool], *, rule: Rule = RULE
+    fitness: Sequence[Array] | Array,
+    errors: Sequence[float | None],
+    own: Sequence[bool],
+    *,
+    rule: ForecastRule = FORECAST_RULE,
 ) -> tuple[float, float, float]:
     """Return value, low and high of a controller from its fitness in the trials (E,) of each model, two or more.
 
     ``own`` says which models are of a family that it was evolved in. The interval has no width where all models and
     all trials say the same.
     """
-    weights = credibilities(errors, np.array(own), rule=rule)
+    weights = model_weights(errors, np.array(own), rule=rule)
     return _joined(np.array([one.mean() for one in fitness]), fitness, weights, rule)
 
 
-def _joined(means: Array, fitness: Sequence[Array] | Array, weights: Array, rule: Rule) -> tuple[float, float, float]:
+def _joined(
+    means: Array, fitness: Sequence[Array] | Array, weights: Array, rule: ForecastRule
+) -> tuple[float, float, float]:
     value = float(weighted_median(means, weights))
     apart = float(weights @ np.abs(means - value)) * float((weights**2).sum()) ** rule.apart
     error = float(weights @ np.array([one.std() / np.sqrt(len(one)) for one in fitness]))
@@ -114,7 +122,7 @@ LEAST_ERROR = 0.01
 """Errors below this, in standard deviations of the data, are told apart no more."""
 
 
-def credibilities(errors: Sequence[float | None], own: BoolArray, *, rule: Rule = RULE) -> Array:
+def model_weights(errors: Sequence[float | None], own: BoolArray, *, rule: ForecastRule = FORECAST_RULE) -> Array:
     """Return the weight of each model, (M,), that add up to 1.
 
     ``errors`` are those of `error_of`; a model whose error is not known counts as much as the best one. ``own`` (M,)
@@ -149,18 +157,20 @@ def weighted_median(values: Array, weights: Array) -> Array:
     return np.array(found).reshape(values.shape[1:])
 
 
-def highest(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
+def best_forecast(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
     """Return which of ``names`` has the highest forecast, of equals the first; None where none has one."""
     return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
 
 
-def worth_by(errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: Rule = RULE) -> Judgement:
+def forecast_judgement(
+    errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: ForecastRule = FORECAST_RULE
+) -> FinalistScore:
     """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
 
     def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
         met = {families.get(model, model) for model in champion.against}
         own = np.array([families.get(model, model) in met for model in models])
-        return weighted_median(by_model, credibilities([errors.get(model) for model in models], own, rule=rule))
+        return weighted_median(by_model, model_weights([errors.get(model) for model in models], own, rule=rule))
 
     return worth
 

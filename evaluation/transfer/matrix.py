@@ -142,7 +142,7 @@ class TransferResult:
     """What ``champion`` did on ``column`` in E trials, or the ``reason`` why it did nothing.
 
     ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
-    model's envelope; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
+    model's state_bounds; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
     form of the rollout that ran. ``missing`` gives a reason for each trial that a robot did not finish.
     ``measures`` are the means of what else the task tells of its trials (`Task.measures`), None without a number.
     """
@@ -224,7 +224,7 @@ def transfer(
         for champion in champions:
             for column, runner in runners.items():
                 kept = kept_traces(traces, own=column == robot or column in champion.against)
-                cells.append(run_cell(champion, column, runner, seeds, traces=kept))
+                cells.append(try_controller(champion, column, runner, seeds, traces=kept))
                 counter.advance(1)
     return TransferMatrix.of(champions, tuple(runners), cells, families=families, robot=robot)
 
@@ -246,22 +246,22 @@ def kept_traces(traces: int, *, own: bool) -> int:
     return traces if own else min(traces, 1)
 
 
-def run_cell(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
-    """Run ``champion``, see `run_on`; whatever is raised becomes the reason of a failed cell."""
+def try_controller(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
+    """Run ``champion``, see `run_controller`; whatever is raised becomes the reason of a failed cell."""
     try:
-        return run_on(champion, column, runner, seeds, traces=traces)
+        return run_controller(champion, column, runner, seeds, traces=traces)
     except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
         return TransferResult(champion.name, column, reason=described(error))
 
 
-def run_on(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
+def run_controller(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
     """Run ``champion`` on ``runner`` in a trial of every seed (E,); the first ``traces`` are kept."""
     controller, task = make_controller(champion.controller), make_task(champion.task)
     rollouts = runner.bind(controller, task)(champion.parameters[None], seeds, record=traces > 0)
-    return cell_of(champion, column, rollouts, task, traces=traces)
+    return result_of(champion, column, rollouts, task, traces=traces)
 
 
-def cell_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> TransferResult:
+def result_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> TransferResult:
     """Return the cell of trials that were run; one without a single finished trial is a failed cell."""
     if rollouts.fitness.size == 0:
         reason = "; ".join(("no trial was finished", *rollouts.missing[:1]))
@@ -339,7 +339,7 @@ class MeasuredResult:
         return cls(champion, cell, value["on_robot"], value["physical"])
 
 
-def person(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:
+def human_driver(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:
     """Return the row of somebody who drives by hand: without parameters, evolved against nothing."""
     return Champion(
         name, np.empty(0), (), "min", 0, np.empty((0, 3)), controller=BY_HAND, task=Spec.parse(task), system=system
@@ -371,7 +371,7 @@ def measured_by_person(
         engine="by hand",
         traces=tuple(kept),
     )
-    return MeasuredResult(person(name, task=task, system=system), cell, on_robot=on_robot, physical=physical)
+    return MeasuredResult(human_driver(name, task=task, system=system), cell, on_robot=on_robot, physical=physical)
 
 
 def save_measured(run: Path, measured: MeasuredResult) -> Path:

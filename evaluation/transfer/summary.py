@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from evaluation.transfer.forecast import Forecast, forecasts, highest
+from evaluation.transfer.forecast import Forecast, best_forecast, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
@@ -38,25 +38,25 @@ class TransferSummary:
 class ControllerSummary:
     """One controller: fitness where it was evolved, elsewhere, and on the robot; None where there is nothing to tell.
 
-    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``others`` the mean
-    over all other models; ``other_families`` the median over the ``judges``, the models of families that it was not
-    evolved against; ``achieved`` that on the robot. ``exploitation_gap`` is claimed minus others, ``reality_gap``
-    claimed minus achieved. ``kept`` is the share of the claim that is achieved on the robot, or else on other models,
-    both measured from controls at rest where those were run, since fitness may be negative. ``worst`` is the mean
-    fitness on ``worst_on``, the system where it is lowest, of all that it was not evolved against. ``regret`` is what
-    the best other controller achieves more on the robot, at least 0; without a robot the most that this is on one of
-    the other models, where only controllers that were not evolved there count. What was evolved on the robot itself
-    has no regret and is regretted by none.
+    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``other_models`` the
+    mean over all other models; ``other_families`` the median over the ``other_family_models``, the models of families
+    that it was not evolved against; ``achieved`` that on the robot. ``exploitation_gap`` is claimed minus others,
+    ``reality_gap`` claimed minus achieved. ``kept`` is the share of the claim that is achieved on the robot, or else on
+    other models, both measured from controls at rest where those were run, since fitness may be negative. ``worst`` is
+    the mean fitness on ``worst_on``, the system where it is lowest, of all that it was not evolved against. ``regret``
+    is what the best other controller achieves more on the robot, at least 0; without a robot the most that this is on
+    one of the other models, where only controllers that were not evolved there count. What was evolved on the robot
+    itself has no regret and is regretted by none.
 
-    ``seed_fitness`` is that of the champion of each evolution run; ``polished`` as in `Champion`. ``floor`` is what
-    controls at rest achieve on the robot, if that was run.
+    ``seed_fitness`` is that of the champion of each evolution run; ``polished`` as in `Champion`. ``rest_fitness`` is
+    what controls at rest achieve on the robot, if that was run.
     """
 
     name: str
     against: tuple[str, ...]
     aggregate: str
     claimed: Estimate | None
-    others: Estimate | None
+    other_models: Estimate | None
     other_families: Estimate | None
     achieved: Estimate | None
     exploitation_gap: Estimate | None
@@ -65,16 +65,16 @@ class ControllerSummary:
     worst: Estimate | None
     worst_on: str
     regret: Estimate | None
-    judges: tuple[str, ...]
-    on_robot: bool
+    other_family_models: tuple[str, ...]
+    evolved_on_robot: bool
     seed_fitness: tuple[float, ...] = ()
     polished: bool = False
-    floor: float | None = None
+    rest_fitness: float | None = None
 
     @property
     def elsewhere(self) -> Estimate | None:
         """Fitness on the robot, or on the other models where it was not run on a robot."""
-        return self.others if self.achieved is None else self.achieved
+        return self.other_models if self.achieved is None else self.achieved
 
     @property
     def gap(self) -> Estimate | None:
@@ -84,11 +84,11 @@ class ControllerSummary:
     @property
     def exploited(self) -> bool | None:
         """Whether its claim is exploited; None where that cannot be said, or it was evolved on the robot itself."""
-        return None if self.on_robot else is_exploited(self.claimed, self.gap)
+        return None if self.evolved_on_robot else is_exploited(self.claimed, self.gap)
 
     def share_of(self, fitness: float) -> float | None:
         """Return the share of ``fitness`` that is achieved on the robot, both measured from the floor."""
-        floor = self.floor or 0.0
+        floor = self.rest_fitness or 0.0
         if self.achieved is None or fitness <= floor:
             return None
         return (self.achieved.value - floor) / (fitness - floor)
@@ -119,10 +119,10 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
 
     Where no controller that was evolved in models has one, nothing is picked.
     """
-    evolved = [one for one in summary.controllers if one.name in found and one.against and not one.on_robot]
+    evolved = [one for one in summary.controllers if one.name in found and one.against and not one.evolved_on_robot]
     if not evolved:
         return replace(summary, pick=None)
-    best = highest(found, [one.name for one in evolved])
+    best = best_forecast(found, [one.name for one in evolved])
     pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
     ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
     return replace(summary, pick=best, correlations=(*summary.correlations, *ranked))
@@ -130,9 +130,9 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
 
 def summarise(matrix: TransferMatrix) -> TransferSummary:
     """Condense the matrix, nothing picked yet."""
-    figures = Figures(matrix)
+    figures = MatrixEstimates(matrix)
     controllers = tuple(figures.summary(champion) for champion in matrix.champions)
-    elsewhere = [c for c in controllers if c.against and not c.on_robot]
+    elsewhere = [c for c in controllers if c.against and not c.evolved_on_robot]
     correlations = []
     for figure, name in (("claimed", "claimed"), ("median on other families", "other_families")):
         both = [(getattr(one, name), one.achieved) for one in elsewhere]
@@ -186,7 +186,7 @@ def _draws_of(trials: int) -> IntArray:
 
 
 @dataclass(frozen=True)
-class Figures:
+class MatrixEstimates:
     """Figures of the controllers of a matrix, with their draws of trials.
 
     All systems meet the same trials, so that figures over as many of them are paired. On a robot trials may be missing,
@@ -224,7 +224,7 @@ class Figures:
 
     def summary(self, champion: Champion) -> ControllerSummary:
         """Return all of one controller."""
-        robot, judges = self.matrix.robot, judges_of(champion, self.matrix)
+        robot, judges = self.matrix.robot, other_family_models(champion, self.matrix)
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
         worst, worst_on = self.worst(champion)
@@ -234,7 +234,7 @@ class Figures:
             against=champion.against,
             aggregate=champion.aggregate,
             claimed=estimate_of(claimed),
-            others=estimate_of(others),
+            other_models=estimate_of(others),
             other_families=estimate_of(Draws.joined(self.on_each(champion, judges), np.median)),
             achieved=estimate_of(achieved),
             exploitation_gap=_gap(claimed, others),
@@ -243,11 +243,11 @@ class Figures:
             worst=estimate_of(worst),
             worst_on=worst_on,
             regret=None if regret is None else regret.estimate.clipped(low=0.0),
-            judges=judges,
-            on_robot=robot is not None and robot in champion.against,
+            other_family_models=judges,
+            evolved_on_robot=robot is not None and robot in champion.against,
             seed_fitness=tuple(champion.seed_fitness),
             polished=champion.polished,
-            floor=None if self._rest is None or robot is None else _value(self.on(self._rest, [robot])),
+            rest_fitness=None if self._rest is None or robot is None else _value(self.on(self._rest, [robot])),
         )
 
     @cached_property
@@ -275,7 +275,7 @@ class Figures:
 
     def consensus(self, champion: Champion) -> Draws | None:
         """Return the median over the models of families that it was not evolved in."""
-        return self.on(champion, judges_of(champion, self.matrix), median)
+        return self.on(champion, other_family_models(champion, self.matrix), median)
 
     def worst(self, champion: Champion) -> tuple[Draws | None, str]:
         """Return the fitness on the system where it is lowest, and which one that is."""
@@ -312,7 +312,7 @@ class Figures:
         return [column for column in others if not self.matrix.cell(champion.name, column).failed]
 
 
-def judges_of(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
+def other_family_models(champion: Champion, matrix: TransferMatrix) -> tuple[str, ...]:
     """Return the models of families that a controller was not evolved in, on which it was run."""
     families = {matrix.families.get(column, column) for column in champion.against}
     others = [column for column in matrix.models if matrix.families[column] not in families]

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from hardware.driving.keyboard import Keyboard
-from hardware.driving.page_messages import Panel, Phase, Reading
+from hardware.driving.page_messages import DrivePanel, Phase, Reading
 from hardware.driving.server import PageAddress, served
 from hardware.driving.trials import TrialSeries
 from hardware.robot import Robot
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts
 from sysid_evo.evolution import Champion
@@ -33,7 +33,7 @@ LAST_LOOK = 0.3
 
 @contextmanager
 def shown_live(
-    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[Callable[[TrialSeries], None]]:
     """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
     panel = ControllerPanel(robot.name, task.bind(robot.system), name)
@@ -49,18 +49,18 @@ def play_back(
     address: PageAddress,
     *,
     announce: Callable[[str], None],
-) -> Reason | None:
+) -> StopReason | None:
     """Show trials that were simulated on the page, as fast as they went or faster; return what stopped that, if any."""
     task = make_task(champion.task).bind(robot.system)
-    panel = ControllerPanel(robot.name, task, champion.name, faster=pace(task))
-    with Stops() as stops, watched(panel, address, stops=stops, announce=announce):
-        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stops=stops)
+    panel = ControllerPanel(robot.name, task, champion.name, faster=playback_speed(task))
+    with StopRequest() as stops, watched(panel, address, stops=stops, announce=announce):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stop=stops)
     return stops.reason
 
 
 @contextmanager
 def watched(
-    panel: ControllerPanel, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+    panel: ControllerPanel, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[None]:
     """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
     with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
@@ -71,7 +71,7 @@ def watched(
             time.sleep(LAST_LOOK)
 
 
-class ControllerPanel(Panel):
+class ControllerPanel(DrivePanel):
     """Shows the newest that it was given; one thread gives it, another reads it."""
 
     _shown = Reading(), Scene()
@@ -117,7 +117,7 @@ def play(
     trajectories: tuple[Trajectory, ...],
     scores: Array,
     *,
-    stops: Stops,
+    stop: StopRequest,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
@@ -125,13 +125,13 @@ def play(
 
     The course of the score and the targets are those of the task along the ``trajectories``. A stop ends it.
     """
-    tick = task.system.dt / pace(task)
+    tick = task.system.dt / playback_speed(task)
     for trial, (trajectory, score) in enumerate(zip(trajectories, scores, strict=True)):
         began = clock()
         last, scene = None, task.scene(task.begin(seeds[trial : trial + 1]), 0)
         for reading in readings(task, seeds[trial : trial + 1], trajectory, trial + 1):
             while clock() < began + reading.step * tick:
-                if stops.reason is not None:
+                if stop.reason is not None:
                     return
                 sleep(min(POLL, tick))
             last = replace(reading, scores=tuple(scores[:trial].tolist()))
@@ -141,12 +141,12 @@ def play(
             panel.show(replace(last, phase=Phase.FINISHED, score=float(score), scores=done, control=None), scene)
         until = clock() + PAUSE
         while clock() < until and trial + 1 < len(trajectories):
-            if stops.reason is not None:
+            if stop.reason is not None:
                 return
             sleep(POLL)
 
 
-def pace(task: Task) -> float:
+def playback_speed(task: Task) -> float:
     """Return how many times as fast as in the world the trials of a bound ``task`` are played back."""
     return max(1.0, task.horizon * task.system.dt / LONGEST)
 

@@ -15,14 +15,14 @@ import numpy as np
 
 from hardware.connection import Command, GateLimits, Listener, Measurement, RobotStatus
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.driving.keyboard import Keyboard, control_of, key_life
-from hardware.driving.page_messages import ALL_KEYS, Panel, Phase, Reading
+from hardware.driving.keyboard import Keyboard, control_of_keys, key_validity
+from hardware.driving.page_messages import ALL_KEYS, DrivePanel, Phase, Reading
 from hardware.driving.server import PageAddress, check_page, served
-from hardware.driving.trials import RestWatch, Tape
+from hardware.driving.trials import StandstillDetector, TrialLog
 from hardware.estimator import StateEstimate
 from hardware.preflight import check_driving
 from hardware.robot import Robot
-from hardware.run_report import LoopReport, Stops
+from hardware.run_report import LoopReport, StopRequest
 from sysid_evo.data import Trajectory
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.tasks import Scene, Task, TaskState
@@ -64,10 +64,10 @@ class HandDriving:
         robot: Robot,
         task: Task,
         keyboard: Keyboard,
-        instruments: Instruments,
+        instruments: HandPanel,
         *,
         seed_of: Callable[[int], int],
-        stops: Stops,
+        stop: StopRequest,
         recorder: Callable[[str, GateLimits], Listener] | None = None,
         origin: Array | None = None,
     ) -> None:
@@ -77,7 +77,7 @@ class HandDriving:
         self._keyboard = keyboard
         self._instruments = instruments
         self._seed_of = seed_of
-        self._stops = stops
+        self._stops = stop
         self._recorder = recorder
         self._origin = origin
 
@@ -100,9 +100,9 @@ class HandDriving:
         try:
             with self._robot.connect(seed=seed) as connection:
                 if self._recorder is not None:
-                    listeners.append(WhileDriving(pilot, partial(self._recorder, name, connection.gate_limits)))
+                    listeners.append(PreTriggerBuffer(pilot, partial(self._recorder, name, connection.gate_limits)))
                 self._instruments.begin(pilot, index + 1)
-                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stops=self._stops)
+                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stop=self._stops)
                 report, limits = loop.run(pilot), connection.gate_limits
         finally:
             pilot.end()
@@ -132,8 +132,8 @@ def check_driving_by_hand(robot: Robot, task: Task) -> None:
             "--controller and --watch the page shows how a controller drives it"
         )
     check_page()
-    control_of(0, robot.system)
-    key_life(robot.system)
+    control_of_keys(0, robot.system)
+    key_validity(robot.system)
     check_driving(robot, task)
 
 
@@ -144,16 +144,16 @@ def driven_by_hand(
     address: PageAddress,
     *,
     seed_of: Callable[[int], int],
-    stops: Stops,
+    stops: StopRequest,
     announce: Callable[[str], None],
     recorder: Callable[[str, GateLimits], Listener] | None = None,
     origin: Array | None = None,
 ) -> Iterator[Iterator[HandTrial]]:
     """Serve the page, where somebody drives ``robot`` at ``task``; gives the trials as they end, see `HandDriving`."""
-    keyboard = Keyboard(life=key_life(robot.system))
-    instruments = Instruments(robot, task, keyboard)
+    keyboard = Keyboard(life=key_validity(robot.system))
+    instruments = HandPanel(robot, task, keyboard)
     driving = HandDriving(
-        robot, task, keyboard, instruments, seed_of=seed_of, stops=stops, recorder=recorder, origin=origin
+        robot, task, keyboard, instruments, seed_of=seed_of, stop=stops, recorder=recorder, origin=origin
     )
     with served(instruments, keyboard, address, stops=stops, announce=announce):
         yield driving.trials()
@@ -172,8 +172,8 @@ class HumanPilot(Pilot):
         self._keyboard = keyboard
         self._task = task
         self._state: TaskState = task.begin(np.array([seed], dtype=np.uint64))
-        self._tape = Tape()
-        self._rest = RestWatch()
+        self._tape = TrialLog()
+        self._rest = StandstillDetector()
         self._began = 0
         self.newest_state: Array | None = None
         self.progress = self._progress(Phase.SETTLING)
@@ -190,7 +190,7 @@ class HumanPilot(Pilot):
 
     def in_arena(self, pose: Array) -> Array:
         """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
-        return np.zeros_like(pose) if self.origin is None else self._task.system.seen_from(self.origin, pose)
+        return np.zeros_like(pose) if self.origin is None else self._task.system.relative_pose(self.origin, pose)
 
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         phase, keys = self.progress.phase, self._keyboard.keys
@@ -199,7 +199,7 @@ class HumanPilot(Pilot):
             self.end()
             return None
         if phase is Phase.SETTLING:
-            if self._rest.at_rest(estimate) and self._keyboard.let_go:
+            if self._rest.at_rest(estimate) and self._keyboard.all_released:
                 self.progress = self._progress(Phase.READY)
             return self._task.system.neutral_control
         if phase is Phase.READY:
@@ -238,7 +238,7 @@ class HumanPilot(Pilot):
         if step >= self._task.horizon or not self._state.alive[0]:
             self.progress = self._progress(Phase.FINISHED)
             return None
-        control = control_of(keys, self._task.system)
+        control = control_of_keys(keys, self._task.system)
         tape.controls.append(control)
         self.progress = self._progress(Phase.DRIVING)
         return control
@@ -251,7 +251,7 @@ class HumanPilot(Pilot):
 RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
 
 
-class Instruments(Listener, Panel):
+class HandPanel(Listener, DrivePanel):
     """A listener that remembers the newest; another thread reads it with `reading`.
 
     Every attribute is replaced as a whole, so that a reader never sees half of a change.
@@ -286,7 +286,7 @@ class Instruments(Listener, Panel):
         if score is not None:
             self._scores = (*self._scores, score)
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         now = self._clock()
         began, frames, rate = self._counted
         frames += measurement.valid
@@ -295,10 +295,10 @@ class Instruments(Listener, Panel):
         if measurement.valid:
             self._frame, self._arrived = measurement, now
 
-    def commanded(self, command: Command) -> None:
+    def on_command(self, command: Command) -> None:
         self._command = command
 
-    def reported(self, status: RobotStatus) -> None:
+    def on_status(self, status: RobotStatus) -> None:
         self._status = status
 
     def scene(self) -> Scene:
@@ -326,7 +326,7 @@ class Instruments(Listener, Panel):
 LEAD = 1.0  # s at rest before the first key, for the preparation of the log to cut off
 
 
-class WhileDriving(Listener):
+class PreTriggerBuffer(Listener):
     """Tells ``listener`` what happens from a second before ``pilot`` drives on.
 
     It may take an hour until the first key, which nobody wants to record. ``make_listener`` is called, once, when
@@ -339,14 +339,14 @@ class WhileDriving(Listener):
         self._listener: Listener | None = None
         self._earlier: deque[tuple[float, Callable[[Listener], None]]] = deque()
 
-    def measured(self, measurement: Measurement) -> None:
-        self._tell(measurement.arrival_time, lambda listener: listener.measured(measurement))
+    def on_measurement(self, measurement: Measurement) -> None:
+        self._tell(measurement.arrival_time, lambda listener: listener.on_measurement(measurement))
 
-    def commanded(self, command: Command) -> None:
-        self._tell(command.time, lambda listener: listener.commanded(command))
+    def on_command(self, command: Command) -> None:
+        self._tell(command.time, lambda listener: listener.on_command(command))
 
-    def reported(self, status: RobotStatus) -> None:
-        self._tell(status.time, lambda listener: listener.reported(status))
+    def on_status(self, status: RobotStatus) -> None:
+        self._tell(status.time, lambda listener: listener.on_status(status))
 
     def close(self) -> None:
         if self._listener is not None:

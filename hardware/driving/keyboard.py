@@ -48,11 +48,11 @@ class Keyboard:
         return keys if self._clock() - said <= self.life else 0
 
     @property
-    def let_go(self) -> bool:
+    def all_released(self) -> bool:
         """Whether the newest word was that no key is held: a word that is overdue does not say so."""
         return self._held[0] == 0
 
-    def ask_for_new_trial(self) -> None:
+    def request_new_trial(self) -> None:
         """Note that the person wants to start anew."""
         self._again.set()
 
@@ -68,7 +68,7 @@ class Keyboard:
         return asked
 
 
-class Punctuality:
+class LateMessageFilter:
     """Tells which words of one page were held up on their way: they say what was, not what is.
 
     The way of a word is what its stamp (s, the page's clock) lies behind its arrival (s, ours). The
@@ -89,7 +89,7 @@ class Punctuality:
         return way - self._fastest <= LATE
 
 
-def key_life(system: System) -> float:
+def key_validity(system: System) -> float:
     """Return for how long a word of the page may hold in a loop at ``system.dt``; raises `InvalidArgument`."""
     if system.dt >= HOLD:
         raise InvalidArgument(
@@ -99,7 +99,7 @@ def key_life(system: System) -> float:
     return HOLD - system.dt
 
 
-def control_of(keys: int, system: System) -> Array:
+def control_of_keys(keys: int, system: System) -> Array:
     """Return the control (nu,) for the keys that are held.
 
     The first control propels, the last one steers (+1 is left); a key drives it to its limit.
@@ -120,26 +120,26 @@ def _deflected(channel: Channel, way: int) -> float:
     return (channel.neutral, channel.high, channel.low)[way]
 
 
-class Seat:
+class PageClient:
     """One open page. Its words count only while it drives, and its keys only once it has said that none is held."""
 
-    def __init__(self, seats: Seats, keyboard: Keyboard) -> None:
+    def __init__(self, seats: PageClients, keyboard: Keyboard) -> None:
         self._seats = seats
         self._keyboard = keyboard
-        self._punctuality = Punctuality()
+        self._punctuality = LateMessageFilter()
         self._seen_released = False
 
     @property
-    def drives(self) -> bool:
+    def is_driver(self) -> bool:
         return self._seats.driver is self
 
-    def hear(self, said: Any, arrival: float) -> None:
+    def receive(self, said: Any, arrival: float) -> None:
         """Act on what the page says, see `keys_message`; ``arrival`` is in s. Raises `InvalidPageMessage`."""
         message = keys_message(said)
         on_time = self._punctuality.on_time(message.clock, arrival)
-        if message.new and self.drives:  # it ends what is driven, so it is never too late for it
-            self._keyboard.ask_for_new_trial()
-        if not on_time or not self.drives:
+        if message.new and self.is_driver:  # it ends what is driven, so it is never too late for it
+            self._keyboard.request_new_trial()
+        if not on_time or not self.is_driver:
             return
         self._seen_released = self._seen_released or message.keys == 0
         if self._seen_released:
@@ -150,28 +150,28 @@ class Seat:
         self._seats.remove(self)
 
 
-class Seats:
+class PageClients:
     """The open pages in the order in which they came; the first one drives."""
 
     def __init__(self, keyboard: Keyboard) -> None:
         self._keyboard = keyboard
-        self._taken: list[Seat] = []
+        self._taken: list[PageClient] = []
 
     @property
-    def driver(self) -> Seat | None:
+    def driver(self) -> PageClient | None:
         return self._taken[0] if self._taken else None
 
     @property
     def watchers(self) -> int:
         return max(0, len(self._taken) - 1)
 
-    def take(self) -> Seat:
+    def join(self) -> PageClient:
         """Return a seat for a page that was opened."""
-        seat = Seat(self, self._keyboard)
+        seat = PageClient(self, self._keyboard)
         self._taken.append(seat)
         return seat
 
-    def remove(self, seat: Seat) -> None:
+    def remove(self, seat: PageClient) -> None:
         """Take back ``seat``; if it drove, all keys are released."""
         if seat not in self._taken:
             return

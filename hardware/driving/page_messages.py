@@ -168,7 +168,7 @@ MOST_TRACES = 4
 MOST_CONTROLS = 2  # whose course is drawn below them
 
 
-class Panel(ABC):
+class DrivePanel(ABC):
     """What the page shows of trials of the bound ``task``; another thread may change it meanwhile.
 
     ``controller`` is who drives, None for a person, ``faster`` how many times as fast as in the world.

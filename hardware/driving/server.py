@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from hardware.connection import Closeable
-from hardware.driving.keyboard import Keyboard, Seat, Seats
-from hardware.driving.page_messages import InvalidPageMessage, Panel, as_text, messages_script
-from hardware.run_report import Reason, Stops
+from hardware.driving.keyboard import Keyboard, PageClient, PageClients
+from hardware.driving.page_messages import DrivePanel, InvalidPageMessage, as_text, messages_script
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.extras import check_installed
 
@@ -74,12 +74,12 @@ def check_page() -> None:
 
 @contextmanager
 def served(
-    panel: Panel, keyboard: Keyboard, address: PageAddress, *, stops: Stops, announce: Callable[[str], None]
+    panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
     """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
 
-    died = partial(stops.request, Reason.THREAD_DIED)
-    with PageServer(panel, keyboard, host=address.host, port=address.port, died=died) as page:
+    died = partial(stops.request, StopReason.THREAD_DIED)
+    with PageServer(panel, keyboard, host=address.host, port=address.port, on_server_end=died) as page:
         announce(page.url)
         if address.opened:
             webbrowser.open(page.url)
@@ -89,7 +89,7 @@ def served(
 class PageServer(Closeable):
     """The page at ``url`` while it is open; it serves from a thread of its own.
 
-    ``port`` 0 takes a free one. ``died`` is called with a sentence, in that thread, if the server
+    ``port`` 0 takes a free one. ``on_server_end`` is called with a sentence, in that thread, if the server
     ends before it is closed; all keys are released then. ``seats`` are those of the open pages.
     Raises `MissingExtra` for a missing package, `InvalidArgument` if the address cannot be taken, `LinkLost` if the
     server does not start.
@@ -97,12 +97,12 @@ class PageServer(Closeable):
 
     def __init__(
         self,
-        panel: Panel,
+        panel: DrivePanel,
         keyboard: Keyboard,
         *,
         host: str,
         port: int,
-        died: Callable[[str], None],
+        on_server_end: Callable[[str], None],
     ) -> None:
         check_page()
         import uvicorn
@@ -115,8 +115,8 @@ class PageServer(Closeable):
         named = f"[{host}]" if ":" in host else host
         self.url = f"http://{named}:{self._socket.getsockname()[1]}/{token}/"
         self._keyboard = keyboard
-        self.seats = Seats(keyboard)
-        self._died = died
+        self.seats = PageClients(keyboard)
+        self._died = on_server_end
         self._closing = False
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -192,7 +192,7 @@ def impatient_http() -> type[asyncio.Protocol]:
     return ImpatientHttp
 
 
-def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
+def make_app(panel: DrivePanel, seats: PageClients, *, token: str, host: str) -> Starlette:
     """Return the page, its files and its web socket, all behind ``/token/``."""
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
@@ -202,10 +202,10 @@ def make_app(panel: Panel, seats: Seats, *, token: str, host: str) -> Starlette:
 
     async def converse(page: WebSocket) -> None:
         await page.accept()
-        seat = seats.take()
-        talking = asyncio.create_task(_tell(page, seat, seats, panel))
+        seat = seats.join()
+        talking = asyncio.create_task(_send(page, seat, seats, panel))
         try:
-            await _listen(page, seat)
+            await _receive(page, seat)
         except ValueError as error:
             seat.leave()
             await page.close(INVALID, str(error).encode("ascii", "backslashreplace")[:REASON_BYTES].decode())
@@ -232,7 +232,7 @@ def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
     return answer
 
 
-async def _listen(page: WebSocket, seat: Seat) -> None:
+async def _receive(page: WebSocket, seat: PageClient) -> None:
     """Hear what the page says until it goes. Raises `InvalidPageMessage` or another `ValueError`."""
     while True:
         message = await page.receive()
@@ -240,15 +240,15 @@ async def _listen(page: WebSocket, seat: Seat) -> None:
             return
         if message.get("text") is None:
             raise InvalidPageMessage("expected text, got bytes")
-        seat.hear(json.loads(message["text"]), time.monotonic())
+        seat.receive(json.loads(message["text"]), time.monotonic())
 
 
-async def _tell(page: WebSocket, seat: Seat, seats: Seats, panel: Panel) -> None:
+async def _send(page: WebSocket, seat: PageClient, seats: PageClients, panel: DrivePanel) -> None:
     """Send the page the setting once, what is drawn of each trial, and the newest reading again and again."""
     await page.send_text(as_text(panel.setting()))
     trial = None
     while True:
-        reading = replace(panel.reading(), drives=seat.drives, watchers=seats.watchers)
+        reading = replace(panel.reading(), drives=seat.is_driver, watchers=seats.watchers)
         if reading.trial != trial:
             trial = reading.trial
             await page.send_text(as_text(panel.scenery()))

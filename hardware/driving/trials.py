@@ -12,14 +12,14 @@ from hardware.connection import Listener
 from hardware.control_loop import ControlLoop, Pilot, check_loop
 from hardware.estimator import StateEstimate
 from hardware.robot import Robot
-from hardware.run_report import LoopReport, Reason, Stops
+from hardware.run_report import LoopReport, StopReason, StopRequest
 from sysid_evo.controllers import Controller, View
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine import Rollouts
 from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.progress import Progress
-from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
+from sysid_evo.randomness import CONTROLLER_STREAM, draw_for_steps
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, Seeds, check_shape
@@ -31,7 +31,7 @@ REST_ANGLE = 0.06  # rad: some times the errors of an optical tracker
 REST_LIMIT = 10.0  # s by which it must have come to rest
 
 
-class RestWatch:
+class StandstillDetector:
     """Tells from its last poses whether a robot stands."""
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class RestWatch:
 
 
 @dataclass
-class Tape:
+class TrialLog:
     """What happened in one trial, sample by sample; samples may be missing."""
 
     ticks: list[int] = field(default_factory=list)
@@ -83,8 +83,8 @@ class TrialSeries(Pilot):
 
     Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
     task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
-    controller's output is not a number, neither is the control, and the loop ends the run. ``told`` is called with
-    this after every decision. ``states`` holds where the trials of each candidate stand, ``tapes`` what happened.
+    controller's output is not a number, neither is the control, and the loop ends the run. ``on_decision`` is called
+    with this after every decision. ``states`` holds where the trials of each candidate stand, ``tapes`` what happened.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class TrialSeries(Pilot):
         *,
         origin: Array | None = None,
         progress: Progress | None = None,
-        told: Callable[[TrialSeries], None] | None = None,
+        on_decision: Callable[[TrialSeries], None] | None = None,
     ) -> None:
         self.controller = controller
         self.parameters = parameters
@@ -104,18 +104,18 @@ class TrialSeries(Pilot):
         self.system: System = task.system
         self.seeds = seeds
         self.origin = origin
-        self.restless = False
+        self.not_at_rest = False
         self.finished = 0
-        self.tapes: list[Tape] = []
+        self.tapes: list[TrialLog] = []
         self._progress = progress
-        self._told = told
+        self._told = on_decision
         began = task.begin(seeds)
         self.states = [began for _ in parameters]
-        self._noise = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
+        self._noise = draw_for_steps(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
         self._memory = np.zeros((len(parameters), len(seeds), controller.n_memory))
         self._began: int | None = None
         self._waiting_since = 0
-        self._rest = RestWatch()
+        self._rest = StandstillDetector()
 
     @property
     def trials(self) -> int:
@@ -131,13 +131,13 @@ class TrialSeries(Pilot):
         if self._began is None:
             if not self._rest.at_rest(estimate):
                 if (tick - self._waiting_since) * self.system.dt > REST_LIMIT:
-                    self.restless = True
+                    self.not_at_rest = True
                     return None
                 return self.system.neutral_control
             if self.origin is None:
                 self.origin = estimate.pose
             self._began = tick
-            self.tapes.append(Tape())
+            self.tapes.append(TrialLog())
         control = self._drive(tick - self._began, estimate)
         if control is not None:
             return control
@@ -146,7 +146,7 @@ class TrialSeries(Pilot):
             self._progress(self.finished, self.trials)
         if self.finished == self.trials:
             return None
-        self._began, self._waiting_since, self._rest = None, tick, RestWatch()
+        self._began, self._waiting_since, self._rest = None, tick, StandstillDetector()
         return self.system.neutral_control
 
     def _drive(self, step: int, estimate: StateEstimate) -> Array | None:
@@ -154,7 +154,7 @@ class TrialSeries(Pilot):
         trial, candidate = divmod(self.finished, len(self.parameters))
         task, tape = self.task, self.tapes[-1]
         assert self.origin is not None
-        state, pose = estimate.state, self.system.seen_from(self.origin, estimate.pose)
+        state, pose = estimate.state, self.system.relative_pose(self.origin, estimate.pose)
         here = self.states[candidate]
         only = np.arange(len(self.seeds)) == trial
         if not tape.ticks:
@@ -164,7 +164,7 @@ class TrialSeries(Pilot):
                 np.tile(row, (len(only), 1)) for row in (tape.states[-1], state, tape.controls[-1], pose)
             )
             moved, _ = task.advance(here, before, after, control=control, pose=seen)
-            here = here.keep(moved, only)
+            here = here.updated_where(moved, only)
         self.states[candidate] = here
         tape.note(step, state, pose)
         if not here.alive[trial] or step >= task.horizon:
@@ -214,16 +214,16 @@ class RobotRunner:
 
     The task's origin is where the robot stands at the first trial, or that of the tracker
     (``tracker_frame``). ``seed`` fixes what an emulated robot draws. A fault ends the session: the
-    trial under way and those after it are missing, never scored. ``told`` is called after every decision.
+    trial under way and those after it are missing, never scored. ``on_decision`` is called after every decision.
     """
 
     robot: Robot
     tracker_frame: bool = False
     seed: int | None = None
     listeners: Sequence[Listener] = ()
-    stops: Stops = field(default_factory=Stops)
+    stop: StopRequest = field(default_factory=StopRequest)
     progress: Progress | None = None
-    told: Callable[[TrialSeries], None] | None = None
+    on_decision: Callable[[TrialSeries], None] | None = None
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
         """Return what runs ``controller`` at ``task``, see `Runner` and `drive`."""
@@ -247,10 +247,12 @@ class RobotRunner:
         if len(seeds) < 1 or len(parameters) < 1:
             raise InvalidArgument("robot: expected at least one candidate and one trial seed, got none")
         origin = np.zeros(self.robot.system.n_pose) if self.tracker_frame else None
-        series = TrialSeries(controller, parameters, task, seeds, origin=origin, progress=self.progress, told=self.told)
+        series = TrialSeries(
+            controller, parameters, task, seeds, origin=origin, progress=self.progress, on_decision=self.on_decision
+        )
         with self.robot.connect(seed=self.seed) as connection:
-            loop = ControlLoop(connection, self.robot.system, listeners=self.listeners, stops=self.stops)
+            loop = ControlLoop(connection, self.robot.system, listeners=self.listeners, stop=self.stop)
             report = loop.run(series)
-        if series.restless:
-            report = replace(report, reason=Reason.RESTLESS, detail=f"it still moves after {REST_LIMIT:.0f} s")
+        if series.not_at_rest:
+            report = replace(report, reason=StopReason.NOT_AT_REST, detail=f"it still moves after {REST_LIMIT:.0f} s")
         return series.rollouts(report.sentence), report

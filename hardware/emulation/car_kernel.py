@@ -1,4 +1,4 @@
-"""The emulated car over lanes: `hardware.emulation.car_physics.fine_step` and the commands under way."""
+"""The emulated car over lanes: `hardware.emulation.car_physics.car_step` and the commands under way."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def car(carry, control, noise, parameters, scratch):
         command = view(commands, 2 * k * LANES) if k < LATENCY else control
         force = force * p[NOISE_KEEP] + load(noise, 2 * k * LANES) * p[FORCE_NOISE]
         yaw = yaw * p[NOISE_KEEP] + load(noise, (2 * k + 1) * LANES) * p[YAW_NOISE]
-        u, v, r, motor, sag, slack, steering = fine_step(
+        u, v, r, motor, sag, slack, steering = car_step_lanes(
             u, v, r, motor, sag, battery, slack, steering, force, yaw, load(command, 0), load(command, LANES), p
         )
     store(carry, 0, u)
@@ -60,7 +60,7 @@ def car(carry, control, noise, parameters, scratch):
         copy(command, view(commands, 2 * k * LANES), 2 * LANES)
 
 
-def fine_step(u, v, r, motor, sag, battery, slack, steering, force_noise, yaw_noise, drive, steer, p):
+def car_step_lanes(u, v, r, motor, sag, battery, slack, steering, force_noise, yaw_noise, drive, steer, p):
     """One step of 5 ms; ``p`` are the `Coefficients` in their order.
 
     Friction is taken off the change before that is added: rounding the speed first would, in

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hardware.emulation.parameters import Quantities, quantity
+from hardware.emulation.parameters import RobotParameters, parameter
 from sysid_evo.angles import frame_change
 from sysid_evo.errors import InvalidArgument
 
@@ -17,56 +17,56 @@ FINE_DT = 0.005  # s: the rate of the tracker, and short against every lag of th
 
 
 @dataclass(frozen=True, kw_only=True)
-class CarParameters(Quantities):
+class CarParameters(RobotParameters):
     """A bang-bang toy car of 0.3 kg, 18 x 10 cm (paper, section 3).
 
     Unit, reason and spread of each field stand in its metadata. Thrust, drag and resistance are per
     unit of mass, so they read as accelerations. Raises `InvalidArgument`.
     """
 
-    mass: float = quantity(0.3, "kg", 0.1, "stated in the paper")
-    yaw_inertia: float = quantity(0.00106, "kg m2", 0.1, "a uniform plate of 18 x 10 cm")
-    front_axle: float = quantity(0.055, "m", 0.1, "centre of mass to the steered axle")
-    rear_axle: float = quantity(0.055, "m", 0.1, "centre of mass to the driven axle")
+    mass: float = parameter(0.3, "kg", 0.1, "stated in the paper")
+    yaw_inertia: float = parameter(0.00106, "kg m2", 0.1, "a uniform plate of 18 x 10 cm")
+    front_axle: float = parameter(0.055, "m", 0.1, "centre of mass to the steered axle")
+    rear_axle: float = parameter(0.055, "m", 0.1, "centre of mass to the driven axle")
 
-    thrust_forward: float = quantity(3.2, "m/s2", 0.2, "at rest, full battery; reaches 2.0 m/s")
-    thrust_backward: float = quantity(
+    thrust_forward: float = parameter(3.2, "m/s2", 0.2, "at rest, full battery; reaches 2.0 m/s")
+    thrust_backward: float = parameter(
         2.45, "m/s2", 0.2, "brushes and gears run worse backward; reaches 1.4 m/s; 0: no reverse", or_zero=True
     )
-    back_emf: float = quantity(1.08, "1/s", 0.2, "loss of thrust with speed while the motor is powered")
-    motor_lag: float = quantity(0.08, "s", 0.3, "current and gears take time to follow the switch")
-    battery_spread: float = quantity(0.08, "1", 0.1, "charge differs from trial to trial by this share at most")
-    sag: float = quantity(0.08, "1", 0.3, "share of the voltage lost under full load")
-    sag_lag: float = quantity(0.4, "s", 0.3, "the cells' own time constant")
-    slack_time: float = quantity(0.03, "s", 0.3, "full motor speed across the play of the worn gearbox")
+    back_emf: float = parameter(1.08, "1/s", 0.2, "loss of thrust with speed while the motor is powered")
+    motor_lag: float = parameter(0.08, "s", 0.3, "current and gears take time to follow the switch")
+    battery_spread: float = parameter(0.08, "1", 0.1, "charge differs from trial to trial by this share at most")
+    sag: float = parameter(0.08, "1", 0.3, "share of the voltage lost under full load")
+    sag_lag: float = parameter(0.4, "s", 0.3, "the cells' own time constant")
+    slack_time: float = parameter(0.03, "s", 0.3, "full motor speed across the play of the worn gearbox")
 
-    coasting_drag: float = quantity(0.6, "1/s", 0.3, "the unpowered motor turned by the wheels")
-    rolling_drag: float = quantity(0.15, "1/s", 0.3, "bearings and paper, growing with speed")
-    rolling_resistance: float = quantity(0.5, "m/s2", 0.2, "bearings and paper, at any speed; stops a coasting car")
-    static_friction: float = quantity(0.9, "m/s2", 0.15, "thrust below this does not move a standing car")
+    coasting_drag: float = parameter(0.6, "1/s", 0.3, "the unpowered motor turned by the wheels")
+    rolling_drag: float = parameter(0.15, "1/s", 0.3, "bearings and paper, growing with speed")
+    rolling_resistance: float = parameter(0.5, "m/s2", 0.2, "bearings and paper, at any speed; stops a coasting car")
+    static_friction: float = parameter(0.9, "m/s2", 0.15, "thrust below this does not move a standing car")
 
-    steer_left: float = quantity(0.203, "rad", 0.1, "front wheels at full left lock")
-    steer_right: float = quantity(0.177, "rad", 0.1, "front wheels at full right lock; the linkage is uneven")
-    steer_offset: float = quantity(0.008, "rad", 0.3, "front wheels without a command; the linkage is bent")
-    linkage_play: float = quantity(0.0125, "rad", 0.3, "front wheels flop right rolling forward, left backward")
-    steering_lag: float = quantity(0.06, "s", 0.3, "the steering magnet works against a spring")
+    steer_left: float = parameter(0.203, "rad", 0.1, "front wheels at full left lock")
+    steer_right: float = parameter(0.177, "rad", 0.1, "front wheels at full right lock; the linkage is uneven")
+    steer_offset: float = parameter(0.008, "rad", 0.3, "front wheels without a command; the linkage is bent")
+    linkage_play: float = parameter(0.0125, "rad", 0.3, "front wheels flop right rolling forward, left backward")
+    steering_lag: float = parameter(0.06, "s", 0.3, "the steering magnet works against a spring")
 
-    front_grip: float = quantity(1.14, "N", 0.15, "largest sideways force of the front tyres")
-    rear_grip: float = quantity(1.58, "N", 0.15, "largest sideways force of the rear tyres, without thrust")
-    thrust_grip_loss: float = quantity(0.5, "1", 0.2, "most of the rear grip, as a share, that traction uses up")
-    slip_gain: float = quantity(8.0, "1/rad", 0.1, "how soon a slip angle saturates a tyre")
-    slip_floor: float = quantity(0.7, "m/s", 0.1, "slower than this, slip is measured against this speed")
+    front_grip: float = parameter(1.14, "N", 0.15, "largest sideways force of the front tyres")
+    rear_grip: float = parameter(1.58, "N", 0.15, "largest sideways force of the rear tyres, without thrust")
+    thrust_grip_loss: float = parameter(0.5, "1", 0.2, "most of the rear grip, as a share, that traction uses up")
+    slip_gain: float = parameter(8.0, "1/rad", 0.1, "how soon a slip angle saturates a tyre")
+    slip_floor: float = parameter(0.7, "m/s", 0.1, "slower than this, slip is measured against this speed")
 
-    force_noise: float = quantity(0.25, "m/s2", 0.3, "uneven floor; standard deviation at speed")
-    yaw_noise: float = quantity(2.0, "rad/s2", 0.3, "uneven floor; standard deviation at speed")
-    noise_lag: float = quantity(0.1, "s", 0.3, "correlation time: a dozen centimetres of floor")
+    force_noise: float = parameter(0.25, "m/s2", 0.3, "uneven floor; standard deviation at speed")
+    yaw_noise: float = parameter(2.0, "rad/s2", 0.3, "uneven floor; standard deviation at speed")
+    noise_lag: float = parameter(0.1, "s", 0.3, "correlation time: a dozen centimetres of floor")
 
-    start_speed: float = quantity(
+    start_speed: float = parameter(
         0.0, "m/s", 0.2, "slower than this a motor without a sensor cannot tell how it turns; 0: it always can",
         or_zero=True,
     )  # fmt: skip
-    start_lag: float = quantity(0.08, "s", 0.2, "such a motor follows the switch with this lag, and it pulls only")
-    start_level: float = quantity(0.5, "1", 0.1, "once it has reached this share of its full level")
+    start_lag: float = parameter(0.08, "s", 0.2, "such a motor follows the switch with this lag, and it pulls only")
+    start_level: float = parameter(0.5, "1", 0.1, "once it has reached this share of its full level")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -104,7 +104,7 @@ BODY = 3 + 2 * LATENCY
 
 
 class Coefficients(NamedTuple):
-    """What `fine_step` computes with, in the order of the compiled form's parameter array."""
+    """What `car_step` computes with, in the order of the compiled form's parameter array."""
 
     inverse_mass: float
     inverse_inertia: float
@@ -185,10 +185,10 @@ Lane: TypeAlias = Any
 """A number for each rollout, an `Array` (B,), or a float for the only one: the same arithmetic for both."""
 ARRAYS = (np.maximum, np.minimum, np.tanh)
 NUMBERS = (max, min, lambda x: float(np.tanh(x)))
-"""What `fine_step` calls for lanes of numbers and for single ones, which take a third of the time: the same values."""
+"""What `car_step` calls for lanes of numbers and for single ones, which take a third of the time: the same values."""
 
 
-def fine_step(
+def car_step(
     state: Sequence[Lane],
     hidden: Sequence[Lane],
     drive: Lane,

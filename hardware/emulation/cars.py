@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from hardware.arguments import number
+from hardware.arguments import check_number
 from hardware.connection import Connection
 from hardware.emulation.car_kernel import car_kernel
-from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, coefficients, fine_step
+from hardware.emulation.car_physics import BODY, BUFFER, FINE_DT, LATENCY, CarParameters, Lane, car_step, coefficients
 from hardware.emulation.parameters import of_kind
-from hardware.emulation.tracked_robots import EmulatedConnection, EmulatedRobot
-from hardware.recording.record import Recorded, RecordingJob, record_through_loop
+from hardware.emulation.tracked_robots import TrackedConnection, TrackedRobot
+from hardware.recording.record import RecordingJob, RecordingResult, record_through_loop
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -68,13 +68,13 @@ class ToyCarDynamics(PlainDynamics):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         if len(carry) == 1:
             first, push = carry[0].tolist(), [0.0, 0.0] if noise is None else noise[0].tolist()
-            end = fine_step(first[:3], first[BODY:], first[3], first[4], push[0], push[1], self.coefficients)
+            end = car_step(first[:3], first[BODY:], first[3], first[4], push[0], push[1], self.coefficients)
             return np.array([[*end[:3], *first[5:BODY], *control[0].tolist(), *end[3:]]])
         before = carry.T
         after = np.empty((self.n_carry, len(carry)))
         lanes: list[Lane] = list(before)
         draws: list[Lane] = [0.0, 0.0] if noise is None else list(noise.T)
-        results = fine_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
+        results = car_step(lanes[:3], lanes[BODY:], lanes[3], lanes[4], draws[0], draws[1], self.coefficients)
         after[3 : BODY - 2] = before[5:BODY]
         after[BODY - 2 : BODY] = control.T
         for row, result in zip((*range(3), *range(BODY, self.n_carry)), results, strict=True):
@@ -90,10 +90,10 @@ class ToyCarDynamics(PlainDynamics):
 
 
 @register_robot("emulated_car")
-def emulated_car(*, seed: int | None = None) -> EmulatedRobot:
+def emulated_car(*, seed: int | None = None) -> TrackedRobot:
     """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
     kind, parameters = of_kind("emulated_car", CarParameters(), seed)
-    return EmulatedRobot(kind, ToyCarDynamics(parameters), repeats=REPEATS)
+    return TrackedRobot(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
 
 AWKWARD = replace(CarParameters(), thrust_backward=0.0, start_speed=0.35, start_lag=0.5, start_level=0.5)
@@ -104,7 +104,7 @@ A standing car pulls after 0.35 s of full drive without a break. Driven backward
 
 
 @register_robot("awkward_car")
-class AwkwardCar(EmulatedRobot):
+class AwkwardCar(TrackedRobot):
     """The toy car with the drive of a model plane; with a ``seed`` another of its kind.
 
     It answers to forward drive from standstill after 0.7 of ``start_lag`` (s), to backward drive not at all, and races
@@ -114,14 +114,14 @@ class AwkwardCar(EmulatedRobot):
     """
 
     def __init__(self, *, seed: int | None = None, start_lag: float = AWKWARD.start_lag, stuck: float = 0.1) -> None:
-        self.stuck = number("robot awkward_car: stuck", stuck, least=0.0)
+        self.stuck = check_number("robot awkward_car: stuck", stuck, minimum=0.0)
         if self.stuck > 1.0:
             raise InvalidArgument(f"robot awkward_car: expected stuck as a share up to 1, got {stuck}")
-        usual = replace(AWKWARD, start_lag=number("robot awkward_car: start_lag", start_lag, above=0.0))
+        usual = replace(AWKWARD, start_lag=check_number("robot awkward_car: start_lag", start_lag, above=0.0))
         kind, parameters = of_kind("awkward_car", usual, seed)
         super().__init__(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
-    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+    def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
         manoeuvres = self.manoeuvres(duration=duration, rng=np.random.default_rng(job.seed))
         return record_through_loop(_Jammed(self, keyed_generator(job.seed, 0)), manoeuvres, job)
 
@@ -143,7 +143,7 @@ class _Jammed:
         return _JammedConnection(self.car.name, self.car.physics, seed=seed, gate=self.car.gate)
 
 
-class _JammedConnection(EmulatedConnection):
+class _JammedConnection(TrackedConnection):
     """A session in which the car does not move; the tracker sees it as noisily as ever."""
 
     def _advance(self) -> None:

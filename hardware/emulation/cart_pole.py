@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.emulation.parameters import Quantities, of_kind, quantity
+from hardware.emulation.parameters import RobotParameters, of_kind, parameter
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, Lifted
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -36,17 +36,17 @@ SYSTEM = System(
 
 
 @dataclass(frozen=True, kw_only=True)
-class CartPoleParameters(Quantities):
+class CartPoleParameters(RobotParameters):
     """A cart of half a kilogram, a pole with a weight at its end, and rubber bands that keep the cart on its rail."""
 
-    cart: float = quantity(0.5, "kg", 0.1, "cart and belt")
-    bob: float = quantity(0.12, "kg", 0.1, "the weight at the end of the pole")
-    length: float = quantity(0.4, "m", 0.1, "from the cart to the weight")
-    bands: float = quantity(3.0, "N/m", 0.2, "rubber bands to both ends of the rail; full force reaches 1.7 m")
-    rail_friction: float = quantity(2.0, "N s/m", 0.3, "bearings and belt")
-    hinge_friction: float = quantity(0.0015, "N m s/rad", 0.3, "the hinge of the pole")
-    motor_lag: float = quantity(0.03, "s", 0.3, "the current takes time to follow")
-    force_noise: float = quantity(0.4, "N", 0.3, "teeth of the belt, standard deviation of each fine step")
+    cart: float = parameter(0.5, "kg", 0.1, "cart and belt")
+    bob: float = parameter(0.12, "kg", 0.1, "the weight at the end of the pole")
+    length: float = parameter(0.4, "m", 0.1, "from the cart to the weight")
+    bands: float = parameter(3.0, "N/m", 0.2, "rubber bands to both ends of the rail; full force reaches 1.7 m")
+    rail_friction: float = parameter(2.0, "N s/m", 0.3, "bearings and belt")
+    hinge_friction: float = parameter(0.0015, "N m s/rad", 0.3, "the hinge of the pole")
+    motor_lag: float = parameter(0.03, "s", 0.3, "the current takes time to follow")
+    force_noise: float = parameter(0.4, "N", 0.3, "teeth of the belt, standard deviation of each fine step")
 
 
 class CartPolePhysics(SensedPhysics):
@@ -62,7 +62,7 @@ class CartPolePhysics(SensedPhysics):
 
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"position": Sensor(0.0002, 0.0001), "angle": Sensor(0.0005, ENCODER)}
-    rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
+    estimated_rates: ClassVar[Mapping[str, str]] = {"speed": "position", "angular_speed": "angle"}
     n_carry = 5
     n_lags = 1
     n_noise = 1
@@ -90,14 +90,14 @@ class CartPolePhysics(SensedPhysics):
     def kernel(self) -> DynamicsKernel:
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
-        return DynamicsKernel(Lifted(fine_step, n_carry=5, nu=1, n_noise=1), numbers)
+        return DynamicsKernel(ScalarStep(cart_pole_step, n_carry=5, nu=1, n_noise=1), numbers)
 
-    def let_go(self, rng: np.random.Generator) -> Array:
+    def release_state(self, rng: np.random.Generator) -> Array:
         """Return the cart in the middle and the pole at any angle, at rest: somebody holds it there."""
         return np.array([0.0, 0.0, rng.uniform(-math.pi, math.pi), 0.0])
 
 
-def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+def cart_pole_step(x: Any, u: Any, w: Any, p: Any) -> Any:
     """`CartPolePhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
     cart, bob, length = p[0], p[1], p[2]
     force = x[4] + (u[0] - x[4]) * p[8]

@@ -40,8 +40,8 @@ class HeldControl(PlainDynamics):
         self.n_draws = fine.n_draws
 
     @property
-    def envelope(self) -> Array | None:
-        return self.fine.envelope
+    def state_bounds(self) -> Array | None:
+        return self.fine.state_bounds
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         lags = self.fine.n_lags

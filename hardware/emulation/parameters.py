@@ -7,18 +7,18 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from hardware.arguments import seed as checked_seed
+from hardware.arguments import check_seed as checked_seed
 from sysid_evo.errors import InvalidArgument
 
 
-def quantity(value: float, unit: str, spread: float, reason: str, *, or_zero: bool = False) -> Any:
+def parameter(value: float, unit: str, spread: float, reason: str, *, or_zero: bool = False) -> Any:
     """Return a field whose perturbed value lies within ``spread`` (a share) of ``value``."""
     return field(default=value, metadata={"unit": unit, "spread": spread, "reason": reason, "or_zero": or_zero})
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantities:
-    """Positive numbers (some may be 0), each a `quantity`: unit, spread, reason are its metadata.
+class RobotParameters:
+    """Positive numbers (some may be 0), each a `parameter`: unit, spread, reason are its metadata.
 
     Raises `InvalidArgument`.
     """
@@ -42,7 +42,7 @@ class Quantities:
         return replace(self, **drawn)
 
 
-P = TypeVar("P", bound=Quantities)
+P = TypeVar("P", bound=RobotParameters)
 
 
 def of_kind(name: str, nominal: P, seed: int | None) -> tuple[str, P]:

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.emulation.parameters import Quantities, of_kind, quantity
+from hardware.emulation.parameters import RobotParameters, of_kind, parameter
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, Lifted
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -34,15 +34,15 @@ SYSTEM = System(
 
 
 @dataclass(frozen=True, kw_only=True)
-class PendulumParameters(Quantities):
+class PendulumParameters(RobotParameters):
     """A rod with a weight at its end, on the shaft of a small motor."""
 
-    weight: float = quantity(1.2, "N m", 0.1, "m g l of 0.3 kg at 0.41 m: the torque of gravity when level")
-    inertia: float = quantity(0.05, "kg m2", 0.1, "m l^2; it swings at 0.78 Hz")
-    viscous: float = quantity(0.02, "N m s/rad", 0.3, "back-EMF, bearings and air; full torque spins it at 22 rad/s")
-    dry: float = quantity(0.012, "N m", 0.3, "brushes, at any speed")
-    motor_lag: float = quantity(0.03, "s", 0.3, "the current takes time to follow")
-    torque_noise: float = quantity(0.05, "N m", 0.3, "cogging and air, standard deviation of each fine step")
+    weight: float = parameter(1.2, "N m", 0.1, "m g l of 0.3 kg at 0.41 m: the torque of gravity when level")
+    inertia: float = parameter(0.05, "kg m2", 0.1, "m l^2; it swings at 0.78 Hz")
+    viscous: float = parameter(0.02, "N m s/rad", 0.3, "back-EMF, bearings and air; full torque spins it at 22 rad/s")
+    dry: float = parameter(0.012, "N m", 0.3, "brushes, at any speed")
+    motor_lag: float = parameter(0.03, "s", 0.3, "the current takes time to follow")
+    torque_noise: float = parameter(0.05, "N m", 0.3, "cogging and air, standard deviation of each fine step")
 
 
 class PendulumPhysics(SensedPhysics):
@@ -57,7 +57,7 @@ class PendulumPhysics(SensedPhysics):
 
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"angle": Sensor(0.0005, ENCODER)}
-    rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
+    estimated_rates: ClassVar[Mapping[str, str]] = {"angular_speed": "angle"}
     n_carry = 3
     n_lags = 1
     n_noise = 1
@@ -80,14 +80,14 @@ class PendulumPhysics(SensedPhysics):
     def kernel(self) -> DynamicsKernel:
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.motor_lag)])
-        return DynamicsKernel(Lifted(fine_step, n_carry=3, nu=1, n_noise=1), numbers)
+        return DynamicsKernel(ScalarStep(pendulum_step, n_carry=3, nu=1, n_noise=1), numbers)
 
-    def let_go(self, rng: np.random.Generator) -> Array:
+    def release_state(self, rng: np.random.Generator) -> Array:
         """Return any angle, at rest: somebody holds it there."""
         return np.array([rng.uniform(-math.pi, math.pi), 0.0])
 
 
-def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+def pendulum_step(x: Any, u: Any, w: Any, p: Any) -> Any:
     """`PendulumPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
     torque = x[2] + (u[0] - x[2]) * p[6]
     push = torque - p[0] * math.sin(x[0]) - p[2] * x[1] - p[3] * math.tanh(x[1] / STICKING) + p[5] * w[0]

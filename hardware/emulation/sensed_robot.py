@@ -12,10 +12,10 @@ import numpy as np
 from hardware.connection import Measurement
 from hardware.emulation.held_control import HeldControl
 from hardware.emulation.simulated_robot import SimulatedConnection, SimulatedRobot
-from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import Recorded, RecordingJob, prepared
-from hardware.run_report import LoopReport, Reason, Stops
-from hardware.self_test import SelfTestFinding, examine, sensors_finding
+from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
+from hardware.recording.record import RecordingJob, RecordingResult, prepare_logs
+from hardware.run_report import LoopReport, StopReason, StopRequest
+from hardware.self_test import SelfTestFinding, equation_findings, sensors_finding
 from sysid_evo.carry import clip_state
 from sysid_evo.data.preparation import REACH, STENCIL, RawLog
 from sysid_evo.errors import InvalidSystem, LinkLost
@@ -39,21 +39,23 @@ EXACT = Sensor()
 class SensedPhysics(PlainDynamics):
     """Physics in fine steps, and what is measured of them.
 
-    ``sensors`` names the states that are measured, ``rates`` the state whose change per second each of the
+    ``sensors`` names the states that are measured, ``estimated_rates`` the state whose change per second each of the
     others is: that one is estimated. A state that is in neither is read as it is.
     """
 
     sensors: ClassVar[Mapping[str, Sensor]] = {}
-    rates: ClassVar[Mapping[str, str]] = {}
+    estimated_rates: ClassVar[Mapping[str, str]] = {}
 
-    def let_go(self, rng: np.random.Generator) -> Array:
+    def release_state(self, rng: np.random.Generator) -> Array:
         """Return the state (nx,) in which a recording begins: at rest, or where somebody lets the robot go."""
         return self.system.neutral_state.copy()
 
     @property
-    def read(self) -> Mapping[str, Sensor]:
+    def measured_sensors(self) -> Mapping[str, Sensor]:
         """The sensor of each state that is not estimated."""
-        return {name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.rates}
+        return {
+            name: self.sensors.get(name, EXACT) for name in self.system.state_names if name not in self.estimated_rates
+        }
 
 
 class Equations(SensedPhysics):
@@ -84,7 +86,7 @@ class Equations(SensedPhysics):
         """
 
     @property
-    def envelope(self) -> Array | None:
+    def state_bounds(self) -> Array | None:
         limits = np.array([[c.low for c in self.system.states], [c.high for c in self.system.states]])
         return limits if np.isfinite(limits).any() else None
 
@@ -129,27 +131,27 @@ class SensedRobot(SimulatedRobot):
     def connect(self, *, seed: int | None = None) -> SensedConnection:
         return SensedConnection(self.name, self.physics, seed=seed)
 
-    def look_at(
-        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    def self_test(
+        self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
         """Say what the sensors read at rest, and what the equations do under each control."""
         period, readings = self.frame_period, []
-        stops = Stops() if stops is None else stops
+        stop = StopRequest() if stop is None else stop
         with self.connect(seed=seed) as connection:
             for _ in range(max(2, round(seconds / period))):
-                with stops.answer(self.name):
+                with stop.answer(self.name):
                     connection.measure(period)
                 readings.append(connection.reading)
-                if stops.reason is not None:
+                if stop.reason is not None:
                     break
-        names, rates = tuple(self.physics.read), self.physics.rates
+        names, rates = tuple(self.physics.measured_sensors), self.physics.estimated_rates
         sensors = sensors_finding(self.system, names, np.array(readings), rates, period)
-        return examine(self.dynamics, sensors, stops=stops)
+        return equation_findings(self.dynamics, sensors, stop=stop)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
-        return excitation(self.system, duration=duration, rng=rng)
+        return excitation_manoeuvres(self.system, duration=duration, rng=rng)
 
-    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
         """Drive these manoeuvres, read the sensors, and estimate the rest from what they say.
 
         Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to the job's
@@ -157,13 +159,13 @@ class SensedRobot(SimulatedRobot):
         """
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
-        done, reason, detail = 0, Reason.PILOT, ""
+        done, reason, detail = 0, StopReason.PILOT, ""
         stops = job.stops
         for number, manoeuvre in enumerate(manoeuvres):
             try:
                 log = self._driven(manoeuvre, np.random.SeedSequence(job.seed, spawn_key=(number,)), stops)
             except LinkLost as error:
-                reason, detail = stops.reason or Reason.LINK_LOST, str(error)
+                reason, detail = stops.reason or StopReason.LINK_LOST, str(error)
                 break
             if stops.reason is not None:
                 reason, detail = stops.reason, stops.detail
@@ -175,12 +177,12 @@ class SensedRobot(SimulatedRobot):
         report = LoopReport(reason, detail, lateness=np.zeros(done), gaps=np.full(max(0, done - 1), self.system.dt))
         if report.reason.is_fault and not logs:
             raise LinkLost(f"{self.name}: {report.sentence}; nothing was recorded")
-        return Recorded(tuple(logs), prepared(logs, self.system), report)
+        return RecordingResult(tuple(logs), prepare_logs(logs, self.system), report)
 
-    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stops: Stops) -> RawLog:
+    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stops: StopRequest) -> RawLog:
         """Return what the sensors said during a manoeuvre, up to a stop, and the rates estimated from it."""
         release, session = seeds.spawn(2)
-        state = self.physics.let_go(np.random.default_rng(release))
+        state = self.physics.release_state(np.random.default_rng(release))
         system, period = self.system, self.frame_period
         seed = int(session.generate_state(1, np.uint64)[0])
         readings, controls = [], []
@@ -195,8 +197,10 @@ class SensedRobot(SimulatedRobot):
                         connection.measure(period)
                 if stops.reason is not None:
                     break
-        measured = dict(zip(self.physics.read, np.array(readings).T, strict=True))
-        rates = {name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.rates.items()}
+        measured = dict(zip(self.physics.measured_sensors, np.array(readings).T, strict=True))
+        rates = {
+            name: rate(self._unwrapped(of, measured[of]), period) for name, of in self.physics.estimated_rates.items()
+        }
         time = period * np.arange(len(readings), dtype=np.float64)
         return RawLog(manoeuvre.name, time, np.empty((len(time), 0)), np.array(controls), {**measured, **rates})
 
@@ -236,14 +240,14 @@ class SensedConnection(SimulatedConnection):
         if row == 0:
             self._noise = self._rng.standard_normal((NOISE_BLOCK, self._physics.n_noise))
         stepped = self._physics.step(self._carry, self.control[None], self._noise[row : row + 1])
-        self._carry, _ = clip_state(stepped, self._physics.envelope)
+        self._carry, _ = clip_state(stepped, self._physics.state_bounds)
 
     def _look(self, time: float) -> Measurement:
         self.reading = self._read()
         return Measurement(time, time, self.frame, self.name, True, self.pose)
 
     def _read(self) -> Array:
-        system, sensors = self._physics.system, self._physics.read
+        system, sensors = self._physics.system, self._physics.measured_sensors
         true = self._carry[0, [system.state_names.index(name) for name in sensors]]
         noise = np.array([sensor.noise for sensor in sensors.values()])
         step = np.array([sensor.resolution for sensor in sensors.values()])

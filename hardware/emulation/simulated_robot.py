@@ -91,21 +91,21 @@ class SimulatedConnection(Connection):
 
 def in_real_time(robot: Robot) -> Robot:
     """Return ``robot`` if its sessions run on the host's clock, else its paced form."""
-    return PacedRobot(robot) if isinstance(robot, SimulatedRobot) else robot
+    return RealTimeRobot(robot) if isinstance(robot, SimulatedRobot) else robot
 
 
-class PacedRobot(Robot):
+class RealTimeRobot(Robot):
     """A simulated robot whose sessions keep pace with `time.monotonic`, so that a person can drive it."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
         self.robot = robot
         self.name, self.system, self.dynamics = robot.name, robot.system, robot.dynamics
 
-    def connect(self, *, seed: int | None = None) -> PacedConnection:
-        return PacedConnection(self.robot.connect(seed=seed))
+    def connect(self, *, seed: int | None = None) -> RealTimeConnection:
+        return RealTimeConnection(self.robot.connect(seed=seed))
 
 
-class PacedConnection(Connection):
+class RealTimeConnection(Connection):
     """A session of ``simulated`` on the host's clock, on which it began at 0 s.
 
     The robot moves on its own, as a real one does, whether or not anybody looks: whoever calls late

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.emulation.parameters import Quantities, of_kind, quantity
+from hardware.emulation.parameters import RobotParameters, of_kind, parameter
 from hardware.emulation.sensed_robot import SensedPhysics, SensedRobot, Sensor
-from sysid_evo.kernels import DynamicsKernel, Lifted
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.registry import register_robot
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
@@ -30,16 +30,16 @@ SYSTEM = System(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThermalParameters(Quantities):
+class ThermalParameters(RobotParameters):
     """A small block of metal with a heating element, in a draught."""
 
-    power: float = quantity(45.0, "W", 0.1, "of the heater when full on; the block ends at 76 degC")
-    block: float = quantity(9.0, "J/K", 0.15, "heat that the block holds: with the loss a time constant of 11 s")
-    element: float = quantity(2.0, "J/K", 0.15, "heat that the element holds")
-    contact: float = quantity(1.5, "W/K", 0.15, "from the element to the block")
-    loss: float = quantity(0.8, "W/K", 0.15, "from the block to the room")
-    power_lag: float = quantity(1.0, "s", 0.3, "the power stage follows slowly")
-    draught: float = quantity(0.6, "1", 0.3, "change of the loss from one fine step to the next, standard deviation")
+    power: float = parameter(45.0, "W", 0.1, "of the heater when full on; the block ends at 76 degC")
+    block: float = parameter(9.0, "J/K", 0.15, "heat that the block holds: with the loss a time constant of 11 s")
+    element: float = parameter(2.0, "J/K", 0.15, "heat that the element holds")
+    contact: float = parameter(1.5, "W/K", 0.15, "from the element to the block")
+    loss: float = parameter(0.8, "W/K", 0.15, "from the block to the room")
+    power_lag: float = parameter(1.0, "s", 0.3, "the power stage follows slowly")
+    draught: float = parameter(0.6, "1", 0.3, "change of the loss from one fine step to the next, standard deviation")
 
 
 class ThermalPhysics(SensedPhysics):
@@ -57,7 +57,7 @@ class ThermalPhysics(SensedPhysics):
 
     system = SYSTEM
     sensors: ClassVar[Mapping[str, Sensor]] = {"temperature": Sensor(0.05, 0.0625)}
-    rates: ClassVar[Mapping[str, str]] = {}
+    estimated_rates: ClassVar[Mapping[str, str]] = {}
     n_carry = 3 + LATENCY
     n_lags = LATENCY
     n_noise = 1
@@ -82,14 +82,14 @@ class ThermalPhysics(SensedPhysics):
     def kernel(self) -> DynamicsKernel:
         p = self.parameters
         numbers = np.array([*astuple(p), -math.expm1(-FINE_DT / p.power_lag)])
-        return DynamicsKernel(Lifted(fine_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)
+        return DynamicsKernel(ScalarStep(thermal_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)
 
-    def let_go(self, rng: np.random.Generator) -> Array:
+    def release_state(self, rng: np.random.Generator) -> Array:
         """Return the block as cold as the room, or still warm."""
         return np.array([rng.uniform(ROOM, 60.0)])
 
 
-def fine_step(x: Any, u: Any, w: Any, p: Any) -> Any:
+def thermal_step(x: Any, u: Any, w: Any, p: Any) -> Any:
     """`ThermalPhysics.step` in plain numbers; ``p`` are the parameters in their order and the share of a lag."""
     power = x[2] + (x[3] - x[2]) * p[7]
     flow = p[3] * (x[1] - x[0])

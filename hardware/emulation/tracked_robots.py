@@ -18,7 +18,7 @@ from sysid_evo.types import Array
 NOISE_BLOCK = 1024  # frames of noise drawn at once
 
 
-class EmulatedRobot(SimulatedRobot):
+class TrackedRobot(SimulatedRobot):
     """A planar robot whose physics step at the tracker's rate; controllers see every ``repeats``-th.
 
     ``gate`` says what the body can do, if that is more than the limits that hold for most
@@ -35,11 +35,11 @@ class EmulatedRobot(SimulatedRobot):
         self.system = self.dynamics.system
         self.gate = GateLimits.read(gate)
 
-    def connect(self, *, seed: int | None = None) -> EmulatedConnection:
-        return EmulatedConnection(self.name, self.physics, seed=seed, gate=self.gate)
+    def connect(self, *, seed: int | None = None) -> TrackedConnection:
+        return TrackedConnection(self.name, self.physics, seed=seed, gate=self.gate)
 
 
-class EmulatedConnection(SimulatedConnection):
+class TrackedConnection(SimulatedConnection):
     """A session with an emulated robot: each frame lets the physics take one step.
 
     Noise, draws and the tracker's errors come from ``seed``.
@@ -52,7 +52,7 @@ class EmulatedConnection(SimulatedConnection):
         self._physics = physics
         body, tracker = np.random.SeedSequence(seed).spawn(2)
         self._rng = np.random.default_rng(body)
-        self._tracker = OpticalTracker(np.random.default_rng(tracker))
+        self._tracker = TrackerErrorModel(np.random.default_rng(tracker))
         self._carry = started(physics, system.neutral_state[None], self._rng.standard_normal((1, physics.n_draws)))
         self._noise = np.empty((0, physics.n_noise))
 
@@ -86,7 +86,7 @@ CORRELATION = 0.3
 """Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
 
 
-class OpticalTracker:
+class TrackerErrorModel:
     """Adds first-order correlated normal errors to planar poses, frame by frame.
 
     Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
@@ -115,7 +115,7 @@ counts for its own sample.
 """
 
 
-class ModelledRobot(SimulatedRobot):
+class ModelRobot(SimulatedRobot):
     """Any ``dynamics`` whose motion has a pose, seen by a tracker without errors.
 
     A person drives it to feel a model (paper, section 5.2.3).
@@ -133,11 +133,11 @@ class ModelledRobot(SimulatedRobot):
         self.system = dynamics.system
         self.frame_period = dynamics.system.dt / FRAMES
 
-    def connect(self, *, seed: int | None = None) -> ModelledConnection:
-        return ModelledConnection(self.name, self.dynamics, seed=seed)
+    def connect(self, *, seed: int | None = None) -> ModelConnection:
+        return ModelConnection(self.name, self.dynamics, seed=seed)
 
 
-class ModelledConnection(SimulatedConnection):
+class ModelConnection(SimulatedConnection):
     """A session with a model, which takes up the command in force at the start of each of its samples.
 
     It rests in the origin until the first command that is not neutral; its samples are counted from
@@ -185,7 +185,7 @@ class ModelledConnection(SimulatedConnection):
         self._before = self._carry[0, :nx].copy()
         with np.errstate(all="ignore"):
             stepped = dynamics.step(self._carry, self.control[None], noise)
-        self._carry, _ = clip_state(stepped, dynamics.envelope)
+        self._carry, _ = clip_state(stepped, dynamics.state_bounds)
         self._after = self._carry[0, :nx].copy()
 
     def _look(self, time: float) -> Measurement:

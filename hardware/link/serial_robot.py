@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hardware.arguments import number, text
+from hardware.arguments import check_number, check_text
 from hardware.connection import Connection, GateLimits, Measurement, RobotStatus
 from hardware.link.messages import EXCLUSIVE, Buttons, HelloAcknowledgement
 from hardware.link.port import NO_DEVICE, SerialPort, only_port
@@ -50,11 +50,11 @@ class SerialRobot(Robot):
         patience: float = PATIENCE,
         gate: GateLimits | Mapping[str, Any] | None = None,
     ) -> None:
-        self.name = text("serial robot: name", name)
+        self.name = check_text("serial robot: name", name)
         self.system = CAR
-        self.port = None if port is None else text("serial robot: port", port)
+        self.port = None if port is None else check_text("serial robot: port", port)
         self.tracker = _tracker(tracker)
-        self.patience = number("serial robot: patience", patience, above=0.0)
+        self.patience = check_number("serial robot: patience", patience, above=0.0)
         self.gate = GateLimits.read(gate)
 
     def check(self) -> None:
@@ -180,7 +180,7 @@ class SerialConnection(Connection):
             self._session.heard,
             status.clock_ms / 1000.0,
             status.state.name.lower(),
-            control_of(status.buttons),
+            control_of_buttons(status.buttons),
             status.counters,
         )
 
@@ -269,7 +269,7 @@ def buttons_of(control: Array) -> Buttons:
     return pressed
 
 
-def control_of(buttons: Buttons) -> Array:
+def control_of_buttons(buttons: Buttons) -> Array:
     """Return the control (2,) that closes ``buttons``. Raises `InvalidArgument` for a pair that excludes itself."""
     if any(buttons & pair == pair for pair in EXCLUSIVE):
         raise InvalidArgument(f"buttons: expected at most one of each pair, got {buttons!r}")

@@ -226,15 +226,15 @@ class Recorder(Closeable, Listener):
             },
         )
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         self._write(RecordKind.FRAME, pack_frame, measurement)
 
-    def commanded(self, command: Command) -> None:
+    def on_command(self, command: Command) -> None:
         status = self._status
         robot_time = math.nan if status is None else status.robot_time + command.time - status.time
         self._write(RecordKind.COMMAND, pack_command, TimedCommand(command, robot_time))
 
-    def reported(self, status: RobotStatus) -> None:
+    def on_status(self, status: RobotStatus) -> None:
         self._status = status
         self._write(RecordKind.STATUS, pack_status, status)
 

@@ -39,7 +39,7 @@ class JournalReader(Reader):
                 raise InvalidData(
                     f"{path.name}: column {name!r} is missing.{hint} The journal has: {', '.join(names)}."
                 )
-        log, rows = rows_of(journal)
+        log, rows = raw_log_and_frames(journal)
         values = np.column_stack([log.time, log.pose, log.controls])
         data = {name: values[:, names.index(name)].copy() for name in columns}
         return Table(path, rows, data)
@@ -64,11 +64,11 @@ def raw_log(journal: Journal, limits: GateLimits | None = None) -> RawLog:
     command is in force from when it was sent until the next, for 150 ms at most. Raises `InvalidData`
     if there are fewer than two rows.
     """
-    rows, _ = rows_of(journal, limits)
+    rows, _ = raw_log_and_frames(journal, limits)
     return rows
 
 
-def rows_of(journal: Journal, limits: GateLimits | None = None) -> tuple[RawLog, IntArray]:
+def raw_log_and_frames(journal: Journal, limits: GateLimits | None = None) -> tuple[RawLog, IntArray]:
     """Return `raw_log` and the numbers (N,) of its frames in the journal, counted from 1."""
     commands = [event.command for event in journal.commands]
     if commands and isinstance(journal.events[-1], TimedCommand):
@@ -109,7 +109,7 @@ def _believed(
             if verdict.accepted and event.source_time >= begin - CLOCK_TOLERANCE:
                 frames.append(event)
                 numbers.append(number)
-                broke.append(verdict.broke)
+                broke.append(verdict.new_track)
     return frames, np.array(numbers, dtype=np.int64), broke
 
 

@@ -37,10 +37,10 @@ LEAD = 0.5  # s without a command at the start, so that preparation, which cuts 
 HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
 
 
-def excitation(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
+def excitation_manoeuvres(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
     """Return manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
 
-    A system without a motion gets `signals`, in as many rounds as last some `ROUND` samples each. One with
+    A system without a motion gets `signal_scripts`, in as many rounds as last some `ROUND` samples each. One with
     a motion gets twelve manoeuvres that span how it drives without racing (paper, section 3): the first control is
     taken for the one that propels, the last for the one that steers; controls between them move in the random
     manoeuvres only. A continuous control uses its two limits and its neutral value. Manoeuvres for which a system
@@ -60,10 +60,10 @@ def excitation(system: System, *, duration: float = DURATION, rng: np.random.Gen
 
 def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
     """Return the signals as often as there is time for, numbered from the second round on."""
-    scripts = signals(system, rng)
+    scripts = signal_scripts(system, rng)
     rounds = round(duration / (len(scripts) * ROUND * system.dt))
     for number in range(2, rounds + 1):
-        scripts |= {f"{name}-{number}": script for name, script in signals(system, rng).items()}
+        scripts |= {f"{name}-{number}": script for name, script in signal_scripts(system, rng).items()}
     return scripts
 
 
@@ -174,7 +174,7 @@ SWEEP = 280
 """Samples that the sweeps of all controls take, one after the other; then they begin anew."""
 
 
-def signals(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
+def signal_scripts(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
     """Return an endless script for each signal, for systems that go nowhere; each has its own random numbers."""
     scripts: dict[str, Iterator[Segment]] = {}
     for mean in STEP_HOLDS:
@@ -254,7 +254,7 @@ SAMPLES = 80
 REST = 3.0  # s without a command after it, in which the body comes to rest
 
 
-def measuring(system: System, kind: str) -> list[Manoeuvre]:
+def measuring_manoeuvres(system: System, kind: str) -> list[Manoeuvre]:
     """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
 
     After Abbeel et al. (2006); `sysid_evo.data.response` reads the answers.

@@ -14,13 +14,13 @@ import numpy as np
 
 from hardware.connection import Connectable, Connection, GateLimits
 from hardware.control_loop import ControlLoop, Pilot, check_loop
-from hardware.estimator import NewestPose, StateEstimate
+from hardware.estimator import NewestPoseEstimator, StateEstimate
 from hardware.recording.journal import JOURNALS, SUFFIX, Recorder, check_journals, read_journal
 from hardware.recording.journal_reader import column_names, raw_log
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.run_report import LoopReport, Stops
+from hardware.run_report import LoopReport, StopRequest
 from sysid_evo.data import Dataset
-from sysid_evo.data.preparation import Prepared, RawLog, episodes_of, said_once
+from sysid_evo.data.preparation import PreparedLog, RawLog, episodes_of, said_once
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import Progress
@@ -31,7 +31,7 @@ PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordingResult:
     """What a recording left: its logs and data set, how its last run ended, what is to be said about it."""
 
     logs: tuple[RawLog, ...]
@@ -48,11 +48,11 @@ class RecordingJob:
 
     seed: int
     folder: Path | None = None
-    stops: Stops = field(default_factory=Stops)
+    stops: StopRequest = field(default_factory=StopRequest)
     progress: Progress | None = None
 
 
-def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
     """Drive these manoeuvres through the control loop, and prepare what was recorded, whole or not.
 
     Raises `LinkLost` or `InvalidData` if it is too short to make a data set of it.
@@ -60,23 +60,23 @@ def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job
     check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if job.folder is None else job.folder
-        report = record(robot, manoeuvres, place, seed=job.seed, stops=job.stops, progress=job.progress)
-        logs = logs_of(place, [manoeuvre.name for manoeuvre in manoeuvres])
+        report = record_journals(robot, manoeuvres, place, seed=job.seed, stop=job.stops, progress=job.progress)
+        logs = read_logs(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
-        return Recorded(tuple(logs), prepared(logs, robot.system), report)
+        return RecordingResult(tuple(logs), prepare_logs(logs, robot.system), report)
     except InvalidData as error:
         if report.reason.is_fault:
             raise LinkLost(f"{robot.name}: {report.sentence}; {error}") from error
         raise
 
 
-def record(
+def record_journals(
     robot: Connectable,
     manoeuvres: Sequence[Manoeuvre],
     folder: Path,
     *,
     seed: int,
-    stops: Stops | None = None,
+    stop: StopRequest | None = None,
     progress: Progress | None = None,
 ) -> LoopReport:
     """Drive each manoeuvre through the control loop into a journal of its own, ``folder/NAME.rcj``.
@@ -93,7 +93,7 @@ def record(
     check_journals(folder, [manoeuvre.name for manoeuvre in manoeuvres])
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
-    stops = Stops() if stops is None else stops
+    stop = StopRequest() if stop is None else stop
     # Journals wait for the disk when they close, which may take longer than a robot goes without a command.
     with ExitStack() as journals, ExitStack() as stack:
         connection: Connection | None = None
@@ -101,11 +101,11 @@ def record(
             if connection is None or robot.dynamics is not None:
                 stack.close()
                 own = np.random.SeedSequence(seed, spawn_key=(number,)).generate_state(1, np.uint64)
-                with stops.answer(robot.name, math.inf):
+                with stop.answer(robot.name, math.inf):
                     connection = stack.enter_context(robot.connect(seed=int(own[0])))
             else:
                 rest = Manoeuvre("rest", np.tile(robot.system.neutral_control, (round(PAUSE / robot.system.dt), 1)))
-                report = _run(connection, robot, rest, (), stops)
+                report = _run(connection, robot, rest, (), stop)
                 if report.reason.is_fault:
                     return report
             told = None if progress is None else _counter(progress, done, total)
@@ -113,7 +113,7 @@ def record(
             recorder = journals.enter_context(
                 Recorder(path, robot.system, robot=robot.name, limits=connection.gate_limits)
             )
-            report = _run(connection, robot, manoeuvre, (recorder,), stops, told)
+            report = _run(connection, robot, manoeuvre, (recorder,), stop, told)
             if recorder.problem is not None:
                 raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
             if report.reason.is_fault:
@@ -125,9 +125,9 @@ def record(
 class ManoeuvrePilot(Pilot):
     """Sends the controls of a manoeuvre one by one, whatever the robot does."""
 
-    def __init__(self, manoeuvre: Manoeuvre, told: Callable[[int], None] | None = None) -> None:
+    def __init__(self, manoeuvre: Manoeuvre, on_decision: Callable[[int], None] | None = None) -> None:
         self._controls = manoeuvre.controls
-        self._told = told
+        self._told = on_decision
 
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         if self._told is not None:
@@ -140,15 +140,15 @@ def _run(
     robot: Connectable,
     manoeuvre: Manoeuvre,
     listeners: Sequence[Recorder],
-    stops: Stops,
+    stop: StopRequest,
     told: Callable[[int], None] | None = None,
 ) -> LoopReport:
     loop = ControlLoop(
         connection,
         robot.system,
         listeners=listeners,
-        estimator=NewestPose(robot.system),
-        stops=stops,
+        estimator=NewestPoseEstimator(robot.system),
+        stop=stop,
     )
     return loop.run(ManoeuvrePilot(manoeuvre, told))
 
@@ -157,7 +157,7 @@ def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]
     return lambda samples: progress(done + samples, total)
 
 
-def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
+def read_logs(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
     """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run.
 
     ``limits`` are for another gate than the one a journal names.
@@ -173,9 +173,9 @@ def logs_of(folder: Path, names: Iterable[str], limits: GateLimits | None = None
     return logs
 
 
-def prepared(logs: Sequence[RawLog], system: System) -> Dataset:
+def prepare_logs(logs: Sequence[RawLog], system: System) -> Dataset:
     """Return the data set of ``logs``; a note names each that is too short. Raises `InvalidData` if all are."""
-    made: list[Prepared] = []
+    made: list[PreparedLog] = []
     left_out: list[str] = []
     for log in logs:
         try:
@@ -195,17 +195,17 @@ def store_journals(folder: Path, runs: Iterable[tuple[str, GateLimits | None]], 
     Each run has a name, and limits for another gate than the one its journal names. None if no journal holds a run.
     Raises `InvalidData` if all are too short.
     """
-    logs = [log for name, limits in runs for log in logs_of(folder / JOURNALS, [name], limits)]
+    logs = [log for name, limits in runs for log in read_logs(folder / JOURNALS, [name], limits)]
     if not logs:
         return None
     for log in logs:
-        save_raw(log, system, folder / "raw" / f"{log.name}.csv")
-    dataset = prepared(logs, system)
+        save_raw_log(log, system, folder / "raw" / f"{log.name}.csv")
+    dataset = prepare_logs(logs, system)
     dataset.save(folder)
     return dataset
 
 
-def save_raw(log: RawLog, system: System, path: str | Path) -> Path:
+def save_raw_log(log: RawLog, system: System, path: str | Path) -> Path:
     """Write ``log`` as CSV: ``t`` in s, then pose, controls and other columns under the names of ``system``."""
     header = ",".join((*column_names(system), *log.extra))
     table = np.column_stack([log.time, log.pose, log.controls, *log.extra.values()])

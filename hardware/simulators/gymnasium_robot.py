@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hardware.arguments import number, text
+from hardware.arguments import check_number, check_text
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from hardware.simulators.simulator_robot import SimulatorRobot
 from sysid_evo.angles import TURN, wrap
@@ -41,7 +41,7 @@ class GymnasiumRobot(SimulatorRobot):
     """
 
     requires: ClassVar[tuple[str, ...]] = ("gymnasium",)
-    simulator: Environment
+    simulator: GymnasiumSimulator
 
     def __init__(
         self,
@@ -53,19 +53,19 @@ class GymnasiumRobot(SimulatorRobot):
         dt: float | None = None,
         settings: Mapping[str, Any] | None = None,
     ) -> None:
-        text("robot gymnasium: id", id)
+        check_text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
         angle = None if angle is None else str(angle)
         self.usual_task = f'environment(id="{id}")'
         super().__init__(
-            Environment.describe(
+            GymnasiumSimulator.describe(
                 id, angle=angle, channels=channels, controls=controls, dt=dt, settings=dict(settings or {})
             )
         )
 
 
 @dataclass(frozen=True)
-class Environment(ExternalSimulator):
+class GymnasiumSimulator(ExternalSimulator):
     """The environment called ``name``, made with ``settings``: states and controls for observations and actions.
 
     One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
@@ -88,10 +88,10 @@ class Environment(ExternalSimulator):
         controls: str,
         dt: float | None,
         settings: Mapping[str, Any],
-    ) -> Environment:
+    ) -> GymnasiumSimulator:
         """Make the environment once, look at its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
         what, known = f"robot gymnasium({name})", KNOWN.get(name)
-        env = make(name, settings)
+        env = make_environment(name, settings)
         try:
             given = known.angle if angle is None and known is not None else angle or ""
             observations, states = observation_map(what, env.observation_space, given)
@@ -99,26 +99,26 @@ class Environment(ExternalSimulator):
             if known is not None and given == known.angle:
                 states, actions = known.states, known.controls
             if channels:
-                states = named(f"{what}: channels", channels, states)
+                states = named_channels(f"{what}: channels", channels, states)
             if controls:
-                actions = named(f"{what}: controls", controls, actions)
-            step = _dt(what, env) if dt is None else number(f"{what}: dt", dt, above=0.0)
+                actions = named_channels(f"{what}: controls", controls, actions)
+            step = _dt(what, env) if dt is None else check_number(f"{what}: dt", dt, above=0.0)
             system = System(states, actions, step, name=name)
             settable = known is not None or _keeps_its_states(env, observations)
             return cls(name, settings, system, observations, ActionMap(env.action_space, actions), settable)
         finally:
             env.close()
 
-    def open(self) -> EnvironmentSession:
-        return EnvironmentSession(self)
+    def open(self) -> GymnasiumSession:
+        return GymnasiumSession(self)
 
 
-class EnvironmentSession(SimulatorSession):
+class GymnasiumSession(SimulatorSession):
     """Episodes of one environment, one after the other."""
 
-    def __init__(self, environment: Environment) -> None:
+    def __init__(self, environment: GymnasiumSimulator) -> None:
         self._environment = environment
-        self._env = make(environment.name, environment.settings)
+        self._env = make_environment(environment.name, environment.settings)
 
     def reset(self, seed: int, at: Array | None = None) -> Array:
         observation, _ = self._env.reset(seed=int(seed) % LONGEST_SEED)
@@ -137,7 +137,7 @@ class EnvironmentSession(SimulatorSession):
         self._env.close()
 
 
-def make(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+def make_environment(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
     """Return the environment called ``name``. Raises `InvalidArgument` that says why there is none."""
     import gymnasium
 
@@ -358,7 +358,7 @@ class ActionMap:
         return (np.array(chosen) + first).astype(self.space.dtype)
 
 
-def named(what: str, given: str, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+def named_channels(what: str, given: str, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
     """Return ``channels`` under the names ``given``, separated by commas, each with its unit in brackets if it has one.
 
     Raises `InvalidArgument` for another number of names.

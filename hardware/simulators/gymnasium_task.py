@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hardware.simulators import gymnasium_rewards
-from hardware.simulators.gymnasium_robot import KNOWN, ActionMap, control_channels, make
+from hardware.simulators.gymnasium_robot import KNOWN, ActionMap, control_channels, make_environment
 from hardware.simulators.simulator import LONGEST_SEED
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, TaskKernel
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Rules:
+class KnownReward:
     """The reward of a step and when it is the last, see `rewards`.
 
     ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up. ``most``
@@ -38,28 +38,28 @@ class Rules:
     most: float = np.inf
 
 
-SWING = Rules(
+SWING = KnownReward(
     gymnasium_rewards.pendulum,
     gymnasium_rewards.never,
     -(np.pi**2 + 0.1 * gymnasium_rewards.FASTEST_SWING**2 + 0.001 * 4.0),
     200,
 )
 
-CLIMB = Rules(gymnasium_rewards.continuous_hill, gymnasium_rewards.on_continuous_hill, -0.1, 999)
+CLIMB = KnownReward(gymnasium_rewards.continuous_hill, gymnasium_rewards.on_continuous_hill, -0.1, 999)
 
-RULES: Mapping[str, Rules] = {
+RULES: Mapping[str, KnownReward] = {
     "Pendulum-v1": SWING,
-    "CartPole-v0": Rules(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 200, most=1.0),
-    "CartPole-v1": Rules(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 500, most=1.0),
-    "MountainCar-v0": Rules(gymnasium_rewards.hill, gymnasium_rewards.on_hill, -1.0, 200),
+    "CartPole-v0": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 200, most=1.0),
+    "CartPole-v1": KnownReward(gymnasium_rewards.one, gymnasium_rewards.fallen, 0.0, 500, most=1.0),
+    "MountainCar-v0": KnownReward(gymnasium_rewards.hill, gymnasium_rewards.on_hill, -1.0, 200),
     "MountainCarContinuous-v0": CLIMB,
-    "Acrobot-v1": Rules(gymnasium_rewards.acrobot, gymnasium_rewards.raised, -1.0, 500),
+    "Acrobot-v1": KnownReward(gymnasium_rewards.acrobot, gymnasium_rewards.raised, -1.0, 500),
 }
 """Those of the classic environments."""
 
 
 @dataclass(frozen=True)
-class Earned(TaskState):
+class EnvironmentTaskState(TaskState):
     """``earned`` (B,) is the sum of the rewards so far."""
 
     earned: Array
@@ -74,7 +74,7 @@ class EnvironmentTask(Task):
     every state: of an angle the sine and the cosine, of any other the distance from rest in units of its scale.
     The rewards of the classic environments are known as functions and compiled. Any other is put into each state and
     asked, which takes some hundred times as long; its attribute ``state`` must hold all that it depends on, in
-    the order of its states. What it rewards below ``least`` counts as that; by default a little less than what
+    the order of its states. What it rewards below ``lowest`` counts as that; by default a little less than what
     random steps showed. Raises `IncompatibleTask` for one that cannot be asked, `InvalidArgument`.
     """
 
@@ -85,15 +85,15 @@ class EnvironmentTask(Task):
         *,
         id: str = "Pendulum-v1",  # noqa: A002  # as the robot
         horizon: int | None = None,
-        least: float | None = None,
+        lowest: float | None = None,
     ) -> None:
         self.id, self.rules, self.known = id, RULES.get(id), KNOWN.get(id)
-        self.asked: Asked | None = None if self.rules is not None else Asked.of(id)
+        self.asked: QueriedReward | None = None if self.rules is not None else QueriedReward.of(id)
         found = self.rules or self.asked
         assert found is not None
-        if self.asked is not None and least is not None:
-            self.asked = found = replace(self.asked, least=least)
-        elif least is not None:
+        if self.asked is not None and lowest is not None:
+            self.asked = found = replace(self.asked, least=lowest)
+        elif lowest is not None:
             raise InvalidArgument(f"task environment: the least reward of {id} is known, {found.least:g}")
         self.horizon = found.horizon if horizon is None else horizon
         if self.horizon < 1:
@@ -141,10 +141,12 @@ class EnvironmentTask(Task):
         bound.observations = tuple(shown)
         return bound
 
-    def begin(self, seeds: Seeds) -> Earned:
-        states = starts(self.id, tuple(seeds.tolist()))
+    def begin(self, seeds: Seeds) -> EnvironmentTaskState:
+        states = initial_states(self.id, tuple(seeds.tolist()))
         alive = np.ones(len(seeds), dtype=bool)
-        return Earned(states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, np.zeros(len(seeds)))
+        return EnvironmentTaskState(
+            states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, np.zeros(len(seeds))
+        )
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
         columns = [np.ones(len(state))]
@@ -168,12 +170,12 @@ class EnvironmentTask(Task):
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
-        here = cast("Earned", task_state)
+        here = cast("EnvironmentTaskState", task_state)
         reward, over = self._judged(before, control, after)
         return replace(here, earned=here.earned + reward, alive=here.alive & ~over), after
 
     def fitness(self, task_state: TaskState) -> Array:
-        return cast("Earned", task_state).earned
+        return cast("EnvironmentTaskState", task_state).earned
 
     def kernel(self) -> TaskKernel[Any] | None:
         if self.rules is None:
@@ -188,9 +190,9 @@ class EnvironmentTask(Task):
                 gymnasium_rewards.advance, {"reward_of": self.rules.reward, "is_over": self.rules.over}
             ),
             n_rows=gymnasium_rewards.ROWS.size,
-            rows=lambda state: np.stack([cast("Earned", state).earned, state.alive.astype(np.float64)]),
+            rows=lambda state: np.stack([cast("EnvironmentTaskState", state).earned, state.alive.astype(np.float64)]),
             trial_data=lambda state: np.zeros((len(state.alive), 1)),
-            state=lambda state, rows: replace(cast("Earned", state), earned=rows[0], alive=rows[1] > 0.0),
+            state=lambda state, rows: replace(cast("EnvironmentTaskState", state), earned=rows[0], alive=rows[1] > 0.0),
             parameters=gymnasium_rewards.HEAD.pack(np.concatenate(states), nx=self.system.nx),
         )
 
@@ -223,9 +225,9 @@ def _lanes(values: Array) -> list[float]:
 
 
 @lru_cache(maxsize=16)
-def starts(name: str, seeds: tuple[int, ...]) -> Array:
+def initial_states(name: str, seeds: tuple[int, ...]) -> Array:
     """Return the state (E, nx) in which the environment ``name`` begins with each of the seeds; read-only."""
-    env = make(name, {})
+    env = make_environment(name, {})
     begun = []
     for seed in seeds:
         env.reset(seed=seed % LONGEST_SEED)
@@ -243,7 +245,7 @@ LONGEST = 500
 
 
 @dataclass(frozen=True)
-class Asked:
+class QueriedReward:
     """The environment called ``id``, whose attribute ``state`` (n,) holds all that its steps depend on.
 
     ``least`` is the lowest reward of some hundred random steps, and a tenth of their range less; ``scale`` (n,) how
@@ -257,9 +259,9 @@ class Asked:
     environment: gymnasium.Env[Any, Any]
 
     @classmethod
-    def of(cls, name: str) -> Asked:
+    def of(cls, name: str) -> QueriedReward:
         """Try the environment called ``name``. Raises `IncompatibleTask` if its reward cannot be asked for."""
-        env = make(name, {})
+        env = make_environment(name, {})
         inner: Any = env.unwrapped
         rng = np.random.default_rng(0)
         env.action_space.seed(0)

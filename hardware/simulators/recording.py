@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hardware.recording.record import Recorded, RecordingJob
-from hardware.run_report import LoopReport, Reason, Stops
+from hardware.recording.record import RecordingJob, RecordingResult
+from hardware.run_report import LoopReport, StopReason, StopRequest
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
@@ -28,7 +28,7 @@ SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" fo
 """Feedback is half of the recording."""
 
 
-def record_simulator(simulator: ExternalSimulator, duration: float, job: RecordingJob) -> Recorded:
+def record_simulator(simulator: ExternalSimulator, duration: float, job: RecordingJob) -> RecordingResult:
     """Excite ``simulator`` for ``duration`` s of its time and return what it showed.
 
     An eighth of the time goes to each of steps of three lengths, sine sweeps, and four times random feedback.
@@ -41,7 +41,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
     rng = np.random.default_rng(job.seed)
     episodes: list[Trajectory] = []
     tried: list[tuple[int, Array]] = []
-    reason, detail = Reason.SAMPLES, ""
+    reason, detail = StopReason.SAMPLES, ""
     try:
         with simulator.open() as session:
             for number, name in enumerate(SCRIPTS):
@@ -56,7 +56,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                     reason = stops.reason
                     break
     except LinkLost as error:
-        reason, detail = stops.reason or Reason.LINK_LOST, str(error)
+        reason, detail = stops.reason or StopReason.LINK_LOST, str(error)
     report = LoopReport(reason, detail, np.zeros(0), np.zeros(0))
     if reason.is_fault and not episodes:
         raise LinkLost(f"{simulator.name}: {report.sentence}; nothing was recorded")
@@ -64,7 +64,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
         raise InvalidData(
             f"{simulator.name}: every episode ended within {SHORTEST} steps, so that nothing was recorded"
         )
-    return Recorded((), Dataset(system, tuple(episodes)), report)
+    return RecordingResult((), Dataset(system, tuple(episodes)), report)
 
 
 def samples_each(simulator: ExternalSimulator, duration: float) -> int:
@@ -85,7 +85,7 @@ def _script(
     episodes: list[Trajectory],
     tried: list[tuple[int, Array]],
     rng: np.random.Generator,
-) -> Script:
+) -> ExcitationScript:
     system = simulator.system
     kind, _, which = name.partition("-")
     if kind == "steps":
@@ -99,11 +99,11 @@ def _script(
 def _episodes(
     session: SimulatorSession,
     simulator: ExternalSimulator,
-    script: Script,
+    script: ExcitationScript,
     steps: int,
     rng: np.random.Generator,
     counted: Callable[[int], None],
-    stops: Stops,
+    stops: StopRequest,
 ) -> Iterator[tuple[list[Array], list[Array]]]:
     """Yield states and controls of one episode after the other, ``steps`` in all, fewer if it is stopped."""
     system, done, lasted = simulator.system, 0, 0
@@ -139,7 +139,7 @@ FEW, AGAIN, NEAR = 20, 0.5, 0.1
 """Feedbacks tried before one comes again, the share of episodes in which one does, and how far its weights move."""
 
 
-class Script(ABC):
+class ExcitationScript(ABC):
     """Gives one control after the other, for ever: numbers in [-1, 1] for `System.actuate`."""
 
     @abstractmethod
@@ -151,7 +151,7 @@ class Script(ABC):
         """Return the next control (nu,), in ``state`` (nx,)."""
 
 
-class RandomSteps(Script):
+class RandomSteps(ExcitationScript):
     """Every control jumps to a value at random times, each for itself; one time in three to one of its limits."""
 
     def __init__(self, system: System, mean: float, rng: np.random.Generator) -> None:
@@ -171,7 +171,7 @@ class RandomSteps(Script):
         return np.where(self._rng.random(count) < 1.0 / 3.0, np.sign(inner), inner)
 
 
-class SineSweep(Script):
+class SineSweep(ExcitationScript):
     """Sines that grow faster, from one period in 100 samples to one in 4, each control at its own phase and height."""
 
     def __init__(self, system: System, rng: np.random.Generator) -> None:
@@ -191,7 +191,7 @@ class SineSweep(Script):
         return value
 
 
-class RandomFeedback(Script):
+class RandomFeedback(ExcitationScript):
     """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
 
     A system whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under

@@ -20,7 +20,7 @@ from sysid_evo.data import Trajectory
 from sysid_evo.engine import Rollouts, results
 from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.randomness import CONTROLLER_STREAM, step_noise
+from sysid_evo.randomness import CONTROLLER_STREAM, draw_for_steps
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
@@ -126,8 +126,8 @@ class _Trials:
     def run(self, record: bool) -> None:
         """Step until every trial is over."""
         memory = np.zeros((*self.grid, self.controller.n_memory))
-        noise = step_noise(self.seeds, self.task.horizon, self.controller.n_noise, CONTROLLER_STREAM)
-        centre = results.neutral(self.system)
+        noise = draw_for_steps(self.seeds, self.task.horizon, self.controller.n_noise, CONTROLLER_STREAM)
+        centre = results.neutral_values(self.system)
         over = np.zeros(len(self.state), dtype=bool)
         for k in range(self.task.horizon):
             going = self.task_state.alive & ~over & ~self.diverged
@@ -139,11 +139,11 @@ class _Trials:
             raw, memory = self.controller.act(self.parameters, memory, view)
             control = self.system.actuate(raw.reshape(len(self.state), self.system.nu))
             if results.sampled(k):
-                self.counts += results.sides(self.state, control, centre) & going[:, None]
+                self.counts += results.above_and_below(self.state, control, centre) & going[:, None]
             after, ended = self._step(control, going)
             going = going & ~self.diverged
             advanced, _ = self.task.advance(self.task_state, self.state, after, control=control)
-            self.task_state = self.task_state.keep(advanced, going)
+            self.task_state = self.task_state.updated_where(advanced, going)
             self.state = np.where(going[:, None], after, self.state)
             over |= ended
             self.survived += going
@@ -159,7 +159,7 @@ class _Trials:
             after[i], _, over, late = self.sessions[i].step(control[i])
             ended[i] = over or late
         self.diverged |= ~np.isfinite(after).all(axis=1)
-        return self.system.near(np.where(np.isfinite(after), after, self.state), self.state), ended
+        return self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state), ended
 
     def trajectories(self) -> list[Trajectory]:
         """Return what was recorded of the trials that made a step."""
@@ -181,7 +181,7 @@ class _Trials:
 
 def _joined(parts: list[_Trials], trials: int, record: bool) -> Rollouts:
     survived = np.concatenate([part.survived for part in parts]).reshape(-1, trials)
-    described = [results.shares(part.counts, part.survived, part.diverged) for part in parts]
+    described = [results.time_shares(part.counts, part.survived, part.diverged) for part in parts]
     return Rollouts(
         fitness=np.concatenate([part.fitness() for part in parts]).reshape(-1, trials),
         survived=survived,

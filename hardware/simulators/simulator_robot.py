@@ -10,10 +10,10 @@ import numpy as np
 
 from hardware.connection import Connection
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import Recorded, RecordingJob
+from hardware.recording.record import RecordingJob, RecordingResult
 from hardware.robot import Robot, fastest
-from hardware.run_report import Stops
-from hardware.self_test import SelfTestFinding, described
+from hardware.run_report import StopRequest
+from hardware.self_test import SelfTestFinding, describe_channel
 from hardware.simulators.recording import record_simulator, samples_each
 from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorRunner
 from sysid_evo.data.units import spelled_range
@@ -52,22 +52,22 @@ class SimulatorRobot(Robot):
             session.reset(0)
             return fastest(step)
 
-    def look_at(
-        self, *, seconds: float, seed: int | None = None, stops: Stops | None = None
+    def self_test(
+        self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
         """Say what its channels are, and how its episodes go under random controls for ``seconds`` of its own time."""
-        return examine(self.simulator, seconds=seconds, seed=seed or 0, stops=stops)
+        return simulator_findings(self.simulator, seconds=seconds, seed=seed or 0, stop=stop)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
         """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
         samples_each(self.simulator, duration)
         return []
 
-    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> Recorded:
+    def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
         """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
         raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
 
-    def _record_excitation(self, duration: float, job: RecordingJob) -> Recorded:
+    def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
         """Excite the simulator for ``duration`` s of its own time; there are no journals for the job's folder."""
         return record_simulator(self.simulator, duration, job)
 
@@ -76,32 +76,32 @@ FEWEST = 200
 """Steps that are tried at least."""
 
 
-def examine(
-    simulator: ExternalSimulator, *, seconds: float, seed: int, stops: Stops | None = None
+def simulator_findings(
+    simulator: ExternalSimulator, *, seconds: float, seed: int, stop: StopRequest | None = None
 ) -> tuple[SelfTestFinding, ...]:
     """Step the simulator under random controls for ``seconds`` of its time; a stop from outside ends it."""
     system = simulator.system
-    states, controls = (", ".join(map(described, channels)) for channels in (system.states, system.controls))
+    states, controls = (", ".join(map(describe_channel, channels)) for channels in (system.states, system.controls))
     sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it waits to be told to step."
     rng, steps = np.random.default_rng(seed), max(FEWEST, round(seconds / system.dt))
     lengths, seen, rewards = [0], [], []
     began = time.perf_counter()
-    stops = Stops() if stops is None else stops
+    stop = StopRequest() if stop is None else stop
     with simulator.open() as session:
-        with stops.answer(simulator.name):
+        with stop.answer(simulator.name):
             seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
         for _ in range(steps):
-            if stops.reason is not None:
+            if stop.reason is not None:
                 break
             control = system.actuate(rng.uniform(-1.0, 1.0, system.nu))
-            with stops.answer(simulator.name):
+            with stop.answer(simulator.name):
                 state, reward, ended, late = session.step(control)
             lengths[-1] += 1
             seen.append(state)
             rewards.append(reward)
             if ended or late:
                 lengths.append(0)
-                with stops.answer(simulator.name):
+                with stop.answer(simulator.name):
                     seen.append(session.reset(int(rng.integers(LONGEST_SEED))))
     took = time.perf_counter() - began
     low, high = np.min(seen, axis=0), np.max(seen, axis=0)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
-from hardware.arguments import flag, number, text, whole
+from hardware.arguments import check_flag, check_integer, check_number, check_text
 from hardware.connection import Measurement
 from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import Axes, SourceClock
@@ -49,9 +49,9 @@ class MotionCaptureTracker(ProcessTracker):
     polls: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        text(f"tracker {self.kind}: body", self.body)
-        text(f"tracker {self.kind}: host", self.host)
-        number(f"tracker {self.kind}: latency", self.latency, least=0.0)
+        check_text(f"tracker {self.kind}: body", self.body)
+        check_text(f"tracker {self.kind}: host", self.host)
+        check_number(f"tracker {self.kind}: latency", self.latency, minimum=0.0)
         self._axes()
 
     @property
@@ -140,11 +140,11 @@ class NatNetTracker(ProcessTracker):
 
     def __post_init__(self) -> None:
         for name in ("body", "server", "local", "multicast_address"):
-            text(f"tracker natnet: {name}", getattr(self, name))
+            check_text(f"tracker natnet: {name}", getattr(self, name))
         for name in ("command_port", "data_port"):
-            whole(f"tracker natnet: {name}", getattr(self, name), least=1, most=65535)
-        flag("tracker natnet: multicast", self.multicast)
-        number("tracker natnet: latency", self.latency, least=0.0)
+            check_integer(f"tracker natnet: {name}", getattr(self, name), minimum=1, maximum=65535)
+        check_flag("tracker natnet: multicast", self.multicast)
+        check_number("tracker natnet: latency", self.latency, minimum=0.0)
         self._axes()
 
     def frames(self) -> Iterator[Measurement | None]:

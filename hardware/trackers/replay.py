@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.arguments import number, text
+from hardware.arguments import check_number, check_text
 from hardware.connection import Measurement
 from hardware.recording.journal import SUFFIX, read_journal
 from hardware.trackers.process import ProcessTracker
 from hardware.trackers.tracker import TrackerStream
-from sysid_evo.data.readers import reader_for
+from sysid_evo.data.readers import find_reader
 from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 
@@ -39,9 +39,9 @@ class ReplayTracker(ProcessTracker):
     name = "replay"
 
     def __post_init__(self) -> None:
-        text("tracker replay: body", self.body)
-        text("tracker replay: path", self.path)
-        number("tracker replay: speed", self.speed, least=0.0)
+        check_text("tracker replay: body", self.body)
+        check_text("tracker replay: path", self.path)
+        check_number("tracker replay: speed", self.speed, minimum=0.0)
 
     def check(self) -> None:
         super().check()
@@ -98,7 +98,7 @@ def logged(path: Path, body: str) -> list[Measurement]:
         if not frames:
             raise LinkLost(f"tracker replay: no frame of {body!r} in {path.name}")
         return frames
-    columns = reader_for(path).read(path, COLUMNS).columns
+    columns = find_reader(path).read(path, COLUMNS).columns
     times = columns["t"]
     if np.any(np.diff(times) <= 0.0):
         raise InvalidData(f"{path.name}, column 't': expected rising times")

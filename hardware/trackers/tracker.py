@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from hardware.arguments import choice, number
+from hardware.arguments import check_choice, check_number
 from hardware.connection import Closeable, Measurement
 from sysid_evo.extras import check_installed
 from sysid_evo.types import Array
@@ -68,9 +68,9 @@ class Axes:
     heading_offset: float = 0.0
 
     def __post_init__(self) -> None:
-        choice("tracker: up", self.up, ("y", "z"))
-        number("tracker: scale", self.scale, above=0.0)
-        number("tracker: heading_offset", self.heading_offset)
+        check_choice("tracker: up", self.up, ("y", "z"))
+        check_number("tracker: scale", self.scale, above=0.0)
+        check_number("tracker: heading_offset", self.heading_offset)
 
     def planar(self, position: Sequence[float], rotation: Sequence[float]) -> Array:
         """Return x, y in m and heading in [-pi, pi) of a body at ``position`` turned by ``rotation`` (x, y, z, w)."""

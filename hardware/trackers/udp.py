@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hardware.arguments import choice, text, whole
+from hardware.arguments import check_choice, check_integer, check_text
 from hardware.connection import Measurement
 from hardware.trackers.tracker import SourceClock, Tracker, TrackerStream
 from sysid_evo.errors import InvalidData, LinkLost
@@ -44,12 +44,12 @@ class UdpTracker(Tracker):
     name = "udp"
 
     def __post_init__(self) -> None:
-        text("tracker udp: body", self.body)
-        whole("tracker udp: port", self.port, least=0, most=65535)
-        text("tracker udp: host", self.host)
-        choice("tracker udp: clock", self.clock, ("source", "host"))
+        check_text("tracker udp: body", self.body)
+        check_integer("tracker udp: port", self.port, minimum=0, maximum=65535)
+        check_text("tracker udp: host", self.host)
+        check_choice("tracker udp: clock", self.clock, ("source", "host"))
         if self.sender is not None:
-            text("tracker udp: sender", self.sender)
+            check_text("tracker udp: sender", self.sender)
 
     def open(self) -> UdpStream:
         """Listen; frames may begin at any time. Raises `LinkLost` if the port is taken or the host is not ours."""

@@ -87,7 +87,7 @@ SHIPPED = _shipped()
 """What is tried unless candidates are named, the most telling for their time first."""
 
 
-def offered(system: System) -> tuple[list[Candidate], list[str]]:
+def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
     """Return the candidates for ``system`` in their order, and why others are none.
 
     Registered families that declare a ``structure`` and are not among the shipped come first.
@@ -98,7 +98,7 @@ def offered(system: System) -> tuple[list[Candidate], list[str]]:
     ]
 
 
-def named(texts: Sequence[str]) -> list[Candidate]:
+def candidates_named(texts: Sequence[str]) -> list[Candidate]:
     """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults.
 
     Raises what the registry says of wrong names, and `InvalidArgument` for `auto` itself.
@@ -118,7 +118,7 @@ def named(texts: Sequence[str]) -> list[Candidate]:
 def unusable(candidate: Candidate, system: System) -> str:
     """Return why a candidate cannot describe ``system`` or cannot run here; empty if it can."""
     try:
-        lacking = models.lacking(candidate.spec.name)
+        lacking = models.missing_package(candidate.spec.name)
         if lacking is not None:
             return str(lacking)
         model = candidate.model()

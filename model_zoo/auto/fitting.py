@@ -57,7 +57,7 @@ class FitOutcome:
     reason: str = ""
 
 
-class Stopped(BaseException):
+class FitInterrupted(BaseException):
     """Carries what a `Progress` raised past those who take every exception of a candidate for its failure."""
 
     def __init__(self, cause: BaseException) -> None:
@@ -66,7 +66,7 @@ class Stopped(BaseException):
 
 
 def fitted(task: FitTask, progress: Progress | None = None) -> FitOutcome:
-    """Return what becomes of ``task``. Raises only `Stopped`, and what stops a program."""
+    """Return what becomes of ``task``. Raises only `FitInterrupted`, and what stops a program."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what a candidate warns of is no concern of who asked for their mean
@@ -105,7 +105,7 @@ class FitWork:
                 for task, outcome in ended:
                     found[task.key] = outcome
                     self._advance(task.cost)
-        except Stopped as stopped:
+        except FitInterrupted as stopped:
             raise stopped.cause from None
         return found
 
@@ -129,7 +129,7 @@ class FitWork:
         try:
             self._progress(min(int(done), self._total), self._total)
         except BaseException as error:  # handed on as it is, past those who take every exception for a failed fit
-            raise Stopped(error) from None
+            raise FitInterrupted(error) from None
 
 
 def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, FitOutcome], None, None]:

@@ -9,19 +9,19 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.auto.candidates import Candidate, named, offered, plugins, unusable
+from model_zoo.auto.candidates import Candidate, candidates_for, candidates_named, plugins, unusable
 from model_zoo.auto.fitting import FitWork
-from model_zoo.auto.selection import CandidateChoice, Choosing, structure_of, weights_of
+from model_zoo.auto.selection import CandidateChoice, CandidateSelection, structure_of, weights_of
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.models.adaptation import held_out_error
-from sysid_evo.models.ensemble import MeanOfMembers
+from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.parameters import Limit, Searched, Within, above, at_least
+from sysid_evo.models.parameters import Limit, SearchRange, Within, above, at_least
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import HeldOutTest, Judge, history_of, horizons_of
+from sysid_evo.validation.folds import make_folds
+from sysid_evo.validation.simulation_error import HeldOutTest, Scorer, history_of, horizons_of
 
 HORIZONS = [10, 20, 60]
 PROCESSORS = 2
@@ -31,14 +31,14 @@ SHARE = 0.85
 
 
 @register_model("auto")
-class Auto(MeanOfMembers):
+class Auto(MeanModel):
     """The mean of the next states of the candidates that run free best on what was held out.
 
     Every candidate (a family with lags and parameters) learns from what is left of the recordings when a group of them
     is held out, ``folds`` times (blocks of time where there is one recording), and runs free there. Its error is that
     after ``horizons`` steps (10, 20, 60): RMSE / standard deviation, the mean over states and horizons. What is far
     behind the first time (1.25 times the gate, and significantly) is not tried again. What fails or diverges is dropped
-    with its reason, and so is what is more than ``gate`` times as far off as the best; the gate is narrowed where the
+    with its reason, and so is what is more than ``cutoff`` times as far off as the best; the gate is narrowed where the
     mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
     the best stays (paired bootstrap). A state space that stands well is trained fully, of a Gaussian process that does
     three are averaged, and each takes the place of the first one if it is better. Those kept learn again from all data;
@@ -61,38 +61,38 @@ class Auto(MeanOfMembers):
 
     knowledge = "grey"
     periodic = True
-    chooses = True
+    chooses_families = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"budget": 60.0}, "paper": {"budget": 900.0}}
-    searched: ClassVar[dict[str, Searched]] = {"gate": Within(1.0, 2.0)}
+    search_ranges: ClassVar[dict[str, SearchRange]] = {"cutoff": Within(1.0, 2.0)}
     limits: ClassVar[dict[str, Limit]] = {
         "budget": above(0),
-        "gate": at_least(1),
+        "cutoff": at_least(1),
         "horizons": at_least(1),
         "folds": at_least(1),
     }
 
     budget: float = 300.0
     candidates: list[str] | None = None
-    gate: float = 1.25
+    cutoff: float = 1.25
     horizons: list[int] | None = None
     folds: int = 3
     stochastic: bool = False
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        pairs = folds_of(dataset, self.folds)
+        pairs = make_folds(dataset, self.folds)
         tried, left_out = self._tried(dataset)
         if not tried:
             raise IncompatibleSystem(f"auto: expected a candidate for this system, got none: {'; '.join(left_out)}")
         horizons = horizons_of(pairs, self.horizons or HORIZONS)
         history = history_of(pairs, horizons)
-        judge = Judge.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
+        judge = Scorer.of(dataset, [HeldOutTest.of(held, horizons, history) for _, held in pairs])
         seeds = rng.integers(2**32, size=(len(tried), len(pairs) + 1))
         budget = PROCESSORS * SHARE * self.budget if self.candidates is None else math.inf
         costs = sum(one.cost(dataset.system, dataset.n_steps, len(pairs)) for one in tried)
         work = FitWork(progress, min(budget, costs))
-        choice = Choosing(dataset, pairs, judge, tried, seeds, budget, work).choice(self.gate, self._mean)
+        choice = CandidateSelection(dataset, pairs, judge, tried, seeds, budget, work).choice(self.cutoff, self._mean)
         shares = weights_of([structure_of(own[0]) for own in choice.models])
         each = [np.full(len(own), share / len(own)) for own, share in zip(choice.models, shares, strict=True)]
         self.become([model for own in choice.models for model in own], np.concatenate(each))
@@ -110,8 +110,8 @@ class Auto(MeanOfMembers):
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
         """Return the candidates, and why others are not among them. Raises what the registry says of wrong names."""
         if self.candidates is None:
-            return offered(dataset.system)
-        reasons = [(one, unusable(one, dataset.system)) for one in named(self.candidates)]
+            return candidates_for(dataset.system)
+        reasons = [(one, unusable(one, dataset.system)) for one in candidates_named(self.candidates)]
         return [one for one, reason in reasons if not reason], [
             f"{o.name}: {reason}" for o, reason in reasons if reason
         ]
@@ -120,8 +120,8 @@ class Auto(MeanOfMembers):
         """Return the mean of models that learned from the same part of the data."""
         return self.of(models, weights_of([structure_of(model) for model in models]))
 
-    def uses(self) -> tuple[str, ...]:
-        tried = plugins() if self.candidates is None else named(self.candidates)
+    def families_used(self) -> tuple[str, ...]:
+        tried = plugins() if self.candidates is None else candidates_named(self.candidates)
         return tuple(dict.fromkeys(one.spec.name for one in tried))
 
     def learned_arrays(self) -> Mapping[str, Declared]:
@@ -131,7 +131,7 @@ class Auto(MeanOfMembers):
             "means_": Numbers("gates", 2, infinite=True, optional=True),
         }
 
-    def standing(self) -> list[dict[str, str]]:
+    def candidate_ranking(self) -> list[dict[str, str]]:
         """Return a row for every candidate, the best first: its held-out error, its weight, and what it is."""
         found = CandidateRanking.known_to(self)
         return [] if found is None else found.rows()
@@ -161,7 +161,7 @@ class CandidateRanking:
     gate: float
     means: Array
     ahead: list[float]
-    judged_on: str
+    evaluated_on: str
 
     @classmethod
     def of(
@@ -195,7 +195,7 @@ class CandidateRanking:
             gate=choice.passed.gate,
             means=np.array(choice.passed.compared),
             ahead=[float(value) for value in ahead],
-            judged_on=held_out_in_words(pairs),
+            evaluated_on=held_out_in_words(pairs),
         )
 
     def learned(self) -> dict[str, Any]:
@@ -205,7 +205,7 @@ class CandidateRanking:
     @classmethod
     def known_to(cls, model: Any) -> Self | None:
         """Undo `learned`: return how the candidates stood when ``model`` was fitted; None before that."""
-        if not hasattr(model, "judged_on_"):
+        if not hasattr(model, "evaluated_on_"):
             return None
         return cls(**{name: getattr(model, f"{name}_") for name in cls.__dataclass_fields__})
 
@@ -230,7 +230,7 @@ class CandidateRanking:
         ]
         text = (
             f"kept {len(kept)} of {len(self.candidates)} candidates and is their mean: {', '.join(kept)}; judged by "
-            f"free runs of {', '.join(map(str, self.horizons))} steps on {self.judged_on}, kept up to "
+            f"free runs of {', '.join(map(str, self.horizons))} steps on {self.evaluated_on}, kept up to "
             f"{self.gate:.2f} x the lowest error; the mean of those within "
             + ", ".join(f"{gate:.2f} x has {error:.3f}" for gate, error in self.means)
         )

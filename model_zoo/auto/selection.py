@@ -15,13 +15,13 @@ from model_zoo.auto.fitting import FitOutcome, FitTask, FitWork
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.models.ensemble import MeanOfMembers
+from sysid_evo.models.ensemble import MeanModel
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.acceptance import inside
-from sysid_evo.validation.simulation_error import Errors, Judge
+from sysid_evo.validation.simulation_error import Errors, Scorer
 
-MOST_DIVERGED = 0.05
-"""Share of the free runs of a candidate that may end at its envelope."""
+MAX_DIVERGED = 0.05
+"""Share of the free runs of a candidate that may end at its state_bounds."""
 HOPELESS = 1.25
 """Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
 
@@ -45,13 +45,13 @@ class CandidateChoice:
     errors: list[Errors | None]
     reasons: list[str]
     kept: list[int]
-    passed: Passed
+    passed: CutoffComparison
     models: list[list[DynamicsModel]]
     rough: list[list[DynamicsModel]]
 
 
 @dataclass(frozen=True)
-class Choosing:
+class CandidateSelection:
     """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits.
 
     As many are tried as ``budget`` seconds of one processor are expected to be enough for: no clock decides, so that
@@ -60,7 +60,7 @@ class Choosing:
 
     dataset: Dataset
     pairs: Sequence[tuple[Dataset, Dataset]]
-    judge: Judge
+    judge: Scorer
     candidates: Sequence[Candidate]
     seeds: IntArray
     budget: float
@@ -203,7 +203,7 @@ class Choosing:
             )
 
 
-def judged(rough: Sequence[Sequence[FitOutcome]], judge: Judge) -> tuple[list[Errors | None], list[str]]:
+def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[Errors | None], list[str]]:
     """Return the errors of every candidate (None if a fit failed), and why it is not to be used (empty if it is).
 
     Where all diverge, the least bad are used all the same.
@@ -217,7 +217,7 @@ def judged(rough: Sequence[Sequence[FitOutcome]], judge: Judge) -> tuple[list[Er
         share = max(outcome.diverged for outcome in folds)
         if found is not None and not np.isfinite(found.mean):
             found, reason = None, "its free runs are not finite"
-        elif found is not None and share > MOST_DIVERGED:
+        elif found is not None and share > MAX_DIVERGED:
             reason = f"{100 * share:.0f} % of its free runs diverge"
         errors.append(found)
         reasons.append(reason)
@@ -233,7 +233,7 @@ AS_GOOD = 0.01
 
 
 @dataclass(frozen=True)
-class Passed:
+class CutoffComparison:
     """The ``gate`` that was taken, and the error of the mean of all that are inside each of those compared."""
 
     gate: float
@@ -253,7 +253,7 @@ def weights_of(structures: Sequence[str]) -> Array:
 
 def chosen(
     errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
-) -> tuple[list[int], Passed]:
+) -> tuple[list[int], CutoffComparison]:
     """Return the numbers of the candidates that are kept, and how the gates compared.
 
     The gate is narrowed where the mean of those inside it, which ``mean_error`` tells, is worse than that of fewer: the
@@ -270,7 +270,7 @@ def chosen(
     compared = {one: found[tuple(group)] for one, group in groups.items()}
     lowest = min(compared.values())
     taken = next(one for one, error in compared.items() if error <= (1.0 + AS_GOOD) * lowest)
-    return groups[taken], Passed(taken, tuple(compared.items()))
+    return groups[taken], CutoffComparison(taken, tuple(compared.items()))
 
 
 def affordable(costs: Mapping[int, float], left: float) -> list[int]:
@@ -290,10 +290,10 @@ def structure_of(model: DynamicsModel) -> str:
     its members if it is one. A family that declares none counts as physics if it assumes a good deal of it, and as
     another structure if it does not.
     """
-    if isinstance(model, MeanOfMembers):
+    if isinstance(model, MeanModel):
         inside = {structure_of(member) for member in model.members_}
         return inside.pop() if len(inside) == 1 else "several structures"
-    declared = type(model).structure or ("physics" if model.knowledge in ("grey", "white") else "other")
+    declared = type(model).model_class or ("physics" if model.knowledge in ("grey", "white") else "other")
     if declared != "network":
         return declared
     return "network with lags" if model.n_carry > model.system.nx else "network without lags"

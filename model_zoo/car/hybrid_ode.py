@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 
-from model_zoo.car.planar_car import CarFamily, CarRoles, accelerations, car_rate, positive_part
-from model_zoo.networks.network import Single
+from model_zoo.car.planar_car import CarRoles, PlanarCarModel, accelerations, car_rate, positive_part
+from model_zoo.networks.network import Array32
 from model_zoo.networks.neural_ode import NeuralOde, NeuralOdeHistory
 from sysid_evo import register_model
 from sysid_evo.models.kernels import Predictor
@@ -15,7 +15,7 @@ from sysid_evo.types import Array, check_shape
 
 
 @register_model("hybrid_ode")
-class HybridOde(NeuralOde, CarFamily):
+class HybridOde(NeuralOde, PlanarCarModel):
     """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
 
     The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
@@ -32,7 +32,7 @@ class HybridOde(NeuralOde, CarFamily):
     """
 
     knowledge = "grey"
-    structure = "physics"
+    model_class = "physics"
     presets: ClassVar[dict[str, dict[str, Any]]] = NeuralOdeHistory.presets
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
@@ -58,12 +58,12 @@ class HybridOde(NeuralOde, CarFamily):
         )
         return Predictor(car_rate, parameters, n_scratch=0)
 
-    def physics(self) -> CarPhysics:
-        return CarPhysics(self.roles)
+    def physics(self) -> CarRateGradient:
+        return CarRateGradient(self.roles)
 
 
 @final
-class CarPhysics:
+class CarRateGradient:
     """The known part of dx/dt of `HybridOde`, under controls that are given before the steps begin.
 
     What the controls do is worked out once for all steps: the thrust (H, ...), and the yaw acceleration per forward
@@ -73,7 +73,7 @@ class CarPhysics:
     def __init__(self, roles: CarRoles) -> None:
         self.forward, self.lateral, self.yaw_rate, self.drive, self.steer = roles
 
-    def hold(self, controls: Single, parameters: Single) -> None:
+    def hold(self, controls: Array32, parameters: Array32) -> None:
         """Expect these ``controls`` (H, ..., nu) and ``parameters`` (9,)."""
         drive, steer = controls[..., self.drive], controls[..., self.steer]
         self.controlled = [positive_part(sign * control) for control in (drive, steer) for sign in (1.0, -1.0)]
@@ -82,7 +82,7 @@ class CarPhysics:
         self.turning = parameters[2] * left - parameters[3] * right
         self.drags = parameters[4:]
 
-    def rate(self, step: int, state: Single) -> Single:
+    def rate(self, step: int, state: Array32) -> Array32:
         u, r, (d_ul, d_uv, d_rl, d_rv, d_v) = state[..., self.forward], state[..., self.yaw_rate], self.drags
         found = np.zeros_like(state)
         found[..., self.forward] = self.thrust[step] - u * (d_ul + d_uv * np.abs(u))
@@ -91,7 +91,7 @@ class CarPhysics:
             found[..., self.lateral] = -d_v * state[..., self.lateral]
         return found
 
-    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+    def by_state(self, step: int, state: Array32, gradient: Array32) -> Array32:
         u, r, (d_ul, d_uv, d_rl, d_rv, d_v) = state[..., self.forward], state[..., self.yaw_rate], self.drags
         along, turn = gradient[..., self.forward], gradient[..., self.yaw_rate]
         found = np.zeros_like(state)
@@ -101,7 +101,7 @@ class CarPhysics:
             found[..., self.lateral] = -d_v * gradient[..., self.lateral]
         return found
 
-    def by_parameters(self, states: Single, gradients: Single) -> Single:
+    def by_parameters(self, states: Array32, gradients: Array32) -> Array32:
         u, r = states[..., self.forward], states[..., self.yaw_rate]
         along, turn = gradients[..., self.forward], gradients[..., self.yaw_rate]
         ahead, back, left, right = (part[:, None] for part in self.controlled)  # the same in all calls of a step

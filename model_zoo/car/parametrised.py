@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.car.planar_car import PHYSICAL, CarFamily, CarRoles, accelerations, equation_one
+from model_zoo.car.planar_car import PHYSICAL, CarRoles, PlanarCarModel, accelerations, equation_one
 from sysid_evo import Dataset, register_model
 from sysid_evo.evolution import ModelEvolution
 from sysid_evo.evolution.model_evolution import Weights
@@ -15,7 +15,7 @@ from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.kernels import Predictor
 from sysid_evo.models.learned import Declared
 from sysid_evo.models.parameters import Limit, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Progress
 from sysid_evo.types import Array, check_shape
 
@@ -29,7 +29,7 @@ PARAMETERS = (
 
 
 @register_model("parametrised")
-class Parametrised(CarFamily, Uncertain):
+class Parametrised(PlanarCarModel, StochasticModel):
     """A car with thrust, steering, drag, static friction and top speeds; lateral speed is neglected.
 
     With forward speed u, yaw rate r, drive u1 and steer u2 (+1 = left, the paper's sign turned)::
@@ -41,32 +41,32 @@ class Parametrised(CarFamily, Uncertain):
     lateral speed is zero (Equation 1, read by its intent). The twelve parameters are encoded in
     units of the data's own scale and evolved with ``generations`` of a 50+50 strategy on the error
     after ``horizon`` steps from ``windows`` random starts, every state divided by its standard deviation;
-    in the states' own units with ``weights="paper"``, the preset of that name.
+    in the states' own units with ``error_units="paper"``, the preset of that name.
 
     ``drive`` and ``steer`` name the controls with these roles. With ``control_lags`` the equation is
     driven by the command of that many samples ago, a dead time (none in the paper).
     """
 
     knowledge = "grey"
-    structure = "physics"
+    model_class = "physics"
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": {"generations": 300},
-        "paper": {"weights": "paper"},
+        "paper": {"error_units": "paper"},
     }
     limits: ClassVar[dict[str, Limit]] = {name: at_least(1) for name in ("generations", "windows", "horizon")}
 
     generations: int = 1000
     windows: int = 100
     horizon: int = 10
-    weights: Weights = "spread"
+    error_units: Weights = "spread"
     control_lags: int = 0
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         scale = parameter_scale(dataset, self.roles)
         search = ModelEvolution(
-            generations=self.generations, windows=self.windows, horizon=self.horizon, weights=self.weights
+            generations=self.generations, windows=self.windows, horizon=self.horizon, error_units=self.error_units
         )
         best = search.run(
             lambda population, carry, control: self._advance(np.abs(population) * scale, carry, control),
@@ -77,7 +77,7 @@ class Parametrised(CarFamily, Uncertain):
             progress=progress,
             checkpoint=self.checkpoint,
             kernel=lambda population: self._kernels(np.abs(population) * scale),
-            start=self.lagged,
+            start=self.initial_carry,
             history=self.n_lags,
         )
         self.parameters_ = np.abs(best) * scale
@@ -117,8 +117,8 @@ class Parametrised(CarFamily, Uncertain):
     def _advance(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Step parameter vectors (P, 12) from carries (P, B, n_carry) under controls (B, nu)."""
         applied = np.broadcast_to(control, (len(parameters), *control.shape))
-        after = self.held(carry, applied, self._next_states(parameters, carry, applied))
-        return self.remember(carry, applied, after)
+        after = self.apply_limits(carry, applied, self._next_states(parameters, carry, applied))
+        return self.shift_lags(carry, applied, after)
 
     def _next_states(self, parameters: Array, carry: Array, control: Array) -> Array:
         """Return the next states (..., B, nx) of parameter vectors (..., 12) under controls (..., B, nu)."""

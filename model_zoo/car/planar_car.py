@@ -16,7 +16,7 @@ CarRoles: TypeAlias = tuple[int, int | None, int, int, int]
 """Where forward speed, lateral speed (None without one), yaw rate, drive and steer stand."""
 
 
-class CarFamily(DynamicsModel):
+class PlanarCarModel(DynamicsModel):
     """A family of planar cars; ``drive`` and ``steer`` name the controls with these roles."""
 
     drive: str = "drive"

@@ -9,17 +9,17 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
-from model_zoo.car.planar_car import CarFamily
+from model_zoo.car.planar_car import PlanarCarModel
 from model_zoo.grey_box.model import GreyBox
 from model_zoo.grey_box.parameters import Parameter
 from sysid_evo import PlanarBody, System, register_model
-from sysid_evo.data.response import Measured
+from sysid_evo.data.response import ManoeuvreResult
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.kernels import Layout
 
 AT_REST = 0.05
 """Speed in m/s at which three quarters of the rolling resistance act."""
-LEAST_LOAD = 0.1
+MIN_LOAD = 0.1
 """Share of its load at rest that an axle keeps."""
 
 PARAMETERS = (
@@ -88,8 +88,8 @@ def grips(state: Any, control: Any, p: Any) -> Any:
     """Return the largest sideways accelerations of both axles: thrust takes from the rear, and shifts the load."""
     used = traction(state, control, p) / p[P.traction_limit]
     shift = p[P.load_transfer] * p[P.traction_limit] * used
-    front = p[P.front_grip] * max(1.0 - shift, LEAST_LOAD)
-    rear = p[P.rear_grip] * max(1.0 + shift, LEAST_LOAD) * (1.0 - p[P.thrust_grip_loss] * used * used)
+    front = p[P.front_grip] * max(1.0 - shift, MIN_LOAD)
+    rear = p[P.rear_grip] * max(1.0 + shift, MIN_LOAD) * (1.0 - p[P.thrust_grip_loss] * used * used)
     return front, rear
 
 
@@ -125,7 +125,7 @@ ANOTHER_DAY = 0.2
 
 
 @register_model("single_track")
-class SingleTrack(GreyBox, CarFamily):
+class SingleTrack(GreyBox, PlanarCarModel):
     """A single-track car with tyres that saturate, load transfer, and lag and delay of the actuators.
 
     With forward speed u, lateral speed v, yaw rate r, steering angle d and forces per mass::
@@ -153,10 +153,10 @@ class SingleTrack(GreyBox, CarFamily):
     def law(self) -> Callable[..., Any]:
         return pacejka_rate if self.tyre == "pacejka" else tanh_rate
 
-    def declared(self) -> tuple[Parameter, ...]:
+    def law_parameters(self) -> tuple[Parameter, ...]:
         return (*PARAMETERS, *MAGIC) if self.tyre == "pacejka" else PARAMETERS
 
-    def guesses_from(self, found: Mapping[str, Measured]) -> Mapping[str, tuple[float, float]]:
+    def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
         """Return losses from coasting, thrust from the acceleration at rest, loss of thrust from the top speed.
 
         On another day they are some fifth off, so that no prior is narrower.
@@ -176,7 +176,7 @@ class SingleTrack(GreyBox, CarFamily):
         return guesses
 
     def check_system(self, system: System) -> None:
-        CarFamily.check_system(self, system)
+        PlanarCarModel.check_system(self, system)
         assert isinstance(system.motion, PlanarBody)
         if system.motion.lateral is None:
             raise IncompatibleSystem(
@@ -185,7 +185,7 @@ class SingleTrack(GreyBox, CarFamily):
             )
         GreyBox.check_system(self, system)
 
-    def places(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def channel_indices(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         assert isinstance(system.motion, PlanarBody)
         forward, lateral, yaw_rate = system.motion.indices(system.state_names)
         assert lateral is not None

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from model_zoo.grey_box.parameters import Box, Hidden, Parameter
+from model_zoo.grey_box.parameters import HiddenState, Parameter, ParameterBounds
 from sysid_evo.carry import CarryLayout
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -30,7 +30,7 @@ LONGEST_LAG = 1.0  # s
 
 
 @dataclass(frozen=True)
-class Structure:
+class GreyBoxEquation:
     """The law ``rate(state, control, p)`` on a system, with what is switched on around it.
 
     The law's states are those of the system at the places ``states`` and then ``hidden`` ones, its controls those at
@@ -44,7 +44,7 @@ class Structure:
     states: tuple[int, ...]
     controls: tuple[int, ...]
     own: tuple[Parameter, ...]
-    hidden: tuple[Hidden, ...] = ()
+    hidden: tuple[HiddenState, ...] = ()
     lagged: bool = False
     delay: int = 0
     substeps: int = 1
@@ -64,9 +64,9 @@ class Structure:
         return tuple(found)
 
     @cached_property
-    def box(self) -> Box:
+    def box(self) -> ParameterBounds:
         """The bounds of all parameters."""
-        return Box.of(self.parameters)
+        return ParameterBounds.of(self.parameters)
 
     @cached_property
     def extended(self) -> System:
@@ -105,7 +105,7 @@ class Structure:
         positions = [position for position, _ in self.known]
         return tuple(row for row in self.law_rows if row not in positions)
 
-    def shorter(self, delay: float) -> Structure:
+    def shorter(self, delay: float) -> GreyBoxEquation:
         """Return the structure that remembers no more samples than this delay wants."""
         return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
 
@@ -154,7 +154,7 @@ class Structure:
             lags = p[len(self.own) : len(self.own) + len(self.controls)]
             found[self.actuator_rows] = (commanded - control) / lags
         if self.system.motion is not None:
-            found += np.moveaxis(self.extended.turning(np.moveaxis(x, 0, -1)), -1, 0)
+            found += np.moveaxis(self.extended.frame_rotation(np.moveaxis(x, 0, -1)), -1, 0)
         return found
 
     def step(
@@ -231,8 +231,8 @@ STEP = 1e-4
 """Of the spread of a hidden state: the step of a difference quotient."""
 
 
-def observed(
-    structure: Structure, p: Array, states: Array, controls: Array, *, mean: Array, spread: Array, noise: Array
+def estimate_hidden(
+    structure: GreyBoxEquation, p: Array, states: Array, controls: Array, *, mean: Array, spread: Array, noise: Array
 ) -> Array:
     """Return the most likely hidden states (n, B) at the end of a history (B, L + 1, nx), (B, L, nu).
 
@@ -260,10 +260,10 @@ def observed(
         gradient = np.einsum("bmi,bm->bi", by, error) + guess.T
         guess = np.clip(guess - np.linalg.solve(normal, gradient[..., None])[..., 0].T, -4.0, 4.0)
     began = np.clip(mean[:, None] + spread[:, None] * guess, low, high)
-    return follow(structure, p[:, None], states, controls, began)
+    return propagate_hidden(structure, p[:, None], states, controls, began)
 
 
-def follow(structure: Structure, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
+def propagate_hidden(structure: GreyBoxEquation, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
     """Return the hidden states (n, ..., B) after a history (B, L + 1, nx), (B, L, nu) from those at its beginning.
 
     All other states are the measured ones at every sample; the first command counts as held before.
@@ -277,11 +277,11 @@ def follow(structure: Structure, p: Array, states: Array, controls: Array, hidde
 
 
 def structure_kernel(
-    structure: Structure, p: Array, *, rest_band: Array | None = None, extra: Predictor | None = None
+    structure: GreyBoxEquation, p: Array, *, dead_band_size: Array | None = None, extra: Predictor | None = None
 ) -> DynamicsKernel | None:
     """Return the kernel of a structure with parameters (n,); None if the motion has no compiled form.
 
-    With ``rest_band`` (n,), an extended state that rests stays at rest; ``extra`` is added to the rates
+    With ``dead_band_size`` (n,), an extended state that rests stays at rest; ``extra`` is added to the rates
     of the measured ones.
     """
     system, rows = structure.extended, structure.actuator_rows
@@ -303,10 +303,10 @@ def structure_kernel(
     if rate is None:
         return None
     after = runge_kutta_predictor(rate, system, substeps=structure.substeps, n_carry=structure.layout.size)
-    return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), rest_band=rest_band)
+    return stepping_kernel(after, system, output="next_state", lags=(0, structure.delay), dead_band_size=dead_band_size)
 
 
-def kernel_parameters(structure: Structure, p: Array) -> Array:
+def kernel_parameters(structure: GreyBoxEquation, p: Array) -> Array:
     """Return what `LawOverLanes` reads (P, m), from parameters (P, n): 1 / lag, and shares of the delay."""
     n, lags = len(structure.own), len(structure.controls) if structure.lagged else 0
     parts = [p[:, :n], 1.0 / p[:, n : n + lags]]
@@ -318,7 +318,8 @@ def kernel_parameters(structure: Structure, p: Array) -> Array:
 
 @dataclass(frozen=True)
 class LawOverLanes:
-    """A predictor of d/dt of the extended state of a `Structure`: its law, a function of plain numbers, over lanes.
+    """A predictor of d/dt of the extended state of a `GreyBoxEquation`: its law, a function of plain numbers, over
+    lanes.
 
     Its parameters are those of the law, 1 / lag of every actuator, and the share of each sample of the delay.
     """

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import least_squares
 
-from model_zoo.grey_box.equation import Structure, follow, kernel_parameters, structure_kernel
-from model_zoo.grey_box.parameters import Box, Parameter, Sureness, sureness
+from model_zoo.grey_box.equation import GreyBoxEquation, kernel_parameters, propagate_hidden, structure_kernel
+from model_zoo.grey_box.parameters import Parameter, ParameterBounds, ParameterCovariance, parameter_covariance
 from model_zoo.scaling import positive
 from sysid_evo.data import Dataset, Windows
 from sysid_evo.data.trajectory import recording
@@ -60,7 +60,7 @@ class LeastSquares:
     ``inflation`` errors would that hang together. ``told`` is called before each evaluation.
     """
 
-    structure: Structure
+    structure: GreyBoxEquation
     windows: FitWindows
     told: Callable[[], None]
     robust: bool = False
@@ -95,7 +95,9 @@ class LeastSquares:
         """Return the mean square error (P,) at places (P, n), hidden states followed through the history."""
         self.told()
         p = self.structure.box.values(places).T[:, :, None]
-        errors = self._bounded(self.windows.errors(self.structure, p, self.windows.followed(self.structure, p)))
+        errors = self._bounded(
+            self.windows.errors(self.structure, p, self.windows.hidden_from_history(self.structure, p))
+        )
         return np.asarray(np.mean(np.minimum(errors**2, 1.0), axis=(1, 2)))
 
     def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> LeastSquaresFit:
@@ -105,7 +107,7 @@ class LeastSquares:
         if hidden is None:
             p = box.values(places)[:, None, None]
             hidden = np.broadcast_to(
-                self.windows.followed(structure, p), (len(structure.hidden), 1, len(self.windows))
+                self.windows.hidden_from_history(structure, p), (len(structure.hidden), 1, len(self.windows))
             )[:, 0]
         zeta = (hidden - low[:, None]) / width[:, None] if len(structure.hidden) else hidden
         no_offsets = np.zeros(self.n_groups * len(self.varied))
@@ -247,9 +249,9 @@ class FitWindows:
         horizon = min(horizon, longest)
         room = sum(max(0, len(episode) - history - horizon + 1) for episode in dataset.episodes)
         stride = max(1, min(horizon, room // FEWEST))
-        places = dataset.window_places(horizon, stride=stride, history=history, moving=True)
+        places = dataset.find_windows(horizon, stride=stride, history=history, moving=True)
         if len(places) < FEWEST // 2:
-            places = dataset.window_places(horizon, stride=stride, history=history)
+            places = dataset.find_windows(horizon, stride=stride, history=history)
         rows = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).round().astype(np.int64))
         windows = places[rows]
         names = [episode.condition or recording(episode.name) for episode in dataset.episodes]
@@ -266,7 +268,7 @@ class FitWindows:
         """Return some of the windows."""
         return replace(self, cut=self.cut[rows], group=self.group[rows], order=self.order[rows])
 
-    def runs(self, structure: Structure, p: Array, hidden: Array) -> Array:
+    def runs(self, structure: GreyBoxEquation, p: Array, hidden: Array) -> Array:
         """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
 
         Compiled where the motion has a compiled form, unless `SYSID_EVO_ENGINE` names the reference.
@@ -299,7 +301,7 @@ class FitWindows:
             precision=enough(kernel.precision, self.limits),
         )
 
-    def _stepped(self, structure: Structure, p: Array, carry: Array) -> Array:
+    def _stepped(self, structure: GreyBoxEquation, p: Array, carry: Array) -> Array:
         """Return the same in NumPy, from carries (n_carry, P, W)."""
         controls, nx = self.cut.controls, structure.system.nx
         low, high = (side.reshape(-1, 1, 1) for side in self.limits)
@@ -311,12 +313,12 @@ class FitWindows:
             carry, out[:, :, k] = np.concatenate([after, past]), np.moveaxis(after[:nx], 0, -1)
         return out
 
-    def errors(self, structure: Structure, p: Array, hidden: Array) -> Array:
+    def errors(self, structure: GreyBoxEquation, p: Array, hidden: Array) -> Array:
         """Return the errors (P, W, H * nx) of these runs in units of ``scale``, of angles the shortest way round."""
         off = structure.system.difference(self.runs(structure, p, hidden), self.cut.states) / self.scale
         return off.reshape(*off.shape[:2], -1)
 
-    def followed(self, structure: Structure, p: Array) -> Array:
+    def hidden_from_history(self, structure: GreyBoxEquation, p: Array) -> Array:
         """Return the hidden states (n, P, W) at the start of the windows, after a history that begins at rest.
 
         All other states are the measured ones throughout.
@@ -324,7 +326,7 @@ class FitWindows:
         w, rows = self.cut, structure.hidden_rows
         rest = np.array([hidden.initial for hidden in structure.hidden])[:, None, None]
         with np.errstate(all="ignore"):
-            found = follow(structure, p, w.past_states, w.past_controls, rest)
+            found = propagate_hidden(structure, p, w.past_states, w.past_controls, rest)
         low, high = structure.extended.limits[:, rows, None, None]
         return np.clip(np.nan_to_num(found), low, high)
 
@@ -355,15 +357,15 @@ def best_of(last: LeastSquares, begun: Sequence[Array]) -> LeastSquaresFit:
     return min(found, key=lambda one: one.cost)
 
 
-def sureness_of(problem: LeastSquares, best: LeastSquaresFit) -> Sureness:
+def sureness_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCovariance:
     """Return how sure the parameters are at the end of a fit."""
     known = known_variances(problem.structure.parameters, best.places)
-    return sureness(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
+    return parameter_covariance(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
 
 
 def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
     """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
-    slopes = Box.of(parameters).slopes(places)
+    slopes = ParameterBounds.of(parameters).slopes(places)
     spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
     return np.minimum(spreads**2, 1.0 / 12.0)
 
@@ -376,8 +378,8 @@ LEAST = 1e-4
 """Of the width of the bounds: a standard deviation that is none."""
 
 
-def with_offsets(
-    problem: LeastSquares, best: LeastSquaresFit, sure: Sureness, varied: Sequence[int]
+def fit_random_effects(
+    problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance, varied: Sequence[int]
 ) -> tuple[LeastSquaresFit, Array]:
     """Return the estimate in which some parameters have an offset in each group, normal around nothing.
 

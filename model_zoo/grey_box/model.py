@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.grey_box.equation import Structure, observed, structure_kernel
+from model_zoo.grey_box.equation import GreyBoxEquation, estimate_hidden, structure_kernel
 from model_zoo.grey_box.estimation import (
     FIRST_EVALUATIONS,
     KEPT,
@@ -18,23 +18,23 @@ from model_zoo.grey_box.estimation import (
     LeastSquares,
     LeastSquaresFit,
     best_of,
+    fit_random_effects,
     known_variances,
     starts_of,
     sureness_of,
-    with_offsets,
 )
 from model_zoo.grey_box.parameters import (
-    Hidden,
+    HiddenState,
     Parameter,
-    Sureness,
+    ParameterCovariance,
     offset_rows,
-    open_questions,
     parameter_rows,
+    undetermined_parameters,
 )
-from model_zoo.grey_box.residual import Residual, conditioned, inputs_of, learned_shape
-from sysid_evo.carry import REST_BAND, CarryLayout, held_at_rest
+from model_zoo.grey_box.residual import ResidualNetwork, conditioned, inputs_of, learned_shape
+from sysid_evo.carry import REST_BAND, CarryLayout, hold_at_rest
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import Measured, measured
+from sysid_evo.data.response import ManoeuvreResult, manoeuvre_results
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, ShapeError
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models import DynamicsModel
@@ -43,8 +43,8 @@ from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import time_blocks
-from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+from sysid_evo.validation.folds import time_fold
+from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 SHORT = 5
 """The first fit is to free runs of a fifth of the length of the last one."""
@@ -67,11 +67,11 @@ class GreyBox(DynamicsModel):
     rate for each state. It may use what a kernel may (docs/kernels.md). It runs on arrays while it is fitted, and is
     compiled for evolution. Of a system with a motion, the turning of the body's frame is added to what it returns.
 
-    A family whose states are positions and their speeds may write `acceleration` instead, and name in ``speeds`` which
+    A family whose states are positions and their speeds may write `acceleration` instead, and name in ``rate_of`` which
     state is the rate of which: it returns the rates of all states but the positions.
 
-    ``hidden`` names states that are not measured; `rate` takes them after the others. They begin every run where the
-    ``history`` samples before it say.
+    ``hidden_states`` names states that are not measured; `rate` takes them after the others. They begin every run where
+    the ``past_samples`` samples before it say.
 
     Parts that can be switched on: ``actuator_lag``, a first-order lag of every control; ``command_delay``, one delay
     of all of them, in samples up to ``longest_delay``; both are parameters like the others.
@@ -85,11 +85,12 @@ class GreyBox(DynamicsModel):
     nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
     of time better.
 
-    The parameters named in ``offsets`` may differ from recording to recording (another battery, another floor), or from
-    condition to condition where episodes name theirs. Their differences are shrunk to nothing as far as the data do not
-    ask for them (random effects), the model predicts with what is common, and `offsets_table` tells the rest.
+    The parameters named in ``random_effects`` may differ from recording to recording (another battery, another floor),
+    or from condition to condition where episodes name theirs. Their differences are shrunk to nothing as far as the
+    data do not ask for them (random effects), the model predicts with what is common, and `random_effects_table` tells
+    the rest.
 
-    Episodes of manoeuvres that measure (`sysid_evo.data.response`) give guesses and priors, see `guesses_from`.
+    Episodes of manoeuvres that measure (`sysid_evo.data.response`) give guesses and priors, see `initial_guesses`.
 
     ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
     come from the gradients of whole blocks of time (clustered standard errors). ``undetermined_`` are sentences on
@@ -97,16 +98,16 @@ class GreyBox(DynamicsModel):
     """
 
     knowledge = "grey"
-    structure = "physics"
+    model_class = "physics"
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
     controls: ClassVar[tuple[str, ...]] = ()
-    hidden: ClassVar[tuple[Hidden, ...]] = ()
-    speeds: ClassVar[Mapping[str, str]] = {}
+    hidden_states: ClassVar[tuple[HiddenState, ...]] = ()
+    rate_of: ClassVar[Mapping[str, str]] = {}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"starts": 3, "windows": 120, "residual_points": 60}}
     limits: ClassVar[dict[str, Limit]] = {
         **{name: at_least(1) for name in ("starts", "windows", "substeps", "longest_delay", "residual_points")},
-        "history": at_least(0),
+        "past_samples": at_least(0),
         "seconds": Limit(0.0, open_below=True),
     }
 
@@ -118,12 +119,12 @@ class GreyBox(DynamicsModel):
     windows: int = 250
     robust: bool = False
     substeps: int = 1
-    history: int = 5
+    past_samples: int = 5
     residual: bool = False
     residual_points: int = 150
-    offsets: list[str] | None = None
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    random_effects: list[str] | None = None
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     @staticmethod
     def rate(state: Any, control: Any, p: Any) -> Any:  # noqa: ARG004  # what a family writes
@@ -132,7 +133,7 @@ class GreyBox(DynamicsModel):
 
     @staticmethod
     def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # a law, see below
-        """Return d/dt of the states that are no positions of ``speeds``, in their order; instead of `rate`.
+        """Return d/dt of the states that are no positions of ``rate_of``, in their order; instead of `rate`.
 
         It is a law like `rate`, and has its arguments: `step` is written here and never asks the inherited method.
         """
@@ -144,11 +145,11 @@ class GreyBox(DynamicsModel):
         own = type(self)
         return own.rate if own.acceleration is GreyBox.acceleration else own.acceleration
 
-    def declared(self) -> tuple[Parameter, ...]:
+    def law_parameters(self) -> tuple[Parameter, ...]:
         """Return the parameters of `law`; ``parameters``, unless a family has a choice of several."""
         return self.parameters
 
-    def guesses_from(self, found: Mapping[str, Measured]) -> Mapping[str, tuple[float, float]]:
+    def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
         """Return guess and standard deviation of parameters, by name, from what manoeuvres say; none by default.
 
         ``found`` has the names of `sysid_evo.data.response`, such as ``drag forward``; of one that was measured more
@@ -156,7 +157,7 @@ class GreyBox(DynamicsModel):
         """
         return {}
 
-    def places(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def channel_indices(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return where the states and the controls of `law` stand in ``system``. Raises `IncompatibleSystem`."""
         return (
             named_places(self, "state", self.states, system.state_names),
@@ -165,15 +166,15 @@ class GreyBox(DynamicsModel):
 
     def check_parameters(self) -> None:
         super().check_parameters()
-        known = [parameter.name for parameter in self.declared()]
-        for name in self.offsets or []:
+        known = [parameter.name for parameter in self.law_parameters()]
+        for name in self.random_effects or []:
             if name not in known:
                 raise InvalidArgument(
                     f"{type(self).__name__}: offsets: there is no parameter {name!r}; there are {', '.join(known)}"
                 )
 
     def check_system(self, system: System) -> None:
-        states, controls = self.places(system)
+        states, controls = self.channel_indices(system)
         left = [name for i, name in enumerate(system.state_names) if i not in states]
         if left:
             raise IncompatibleSystem(
@@ -184,31 +185,31 @@ class GreyBox(DynamicsModel):
 
     def _structure_on(
         self, system: System, states: tuple[int, ...] | None = None, controls: tuple[int, ...] | None = None
-    ) -> Structure:
+    ) -> GreyBoxEquation:
         """Return the structure as it is fitted, with the longest delay."""
-        at = self.places(system) if states is None or controls is None else (states, controls)
-        return Structure(
+        at = self.channel_indices(system) if states is None or controls is None else (states, controls)
+        return GreyBoxEquation(
             system=system,
             law=self.law,
             states=at[0],
             controls=at[1],
-            own=self.declared(),
-            hidden=self.hidden,
+            own=self.law_parameters(),
+            hidden=self.hidden_states,
             lagged=self.actuator_lag,
             delay=self.longest_delay if self.command_delay else 0,
             substeps=self.substeps,
-            known=known_rates(self, self.speeds, system, self.law is type(self).acceleration),
+            known=known_rates(self, self.rate_of, system, self.law is type(self).acceleration),
         )
 
     @property
-    def integrated(self) -> Structure:
+    def integrated(self) -> GreyBoxEquation:
         """What is integrated, with no more earlier controls than the delay that was found."""
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
 
-    def _informed(self, structure: Structure, dataset: Dataset) -> Structure:
+    def _informed(self, structure: GreyBoxEquation, dataset: Dataset) -> GreyBoxEquation:
         """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
-        guesses = self.guesses_from({one.name: one for one in measured(dataset)})
+        guesses = self.initial_guesses({one.name: one for one in manoeuvre_results(dataset)})
         self.informed_ = [parameter.name for parameter in structure.own if parameter.name in guesses]
         own = tuple(
             replace(parameter, guess=min(max(guess, parameter.low), parameter.high), spread=spread)
@@ -229,10 +230,10 @@ class GreyBox(DynamicsModel):
         horizon = max(10, round(self.seconds / dataset.system.dt))
         longest = max(len(episode) for episode in dataset.episodes)
         history = min(PAST, longest // 4) if self._remembers else 0
-        history = max(structure.delay, self.history if self._remembers else 0, history)
+        history = max(structure.delay, self.past_samples if self._remembers else 0, history)
         most = max(1, round(self.windows * HIDDEN_SHARE)) if structure.hidden else self.windows
         windows = [
-            FitWindows.of(dataset, steps, history=history, most=most, limits=self.envelope_)
+            FitWindows.of(dataset, steps, history=history, most=most, limits=self.state_bounds_)
             for steps in (-(-horizon // SHORT), horizon)
         ]
         first, last = (LeastSquares(structure, some, told, self.robust) for some in windows)
@@ -244,7 +245,7 @@ class GreyBox(DynamicsModel):
             sure = sureness_of(last, best)
             last = replace(last, noise=sure.noise, inflation=sure.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
-        if self.offsets is not None and len(last.windows.groups) > 1:
+        if self.random_effects is not None and len(last.windows.groups) > 1:
             best = self._learn_offsets(last, best, sureness_of(last, best))
         self._learn(last, best)
         if self.residual:
@@ -276,13 +277,15 @@ class GreyBox(DynamicsModel):
     @property
     def _remembers(self) -> bool:
         """Whether the carry holds what only the past says."""
-        return bool(self.hidden) or self.actuator_lag
+        return bool(self.hidden_states) or self.actuator_lag
 
-    def _learn_offsets(self, problem: LeastSquares, best: LeastSquaresFit, sure: Sureness) -> LeastSquaresFit:
+    def _learn_offsets(
+        self, problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance
+    ) -> LeastSquaresFit:
         """Return the estimate of what is common; keep what differs from recording to recording, in units."""
         box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
-        varied = [names.index(name) for name in self.offsets or []]
-        found, spreads = with_offsets(problem, best, sure, varied)
+        varied = [names.index(name) for name in self.random_effects or []]
+        found, spreads = fit_random_effects(problem, best, sure, varied)
         common = box.values(found.places)
         of_each = np.repeat(found.places[None], len(problem.windows.groups), axis=0)
         of_each[:, varied] += found.offsets
@@ -291,10 +294,10 @@ class GreyBox(DynamicsModel):
         self.recordings_ = list(problem.windows.groups)
         return found
 
-    def offsets_table(self) -> list[dict[str, Any]]:
-        """Return by how much each parameter of ``offsets`` is more or less in each recording, with its unit."""
+    def random_effects_table(self) -> list[dict[str, Any]]:
+        """Return by how much each parameter of ``random_effects`` is more or less in each recording, with its unit."""
         recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
-        return offset_rows(self.declared(), recordings, self.offsets or [], offsets)
+        return offset_rows(self.law_parameters(), recordings, self.random_effects or [], offsets)
 
     def _learn(self, problem: LeastSquares, best: LeastSquaresFit) -> None:
         structure = problem.structure
@@ -302,7 +305,7 @@ class GreyBox(DynamicsModel):
         known = known_variances(parameters, best.places)
         sure = sureness_of(problem, best)
         slopes = box.slopes(best.places)
-        self.undetermined_, determined = open_questions(parameters, best.places, sure.covariance, known)
+        self.undetermined_, determined = undetermined_parameters(parameters, best.places, sure.covariance, known)
         self.determined_ = [bool(one) for one in determined]
         self.covariance_ = sure.covariance * np.outer(slopes, slopes)
         self.standard_errors_ = np.sqrt(np.diag(self.covariance_))
@@ -315,10 +318,10 @@ class GreyBox(DynamicsModel):
 
     def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
         """Learn what the physics leave, and keep as much of it as free runs in held-out blocks of time want."""
-        learned, held = time_blocks(dataset)
+        learned, held = time_fold(dataset)
         shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, told)
         tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
-        windows = judging_windows(held, self.n_lags)
+        windows = error_windows(held, self.n_lags)
         for share in SHARES:
             told()
             self._keep(tried.times(share))
@@ -328,7 +331,7 @@ class GreyBox(DynamicsModel):
         self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
         self._keep(conditioned(shape, noise, *self._left_of(dataset)).times(self.residual_share_))
 
-    def _keep(self, residual: Residual) -> None:
+    def _keep(self, residual: ResidualNetwork) -> None:
         self.residual_points_, self.residual_lengths_ = residual.points, residual.lengths
         self.residual_weights_ = residual.weights
 
@@ -336,7 +339,7 @@ class GreyBox(DynamicsModel):
         """Return what a residual sees (N, n) at single steps, and what the physics leave of their rates (N, nx)."""
         windows = dataset.windows(1, history=self.n_lags, moving=True)
         windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
-        physics = self.variant(residual=False, rest_hold=False)
+        physics = self.variant(residual=False, dead_band=False)
         carry, control = physics.start(windows.past_states, windows.past_controls), windows.controls[:, 0]
         after = physics.step(carry, control)[:, : self.system.nx]
         return inputs_of(self.integrated)(carry, control), self.system.difference(
@@ -344,10 +347,10 @@ class GreyBox(DynamicsModel):
         ) / self.system.dt
 
     @property
-    def _residual(self) -> Residual | None:
+    def _residual(self) -> ResidualNetwork | None:
         if not self.residual or not hasattr(self, "residual_weights_"):
             return None
-        return Residual(self.residual_points_, self.residual_lengths_, self.residual_weights_)
+        return ResidualNetwork(self.residual_points_, self.residual_lengths_, self.residual_weights_)
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
@@ -365,8 +368,8 @@ class GreyBox(DynamicsModel):
         if getattr(self, "informed_", []):
             said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
         if hasattr(self, "offset_spreads_"):
-            units = {parameter.name: parameter.unit for parameter in self.declared()}
-            pairs = zip(self.offsets or [], self.offset_spreads_, strict=True)
+            units = {parameter.name: parameter.unit for parameter in self.law_parameters()}
+            pairs = zip(self.random_effects or [], self.offset_spreads_, strict=True)
             each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
             said.append(f"from recording to recording there differ {each} (standard deviation)")
         if hasattr(self, "residual_share_"):
@@ -383,13 +386,13 @@ class GreyBox(DynamicsModel):
 
     @property
     def n_lags(self) -> int:
-        return max(self.layout.control_lags, self.history if self._remembers else 0)
+        return max(self.layout.control_lags, self.past_samples if self._remembers else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         structure, hidden = self.integrated, np.empty((0, len(states)))
         with np.errstate(all="ignore"):
             if structure.hidden:
-                hidden = observed(
+                hidden = estimate_hidden(
                     structure,
                     self.parameters_,
                     states,
@@ -411,22 +414,22 @@ class GreyBox(DynamicsModel):
         with np.errstate(all="ignore"):
             states, past = (part.T for part in structure.step(self.parameters_[:, None], carry.T, control.T, extra))
         if (band := self._extended_band) is not None:
-            states = held_at_rest(structure.extended, structure.layout.earlier_controls, band, carry, control, states)
+            states = hold_at_rest(structure.extended, structure.layout.earlier_controls, band, carry, control, states)
         return np.concatenate([states, past], axis=1)
 
     @property
     def _extended_band(self) -> Array | None:
-        """How near to neutral (n,) each extended state counts as rest; None without ``rest_hold``."""
-        if self.rest_band is None:
+        """How near to neutral (n,) each extended state counts as rest; None without ``dead_band``."""
+        if self.dead_band_size is None:
             return None
         more = self.integrated.extended.states[self.system.nx :]
         width = [channel.high - channel.low if channel.bounded else 1.0 for channel in more]
-        return np.concatenate([self.rest_band, REST_BAND * np.array(width)])
+        return np.concatenate([self.dead_band_size, REST_BAND * np.array(width)])
 
     def kernel(self) -> DynamicsKernel | None:
         structure, residual = self.integrated, self._residual
         extra = None if residual is None else residual.predictor(structure)
-        return structure_kernel(structure, self.parameters_, rest_band=self._extended_band, extra=extra)
+        return structure_kernel(structure, self.parameters_, dead_band_size=self._extended_band, extra=extra)
 
 
 def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:

@@ -51,7 +51,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenState:
     """A state that is not measured: its ``unit``, where it is at rest (``initial``), and between what it may be."""
 
     name: str
@@ -74,13 +74,13 @@ class Hidden:
 
 
 @dataclass(frozen=True)
-class Box:
+class ParameterBounds:
     """The bounds of n parameters as the unit cube, in which they are searched: (..., n) to (..., n)."""
 
     parameters: tuple[Parameter, ...]
 
     @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> Box:
+    def of(cls, parameters: Sequence[Parameter]) -> ParameterBounds:
         """Return the cube of these; raise `InvalidArgument` if two have the same name."""
         names = [parameter.name for parameter in parameters]
         repeated = sorted({name for name in names if names.count(name) > 1})
@@ -119,7 +119,7 @@ class Box:
 
 BLOCKS = 40
 """Blocks of time that count as independent, at most."""
-FEWEST_BLOCKS = 8
+MIN_BLOCKS = 8
 OPEN = 0.5
 """Share of what the bounds alone say beyond which the data do not determine a direction."""
 AT_BOUND = 0.01
@@ -128,7 +128,7 @@ NAMED = 0.3
 
 
 @dataclass(frozen=True)
-class Sureness:
+class ParameterCovariance:
     """Covariance (n, n) of the places in the cube, and by how much correlated errors ``inflate`` it."""
 
     covariance: Array
@@ -136,7 +136,9 @@ class Sureness:
     noise: float
 
 
-def sureness(errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, *, known: Array) -> Sureness:
+def parameter_covariance(
+    errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, *, known: Array
+) -> ParameterCovariance:
     """Return the covariance of parameters from errors (W, m) and their derivatives (W, m, n), (W, m, nh).
 
     The hidden starts are projected out. Errors within a window, and of windows near each other, hang together: the
@@ -152,7 +154,7 @@ def sureness(errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, 
     noise = float(np.sqrt(np.sum(errors**2) / free)) + 1e-12
     bread = np.einsum("wmi,wmj->ij", jacobian, jacobian) / noise**2 + np.diag(1.0 / known)
     gradients = np.einsum("wmi,wm->wi", jacobian, errors) / noise**2
-    blocks = max(min(FEWEST_BLOCKS, windows), min(BLOCKS, windows // 4))
+    blocks = max(min(MIN_BLOCKS, windows), min(BLOCKS, windows // 4))
     sums = np.array([gradients[rows].sum(axis=0) for rows in np.array_split(np.argsort(order, kind="stable"), blocks)])
     sums -= sums.mean(axis=0)
     few = blocks / max(blocks - n, 0.5 * blocks)  # as many gradients as parameters add up to nothing at the optimum
@@ -167,10 +169,10 @@ def sureness(errors: Array, jacobian: Array, by_hidden: Array, order: IntArray, 
     values, vectors = np.linalg.eigh(covariance)
     least = np.einsum("ij,jk,ki->i", vectors.T, inverse, vectors)
     covariance = (vectors * np.maximum(values, np.minimum(least, 1.0))) @ vectors.T
-    return Sureness(covariance, inflation, noise)
+    return ParameterCovariance(covariance, inflation, noise)
 
 
-def open_questions(
+def undetermined_parameters(
     parameters: Sequence[Parameter], places: Array, covariance: Array, known: Array
 ) -> tuple[list[str], list[bool]]:
     """Return what the data do not determine, in sentences, and whether each parameter is determined.
@@ -180,7 +182,7 @@ def open_questions(
     prior = np.sqrt(known)
     relative = covariance / np.outer(prior, prior)
     values, vectors = np.linalg.eigh(relative)
-    slopes = Box.of(parameters).slopes(places) * prior
+    slopes = ParameterBounds.of(parameters).slopes(places) * prior
     said: list[str] = []
     alone: set[int] = set()
     for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):

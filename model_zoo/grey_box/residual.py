@@ -10,15 +10,15 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from model_zoo.features import Features
-from model_zoo.gaussian_process import JITTER, factor, most_likely, squared_exponential
-from model_zoo.grey_box.equation import Structure
+from model_zoo.gaussian_process import JITTER, cholesky_with_jitter, maximise_likelihood, squared_exponential
+from model_zoo.grey_box.equation import GreyBoxEquation
 from model_zoo.scaling import deviation, positive
 from sysid_evo.models.kernels import Predictor, gaussian_predictor, with_angles
 from sysid_evo.types import Array
 
 
 @dataclass(frozen=True)
-class Residual:
+class ResidualNetwork:
     """The mean of a sparse Gaussian process without a trend, for each measured state: bumps around ``points`` (M, n).
 
     ``lengths`` (nx, n) are infinite for inputs that do not count; ``weights`` (nx, M) hold the amplitudes. Far from the
@@ -38,7 +38,7 @@ class Residual:
         """Return a share of it."""
         return replace(self, weights=share * self.weights)
 
-    def predictor(self, structure: Structure) -> Predictor:
+    def predictor(self, structure: GreyBoxEquation) -> Predictor:
         """Return the compiled form, of the structure's carry and the control."""
         nx, n = self.lengths.shape
         n_carry = inputs_of(structure).n_carry
@@ -47,14 +47,19 @@ class Residual:
         return with_angles(bumps, structure.extended, (0, structure.delay))
 
 
-def inputs_of(structure: Structure) -> Features:
+def inputs_of(structure: GreyBoxEquation) -> Features:
     """Return what the residual sees of carry and control."""
     return Features(structure.extended, (0, structure.delay))
 
 
 def learned_shape(
-    structure: Structure, inputs: Array, targets: Array, points: int, rng: np.random.Generator, told: Callable[[], None]
-) -> tuple[Residual, Array]:
+    structure: GreyBoxEquation,
+    inputs: Array,
+    targets: Array,
+    points: int,
+    rng: np.random.Generator,
+    told: Callable[[], None],
+) -> tuple[ResidualNetwork, Array]:
     """Return a residual with points, lengths and amplitudes (as weights of one) chosen, and the noise (nx,).
 
     Lengths maximise the marginal likelihood at ``points`` random samples. Where actuators have lags of their own, they
@@ -66,16 +71,16 @@ def learned_shape(
     nx = targets.shape[1]
     lengths, amplitude, noise = np.full((nx, inputs.shape[1]), np.inf), np.empty(nx), np.empty(nx)
     for j in range(nx):
-        found = most_likely(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
+        found = maximise_likelihood(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
         lengths[j, :counted], amplitude[j], noise[j] = (
             found.lengths * scale,
             found.amplitude * size[j],
             found.noise * size[j],
         )
-    return Residual(inputs[rows], lengths, np.repeat(amplitude[:, None], len(rows), axis=1)), noise
+    return ResidualNetwork(inputs[rows], lengths, np.repeat(amplitude[:, None], len(rows), axis=1)), noise
 
 
-def conditioned(shape: Residual, noise: Array, inputs: Array, targets: Array) -> Residual:
+def conditioned(shape: ResidualNetwork, noise: Array, inputs: Array, targets: Array) -> ResidualNetwork:
     """Return the residual of this shape that learned from all of ``inputs`` (N, n) and ``targets`` (N, nx)."""
     weights = np.empty_like(shape.weights)
     for j, length in enumerate(shape.lengths):
@@ -83,6 +88,6 @@ def conditioned(shape: Residual, noise: Array, inputs: Array, targets: Array) ->
         points = shape.points / length
         own = square * (squared_exponential(points, points) + JITTER * np.eye(len(points)))
         cross = square * squared_exponential(points, inputs / length)
-        posterior = factor(own + cross @ cross.T / noise[j] ** 2)
+        posterior = cholesky_with_jitter(own + cross @ cross.T / noise[j] ** 2)
         weights[j] = square * cho_solve((posterior, True), cross @ targets[:, j]) / noise[j] ** 2
     return replace(shape, weights=weights)

@@ -11,17 +11,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from model_zoo.networks.network import Layers, Network, Single, random_network
-from model_zoo.networks.training import Shots, Trainings, TrainingSchedule, judged, train
-from model_zoo.scaling import Mirror, Standard
+from model_zoo.networks.network import Array32, Layers, Network, random_network
+from model_zoo.networks.training import ResumableTrainings, TrainingSchedule, TrainingWindows, judged, train
+from model_zoo.scaling import ChannelScaling, Mirror
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
 from sysid_evo.types import Array
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 
 
-class StandardisedModel(ABC):
+class DifferentiableSimulation(ABC):
     """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
 
     The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs, one
@@ -46,7 +46,7 @@ class StandardisedModel(ABC):
         self.system = dataset.system
         self.motion = self.system.motion_gradient()
         self.layout = CarryLayout(self.system.nx, self.system.nu, *lags)
-        self.standard = Standard.of(dataset, mirror)
+        self.standard = ChannelScaling.of(dataset, mirror)
         self.centre, self.scale = self.standard.of_inputs(self.layout)
         self.rates = self.standard.change / self.system.dt
         self.layers = Layers(
@@ -58,20 +58,20 @@ class StandardisedModel(ABC):
         )
         self.parameters = self.layers.flat(random_network(self.layers.sizes, members, rng))
         self.mirror = mirror
-        self.flag: Single = np.ones((1, 1, further), dtype=np.float32)
+        self.flag: Array32 = np.ones((1, 1, further), dtype=np.float32)
         self.recorded = self.flag
 
-    def run(self, samples: Single) -> Single:
+    def run(self, samples: Array32) -> Array32:
         """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
         self.layers.take(self.parameters)
-        history, nx = self.layout.history, self.system.nx
+        history, nx = self.layout.n_lags, self.system.nx
         members, batch, horizon = *samples.shape[1:3], len(samples) - 1 - history
-        self.states: Single = np.empty((len(samples), members, batch, nx), dtype=np.float32)
+        self.states: Array32 = np.empty((len(samples), members, batch, nx), dtype=np.float32)
         self.states[: history + 1] = samples[: history + 1, ..., :nx]
         controls = samples[:-1, ..., nx:]
-        self.controls: Single = controls[history:]
+        self.controls: Array32 = controls[history:]
         inputs = self.layers.reserve(horizon * self.calls, batch)
-        self.inputs: Single = inputs.reshape(horizon, self.calls, *inputs.shape[1:])
+        self.inputs: Array32 = inputs.reshape(horizon, self.calls, *inputs.shape[1:])
         self._fill_controls(controls)
         self.prepare(horizon)
         for step in range(horizon):
@@ -79,16 +79,16 @@ class StandardisedModel(ABC):
             self.states[history + step + 1] = self.advance(step, self.states[history + step])
         return self.states[history + 1 :]
 
-    def gradient(self, by_states: Single) -> Single:
+    def gradient(self, by_states: Array32) -> Array32:
         """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
         by_after = by_states.copy()
-        self.by_seen: Single = np.zeros((*by_after.shape[:3], self._n_seen), dtype=np.float32)
+        self.by_seen: Array32 = np.zeros((*by_after.shape[:3], self._n_seen), dtype=np.float32)
         for step in range(len(by_after) - 1, -1, -1):
             by_state = self.pull_back(step, by_after[step])
             if step:
                 by_after[step - 1] += by_state
                 if self.layout.state_lags:
-                    state = self.states[self.layout.history + step]
+                    state = self.states[self.layout.n_lags + step]
                     by_after[step - 1] += self._pulled_to_state(state, self.by_seen[step])
         return self.layers.gradient()
 
@@ -97,19 +97,19 @@ class StandardisedModel(ABC):
         return
 
     @abstractmethod
-    def advance(self, step: int, state: Single) -> Single:
+    def advance(self, step: int, state: Array32) -> Array32:
         """Return the state (M, B, nx) after ``step``."""
 
     @abstractmethod
-    def pull_back(self, step: int, gradient: Single) -> Single:
+    def pull_back(self, step: int, gradient: Array32) -> Array32:
         """Return the gradient by the state before ``step``, from that by the state after it (M, B, nx)."""
 
-    def called(self, step: int, call: int, state: Single) -> Single:
+    def called(self, step: int, call: int, state: Array32) -> Array32:
         """Return what the network gives (M, B, nx) in one of the calls of ``step``, for this present state."""
         self.inputs[step, call, ..., : self._n_seen] = self._seen(state)
         return self.layers.forward(step * self.calls + call)
 
-    def pulled_through(self, step: int, call: int, state: Single, gradient: Single) -> Single:
+    def pulled_through(self, step: int, call: int, state: Array32, gradient: Array32) -> Array32:
         """Return the gradient by the present state of a call, from that by what the network gave (M, B, nx)."""
         seen, lags = self._n_seen, self.layout.state_lags
         if step == call == 0:  # the state is a measured one
@@ -120,7 +120,7 @@ class StandardisedModel(ABC):
             self.by_seen[step - lag] += by_inputs[..., seen * lag : seen * (lag + 1)]
         return self._pulled_to_state(state, by_inputs[..., :seen])
 
-    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+    def augmented(self, samples: Array32, rng: np.random.Generator) -> Array32:
         """Return what is learned from a batch (L + 1 + H, M, B, nx + nu): half of the windows in the mirror."""
         if self.mirror is None:
             return samples
@@ -137,24 +137,24 @@ class StandardisedModel(ABC):
         self,
         splits: Sequence[tuple[Dataset, Dataset]],
         plan: TrainingSchedule,
-        trainings: Trainings,
-    ) -> tuple[Single, Array]:
+        trainings: ResumableTrainings,
+    ) -> tuple[Array32, Array]:
         """Train each member on the first part of its split.
 
         Returns the parameters with which it simulates the second part best, and its error there (M,).
         """
-        history = self.layout.history
+        history = self.layout.n_lags
         held = []
         for _, part in splits:
-            windows = judging_windows(part, history)
-            held.append(Shots.at(part, windows.episode, windows.start, windows.states.shape[1]))
+            windows = error_windows(part, history)
+            held.append(TrainingWindows.at(part, windows.episode, windows.start, windows.states.shape[1]))
 
-        def judge(parameters: Single) -> Array:
+        def judge(parameters: Array32) -> Array:
             return judged(self, parameters, held, self.standard.state_scale)
 
         learned = train(
             self,
-            [Shots.of(part, plan.horizon, history) for part, _ in splits],
+            [TrainingWindows.of(part, plan.horizon, history) for part, _ in splits],
             plan,
             state_scale=self.standard.state_scale,
             change_scale=self.standard.change,
@@ -163,7 +163,7 @@ class StandardisedModel(ABC):
         )
         return learned, judge(learned)
 
-    def network(self, parameters: Single) -> Network:
+    def network(self, parameters: Array32) -> Network:
         """Return ``parameters`` (M, P) as networks of features of (carry, control), with ``further`` inputs of 1."""
         known = len(self.centre)
         learned = self.layers.network(parameters)
@@ -180,9 +180,9 @@ class StandardisedModel(ABC):
         flat = self.layers.flat(Network([first, *begun.weights[1:]], begun.biases))
         self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
 
-    def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: Trainings) -> Single:
+    def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
         """Train all members on the whole of ``dataset`` from where they are; return the parameters (M, P)."""
-        shots = Shots.of(dataset, plan.horizon, self.layout.history)
+        shots = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
         return train(
             self,
             [shots] * self.layers.members,
@@ -197,9 +197,9 @@ class StandardisedModel(ABC):
         """Numbers that are seen of one state."""
         return len(self.standard.seen_centre)
 
-    def _fill_controls(self, controls: Single) -> None:
+    def _fill_controls(self, controls: Array32) -> None:
         """Write the controls (L + H, M, B, nu), and the flag, into the inputs of all steps."""
-        history, horizon, nu = self.layout.history, len(self.inputs), self.system.nu
+        history, horizon, nu = self.layout.n_lags, len(self.inputs), self.system.nu
         place = self._n_seen * (1 + self.layout.state_lags)
         for lag in (*range(1, self.layout.control_lags + 1), 0):
             begin = history - lag
@@ -209,17 +209,17 @@ class StandardisedModel(ABC):
 
     def _fill_earlier_states(self, step: int) -> None:
         """Write what is seen of earlier states into the inputs of one step."""
-        seen, history = self._n_seen, self.layout.history
+        seen, history = self._n_seen, self.layout.n_lags
         for lag in range(1, self.layout.state_lags + 1):
             known = step >= lag
             earlier = self.inputs[step - lag, 0, ..., :seen] if known else self._seen(self.states[history + step - lag])
             self.inputs[step, ..., seen * lag : seen * (lag + 1)] = earlier
 
-    def _seen(self, states: Single) -> Single:
+    def _seen(self, states: Array32) -> Array32:
         """Return what is seen of states (..., nx)."""
         return self.system.regressors(states) if self.system.periods else states
 
-    def _pulled_to_state(self, state: Single, gradient: Single) -> Single:
+    def _pulled_to_state(self, state: Array32, gradient: Array32) -> Array32:
         """Return the gradient by states (..., nx) from that by what is seen of them."""
         if not self.system.periods:
             return gradient

@@ -9,22 +9,22 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 
 from model_zoo.features import Features
-from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.network import Network, Single, declared_layers
-from model_zoo.networks.training import Trainings, TrainingSchedule
+from model_zoo.networks.backpropagation import DifferentiableSimulation
+from model_zoo.networks.network import Array32, Network, declared_layers
+from model_zoo.networks.training import ResumableTrainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.models.kernels import Predictor, network_predictor, with_angles
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.parameters import Limit, OneOf, SearchRange, Within, at_least
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import time_blocks
-from sysid_evo.validation.held_out import best, lag_candidates, trials
+from sysid_evo.validation.folds import time_fold
+from sysid_evo.validation.held_out import best_candidate, count_fits, lag_candidates
 from sysid_evo.validation.intervals import (
     HORIZONS,
-    MOST_WINDOWS,
+    MAX_WINDOWS,
     Case,
     conformal_scale,
     growth_on_unseen_recordings,
@@ -33,7 +33,7 @@ from sysid_evo.validation.intervals import (
     rough_fits,
     usable_horizon,
 )
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 
 HIDDEN = (48, 48)
 
@@ -44,7 +44,7 @@ OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
 @register_model("mlp_ensemble")
-class MlpEnsemble(Uncertain):
+class MlpEnsemble(StochasticModel):
     """The mean acceleration of ``members`` networks of state, control and lagged samples.
 
     Each member learns from the blocks of time that are left when every ``folds``-th is held out
@@ -54,21 +54,21 @@ class MlpEnsemble(Uncertain):
     over one second. Lags left at None are chosen on the held-out blocks; with ``lag_search="few"`` between none and
     (1, 3). Of a periodic state the networks see sine and cosine.
 
-    If a planar body is steered by the controls ``turning``, half of the windows are mirrored left
+    If a planar body is steered by the controls ``steering``, half of the windows are mirrored left
     to right, and a flag among the inputs tells which: the two sides share what is alike and may
     differ. The flag is fixed after the fit.
 
     With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as
-    `Uncertain` says. Such a fit also holds out whole recordings in turn, and widens the intervals by how much more
-    errors there are than on held-out blocks (`growth_on_unseen_recordings`). Switched on after the fit, 90 % intervals
-    hold 90 % of held-out samples after one second.
+    `StochasticModel` says. Such a fit also holds out whole recordings in turn, and widens the intervals by how much
+    more errors there are than on held-out blocks (`growth_on_unseen_recordings`). Switched on after the fit, 90 %
+    intervals hold 90 % of held-out samples after one second.
     """
 
     knowledge = "dark grey"
-    structure = "network"
+    model_class = "network"
     periodic = True
     resumable = True
-    searched: ClassVar[dict[str, Searched]] = {
+    search_ranges: ClassVar[dict[str, SearchRange]] = {
         "input_noise": Within(0.02, 4.0, log=True),
         "hidden": OneOf((None, [24, 24], [96, 96])),
         "horizon": Within(5, 40, log=True),
@@ -99,9 +99,9 @@ class MlpEnsemble(Uncertain):
     horizon: int = 20
     input_noise: float = 0.05
     folds: int = 6
-    turning: list[str] | None = None
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    steering: list[str] | None = None
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         final = TrainingSchedule(self.one_step_updates, self.updates, self.horizon, input_noise=self.input_noise)
@@ -109,15 +109,17 @@ class MlpEnsemble(Uncertain):
         search = replace(final, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         rough = rough_fits(dataset) if self.stochastic else 0
-        counter = Counter(progress, final.total + (trials(options) + rough) * search.total + 1)  # 1: the calibration
+        counter = Counter(
+            progress, final.total + (count_fits(options) + rough) * search.total + 1
+        )  # 1: the calibration
 
         def trained(
             data: Dataset, lags: tuple[int, int], members: int, plan: TrainingSchedule
         ) -> tuple[Network, Array]:
             """Return members that each learned what is left without its blocks of time, and their errors there."""
-            splits = [time_blocks(data, member, self.folds) for member in range(members)]
-            hidden, mirror = self.hidden or HIDDEN, Mirror.of(dataset.system, self.turning)
-            model = LaggedMembers(
+            splits = [time_fold(data, member, self.folds) for member in range(members)]
+            hidden, mirror = self.hidden or HIDDEN, Mirror.of(dataset.system, self.steering)
+            model = DifferenceNetworks(
                 data, lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=trainings.rng
             )
             parameters, errors = model.learn(splits, plan, trainings)
@@ -126,10 +128,10 @@ class MlpEnsemble(Uncertain):
         def roughly(part: Dataset) -> DynamicsModel:
             return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
 
-        with Trainings.of(self, dataset, rng, counter.advance) as trainings:
+        with ResumableTrainings.of(self, dataset, rng, counter.advance) as trainings:
             few = min(3, self.members)
-            lags = best(options, lambda option: float(np.mean(trained(dataset, option, few, search)[1])))
-            self.keep_lags(lags)
+            lags = best_candidate(options, lambda option: float(np.mean(trained(dataset, option, few, search)[1])))
+            self.record_lags(lags)
             network, _ = trained(dataset, lags, self.members, final)
             self.weights_, self.biases_ = list(network.weights), list(network.biases)
             growth = growth_on_unseen_recordings(roughly, dataset, steps=HORIZONS) if rough else None
@@ -139,13 +141,15 @@ class MlpEnsemble(Uncertain):
             self._calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
-    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
+    def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
         members, hidden = len(self.weights_[0]), [weight.shape[2] for weight in self.weights_[:-1]]
-        mirror = Mirror.of(dataset.system, self.turning)
-        model = LaggedMembers(dataset, self.lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=rng)
+        mirror = Mirror.of(dataset.system, self.steering)
+        model = DifferenceNetworks(
+            dataset, self.lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=rng
+        )
         model.begin_with(self.network)
-        network = model.network(model.learn_further(dataset, plan, Trainings(rng)))
+        network = model.network(model.learn_further(dataset, plan, ResumableTrainings(rng)))
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
@@ -197,7 +201,7 @@ class MlpEnsemble(Uncertain):
         together = self._deterministic(self.network)
         for member in range(self.members):
             still()
-            windows = judging_windows(time_blocks(dataset, member, self.folds)[1], self.n_lags, stride=10)
+            windows = error_windows(time_fold(dataset, member, self.folds)[1], self.n_lags, stride=10)
             alone = self._alone(member)
             history = windows.past_states, windows.past_controls, windows.controls
             error = windows.states - alone.simulate(*history)
@@ -209,11 +213,11 @@ class MlpEnsemble(Uncertain):
     def _calibrate_horizons(
         self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, still: Callable[[], None]
     ) -> None:
-        """Learn the spread as `Uncertain` has it, from the errors of each member on its held-out blocks.
+        """Learn the spread as `StochasticModel` has it, from the errors of each member on its held-out blocks.
 
         They grow by ``growth`` (4, nx), how much larger errors are on recordings never seen after 1, 10, 20, 60 steps.
         """
-        held = [time_blocks(dataset, member, self.folds)[1] for member in range(self.members)]
+        held = [time_fold(dataset, member, self.folds)[1] for member in range(self.members)]
         horizon = usable_horizon(held, self.n_lags)
         steps = np.arange(1, horizon + 1)
         factors = np.ones((len(HORIZONS), self.system.nx)) if growth is None else growth
@@ -223,7 +227,7 @@ class MlpEnsemble(Uncertain):
         for member, part in enumerate(held):
             still()
             alone = self._alone(member)
-            case = Case.of(self, part, horizon, MOST_WINDOWS // self.members)
+            case = Case.of(self, part, horizon, MAX_WINDOWS // self.members)
             history = case.windows.past_states, case.windows.past_controls, case.windows.controls
             error = case.windows.states - alone.simulate(*history)
             moved = replace(case.windows, states=together.simulate(*history) + times * error)
@@ -238,22 +242,22 @@ class MlpEnsemble(Uncertain):
         self.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng, still=still))
 
 
-class LaggedMembers(StandardisedModel):
+class DifferenceNetworks(DifferentiableSimulation):
     """M networks of (carry, control, flag) that give the change of the state in one step.
 
     ``flag`` (M, B, 1) is 1 for data as recorded and -1 for mirrored data.
     """
 
     def prepare(self, horizon: int) -> None:
-        self.accelerations: Single = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
+        self.accelerations: Array32 = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
 
-    def advance(self, step: int, state: Single) -> Single:
-        acceleration: Single = self.called(step, 0, state)
+    def advance(self, step: int, state: Array32) -> Array32:
+        acceleration: Array32 = self.called(step, 0, state)
         self.accelerations[step] = acceleration
         return self.system.integrate(state, acceleration)
 
-    def pull_back(self, step: int, gradient: Single) -> Single:
-        state = self.states[self.layout.history + step]
-        moved = self.motion.integrated(state, self.accelerations[step], self.system.dt, gradient)
+    def pull_back(self, step: int, gradient: Array32) -> Array32:
+        state = self.states[self.layout.n_lags + step]
+        moved = self.motion.of_integrate(state, self.accelerations[step], self.system.dt, gradient)
         by_state, by_acceleration = moved
         return by_state + self.pulled_through(step, 0, state, by_acceleration)

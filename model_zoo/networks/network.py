@@ -87,7 +87,7 @@ def random_network(sizes: Sequence[int], members: int, rng: np.random.Generator,
     return Network(weights, biases)
 
 
-Single: TypeAlias = npt.NDArray[Any]
+Array32: TypeAlias = npt.NDArray[Any]
 """Of single precision, in which all training is done."""
 
 
@@ -95,9 +95,9 @@ Single: TypeAlias = npt.NDArray[Any]
 class ActivationTrace:
     """What is kept of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients by every layer."""
 
-    values: tuple[Single, ...]
-    slopes: tuple[Single, ...]
-    spare: tuple[Single, ...]
+    values: tuple[Array32, ...]
+    slopes: tuple[Array32, ...]
+    spare: tuple[Array32, ...]
 
     @classmethod
     def of(cls, sizes: Sequence[int], calls: int, members: int, batch: int) -> ActivationTrace:
@@ -117,13 +117,13 @@ class Layers:
 
     def __init__(self, sizes: Sequence[int], members: int, *, centre: Array, scale: Array, output_scale: Array) -> None:
         self.sizes, self.members = tuple(sizes), members
-        self.output_scale: Single = output_scale.astype(np.float32)
-        self.per_scale: Single = (1.0 / scale[:, None]).astype(np.float32)
-        self.offset: Single = (centre / scale).astype(np.float32)
+        self.output_scale: Array32 = output_scale.astype(np.float32)
+        self.per_scale: Array32 = (1.0 / scale[:, None]).astype(np.float32)
+        self.offset: Array32 = (centre / scale).astype(np.float32)
         self.size = sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
         self._traces: dict[tuple[int, int], ActivationTrace] = {}
 
-    def flat(self, network: Network) -> Single:
+    def flat(self, network: Network) -> Array32:
         """Return the parameters (M, P) of a network of this shape."""
         parts = [
             part.reshape(self.members, -1)
@@ -132,12 +132,12 @@ class Layers:
         ]
         return np.concatenate(parts, axis=1).astype(np.float32)
 
-    def network(self, parameters: Single) -> Network:
+    def network(self, parameters: Array32) -> Network:
         """Undo `flat`."""
         weights, biases = self._cut(parameters.astype(np.float64))
         return Network(weights, biases)
 
-    def take(self, parameters: Single) -> None:
+    def take(self, parameters: Array32) -> None:
         """Run with these ``parameters`` (M, P) from here on."""
         weights, biases = self._cut(parameters)
         biases[0] = biases[0] - self.offset @ weights[0]
@@ -145,14 +145,14 @@ class Layers:
         weights[-1], biases[-1] = weights[-1] * self.output_scale, biases[-1] * self.output_scale
         self.weights, self.biases = weights, [bias[:, None] for bias in biases]
 
-    def reserve(self, calls: int, batch: int) -> Single:
+    def reserve(self, calls: int, batch: int) -> Array32:
         """Prepare for so many calls with so many rows; return the inputs (C, M, B, n_in), to be filled."""
         if (calls, batch) not in self._traces:
             self._traces[calls, batch] = ActivationTrace.of(self.sizes, calls, self.members, batch)
         self.trace = self._traces[calls, batch]
         return self.trace.values[0]
 
-    def forward(self, call: int) -> Single:
+    def forward(self, call: int) -> Array32:
         """Return the outputs (M, B, n_out) for the inputs of ``call``."""
         values, last = self.trace.values, len(self.weights) - 1
         for layer in range(last):
@@ -160,11 +160,11 @@ class Layers:
             np.matmul(values[layer][call], self.weights[layer], out=after)
             after += self.biases[layer]
             np.tanh(after, out=after)
-        found: Single = np.matmul(values[last][call], self.weights[last])
+        found: Array32 = np.matmul(values[last][call], self.weights[last])
         found += self.biases[last]
         return found
 
-    def backward(self, call: int, gradient: Single, inputs: int) -> Single:
+    def backward(self, call: int, gradient: Array32, inputs: int) -> Array32:
         """Return the gradient (M, B, ``inputs``) by the first inputs, from that by the outputs (M, B, n_out)."""
         values, slopes, last = self.trace.values, self.trace.slopes, len(self.weights) - 1
         slopes[last][call] = gradient
@@ -176,7 +176,7 @@ class Layers:
             before *= spare
         return np.matmul(slopes[0][call], np.swapaxes(self.weights[0][:, :inputs], 1, 2))
 
-    def gradient(self) -> Single:
+    def gradient(self) -> Array32:
         """Return the gradient (M, P) by the parameters, over all calls."""
         parts, ones = [], np.ones((1, self.trace.spare[0].shape[1]), dtype=np.float32)
         last = len(self.weights) - 1
@@ -190,7 +190,7 @@ class Layers:
             parts += [by_weight.reshape(self.members, -1), by_bias[:, 0]]
         return np.concatenate(parts, axis=1)
 
-    def _cut(self, parameters: Single) -> tuple[list[Single], list[Single]]:
+    def _cut(self, parameters: Array32) -> tuple[list[Array32], list[Array32]]:
         weights, biases, at = [], [], 0
         for n_in, n_out in pairwise(self.sizes):
             weights.append(parameters[:, at : at + n_in * n_out].reshape(len(parameters), n_in, n_out))

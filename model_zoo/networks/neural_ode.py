@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Literal, Protocol, Self
 import numpy as np
 
 from model_zoo.features import Features
-from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.network import Network, Single, declared_layers
-from model_zoo.networks.training import Trainings, TrainingSchedule
+from model_zoo.networks.backpropagation import DifferentiableSimulation
+from model_zoo.networks.network import Array32, Network, declared_layers
+from model_zoo.networks.training import ResumableTrainings, TrainingSchedule
 from model_zoo.scaling import Mirror
 from sysid_evo import register_model
 from sysid_evo.carry import CarryLayout
@@ -26,13 +26,13 @@ from sysid_evo.models.kernels import (
     with_angles,
 )
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.parameters import Limit, OneOf, Searched, Within, above, at_least
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.parameters import Limit, OneOf, SearchRange, Within, above, at_least
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import time_blocks
-from sysid_evo.validation.held_out import best, lag_candidates, trials
+from sysid_evo.validation.folds import time_fold
+from sysid_evo.validation.held_out import best_candidate, count_fits, lag_candidates
 
 SEARCH_SHARE = 0.15
 
@@ -45,7 +45,7 @@ LAGS: dict[str | None, tuple[tuple[int, int], ...]] = {None: ((0, 0),), "all": (
 
 
 @register_model("neural_ode")
-class NeuralOde(Uncertain):
+class NeuralOde(StochasticModel):
     """dx/dt = network(x, u, earlier states and controls) + w(x), w the rotation of a planar body's frame.
 
     Chen et al. (2018). Of a periodic state the network sees sine and cosine. There are no earlier samples unless
@@ -62,10 +62,10 @@ class NeuralOde(Uncertain):
     """
 
     knowledge = "dark grey"
-    structure = "network"
+    model_class = "network"
     periodic = True
     resumable = True
-    searched: ClassVar[dict[str, Searched]] = {
+    search_ranges: ClassVar[dict[str, SearchRange]] = {
         "input_noise": Within(0.02, 4.0, log=True),
         "hidden": OneOf((None, [24], [64, 64])),
         "horizon": Within(5, 40, log=True),
@@ -77,7 +77,7 @@ class NeuralOde(Uncertain):
         "input_noise": at_least(0),
     }
     initial: ClassVar[Array] = np.empty(0)
-    spread_groups: ClassVar[int] = 2
+    calibration_folds: ClassVar[int] = 2
     presets: ClassVar[dict[str, dict[str, Any]]] = {
         "quick": QUICK,
         "paper": {"one_step_updates": 3000, "updates": 1500},
@@ -92,8 +92,8 @@ class NeuralOde(Uncertain):
     horizon: int = 20
     learning_rate: float = 6e-3
     input_noise: float = 0.05
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         plan = TrainingSchedule(
@@ -107,32 +107,32 @@ class NeuralOde(Uncertain):
         one_step_updates, updates = (max(1, round(SEARCH_SHARE * n)) for n in (plan.one_step_updates, plan.updates))
         search = replace(plan, one_step_updates=one_step_updates, updates=updates)
         options = lag_candidates(self.state_lags, self.control_lags, LAGS[self.lag_search])
-        counter = Counter(progress, final.total + trials(options) * search.total)
+        counter = Counter(progress, final.total + count_fits(options) * search.total)
 
         def trained(lags: tuple[int, int], plan: TrainingSchedule) -> tuple[Network, Array, float]:
             """Return network and physical parameters that simulate held-out blocks best, and their error there."""
             flow = self._flow(dataset, lags, self.hidden or HIDDEN, self.initial, trainings.rng)
-            found, errors = flow.learn([time_blocks(dataset, 0, FOLDS)], plan, trainings)
+            found, errors = flow.learn([time_fold(dataset, 0, FOLDS)], plan, trainings)
             return flow.network(found), flow.physical_of(found), float(errors[0])
 
-        with Trainings.of(self, dataset, rng, counter.advance) as trainings:
-            lags = best(options, lambda lags: trained(lags, search)[2])
+        with ResumableTrainings.of(self, dataset, rng, counter.advance) as trainings:
+            lags = best_candidate(options, lambda lags: trained(lags, search)[2])
             network, physical, _ = trained(lags, final)
-        self.keep_lags(lags)
+        self.record_lags(lags)
         self.weights_, self.biases_ = list(network.weights), list(network.biases)
         if len(self.initial):
             self.physical_ = physical
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
 
-    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
+    def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self:
         plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
         hidden = [weight.shape[2] for weight in self.weights_[:-1]]
         physical = self.physical_ if len(self.initial) else self.initial
         mirror = Mirror.of(dataset.system)  # few seconds seldom turn both ways alike
         flow = self._flow(dataset, self.lags, hidden, physical, rng, mirror)
         flow.begin_with(self.network)
-        found = flow.learn_further(dataset, plan, Trainings(rng))
+        found = flow.learn_further(dataset, plan, ResumableTrainings(rng))
         network, physical = flow.network(found), flow.physical_of(found)
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
@@ -148,9 +148,9 @@ class NeuralOde(Uncertain):
         physical: Array,
         rng: np.random.Generator,
         mirror: Mirror | None = None,
-    ) -> Flow:
+    ) -> OdeSimulation:
         """Return the flow to be trained, with the ``physical`` parameters where there are such."""
-        flow = Flow(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
+        flow = OdeSimulation(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
         if (physics := self.physics()) is not None:
             flow.know(physics, physical)
         return flow
@@ -159,7 +159,7 @@ class NeuralOde(Uncertain):
         """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
         return None
 
-    def physics(self) -> Physics | None:
+    def physics(self) -> KnownRate | None:
         """Return `known_rate` as it is trained, in a family with ``initial`` physical parameters."""
         return None
 
@@ -213,7 +213,7 @@ def flow_step(
 
     def rate(state: Array) -> Array:
         seen = features(np.concatenate([state, held], axis=1), control)
-        learned = network(seen)[0] + system.turning(state)
+        learned = network(seen)[0] + system.frame_rotation(state)
         known = None if known_rate is None else known_rate(state, control)
         return learned if known is None else learned + known
 
@@ -241,51 +241,51 @@ SHARES = 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0
 """Share of each of them in the step."""
 
 
-class Flow(StandardisedModel):
+class OdeSimulation(DifferentiableSimulation):
     """dx/dt = network(x, lagged samples, control) + physics + rotation of the frame, controls held.
 
     Of the ``physical`` parameters (n,), all positive, the logarithms are trained, beside the network's.
     """
 
     calls: ClassVar[int] = len(NODES)
-    physics: Physics | None = None
+    physics: KnownRate | None = None
 
-    def know(self, physics: Physics, physical: Array) -> None:
+    def know(self, physics: KnownRate, physical: Array) -> None:
         """Add ``physics``, with parameters that begin at ``physical``."""
         self.physics = physics
         logarithms = np.log(physical).astype(np.float32)
         self.parameters = np.concatenate([self.parameters, logarithms[None]], axis=1)
 
     @property
-    def physical(self) -> Single:
+    def physical(self) -> Array32:
         """The physical parameters (n,) as they are now."""
         return np.asarray(np.exp(self.parameters[0, self.layers.size :]))
 
-    def physical_of(self, parameters: Single) -> Array:
+    def physical_of(self, parameters: Array32) -> Array:
         """Return the physical part (n,) of trained ``parameters`` (1, P)."""
         return np.asarray(np.exp(parameters[0, self.layers.size :].astype(np.float64)))
 
     def prepare(self, horizon: int) -> None:
         shape = horizon, self.calls, *self.states.shape[1:]
-        self.visited: Single = np.empty(shape, dtype=np.float32)
-        self.by_rate: Single = np.empty(shape, dtype=np.float32)
+        self.visited: Array32 = np.empty(shape, dtype=np.float32)
+        self.by_rate: Array32 = np.empty(shape, dtype=np.float32)
         if self.physics is not None:
             self.physics.hold(self.controls, self.physical)
 
-    def advance(self, step: int, state: Single) -> Single:
+    def advance(self, step: int, state: Array32) -> Array32:
         dt, after, rate = self.system.dt, state, state
         for call, (node, share) in enumerate(zip(NODES, SHARES, strict=True)):
             here = state + (node * dt) * rate if node else state
             self.visited[step, call] = here
             rate = self.called(step, call, here)
             if self.system.motion is not None:
-                rate += self.system.turning(here)
+                rate += self.system.frame_rotation(here)
             if self.physics is not None:
                 rate += self.physics.rate(step, here)
             after = after + (share * dt) * rate
         return after
 
-    def pull_back(self, step: int, gradient: Single) -> Single:
+    def pull_back(self, step: int, gradient: Array32) -> Array32:
         dt, by_state, from_next = self.system.dt, gradient, None
         for call in range(self.calls - 1, -1, -1):
             by_rate = (SHARES[call] * dt) * gradient
@@ -295,13 +295,13 @@ class Flow(StandardisedModel):
             here = self.visited[step, call]
             from_next = self.pulled_through(step, call, here, by_rate)
             if self.system.motion is not None:
-                from_next = from_next + self.motion.turned(here, by_rate)
+                from_next = from_next + self.motion.of_frame_rotation(here, by_rate)
             if self.physics is not None:
                 from_next = from_next + self.physics.by_state(step, here, by_rate)
             by_state = by_state + from_next
         return by_state
 
-    def gradient(self, by_states: Single) -> Single:
+    def gradient(self, by_states: Array32) -> Array32:
         by_network = super().gradient(by_states)
         if self.physics is None:
             return by_network
@@ -309,17 +309,17 @@ class Flow(StandardisedModel):
         return np.concatenate([by_network, by_logarithms[None]], axis=1)
 
 
-class Physics(Protocol):
+class KnownRate(Protocol):
     """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
 
-    def hold(self, controls: Single, parameters: Single) -> None:
+    def hold(self, controls: Array32, parameters: Array32) -> None:
         """Expect these ``controls`` (H, ..., nu) in the steps to come."""
 
-    def rate(self, step: int, state: Single) -> Single:
+    def rate(self, step: int, state: Array32) -> Array32:
         """Return the known part (..., nx) in one of the steps."""
 
-    def by_state(self, step: int, state: Single, gradient: Single) -> Single:
+    def by_state(self, step: int, state: Array32, gradient: Array32) -> Array32:
         """Return the gradient by the state, from that by the rate (..., nx)."""
 
-    def by_parameters(self, states: Single, gradients: Single) -> Single:
+    def by_parameters(self, states: Array32, gradients: Array32) -> Array32:
         """Return the gradient (n,), from those by the rates of all steps (H, calls, ..., nx)."""

@@ -12,7 +12,7 @@ import numpy as np
 from model_zoo.features import Features
 from model_zoo.networks.network import Network
 from model_zoo.networks.neural_ode import HIDDEN, flow_predictor, flow_step
-from model_zoo.scaling import Standard
+from model_zoo.scaling import ChannelScaling
 from sysid_evo import Dataset, DynamicsModel, register_model
 from sysid_evo.carry import CarryLayout
 from sysid_evo.errors import InvalidArgument
@@ -52,7 +52,7 @@ class TorchOde(DynamicsModel):
     """
 
     knowledge = "dark grey"
-    structure = "network"
+    model_class = "network"
     periodic = True
     requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {
@@ -73,8 +73,8 @@ class TorchOde(DynamicsModel):
     updates: int = 1500
     horizon: int = 20
     learning_rate: float = 6e-3
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:
         super().check_parameters()
@@ -95,7 +95,7 @@ class TorchOde(DynamicsModel):
         return nn.Sequential(*layers, nn.Linear(n_inputs, n_outputs))
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        standard, counter = Standard.of(dataset), Counter(progress, self.updates)
+        standard, counter = ChannelScaling.of(dataset), Counter(progress, self.updates)
         self.centre_, self.scale_ = standard.of_inputs(CarryLayout(self.system.nx, self.system.nu, *self.lags))
         self.rates_ = standard.change / self.system.dt
         with one_thread(int(rng.integers(2**63))):

@@ -16,8 +16,16 @@ from torch.optim.swa_utils import AveragedModel
 from torchdiffeq import odeint, odeint_adjoint
 
 from model_zoo.networks.neural_ode import FOLDS
-from model_zoo.networks.training import MOMENTUM, SPREAD, Batches, Shots, TrainingSchedule, schedule, step_weights
-from model_zoo.scaling import Standard
+from model_zoo.networks.training import (
+    MOMENTUM,
+    SPREAD,
+    Batches,
+    TrainingSchedule,
+    TrainingWindows,
+    schedule,
+    step_weights,
+)
+from model_zoo.scaling import ChannelScaling
 from sysid_evo.angles import TURN
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset, Windows
@@ -26,12 +34,12 @@ from sysid_evo.models.dynamics import chained
 from sysid_evo.processors import one_thread
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import time_blocks
-from sysid_evo.validation.simulation_error import judging_windows, relative_error
+from sysid_evo.validation.folds import time_fold
+from sysid_evo.validation.simulation_error import error_windows, relative_error
 
 ADAPTIVE = ("dopri5", "dopri8")
 """Methods that choose their own steps; those of lower order would need too many to be as exact as a step must be."""
-MOST_STEPS = 10_000
+MAX_STEPS = 10_000
 """Steps of their own that they may take within dt."""
 SOLVER_FAILED = AssertionError
 """What torchdiffeq raises where they would take more, or meet what is no number."""
@@ -50,7 +58,7 @@ class Turning(torch.autograd.Function):
         """Return w(x) for states (..., nx)."""
         ctx.save_for_backward(state)
         ctx.system = system
-        return torch.from_numpy(system.turning(state.detach().numpy()))
+        return torch.from_numpy(system.frame_rotation(state.detach().numpy()))
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
@@ -127,10 +135,10 @@ class Equation:
 
     def run(self, states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
         """Return the states (B, H, nx) of free runs from histories (B, L + 1, nx), (B, L, nu) under (B, H, nu)."""
-        carry = torch.cat(self.layout.started(states, past_controls), dim=-1)
+        carry = torch.cat(self.layout.initial_parts(states, past_controls), dim=-1)
 
         def step(carry: Tensor, control: Tensor) -> Tensor:
-            return torch.cat(self.layout.moved(carry, control, self.after(carry, control)), dim=-1)
+            return torch.cat(self.layout.shifted_parts(carry, control, self.after(carry, control)), dim=-1)
 
         return torch.stack([carry[:, : self.layout.nx] for carry in chained(step, carry, controls)], dim=1)
 
@@ -140,7 +148,7 @@ class Equation:
         if self.adjoint and torch.is_grad_enabled():
             solve = partial(odeint_adjoint, adjoint_rtol=self.tolerance, adjoint_atol=self.tolerance)
         if self.solver in ADAPTIVE:
-            options = {"max_num_steps": MOST_STEPS, "norm": lambda error: error.abs().max()}
+            options = {"max_num_steps": MAX_STEPS, "norm": lambda error: error.abs().max()}
         rate, state = Rate(self, carry[:, self.layout.nx :], control), carry[:, : self.layout.nx]
         solved: Tensor = solve(
             rate, state, self._times, rtol=self.tolerance, atol=self._absolute, method=self.solver, options=options
@@ -150,7 +158,7 @@ class Equation:
     def train(
         self,
         dataset: Dataset,
-        standard: Standard,
+        standard: ChannelScaling,
         *,
         updates: int,
         horizon: int,
@@ -164,9 +172,9 @@ class Equation:
         ``horizon`` steps, as `TrainingSchedule` says. What stays are, of the running means of the weights, those that
         simulate the held-out blocks best over one second. ``told`` is called after each update.
         """
-        learned, held = time_blocks(dataset, 0, FOLDS)
-        history, module = self.layout.history, self.module
-        shots, windows = Shots.of(learned, horizon, history), judging_windows(held, history)
+        learned, held = time_fold(dataset, 0, FOLDS)
+        history, module = self.layout.n_lags, self.module
+        shots, windows = TrainingWindows.of(learned, horizon, history), error_windows(held, history)
         batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
         single = round(ON_SINGLE_STEPS * updates)
         plan = TrainingSchedule(single, updates - single, horizon, learning_rate=learning_rate)
@@ -205,7 +213,7 @@ class Equation:
 
     def _pulled_back(self, samples: Tensor, noise: Tensor, scale: Tensor) -> bool:
         """Set the gradients for windows (B, L + 1 + H, nx + nu), shortened to 1; return whether they are finite."""
-        nx, history = self.layout.nx, self.layout.history
+        nx, history = self.layout.nx, self.layout.n_lags
         states, controls = samples[..., :nx], samples[..., nx:]
         try:
             found = self.run(states[:, : history + 1] + noise, controls[:, :history], controls[:, history:-1])

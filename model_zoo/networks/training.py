@@ -18,12 +18,12 @@ from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 
-from model_zoo.networks.network import Single
+from model_zoo.networks.network import Array32
 from sysid_evo.carry import CarryLayout
 from sysid_evo.data import Dataset
 from sysid_evo.errors import CheckpointWarning
 from sysid_evo.models import DynamicsModel
-from sysid_evo.progress import Checkpoint, State
+from sysid_evo.progress import Checkpoint, CheckpointState
 from sysid_evo.types import Array, IntArray
 
 SHARPNESS = 2.5
@@ -43,18 +43,18 @@ PIECE = 256
 
 
 @dataclass(frozen=True)
-class Shots:
+class TrainingWindows:
     """Windows of ``horizon`` steps: where each one's present stands (N,) among samples of state and control (T, n).
 
     The samples are those of all episodes, one after the other. Batches of them have the time first.
     """
 
-    samples: Single
+    samples: Array32
     starts: IntArray
     horizon: int
 
     @classmethod
-    def of(cls, dataset: Dataset, horizon: int, history: int) -> Shots:
+    def of(cls, dataset: Dataset, horizon: int, history: int) -> TrainingWindows:
         """Cut windows at every moving sample, as long as ``horizon`` or as the data allow."""
         horizon = min(horizon, max(len(episode) for episode in dataset.episodes) - history)
         windows = dataset.windows(1, history=history, moving=True)
@@ -63,7 +63,7 @@ class Shots:
         return cls.at(dataset, windows.episode[fits], windows.start[fits], horizon)
 
     @classmethod
-    def at(cls, dataset: Dataset, episode: IntArray, start: IntArray, horizon: int) -> Shots:
+    def at(cls, dataset: Dataset, episode: IntArray, start: IntArray, horizon: int) -> TrainingWindows:
         """Return the windows that begin at these samples of these episodes, (N,) each."""
         parts = []
         for one in dataset.episodes:
@@ -79,33 +79,33 @@ class Shots:
 class Batches:
     """What batches of every member's windows are made of: all samples in one array."""
 
-    def __init__(self, shots: Sequence[Shots], history: int) -> None:
+    def __init__(self, shots: Sequence[TrainingWindows], history: int) -> None:
         first = np.cumsum([0, *(len(one.samples) for one in shots)])
         self.samples = np.concatenate([one.samples for one in shots])
         self.starts = [one.starts + begin for one, begin in zip(shots, first, strict=False)]
         self.history = history
 
-    def of(self, rows: Sequence[IntArray], horizon: int) -> Single:
+    def of(self, rows: Sequence[IntArray], horizon: int) -> Array32:
         """Return the samples (L + 1 + H, M, B, n) of one choice of windows (B,) for each member."""
         starts = np.stack([start[row] for start, row in zip(self.starts, rows, strict=True)])
         steps = np.arange(-self.history, horizon + 1)
-        found: Single = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
+        found: Array32 = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
         return found
 
 
-class FreeRunning(Protocol):
+class TrainableSimulation(Protocol):
     """M models with parameters (M, P) that run free and say how what they simulate depends on the parameters."""
 
     layout: CarryLayout
-    parameters: Single
+    parameters: Array32
 
-    def run(self, samples: Single) -> Single:
+    def run(self, samples: Array32) -> Array32:
         """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
 
-    def gradient(self, by_states: Single) -> Single:
+    def gradient(self, by_states: Array32) -> Array32:
         """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
 
-    def augmented(self, samples: Single, rng: np.random.Generator) -> Single:
+    def augmented(self, samples: Array32, rng: np.random.Generator) -> Array32:
         """Return what is learned from a batch."""
 
     def as_recorded(self) -> None:
@@ -144,15 +144,15 @@ class TrainingSchedule:
 
 
 def train(
-    model: FreeRunning,
-    shots: Sequence[Shots],
+    model: TrainableSimulation,
+    shots: Sequence[TrainingWindows],
     plan: TrainingSchedule,
     *,
     state_scale: Array,
     change_scale: Array,
-    trainings: Trainings,
-    judge: Callable[[Single], Array] | None = None,
-) -> Single:
+    trainings: ResumableTrainings,
+    judge: Callable[[Array32], Array] | None = None,
+) -> Array32:
     """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters (M, P).
 
     ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
@@ -163,11 +163,11 @@ def train(
     if done is not None:
         trainings.report(plan.total)
         return done
-    rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.history)
+    rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.n_lags)
     state = TrainingState.at(model.parameters)
     scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
     longest = min(shot.horizon for shot in shots)
-    present = slice(layout.history - layout.state_lags, layout.history + 1)
+    present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
     first = told = trainings.resume(state)
     if first:
         trainings.report(first)
@@ -175,7 +175,7 @@ def train(
         horizon, size, rate = schedule(plan, update, longest)
         batch = batches.of([rng.integers(0, len(shot), size) for shot in shots], horizon)
         batch = model.augmented(batch, rng)
-        truth = batch[layout.history + 1 :, ..., : layout.nx].copy()
+        truth = batch[layout.n_lags + 1 :, ..., : layout.nx].copy()
         if plan.input_noise:
             measured = batch[present, ..., : layout.nx]
             measured += noise * rng.standard_normal(measured.shape, dtype=np.float32)
@@ -196,18 +196,20 @@ def train(
     return found
 
 
-def step_weights(error: Single) -> Single:
+def step_weights(error: Array32) -> Array32:
     """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (H, M) they have now."""
     weight = (error.mean(axis=1) + FLOOR) ** -SHARPNESS
     return np.asarray(weight / weight.sum())
 
 
-def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_scale: Array) -> Array:
+def judged(
+    model: TrainableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
+) -> Array:
     """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
 
     Infinite where a run is not finite. A member with fewer windows than another runs some twice, which do not count.
     """
-    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.history)
+    trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
     model.as_recorded()
     model.parameters = parameters
     most, longest = max(len(shots) for shots in held), max(shots.horizon for shots in held)
@@ -216,7 +218,7 @@ def judged(model: FreeRunning, parameters: Single, held: Sequence[Shots], state_
         rows = np.arange(begin, min(begin + PIECE, most))
         batch = batches.of([rows % len(shots) for shots in held], longest)
         with np.errstate(all="ignore"):
-            off = ((model.run(batch) - batch[layout.history + 1 :, ..., : layout.nx]) / state_scale) ** 2
+            off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / state_scale) ** 2
         for member, shots in enumerate(held):
             square[member] += off[: shots.horizon, member, : max(0, len(shots) - begin)].sum(axis=1)
     model.parameters = trained
@@ -250,22 +252,22 @@ class TrainingState:
     mean of the ``parameters``, ``best`` the best of these means and ``lowest`` its errors (M,).
     """
 
-    parameters: Single
-    first: Single
-    second: Single
-    mean: Single
-    best: Single
+    parameters: Array32
+    first: Array32
+    second: Array32
+    mean: Array32
+    best: Array32
     lowest: Array
     steps: Array
 
     @classmethod
-    def at(cls, parameters: Single) -> Self:
+    def at(cls, parameters: Array32) -> Self:
         """Return how things stand before the first update of ``parameters``."""
         zero = np.zeros_like(parameters)
         lowest = np.full(len(parameters), np.inf)
         return cls(parameters, zero, zero.copy(), parameters.copy(), parameters.copy(), lowest, np.zeros(1))
 
-    def descend(self, gradient: Single, rate: float) -> None:
+    def descend(self, gradient: Array32, rate: float) -> None:
         """Do one step of Adam, down a ``gradient`` that is shortened to the root of M; none if it is not finite."""
         norm = math.sqrt(float(np.vdot(gradient, gradient)))
         if not math.isfinite(norm):
@@ -301,7 +303,7 @@ class TrainingState:
             value[...] = state[name]
 
 
-class Trainings:
+class ResumableTrainings:
     """The trainings of one fit, one after the other, and the source of their random numbers.
 
     With a ``checkpoint`` a fit that is made again, with the same data and the same ``rng``, does not repeat the
@@ -323,7 +325,7 @@ class Trainings:
         self._state: dict[str, Any] = {"ended": 0}
         self._saved = True
         found = None if checkpoint is None else checkpoint.load(identity)
-        self._found: State = {"ended": 0} if found is None else found
+        self._found: CheckpointState = {"ended": 0} if found is None else found
 
     @classmethod
     def of(cls, model: DynamicsModel, dataset: Dataset, rng: np.random.Generator, report: Report | None) -> Self:
@@ -346,7 +348,7 @@ class Trainings:
         if self._report is not None:
             self._report(updates)
 
-    def ended(self) -> Single | None:
+    def ended(self) -> Array32 | None:
         """Begin the next training; return its parameters if it had ended before, None if it has to be done."""
         number, found = self._begun, self._found
         self._begun += 1
@@ -383,7 +385,7 @@ class Trainings:
         if self.checkpoint.due():
             self._save()
 
-    def end(self, parameters: Single) -> None:
+    def end(self, parameters: Array32) -> None:
         """Keep the parameters of the training, which is over."""
         if self.checkpoint is None:
             return

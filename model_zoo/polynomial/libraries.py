@@ -19,14 +19,14 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from scipy.sparse import csr_array
 
-from model_zoo.features import FUNCTIONS, Features, FunctionOf
+from model_zoo.features import FUNCTIONS, ChannelFunction, Features
 from sysid_evo.angles import TURN
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.types import IntArray
 
 Term: TypeAlias = tuple[str, ...]
-"""The factors of one candidate term, sorted: names of features, or functions as `FunctionOf.text`."""
+"""The factors of one candidate term, sorted: names of features, or functions as `ChannelFunction.text`."""
 
 
 class TermLibrary(Protocol):
@@ -38,7 +38,7 @@ class TermLibrary(Protocol):
 
 
 @dataclass(frozen=True)
-class Inputs:
+class InputSelection:
     """Which features a library sees: all, or those of the channels or features called ``names``."""
 
     names: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ class Polynomial:
     include_interaction: bool = True
     interaction_only: bool = False
     include_bias: bool = True
-    inputs: Inputs = field(default_factory=Inputs)
+    inputs: InputSelection = field(default_factory=InputSelection)
 
     def terms(self, features: Features) -> list[Term]:
         seen, found = self.inputs.of(features), list[Term]([()] if self.include_bias else [])
@@ -86,7 +86,7 @@ class Fourier:
     n_frequencies: int = 1
     include_sin: bool = True
     include_cos: bool = True
-    inputs: Inputs = field(default_factory=Inputs)
+    inputs: InputSelection = field(default_factory=InputSelection)
 
     def terms(self, features: Features) -> list[Term]:
         seen, system = self.inputs.of(features), features.system
@@ -106,7 +106,7 @@ class Fourier:
                 for function in wanted:
                     already = f"{function} {name}"
                     known = frequency == 1 and already in features.plain_names
-                    found.append((already if known else FunctionOf(function, frequency * factor, name).text,))
+                    found.append((already if known else ChannelFunction(function, frequency * factor, name).text,))
         return found
 
 
@@ -116,14 +116,14 @@ class Custom:
 
     functions: tuple[str, ...] = ()
     include_bias: bool = False
-    inputs: Inputs = field(default_factory=Inputs)
+    inputs: InputSelection = field(default_factory=InputSelection)
 
     def terms(self, features: Features) -> list[Term]:
         raw = set(features.input_names)
         seen = [name for name in self.inputs.of(features) if name in raw]
         found: list[Term] = [()] if self.include_bias else []
         for function, factor in map(of_x, self.functions):
-            found += [(FunctionOf(function, factor, name).text,) for name in seen]
+            found += [(ChannelFunction(function, factor, name).text,) for name in seen]
         return found
 
 
@@ -167,7 +167,7 @@ class Product:
 
 
 @dataclass(frozen=True)
-class Named:
+class ParsedLibrary:
     """What a text names: candidate terms, and the weak form if it asks for one."""
 
     terms: TermLibrary
@@ -186,7 +186,7 @@ class Basis:
 def basis_of(text: str, features: Features) -> Basis:
     """Return the terms that the library ``text`` has over ``features``."""
     terms = read_library(text).terms.terms(features)
-    further = {name: FunctionOf.read(name) for term in terms for name in term if name not in features.names}
+    further = {name: ChannelFunction.read(name) for term in terms for name in term if name not in features.names}
     functions = [function for function in further.values() if function is not None]
     place = {name: i for i, name in enumerate([*features.names, *further])}
     exponents = np.zeros((len(terms), len(place)), dtype=np.int64)
@@ -212,7 +212,7 @@ Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 
 
 @lru_cache(maxsize=256)
-def read_library(text: str) -> Named:
+def read_library(text: str) -> ParsedLibrary:
     """Return what ``text`` names. Raises `InvalidArgument` that says what is expected."""
     try:
         return _read(text, ast.parse(text.strip(), mode="eval").body)
@@ -222,13 +222,13 @@ def read_library(text: str) -> Named:
         raise InvalidArgument(f"library: {text[:80]!r} ... is nested too deep; {EXAMPLE}") from None
 
 
-def _read(text: str, node: ast.expr) -> Named:
+def _read(text: str, node: ast.expr) -> ParsedLibrary:
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Add, ast.Mult)):
         sides = (_read(text, node.left), _read(text, node.right))
         if any(side.weak is not None for side in sides):
             raise InvalidArgument(f"library: the weak form goes around the whole library, got {text!r}")
         join: Callable[[tuple[TermLibrary, ...]], TermLibrary] = Sum if isinstance(node.op, ast.Add) else Product
-        return Named(join((sides[0].terms, sides[1].terms)))
+        return ParsedLibrary(join((sides[0].terms, sides[1].terms)))
     if not isinstance(node, (ast.Call, ast.Name)):
         raise InvalidArgument(f"library: {text!r}: {EXAMPLE}")
     spec = Spec.parse(ast.unparse(node))
@@ -236,15 +236,15 @@ def _read(text: str, node: ast.expr) -> Named:
     if name in ("weakpde", "weak"):
         return _weak(spec)
     if name == "identity":
-        return Named(_made(spec, Polynomial, {"degree": 1, "include_bias": False}))
+        return ParsedLibrary(_made(spec, Polynomial, {"degree": 1, "include_bias": False}))
     if name in ("concat", "tensored"):
-        return Named((Sum if name == "concat" else Product)(_parts(spec)))
+        return ParsedLibrary((Sum if name == "concat" else Product)(_parts(spec)))
     if name in REFUSED:
         raise InvalidArgument(f"library: {spec.name} is of no use here: {REFUSED[name]}")
     if name not in KINDS:
         known = ", ".join([*KINDS, "identity", "WeakPDELibrary"])
         raise InvalidArgument(f"library: expected one of {known}, or a sum or product of these, got {spec.name!r}")
-    return Named(_made(spec, KINDS[name], {}))
+    return ParsedLibrary(_made(spec, KINDS[name], {}))
 
 
 def _parts(spec: Spec) -> tuple[TermLibrary, ...]:
@@ -254,19 +254,19 @@ def _parts(spec: Spec) -> tuple[TermLibrary, ...]:
     return tuple(read_library(str(part)).terms for part in parts)
 
 
-def _weak(spec: Spec) -> Named:
+def _weak(spec: Spec) -> ParsedLibrary:
     given = dict(spec.parameters)
     inside = read_library(str(given.pop("function_library", "polynomial(degree=2)")))
     weak = _checked(spec, WeakForm, given)
     if weak.H_xt <= 0 or weak.p < 1 or (weak.K is not None and weak.K < 1) or inside.weak is not None:
         raise InvalidArgument(f"library: expected H_xt > 0 s, p >= 1 and K >= 1 of {spec.name}, got {spec.text!r}")
-    return Named(inside.terms, weak)
+    return ParsedLibrary(inside.terms, weak)
 
 
 def _made(spec: Spec, kind: Kind, fixed: Mapping[str, Any]) -> TermLibrary:
     given = dict(spec.parameters)
     if "inputs" in given:
-        given["inputs"] = Inputs(_texts(spec, "inputs", given["inputs"]))
+        given["inputs"] = InputSelection(_texts(spec, "inputs", given["inputs"]))
     if kind is Custom:
         functions = given.pop("functions", given.pop("library_functions", None))
         given["functions"] = _texts(spec, "functions", functions)

@@ -25,7 +25,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.kernels import Predictor, polynomial_predictor, with_angles, within
 from sysid_evo.models.kernels.shells import SeenRow, of_functions
 from sysid_evo.models.learned import Declared, Numbers
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
 
@@ -51,7 +51,7 @@ class Regression:
         return Regression(self.regressors[rows], self.targets[rows], measured, states, self.added, sample)
 
 
-class PolynomialFamily(Uncertain):
+class PolynomialModel(StochasticModel):
     """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
 
     The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
@@ -60,7 +60,7 @@ class PolynomialFamily(Uncertain):
     of 1e6 + x are nearly collinear, so that neither fits nor thresholds can separate them.
     """
 
-    structure = "polynomial"
+    model_class = "polynomial"
     periodic = True
 
     def record(self, dataset: Dataset) -> None:
@@ -96,7 +96,7 @@ class PolynomialFamily(Uncertain):
         """Return from where targets (nx,) are measured: changes of the states ``added`` from 0, others from offsets."""
         return np.where(added, 0.0, self.offsets[: len(added)] or 0.0)
 
-    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+    def set_learned(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
         """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
         zero = self.zero_of(data.added)
         if zero.any():  # what was taken from the targets is a constant
@@ -121,8 +121,8 @@ class PolynomialFamily(Uncertain):
             "high_": (seen,),
             "added_": (nx,),
             "offsets_": Numbers(nx + self.system.nu, optional=True),
-            "envelope_": Numbers(2, nx, infinite=True, rising=True),  # its `stability` asks for both
-            "pairs_": ("pairs", nx + self.system.nu),
+            "state_bounds_": Numbers(2, nx, infinite=True, rising=True),  # its `stability` asks for both
+            "training_sample_": ("pairs", nx + self.system.nu),
         }
 
     def kept_features(self, exponents: IntArray) -> IntArray:
@@ -200,7 +200,7 @@ HIGHEST = 99
 """Largest exponent accepted from a file: a guess, far beyond any degree that data support."""
 DEGREES = (2, 3)
 """Degrees that are tried if none is given."""
-MOST_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
+MAX_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
 """Terms of the largest library that is tried, by how many lags are."""
 
 
@@ -257,7 +257,7 @@ def equation(
 
 TRIAL = 25.0
 """Seconds of a free run."""
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 RUNS = 32
 HELD = 10
 """Steps for which a free run holds each control."""
@@ -276,7 +276,7 @@ class Stability:
 
     ``at_rest`` is that of the neutral state under neutral controls, ``visited`` (N,) those at recorded states under
     recorded controls; below 0 disturbances die out. ``escaped`` is the share of free runs of ``seconds`` under
-    recorded controls, in random order, that reach the envelope.
+    recorded controls, in random order, that reach the state_bounds.
     """
 
     at_rest: float
@@ -291,7 +291,7 @@ class Stability:
         if self.escaped > 0:
             found.append(
                 f"is unstable: {100 * self.escaped:.0f} % of free runs of {self.seconds:g} s from recorded states "
-                "reach the envelope"
+                "reach the state_bounds"
             )
         if self.at_rest > GROWS:
             found.append(f"lets small disturbances at rest grow by {self.at_rest:.1f} 1/s")
@@ -305,16 +305,16 @@ def stability(model: DynamicsModel) -> Stability:
     """Return the `Stability` of a fitted model; the same every time."""
     system, rng = model.system, np.random.default_rng(0)
     nx = system.nx
-    states, controls = model.pairs_[:, :nx], model.pairs_[:, nx:]
+    states, controls = model.training_sample_[:, :nx], model.training_sample_[:, nx:]
     some = rng.integers(len(states), size=STATES)
     rest = growth(model, system.neutral_state[None], system.neutral_control[None])
-    steps = min(MOST_STEPS, max(1, round(TRIAL / system.dt)))
+    steps = min(MAX_STEPS, max(1, round(TRIAL / system.dt)))
     began = rng.integers(len(states), size=RUNS)
     pieces = rng.integers(len(controls), size=(RUNS, -(-steps // HELD)))
     history = np.repeat(states[began][:, None], model.n_lags + 1, axis=1)
     past = np.tile(system.neutral_control, (RUNS, model.n_lags, 1))
     runs = model.simulate(history, past, np.repeat(controls[pieces], HELD, axis=1)[:, :steps])
-    low, high = model.envelope_
+    low, high = model.state_bounds_
     with np.errstate(invalid="ignore"):
         escaped = ~np.isfinite(runs) | (runs <= low) | (runs >= high)
     return Stability(
@@ -330,7 +330,7 @@ def growth(model: DynamicsModel, states: Array, controls: Array) -> Array:
     system, lags = model.system, model.n_lags
     carry = model.start(np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1))
     spread = np.where(np.isfinite(np.ptp(carry, axis=0)), np.ptp(carry, axis=0), 0.0)
-    usual = np.ptp(model.pairs_[:, : system.nx], axis=0).max()
+    usual = np.ptp(model.training_sample_[:, : system.nx], axis=0).max()
     size = STEP * np.where(spread > 0, spread, usual if usual > 0 else 1.0)
     columns = []
     for place in range(carry.shape[1]):

@@ -9,8 +9,8 @@ import numpy as np
 
 from model_zoo.polynomial.model import (
     DEGREES,
-    MOST_TERMS,
-    PolynomialFamily,
+    MAX_TERMS,
+    PolynomialModel,
     Regression,
     evaluate,
     library_size,
@@ -18,11 +18,11 @@ from model_zoo.polynomial.model import (
 )
 from model_zoo.scaling import root_mean_square
 from sysid_evo import Dataset, DynamicsModel, register_model
-from sysid_evo.models.parameters import Limit, Searched, Within, at_least
+from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.folds import FOLDS
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
 
 COUNTS = (8, 12, 16, 24, 32, 48)
 OFFERED = {"all": ((0, 0), (0, 2), (1, 2), (1, 3), (2, 4)), "few": ((0, 0), (0, 3), (1, 3))}
@@ -32,7 +32,7 @@ ROWS = 8192
 
 
 @register_model("narx")
-class Narx(PolynomialFamily):
+class Narx(PolynomialModel):
     """x_{k+1} = sum of ``terms`` monomials of lagged states and controls, one selection for each state.
 
     Terms enter in the order of their error reduction ratio, the share of the target's energy that a
@@ -44,8 +44,8 @@ class Narx(PolynomialFamily):
     """
 
     knowledge = "black"
-    cheap = True
-    searched: ClassVar[dict[str, Searched]] = {"degree": Within(1, 3), "terms": Within(4, 64, log=True)}
+    fast_fit = True
+    search_ranges: ClassVar[dict[str, SearchRange]] = {"degree": Within(1, 3), "terms": Within(4, 64, log=True)}
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"degree": None, "terms": 32, "lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "terms": at_least(1)}
 
@@ -54,15 +54,15 @@ class Narx(PolynomialFamily):
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = lag_candidates(self.state_lags, self.control_lags, OFFERED[self.lag_search])
         counts = COUNTS if self.terms is None else (self.terms,)
         settings = [(count, lags, degree) for lags, degree in self._libraries(dataset, pairs) for count in counts]
-        counter = Counter(progress, trials(settings) * FOLDS + 1)
-        blocks, chosen = HeldOut.of(dataset), {}
+        counter = Counter(progress, count_fits(settings) * FOLDS + 1)
+        blocks, chosen = HeldOutError.of(dataset), {}
 
         def learned(part: Dataset, count: int, lags: tuple[int, int], degree: int) -> DynamicsModel:
             data, key = self.regression(part, lags), (lags, degree, part.names)
@@ -73,10 +73,10 @@ class Narx(PolynomialFamily):
             trial._learn(data, count, *chosen[key])
             return trial
 
-        self.terms_, lags, self.degree_ = best(
+        self.terms_, lags, self.degree_ = best_candidate(
             settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
         )
-        self.keep_lags(lags)
+        self.record_lags(lags)
         data = self.regression(dataset, lags)
         compressed = Compressed.of(data, self.degree_)
         self._learn(data, self.terms_, compressed, compressed.selection(self.terms_))
@@ -93,7 +93,7 @@ class Narx(PolynomialFamily):
         smallest = min(DEGREES)
         pairs_sizes = zip(every, sizes, strict=True)
         return [
-            library for library, size in pairs_sizes if size <= MOST_TERMS[self.lag_search] or library[1] == smallest
+            library for library, size in pairs_sizes if size <= MAX_TERMS[self.lag_search] or library[1] == smallest
         ]
 
     def _learn(self, data: Regression, count: int, compressed: Compressed, order: list[IntArray]) -> None:
@@ -102,7 +102,7 @@ class Narx(PolynomialFamily):
         for i, terms in enumerate(order):
             chosen, target = terms[:count], compressed.targets[:, i]
             coefficients[chosen, i], *_ = np.linalg.lstsq(compressed.library[:, chosen], target, rcond=None)
-        self.adopt(data, coefficients / compressed.sizes[:, None], compressed.exponents)
+        self.set_learned(data, coefficients / compressed.sizes[:, None], compressed.exponents)
 
 
 @dataclass(frozen=True)

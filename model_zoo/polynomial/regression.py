@@ -16,8 +16,8 @@ from model_zoo.features import Features
 from model_zoo.polynomial.libraries import WeakForm, basis_of, read_library, testing_functions
 from model_zoo.polynomial.model import (
     DEGREES,
-    MOST_TERMS,
-    PolynomialFamily,
+    MAX_TERMS,
+    PolynomialModel,
     Regression,
     evaluate,
     factors,
@@ -30,12 +30,12 @@ from model_zoo.scaling import root_mean_square
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.models import DynamicsModel
-from sysid_evo.models.parameters import Limit, Searched, Within, at_least
+from sysid_evo.models.parameters import Limit, SearchRange, Within, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.folds import FOLDS
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates, trials
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fits, lag_candidates
 
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 
@@ -45,7 +45,7 @@ SEED = 0
 """Of optimisers that draw, while settings are tried."""
 
 
-class SparsePolynomial(PolynomialFamily):
+class SparsePolynomial(PolynomialModel):
     """A polynomial whose terms pysindy finds.
 
     The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
@@ -62,14 +62,14 @@ class SparsePolynomial(PolynomialFamily):
 
     knowledge = "dark grey"
     requires = ("pysindy",)
-    searched: ClassVar[dict[str, Searched]] = {
+    search_ranges: ClassVar[dict[str, SearchRange]] = {
         "degree": Within(1, 3),
         "threshold": Within(0.003, 1.0, log=True),
         "ridge": Within(1e-6, 0.1, log=True),
     }
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"lag_search": "few"}}
     limits: ClassVar[dict[str, Limit]] = {"degree": at_least(1), "threshold": at_least(0), "ridge": at_least(0)}
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
+    lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3))
     has_weak_form: ClassVar[bool] = False
 
@@ -83,8 +83,8 @@ class SparsePolynomial(PolynomialFamily):
     state_lags: int | None = None
     control_lags: int | None = None
     lag_search: Literal["all", "few"] = "all"
-    rest_hold: bool = False
-    most_steps: int | None = 100_000
+    dead_band: bool = False
+    max_steps: int | None = 100_000
 
     def check_parameters(self) -> None:
         super().check_parameters()
@@ -169,12 +169,12 @@ class SparsePolynomial(PolynomialFamily):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         settings = self._settings(dataset)
-        counter = Counter(progress, trials(settings) * FOLDS + 1)
+        counter = Counter(progress, count_fits(settings) * FOLDS + 1)
         judged = self._judged(dataset, settings, counter) if len(settings) > 1 else {}
-        degree, threshold, lags = best(
+        degree, threshold, lags = best_candidate(
             settings, lambda setting: judged[setting][0], size=lambda setting: judged[setting][1]
         )
-        self.keep_lags(lags)
+        self.record_lags(lags)
         if self.library is None:
             self.degree_ = degree
         if self.optimizer is None:
@@ -182,7 +182,7 @@ class SparsePolynomial(PolynomialFamily):
         data = self.regression(dataset, lags)
         library = self.library_of(data, lags, degree)
         seed = int(rng.integers(2**32)) if self.optimizer is not None else SEED
-        self.adopt(data, self.solved(library, threshold, seed), library.exponents)
+        self.set_learned(data, self.solved(library, threshold, seed), library.exponents)
         counter.advance()
         self.calibrate(dataset, rng, lambda: counter.advance(0))
         return self
@@ -194,7 +194,7 @@ class SparsePolynomial(PolynomialFamily):
 
         Those of the same degree and lags share the monomials of every block.
         """
-        blocks, found = HeldOut.of(dataset), dict[Setting, tuple[float, int]]()
+        blocks, found = HeldOutError.of(dataset), dict[Setting, tuple[float, int]]()
         for kind in dict.fromkeys((degree, lags) for degree, _, lags in settings):
             shared: dict[int, tuple[Regression, Library]] = {}
             for setting in settings:
@@ -203,7 +203,7 @@ class SparsePolynomial(PolynomialFamily):
         return found
 
     def _tried(
-        self, setting: Setting, blocks: HeldOut, shared: dict[int, tuple[Regression, Library]], counter: Counter
+        self, setting: Setting, blocks: HeldOutError, shared: dict[int, tuple[Regression, Library]], counter: Counter
     ) -> tuple[float, int]:
         degree, threshold, lags = setting
         own = {} if self.library is not None else {"degree": degree}
@@ -217,7 +217,7 @@ class SparsePolynomial(PolynomialFamily):
                 data = trial.regression(part, lags)
                 shared[id(part)] = data, trial.library_of(data, lags, degree)
             data, library = shared[id(part)]
-            trial.adopt(data, trial.solved(library, threshold), library.exponents)
+            trial.set_learned(data, trial.solved(library, threshold), library.exponents)
             size += int(np.count_nonzero(trial.coefficients_))
             return trial
 
@@ -236,10 +236,10 @@ class SparsePolynomial(PolynomialFamily):
                 return len(self.terms_of(dataset.system, setting[2], 0))
             return library_size(len(self.features_of(dataset.system, setting[2]).names), setting[0])
 
-        return [setting for setting in every if terms(setting) <= MOST_TERMS[self.lag_search]] or [every[0]]
+        return [setting for setting in every if terms(setting) <= MAX_TERMS[self.lag_search]] or [every[0]]
 
     def _lag_candidates(self) -> list[tuple[int, int]]:
-        offered = self.few_lags if self.lag_search == "few" else self.offered_lags
+        offered = self.few_lags if self.lag_search == "few" else self.lag_options
         return lag_candidates(self.state_lags, self.control_lags, offered)
 
 

@@ -39,15 +39,15 @@ class Sindy(SparsePolynomial):
         system = dataset.system
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
         middle = 0.5 * (data.state + data.after)
-        rate = (data.after - data.state) / system.dt - system.turning(middle)
+        rate = (data.after - data.state) / system.dt - system.frame_rotation(middle)
         carry = np.concatenate([middle, data.carry[:, system.nx :]], axis=1)
         features = self.features_of(system, lags)
         seen, measured = features(carry, data.control), features(data.carry, data.control)
         found = Regression(seen, rate, measured, data.state, integrals(dataset), self.sampled(dataset, lags))
         return found[np.flatnonzero(between_limits(system, data.after))]
 
-    def adopt(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
-        super().adopt(data, coefficients, exponents)
+    def set_learned(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
+        super().set_learned(data, coefficients, exponents)
         self.continuation_ = continuation_limits(data.states, data.targets, data.added)
 
     def zero_of(self, added: Array | BoolArray) -> Array:
@@ -72,7 +72,7 @@ class Sindy(SparsePolynomial):
 
         def rate(state: Array) -> Array:
             learned = self.polynomial(np.concatenate([state, held], axis=1), control)
-            return continued(learned, system.turning(state), state, self.continuation_, system.dt)
+            return continued(learned, system.frame_rotation(state), state, self.continuation_, system.dt)
 
         return rk4(rate, carry[:, : system.nx], system.dt)
 
@@ -90,7 +90,7 @@ class SindyDiscrete(SparsePolynomial):
 
     knowledge = "black"
 
-    offered_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
+    lag_options: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 2), (0, 3), (1, 3))
     few_lags: ClassVar[tuple[tuple[int, int], ...]] = ((0, 0), (0, 3), (1, 3))
 
 

@@ -9,18 +9,18 @@ from typing import Self
 
 import numpy as np
 
-from model_zoo.state_space.recordings import ScaledEpisode, Scales, Segments
-from model_zoo.state_space.shooting import FAR, Spaces, Trained, train
+from model_zoo.state_space.recordings import ScaledEpisode, Scales, ShootingWindows
+from model_zoo.state_space.shooting import FAR, StateSpaceBatch, Trained, train
 from model_zoo.state_space.subspace import Subspace, flowing, linear_space
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.trajectory import WindowPlaces, Windows
+from sysid_evo.data.trajectory import WindowIndex, Windows
 from sysid_evo.types import Array, BoolArray
 
 SHORT, MIDDLE = 100, 300
 """Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius from which a linear space is unstable, and what it is then brought to."""
-MOST_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
+MAX_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
 """Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
 largest recorded output is too far."""
 SLOWER, LOUDER = 2, 1.25
@@ -32,7 +32,7 @@ LOST = 1.0
 
 
 @dataclass(frozen=True)
-class Lesson:
+class EstimationProblem:
     """Recordings in units of deviation, and segments of at most ``horizon`` steps of them.
 
     With ``flow`` what learns from them is a differential equation.
@@ -56,22 +56,22 @@ class Lesson:
         return Subspace.of(self.parts)
 
     @cached_property
-    def short(self) -> Segments:
-        return Segments.of(self.parts, min(SHORT, self.horizon))
+    def short(self) -> ShootingWindows:
+        return ShootingWindows.of(self.parts, min(SHORT, self.horizon))
 
     @cached_property
-    def middle(self) -> Segments:
-        return Segments.of(self.parts, MIDDLE) if self.horizon > MIDDLE else self.long
+    def middle(self) -> ShootingWindows:
+        return ShootingWindows.of(self.parts, MIDDLE) if self.horizon > MIDDLE else self.long
 
     @cached_property
-    def long(self) -> Segments:
-        return Segments.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
+    def long(self) -> ShootingWindows:
+        return ShootingWindows.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
 
-    def linear(self, order: int) -> Spaces:
+    def linear(self, order: int) -> StateSpaceBatch:
         """Return the linear space that the subspace gives, made stable if it is not."""
         rates, pace = linear_space(self.subspace, order)
         rates = flowing(rates) if self.flow else rates
-        return stabilised(Spaces.linear((rates / pace[:, None])[None], pace, flow=self.flow))
+        return stabilised(StateSpaceBatch.linear((rates / pace[:, None])[None], pace, flow=self.flow))
 
     def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
@@ -85,23 +85,25 @@ class Lesson:
         stable = stabilised(trained.spaces)
         return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
 
-    def blank(self, segments: Segments, spaces: Spaces) -> Array:
+    def blank(self, segments: ShootingWindows, spaces: StateSpaceBatch) -> Array:
         """Return initial states (S, B, n) of which the outputs alone are known."""
         starts = np.zeros((len(spaces), len(segments), spaces.n))
         ny = segments.outputs.shape[2]
         starts[:, :, :ny] = segments.outputs[:, 0]
         return starts
 
-    def states(self, trained: Trained, segments: Segments) -> Array:
+    def states(self, trained: Trained, segments: ShootingWindows) -> Array:
         """Return the states (S, N, n) of the runs at all samples that count, in a row."""
         runs = trained.spaces.run(trained.starts, segments.controls)
         return np.stack([segments.rows(run) for run in runs])
 
-    def learned(self, spaces: Spaces, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
+    def learned(self, spaces: StateSpaceBatch, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
         """Train on short free runs, which begin at ``starts`` (S, B, n)."""
         return train(spaces, self.short, starts, iterations, told)
 
-    def lengthened(self, trained: Trained, fallback: Spaces, iterations: int, told: Callable[[], None]) -> Trained:
+    def lengthened(
+        self, trained: Trained, fallback: StateSpaceBatch, iterations: int, told: Callable[[], None]
+    ) -> Trained:
         """Go on with longer and longer free runs, ``iterations`` in all.
 
         Spaces that lose their way there begin at ``fallback`` (one space) again.
@@ -140,7 +142,7 @@ class Lesson:
         found = self.observers(trained)
         return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])
 
-    def from_history(self, space: Spaces, own: StateObserver) -> float:
+    def from_history(self, space: StateSpaceBatch, own: StateObserver) -> float:
         """Return the mean square error of one space on long free runs that begin where its observer finds it.
 
         In training the initial states are free, which hides a slow or unstable state that no history tells.
@@ -156,7 +158,7 @@ class Lesson:
         off = (runs - outputs[:, history + 1 :]) ** 2 * counts
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
-    def escapes(self, spaces: Spaces, observers: list[StateObserver]) -> BoolArray:
+    def escapes(self, spaces: StateSpaceBatch, observers: list[StateObserver]) -> BoolArray:
         """Return which spaces (S,) go astray under controls that the system might meet as well.
 
         Backwards in time, and in blocks that change places, no output goes far beyond the recorded ones: what is
@@ -165,7 +167,7 @@ class Lesson:
         and only the others tell that the system would not.
         """
         longest = max(self.parts, key=len)
-        ny, controls = longest.outputs.shape[1], longest.controls[:MOST_REORDERED]
+        ny, controls = longest.outputs.shape[1], longest.controls[:MAX_REORDERED]
         orders = [np.arange(len(controls))[::-1]]
         blocks = np.array_split(np.arange(len(controls)), max(1, len(controls) // BLOCK))
         for seed in range(SHUFFLES):
@@ -199,34 +201,34 @@ def joined(one: Trained, other: Trained) -> Trained:
     return Trained(spaces, np.concatenate([one.starts, other.starts]), np.concatenate([one.error, other.error]))
 
 
-def radius(space: Spaces) -> float:
+def radius(space: StateSpaceBatch) -> float:
     """Return the spectral radius of the linear part of one space."""
     seen = space.inner.shape[2]
-    linear = Spaces.linear(space.outer[..., :seen], space.pace, flow=space.flow)
+    linear = StateSpaceBatch.linear(space.outer[..., :seen], space.rate_scale, flow=space.flow)
     drift = linear.jacobian(np.zeros((1, 1, space.n)), np.zeros((1, seen - space.n - 1)))[0, 0]
     return float(np.abs(np.linalg.eigvals(drift)).max())
 
 
-def stabilised(space: Spaces) -> Spaces:
+def stabilised(space: StateSpaceBatch) -> StateSpaceBatch:
     """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
     if radius(space) <= UNSTABLE:
         return space
     one = np.zeros((space.n, space.n)) if space.flow else np.eye(space.n)
-    values, vectors = np.linalg.eig(one + space.pace[:, None] * space.outer[0, :, : space.n])
+    values, vectors = np.linalg.eig(one + space.rate_scale[:, None] * space.outer[0, :, : space.n])
     if space.flow:
         values = np.minimum(values.real, np.log(STABLE)) + 1j * values.imag
     else:
         values = values * np.minimum(1.0, STABLE / np.maximum(np.abs(values), 1e-12))
     outer = space.outer.copy()
     kept = (vectors * values) @ np.linalg.pinv(vectors)
-    outer[0, :, : space.n] = (kept.real - one) / space.pace[:, None]
+    outer[0, :, : space.n] = (kept.real - one) / space.rate_scale[:, None]
     return replace(space, outer=outer)
 
 
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Noise of the state in one step, in units of its usual change, to noise of the output in units of its deviation."""
 RICCATI_STEPS, SETTLED = 400, 1e-6
-HORIZON, MOST_WINDOWS = 30, 300
+HORIZON, MAX_WINDOWS = 30, 300
 FORGOTTEN = 0.02
 """Share of a wrong first guess that may be left after the history."""
 SHORTEST, LONGEST = 4, 64
@@ -248,7 +250,7 @@ class StateObserver:
     history: int
 
 
-def observer(space: Spaces, runs: Array, outputs: Array, parts: list[ScaledEpisode]) -> StateObserver:
+def observer(space: StateSpaceBatch, runs: Array, outputs: Array, parts: list[ScaledEpisode]) -> StateObserver:
     """Return the observer of one space, with the ratio of noises that makes free runs best.
 
     ``runs`` (N, n) are states of the training runs and ``outputs`` (N, ny) what was measured then.
@@ -264,10 +266,10 @@ def observer(space: Spaces, runs: Array, outputs: Array, parts: list[ScaledEpiso
     places = np.linspace(0, len(runs) - 1, min(200, len(runs))).astype(np.int64)
     middle = controls[np.linspace(0, len(controls) - 1, len(places)).astype(np.int64)]
     slope = space.jacobian(runs[None, places], middle)[0].mean(axis=0)
-    gains = _riccati(slope, space.pace, ny)
+    gains = _riccati(slope, space.rate_scale, ny)
     episodes = [Trajectory(part.outputs, part.controls, 1.0) for part in parts]
-    windows = WindowPlaces.of(episodes, max(1, min(HORIZON, longest - room)), history=room)
-    some = np.linspace(0, len(windows) - 1, min(MOST_WINDOWS, len(windows))).astype(np.int64)
+    windows = WindowIndex.of(episodes, max(1, min(HORIZON, longest - room)), history=room)
+    some = np.linspace(0, len(windows) - 1, min(MAX_WINDOWS, len(windows))).astype(np.int64)
     errors = _errors(space, gains, first, windows[np.unique(some)])
     best = int(np.argmin(errors))
     closed = slope.copy()
@@ -292,7 +294,7 @@ def _riccati(slope: Array, pace: Array, ny: int) -> Array:
     return gain
 
 
-def _errors(space: Spaces, gains: Array, first: Array, windows: Windows) -> Array:
+def _errors(space: StateSpaceBatch, gains: Array, first: Array, windows: Windows) -> Array:
     """Return the mean square error (G,) of free runs from what each of the ``gains`` (G, n, ny) finds."""
     ny, many = first.shape[1] - 1, space[np.zeros(len(gains), dtype=np.int64)]
     past, history = windows.past_states, windows.past_controls.shape[1]

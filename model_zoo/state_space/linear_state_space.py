@@ -6,14 +6,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from model_zoo.state_space.estimation import Lesson
+from model_zoo.state_space.estimation import EstimationProblem
 from model_zoo.state_space.model import StateSpaceModel
 from sysid_evo import Dataset, register_model
 from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.progress import Counter, Progress
-from sysid_evo.validation.folds import FOLDS, time_blocks
-from sysid_evo.validation.held_out import best, trials
-from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+from sysid_evo.validation.folds import FOLDS, time_fold
+from sysid_evo.validation.held_out import best_candidate, count_fits
+from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 MOST = 8
 """Order up to which is tried; two more than there are outputs if that is higher."""
@@ -37,38 +37,38 @@ class LinearStateSpace(StateSpaceModel):
 
     knowledge = "black"
 
-    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"iterations": 12, "folds": 1, "most_steps": 4000}}
+    presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"iterations": 12, "folds": 1, "max_steps": 4000}}
     limits: ClassVar[dict[str, Limit]] = {"folds": at_least(1, at_most=FOLDS)}
 
     order: int | None = None
     iterations: int = 30
     horizon: int = 1000
     folds: int = 2
-    rest_hold: bool = False
-    most_steps: int | None = 30_000
+    dead_band: bool = False
+    max_steps: int | None = 30_000
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         ny = dataset.system.nx
         orders = [max(self.order, ny)] if self.order else list(range(ny, max(MOST, ny + 2) + 1))
         short = max(1, round(TRIAL_SHARE * self.iterations))
-        counter = Counter(progress, trials(orders) * self.folds * short + 2 * self.iterations + 1)
-        pairs = [time_blocks(dataset, fold, FOLDS) for fold in range(self.folds)] if trials(orders) else []
-        lessons = [Lesson.of(learned, self.horizon) for learned, _ in pairs]
+        counter = Counter(progress, count_fits(orders) * self.folds * short + 2 * self.iterations + 1)
+        pairs = [time_fold(dataset, fold, FOLDS) for fold in range(self.folds)] if count_fits(orders) else []
+        lessons = [EstimationProblem.of(learned, self.horizon) for learned, _ in pairs]
 
         def error(order: int) -> float:
             total = 0.0
             for lesson, (_, held) in zip(lessons, pairs, strict=True):
                 trial = self.variant(order=order)
                 trial._learn(lesson, order, short, 0, counter)
-                total += simulation_error(trial, judging_windows(held, trial.n_lags, fewest=STEPS))
+                total += simulation_error(trial, error_windows(held, trial.n_lags, fewest=STEPS))
             return total
 
-        order = best(orders, error, size=float)
-        self._learn(Lesson.of(dataset, self.horizon), order, self.iterations, self.iterations, counter)
+        order = best_candidate(orders, error, size=float)
+        self._learn(EstimationProblem.of(dataset, self.horizon), order, self.iterations, self.iterations, counter)
         counter.advance()
         return self
 
-    def _learn(self, lesson: Lesson, order: int, short: int, long: int, counter: Counter) -> None:
+    def _learn(self, lesson: EstimationProblem, order: int, short: int, long: int, counter: Counter) -> None:
         """Fit one space with so many iterations on short and on long free runs."""
         trained = lesson.linear_trained(order, short, long, counter.advance)
-        self.adopt(lesson.scales, [trained.spaces], lesson.observers(trained), np.ones(1))
+        self.set_learned(lesson.scales, [trained.spaces], lesson.observers(trained), np.ones(1))

@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.state_space.estimation import StateObserver
 from model_zoo.state_space.kernel import state_space_kernel
 from model_zoo.state_space.recordings import Scales
-from model_zoo.state_space.shooting import FAR, Spaces
+from model_zoo.state_space.shooting import FAR, StateSpaceBatch
 from model_zoo.state_space.units import UNITS, values
 from sysid_evo.carry import REST_BAND
 from sysid_evo.errors import ShapeError
@@ -35,17 +35,17 @@ class StateSpaceModel(DynamicsModel):
     Of a flow the first term is dx/dt, time in samples, and x' the state after one Runge-Kutta step of it, plus the
     correction. Each member has states of its own; the output is their weighted mean. In a free run y is the model's
     own, and the gain corrects nothing. Where y is overwritten, by a measurement, a limit, or another model, it corrects
-    the hidden states. `start` runs this observer over the last ``history_`` samples. Samples that were only repeated
+    the hidden states. `start` runs this observer over the last ``n_lags_`` samples. Samples that were only repeated
     before the first are left out there: the first state again under neutral controls.
     """
 
     knowledge = "black"
-    structure = "state space"
+    model_class = "state space"
     limits: ClassVar[dict[str, Limit]] = {"order": at_least(1), "iterations": at_least(1), "horizon": at_least(2)}
 
     @property
     def n_lags(self) -> int:
-        return int(getattr(self, "history_", 0))
+        return int(getattr(self, "n_lags_", 0))
 
     @property
     def n_carry(self) -> int:
@@ -56,7 +56,9 @@ class StateSpaceModel(DynamicsModel):
         """Whether what was learned is a differential equation."""
         return bool(getattr(self, "flow_", False))
 
-    def adopt(self, scales: Scales, members: list[Spaces], observers: list[StateObserver], weights: Array) -> None:
+    def set_learned(
+        self, scales: Scales, members: list[StateSpaceBatch], observers: list[StateObserver], weights: Array
+    ) -> None:
         """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
         ny = len(scales.output_scale)
         if members[0].flow:
@@ -64,7 +66,7 @@ class StateSpaceModel(DynamicsModel):
         self.outer_, self.inner_, self.kinds_ = [], [], [member.kinds[0] for member in members]
         outputs = []
         for member, weight in zip(members, weights, strict=True):
-            outer = member.pace[:, None] * member.outer[0]
+            outer = member.rate_scale[:, None] * member.outer[0]
             if not member.flow:
                 outer[:, : member.n] += np.eye(member.n)
             self.outer_.append(_of_raw_controls(outer, member.n, scales))
@@ -75,7 +77,7 @@ class StateSpaceModel(DynamicsModel):
         first = np.concatenate([one.first for one in observers])
         slope = first[:, :ny] / scales.output_scale
         self.first_ = np.concatenate([slope, (first[:, ny] - slope @ scales.output_centre)[:, None]], axis=1)
-        self.history_ = max(one.history for one in observers)
+        self.n_lags_ = max(one.history for one in observers)
         # the hidden states after a long time with neutral outputs under neutral controls
         neutral, idle = self.system.neutral_state[None], self.system.neutral_control[None]
         hidden = neutral @ self.first_[:, :-1].T + self.first_[:, -1]
@@ -97,7 +99,7 @@ class StateSpaceModel(DynamicsModel):
             "gain_": (n, ny),
             "first_": (n, ny + 1),
             "rest_": (n,),
-            "history_": Numbers(whole=True, least=0, most=MOST_LAGS),
+            "n_lags_": Numbers(whole=True, least=0, most=MOST_LAGS),
         }
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
@@ -119,7 +121,7 @@ class StateSpaceModel(DynamicsModel):
         if system.limited:
             after = np.clip(after, *system.limits)
         following = np.concatenate([after, hidden], axis=1)
-        if not self.rest_hold:
+        if not self.dead_band:
             return following
         rest, band = self._rest
         still = (np.abs(carry - rest) <= band).all(axis=1) & (control == system.neutral_control).all(axis=1)
@@ -141,13 +143,13 @@ class StateSpaceModel(DynamicsModel):
             gain=self.gain_,
             far=FAR,
             flow=self.flows,
-            rest=np.concatenate([band, rest, self.system.neutral_control]) if self.rest_hold else None,
+            rest=np.concatenate([band, rest, self.system.neutral_control]) if self.dead_band else None,
         )
 
     @property
     def _rest(self) -> tuple[Array, Array]:
         """The carry (n_carry,) at rest, and how near to it counts as rest."""
-        band = self.rest_band
+        band = self.dead_band_size
         outer = np.zeros(self.system.nx) if band is None else band
         return (
             np.concatenate([self.system.neutral_state, self.rest_]),

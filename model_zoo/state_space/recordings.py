@@ -49,7 +49,7 @@ class ScaledEpisode:
 
 
 @dataclass(frozen=True)
-class Segments:
+class ShootingWindows:
     """B pieces of H steps at most: outputs (B, H + 1, ny), controls (B, H, nu), and which outputs count (B, H + 1).
 
     A sample counts once: the last of a piece is the first of the next.

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from model_zoo.state_space.recordings import Segments
+from model_zoo.state_space.recordings import ShootingWindows
 from model_zoo.state_space.shooting_kernel import compiled_run, compiled_sensitivities
 from model_zoo.state_space.units import slopes, values
 from sysid_evo.models.dynamics import rk4
@@ -25,7 +25,7 @@ FAR = 30.0
 START_PRIOR = 0.05
 """Weight of the squares of initial states beside the residuals' in units of the noise."""
 LINEAR_PRIOR = 1e-4
-MOST_MEMORY = 3.0
+MAX_MEMORY = 3.0
 """Residuals that are alike for so long count once, at most."""
 EASIER, HARDER = 0.3, 5.0
 STIFFEST = 1e8
@@ -34,15 +34,15 @@ SAME, LOOSE = 1e-5, 1e-2
 
 
 @dataclass(frozen=True)
-class Spaces:
-    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``pace`` (n,), ``kinds`` (S, h).
+class StateSpaceBatch:
+    """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``rate_scale`` (n,), ``kinds`` (S, h).
 
     They step by the change in one sample, or with ``flow`` by a differential equation.
     """
 
     outer: Array
     inner: Array
-    pace: Array
+    rate_scale: Array
     kinds: IntArray
     flow: bool = False
 
@@ -55,7 +55,7 @@ class Spaces:
     def __len__(self) -> int:
         return len(self.outer)
 
-    def __getitem__(self, rows: Sequence[int] | IntArray) -> Spaces:
+    def __getitem__(self, rows: Sequence[int] | IntArray) -> StateSpaceBatch:
         chosen = np.asarray(rows, dtype=np.int64)
         return replace(self, outer=self.outer[chosen], inner=self.inner[chosen], kinds=self.kinds[chosen])
 
@@ -69,7 +69,7 @@ class Spaces:
         """All parameters, (S, P)."""
         return np.concatenate([self.outer.reshape(len(self), -1), self.inner.reshape(len(self), -1)], axis=1)
 
-    def with_flat(self, flat: Array) -> Spaces:
+    def with_flat(self, flat: Array) -> StateSpaceBatch:
         """Return the spaces with other parameters (S, P)."""
         split = self.outer[0].size
         return replace(
@@ -102,7 +102,7 @@ class Spaces:
         regressors = self._regressors(states, controls)
         inside = regressors @ self.inner.swapaxes(1, 2)
         units = np.stack([values(own, s) for own, s in zip(self.kinds, inside, strict=True)])
-        return self.pace * (np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2))
+        return self.rate_scale * (np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2))
 
     def run(self, states: Array, controls: Array) -> Array:
         """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
@@ -133,9 +133,9 @@ class Spaces:
         regressors = self._regressors(states, controls)
         inside = regressors @ self.inner.swapaxes(1, 2)
         steep = np.stack([slopes(own, s) for own, s in zip(self.kinds, inside, strict=True)])
-        weights = self.pace[:, None] * self.outer[:, None, :, regressors.shape[2] :]
+        weights = self.rate_scale[:, None] * self.outer[:, None, :, regressors.shape[2] :]
         through = weights @ steep @ self.inner[:, None, :, : self.n]
-        return through, self.pace[:, None] * self.outer[:, None, :, : self.n]
+        return through, self.rate_scale[:, None] * self.outer[:, None, :, : self.n]
 
     def _regressors(self, states: Array, controls: Array) -> Array:
         shape = *states.shape[:2], controls.shape[1]
@@ -150,10 +150,10 @@ class Spaces:
         """Return what the compiled functions take first, of space ``s`` from ``starts`` (B, n)."""
         pieces, steps, nu = controls.shape
         sizes = np.array([pieces, steps, self.n, nu, self.inner.shape[1], n_outputs])
-        numbers = (self.outer[s], self.inner[s], self.kinds[s], self.pace, starts, controls)
+        numbers = (self.outer[s], self.inner[s], self.kinds[s], self.rate_scale, starts, controls)
         return sizes, *(np.ascontiguousarray(own).reshape(-1) for own in numbers)
 
-    def sensitivities(self, s: int, starts: Array, segments: Segments) -> tuple[Array, Array]:
+    def sensitivities(self, s: int, starts: Array, segments: ShootingWindows) -> tuple[Array, Array]:
         """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
 
         States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
@@ -181,7 +181,7 @@ class Spaces:
 class Trained:
     """Spaces after training, the initial states (S, B, n) of the segments, and the mean square residual (S,)."""
 
-    spaces: Spaces
+    spaces: StateSpaceBatch
     starts: Array
     error: Array
 
@@ -193,7 +193,7 @@ class Trained:
 class _Objective:
     """What is minimised: residuals in units of the noise, priors on parameters and initial states."""
 
-    segments: Segments
+    segments: ShootingWindows
     prior: Array
 
     def residuals(self, outputs: Array) -> Array:
@@ -207,7 +207,7 @@ class _Objective:
         """Return what a squared residual counts, (S,): less if residuals are alike for long."""
         power = (residuals**2).sum(axis=(1, 2, 3))
         alike = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
-        memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MOST_MEMORY)
+        memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MAX_MEMORY)
         return np.asarray(1.0 / (np.maximum(self.error(residuals), 1e-12) * memory))
 
     def value(self, residuals: Array, scale: Array, flat: Array, starts: Array) -> Array:
@@ -219,7 +219,11 @@ class _Objective:
 
 @np.errstate(over="ignore", invalid="ignore")  # a space that runs away counts as the worst there is
 def train(
-    spaces: Spaces, segments: Segments, starts: Array, iterations: int, told: Callable[[], None] = lambda: None
+    spaces: StateSpaceBatch,
+    segments: ShootingWindows,
+    starts: Array,
+    iterations: int,
+    told: Callable[[], None] = lambda: None,
 ) -> Trained:
     """Fit all parameters and the initial states ``starts`` (S, B, n) by Levenberg-Marquardt, each space for itself.
 
@@ -247,7 +251,7 @@ TRIES = 6
 
 
 def _improve(
-    spaces: Spaces, starts: Array, damping: Array, objective: _Objective, ny: int
+    spaces: StateSpaceBatch, starts: Array, damping: Array, objective: _Objective, ny: int
 ) -> tuple[Array, Array, Array, BoolArray]:
     """Return parameters (S, P), initial states, damping after one iteration, and which are worth going on with."""
     flat, damping = spaces.flat.copy(), damping.copy()

@@ -1,7 +1,7 @@
 """Compiled simulations of state spaces and their sensitivities, for training; whatever `SYSID_EVO_ENGINE` names.
 
-The space is that of `model_zoo.state_space.shooting.Spaces`; all arrays are flat. ``sizes`` are the numbers of pieces,
-steps, states, controls, units and outputs. The step is that of a difference equation, or one of the classical
+The space is that of `model_zoo.state_space.shooting.StateSpaceBatch`; all arrays are flat. ``sizes`` are the numbers of
+pieces, steps, states, controls, units and outputs. The step is that of a difference equation, or one of the classical
 Runge-Kutta method a sample, whose derivatives are those of the step.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from model_zoo.state_space.units import BOUND, SHARP_WIDTH
 from sysid_evo.engine.compiled.compiler import compile_kernel
-from sysid_evo.kernels import WHOLES, KernelSource, Signature, view
+from sysid_evo.kernels import INTEGERS, KernelSource, Signature, view
 
 
 @functools.cache
@@ -29,7 +29,7 @@ def compiled_sensitivities(*, flow: bool) -> Any:
 
 
 def _compiled(source: KernelSource) -> Any:
-    signature = Signature.of(source.function, sizes=WHOLES, kinds=WHOLES)
+    signature = Signature.of(source.function, sizes=INTEGERS, kinds=INTEGERS)
     return compile_kernel(source, signature, "float64", pointer=False)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from model_zoo.state_space.recordings import ScaledEpisode
 from sysid_evo.types import Array
 
-MOST_PAST = 20
+MAX_PAST = 20
 """Samples of the past that tell the state."""
 SHARE = 4
 """Samples for each coefficient of the predictor, at least."""
@@ -41,7 +41,7 @@ class Subspace:
         """
         ny, nu = parts[0].outputs.shape[1], parts[0].controls.shape[1]
         total = sum(len(part) for part in parts)
-        past = max(1, min(MOST_PAST, total // (SHARE * (ny + nu)), max(len(part) for part in parts) // 2))
+        past = max(1, min(MAX_PAST, total // (SHARE * (ny + nu)), max(len(part) for part in parts) // 2))
         rows = [_with_past(part, past) for part in parts if len(part) >= past]
         before, outputs, controls = (np.concatenate(columns) for columns in zip(*rows, strict=True))
         follows = np.concatenate([np.arange(len(row[1])) < len(row[1]) - 1 for row in rows])

@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command, get_group
 
-from sysid_evo.cli.console import EXIT_CODES, as_option, code_of, complain, err, out, session, tell
+from sysid_evo.cli.console import EXIT_CODES, as_option, code_of, err, out, print_error, session, tell
 from sysid_evo.errors import InvalidArgument, Meaningless, SysidEvoError, printable, refuse_meaningless
 from sysid_evo.processors import INNER_THREADS
 from sysid_evo.version import __version__
@@ -130,7 +130,7 @@ def misplaced(word: str, words: Sequence[str], options: Sequence[Any]) -> str:
 
 
 def typed(ctx: Any) -> dict[str, Any]:
-    """Return the values of the options given on the command line by name: by_hand for --by-hand."""
+    """Return the values of the options given on the command line by name: baselines for --baselines."""
     return {
         option.opts[0].removeprefix("--").replace("-", "_"): ctx.params[option.name]
         for option in ctx.command.params
@@ -218,5 +218,5 @@ def main() -> None:
     try:
         app(args=[*first, *rest, *arguments[end:]], standalone_mode=True)
     except (SysidEvoError, OSError) as error:
-        complain(error)
+        print_error(error)
         sys.exit(code_of(error))

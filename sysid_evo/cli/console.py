@@ -64,14 +64,14 @@ class RunLog(Protocol):
 
 
 @dataclass
-class Session:
+class CommandState:
     """What this command was asked: to show tracebacks, and the run in which it logs errors."""
 
     debug: bool = False
     run: RunLog | None = None
 
 
-session = Session()
+session = CommandState()
 
 
 def say(text: str) -> None:
@@ -99,25 +99,25 @@ def table_of(*headings: str, numbers: Collection[str] = (), whole: Collection[st
 
 
 def as_option(name: str, value: Any = None) -> str:
-    """Return an option as it is typed: ``--only fit``."""
+    """Return an option as it is typed: ``--stop-after fit``."""
     option = "--" + name.replace("_", "-")
     return f"{option} {value}" if isinstance(value, str) else option
 
 
-def complain(error: BaseException) -> None:
+def print_error(error: BaseException) -> None:
     """Print an error on standard error, with its traceback if asked for; the run's log always holds it."""
     text = "".join(traceback.format_exception(error))
     if session.debug:
         problems.print(text, markup=False, highlight=False, soft_wrap=True)
-    problems.print(Text.assemble(("error: ", "bold red"), sentence_of(error)))
+    problems.print(Text.assemble(("error: ", "bold red"), error_sentence(error)))
     if session.run is not None and session.run.path.is_dir():
         try:
-            session.run.log(error=sentence_of(error), traceback=text)
+            session.run.log(error=error_sentence(error), traceback=text)
         except OSError as failed:
             problems.print(f"the error could not be logged: {failed}", markup=False, highlight=False)
 
 
-def sentence_of(error: BaseException) -> str:
+def error_sentence(error: BaseException) -> str:
     """Return what an error says; one of the operating system names its file."""
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""

@@ -14,7 +14,7 @@ from evaluation.experiment import Experiment
 from sysid_evo.cli import options
 from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
 from sysid_evo.cli.options import listed, load_plugins, settings_of
-from sysid_evo.cli.progress import Bars, carry_out
+from sysid_evo.cli.progress import PlanProgress, run_plan
 from sysid_evo.cli.recordings import print_remarks
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.plan import Plan
@@ -25,16 +25,16 @@ def evolve(
     against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
     aggregate: options.Aggregate = None,
     noise: options.Noise = None,
-    caution: options.Caution = None,
+    penalty: options.Penalty = None,
     task: options.Task = None,
     controller: options.Controller = None,
     strategy: options.Strategy = None,
-    recipe: options.Recipe = None,
+    procedure: options.Procedure = None,
     run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
     preset: options.Preset = None,
     generations: options.Generations = None,
     trials: options.Trials = None,
-    runs: options.Runs = None,
+    repeats: options.Repeats = None,
     estimator_delay: options.EstimatorDelay = None,
     schedule: options.Schedule = None,
     seed: options.Seed = None,
@@ -59,7 +59,7 @@ def evolve(
     planned = evaluation.plan_evolution(experiment, store, members)
     for remark in planned.remarks:
         note(remark)
-    outcomes = carry_out(planned.plan, store, dry_run=dry_run, as_json=as_json, jobs=jobs, scheduler=scheduler)
+    outcomes = run_plan(planned.plan, store, dry_run=dry_run, as_json=as_json, jobs=jobs, scheduler=scheduler)
     if outcomes is None:
         return
     if not outcomes[planned.champion.digest].failed:
@@ -79,7 +79,7 @@ def _members(text: str) -> tuple[str, ...]:
 
 def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: bool) -> None:
     """Print what a controller claims, what is expected on the robot, what to record next, and where it is."""
-    name, file = planned.champion.name, f"{store.where(planned.champion)}.json"
+    name, file = planned.champion.name, f"{store.result_path(planned.champion)}.json"
     result = evaluation.evolution_result(planned, store)
     if as_json:
         claims = {
@@ -137,7 +137,7 @@ def exploit(
     experiment = Experiment.of({"generations": GENERATIONS, **settings})
     store = Store(evaluation.latest_run_folder(run))
     planned = evaluation.plan_exploit(experiment, store, model)
-    outcomes = carry_out(Plan.of([planned.cell]), store, dry_run=dry_run, as_json=as_json)
+    outcomes = run_plan(Plan.of([planned.cell]), store, dry_run=dry_run, as_json=as_json)
     if outcomes is None:
         return
     if outcomes[planned.cell.digest].failed:
@@ -146,7 +146,7 @@ def exploit(
     (name,) = matrix.rows
     cells = {column: matrix.cell(name, column) for column in matrix.columns}
     card = () if found is None else evaluation.exploitability_card(found)
-    file = f"{store.where(planned.cell)}.json"
+    file = f"{store.result_path(planned.cell)}.json"
     if as_json:
         document = {
             "model": planned.target.label,
@@ -195,7 +195,7 @@ def transfer(
     drivers = evaluation.contenders(controllers, systems[0].system, task, robots=robots)
     evaluation.check_fit(drivers, systems)
     title = f"run {len(drivers)} controllers on {len(systems)} systems"
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin(title)
         matrix = evaluation.matrix_of(drivers, systems, seed=seed or 0, trials=trials, progress=bars.advance)
         bars.end(title, None)

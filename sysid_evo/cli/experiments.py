@@ -14,12 +14,12 @@ from rich.text import Text
 import evaluation
 from evaluation.experiment import FILE, MEANINGLESS, Experiment, meaningful
 from sysid_evo.cli import options
-from sysid_evo.cli.console import SOME_FAILED, as_option, complain, err, note, out, say, session, table_of, tell
+from sysid_evo.cli.console import SOME_FAILED, as_option, err, note, out, print_error, say, session, table_of, tell
 from sysid_evo.cli.options import load_plugins, resolved, settings_of
-from sysid_evo.cli.progress import Bars, duration, print_plan
+from sysid_evo.cli.progress import PlanProgress, duration, print_plan
 from sysid_evo.errors import InvalidArgument, InvalidData, PluginError, refuse_meaningless
 from sysid_evo.plan.executors import execute
-from sysid_evo.plan.store import Outcome, Store
+from sysid_evo.plan.store import CellOutcome, Store
 from sysid_evo.registry.plugins import load_named_plugins
 from sysid_evo.registry.registry import models as families
 
@@ -42,29 +42,29 @@ def compare(
     ] = None,
     minutes: Annotated[float | None, typer.Option(min=0.1, help="Length of the recording of a robot (6).")] = None,
     preset: options.Preset = None,
-    only: Annotated[
+    stop_after: Annotated[
         str | None, typer.Option(help="'prediction' leaves the controllers out, 'fit' prediction errors, too.")
     ] = None,
     task: options.Task = None,
     controller: options.Controller = None,
-    by_hand: Annotated[
+    baselines: Annotated[
         str | None,
         typer.Option(help="Controllers that need no evolution, such as pursuit, separated by commas: further rows."),
     ] = None,
     strategy: options.Strategy = None,
-    recipe: options.Recipe = None,
+    procedure: options.Procedure = None,
     aggregate: options.Aggregate = None,
     noise: options.Noise = None,
-    caution: options.Caution = None,
+    penalty: options.Penalty = None,
     generations: options.Generations = None,
     trials: options.Trials = None,
-    runs: options.Runs = None,
+    repeats: options.Repeats = None,
     schedule: options.Schedule = None,
     estimator_delay: options.EstimatorDelay = None,
-    yardstick: Annotated[
+    reference: Annotated[
         bool | None,
         typer.Option(
-            "--yardstick/--no-yardstick",
+            "--reference/--no-reference",
             help="Also search on the emulated robot itself, once, as long as in a model.",
         ),
     ] = None,
@@ -134,7 +134,7 @@ def fit(
         if str(path) in families.names() and not path.exists():
             raise InvalidArgument(f"{path} is a model and no recording; did you mean --models {models},{path}?")
     settings = settings_of(locals(), Experiment.model_fields)
-    experiment = Experiment.of({**settings, "only": "fit"})
+    experiment = Experiment.of({**settings, "stop_after": "fit"})
     run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=False)
 
 
@@ -160,7 +160,7 @@ def run_experiment(
     session.run = store
     store_experiment(comparison, path)
     go_on = f"--out {shlex.quote(str(path))}"
-    with Bars(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
+    with PlanProgress(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
         outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell for cell in comparison.plan if outcomes[cell.digest].failed]
     count = sum(store.find(cell.digest) is not None for cell in failed)  # the others only need one of these
@@ -169,7 +169,7 @@ def run_experiment(
         raise stopped
     empty = False
     try:
-        if experiment.only == "fit":
+        if experiment.stop_after == "fit":
             print_fits(comparison, store, outcomes, as_json=as_json)
         else:
             report = evaluation.report_of(comparison, store)
@@ -178,7 +178,7 @@ def run_experiment(
     except InvalidData as error:
         if not failed:
             raise
-        complain(error)
+        print_error(error)
     if failed:
         tell(f"{count} {'part' if count == 1 else 'parts'}; see {path / 'log.jsonl'}", label="failed: ")
     if failed or empty:
@@ -202,7 +202,9 @@ def tell_differences(file: Path, found: Mapping[str, Any], wanted: Mapping[str, 
         note(f"{file} had other {', '.join(differing)}; what both need is kept")
 
 
-def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbose: bool, written: bool = True) -> None:
+def print_report(
+    report: evaluation.ComparisonResults, path: Path, *, as_json: bool, verbose: bool, written: bool = True
+) -> None:
     """Print the verdict, the short table, and where the report is."""
     if as_json:
         out.print_json(data=evaluation.to_json(report))
@@ -215,7 +217,7 @@ def print_report(report: evaluation.Report, path: Path, *, as_json: bool, verbos
 
 
 def print_fits(
-    comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, Outcome], *, as_json: bool
+    comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, CellOutcome], *, as_json: bool
 ) -> None:
     """Print how good each fitted model is, where it is, why one is not; then what limits the best of them."""
     advice = store.outcome(comparison.advice).value
@@ -227,9 +229,9 @@ def print_fits(
                 "model": label,
                 "error": None if score is None else score.n,
                 "steps": None if score is None else score.steps,
-                "judged_on": None if score is None else score.judged_on,
+                "evaluated_on": None if score is None else score.evaluated_on,
                 "seconds": round(outcome.seconds, 1),
-                "file": None if outcome.failed else f"{store.where(cell)}.json",
+                "file": None if outcome.failed else f"{store.result_path(cell)}.json",
                 "reason": outcome.reason,
                 "advice": evaluation.plain(advice) if advice is not None and advice.model == label else None,
                 "note": "" if outcome.failed else store.load(cell).fit_note,
@@ -260,15 +262,15 @@ def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
     found = {label: score for label, cell in comparison.judged.items() if (score := store.outcome(cell).value)}
     grouped: dict[tuple[int | None, str], list[str]] = {}
     for label, score in found.items():
-        grouped.setdefault((score.steps, score.judged_on), []).append(label)
+        grouped.setdefault((score.steps, score.evaluated_on), []).append(label)
     dt = store.outcome(comparison.data).value.training.system.dt
-    for (steps, judged_on), labels in grouped.items():
+    for (steps, evaluated_on), labels in grouped.items():
         which = f" ({', '.join(labels)})" if len(grouped) > 1 else ""
         if steps is None:
-            out.print(Text(f"no error of {', '.join(labels)} can be measured: {judged_on}"))
+            out.print(Text(f"no error of {', '.join(labels)} can be measured: {evaluated_on}"))
             continue
         over = "after" if found[labels[0]].blocks is not None else "over the first"
-        said = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {judged_on}, in standard deviations"
+        said = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {evaluated_on}, in standard deviations"
         out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
     if blocks and not evaluation.enough_blocks(min(blocks)):
@@ -332,7 +334,7 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
         tell(f"stored in {folder}, which has no report (compare makes one)")
 
 
-def report_again(run: Path, *, written: bool = True) -> evaluation.Report | None:
+def report_again(run: Path, *, written: bool = True) -> evaluation.ComparisonResults | None:
     """Write the report of a run again, with the cells measured since; None if the run has no model yet.
 
     Raises `InvalidArgument` if ``run`` is no comparison's run.
@@ -388,7 +390,7 @@ def study(
             tell_differences(there, evaluation.Study.read(there).settings, planned.study.settings)
         planned.study.write(there)
         go_on, elsewhere = f"--out {shlex.quote(str(path))}", scheduler is not None
-        with Bars(go_on, cells=planned.plan, where=planned.where, elsewhere=elsewhere) as bars:
+        with PlanProgress(go_on, cells=planned.plan, where=planned.where, elsewhere=elsewhere) as bars:
             execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = evaluation.write_study(planned, path)
     print_study(results, path, as_json=as_json, verbose=verbose)

@@ -14,7 +14,7 @@ from sysid_evo.cli.options import Plugins, load_plugins
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.export.c_file import c_text
-from sysid_evo.export.exported_controller import Law, Real, law_of
+from sysid_evo.export.exported_controller import ExportedController, Real, exported_controller
 from sysid_evo.export.onnx_file import onnx_bytes
 from sysid_evo.export.python_file import python_text
 from sysid_evo.files import write_atomically
@@ -41,7 +41,7 @@ def export(
     if real not in REALS:
         raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
     chosen = CHOSEN if controller.stem == CHOSEN else ""  # a copy of another file, to be used under this name
-    law = replace(law_of(load_champion(controller)), called=name or chosen)
+    law = replace(exported_controller(load_champion(controller)), called=name or chosen)
     path = file or Path(f"{law.name}{SUFFIXES[to]}")
     if path.exists():
         raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")
@@ -55,7 +55,7 @@ def export(
         say(line)
 
 
-def how_to_use(law: Law, to: str, path: Path) -> tuple[str, ...]:
+def how_to_use(law: ExportedController, to: str, path: Path) -> tuple[str, ...]:
     """Return in a few lines what the file takes and gives, and how to call it."""
     seen = ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in law.observations)
     every = f"every {law.system.dt:g} s, from {seen} to {', '.join(law.system.control_names)}"

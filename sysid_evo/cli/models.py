@@ -15,10 +15,10 @@ from rich.text import Text
 
 import evaluation
 import sysid_evo
-from sysid_evo.artefacts import is_stored, read_artefact
+from sysid_evo.artefacts import is_stored_dataset, read_artefact
 from sysid_evo.cli.console import INTERRUPTED, note, out, say, table_of, tell
 from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, column_map, listed, load_plugins
-from sysid_evo.cli.progress import Bars
+from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import models
 from sysid_evo.tuning import Tuning
@@ -35,7 +35,7 @@ def show_model(
 ) -> None:
     """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
     load_plugins(plugin)
-    stored = name not in models.names() and is_stored(name, "model")
+    stored = name not in models.names() and is_stored_dataset(name, "model")
     if speed and not stored:
         raise InvalidArgument(f"--speed: expected the file of a fitted model, got the family {name!r}")
     card = model_card(Path(name), measured=speed) if stored else family_card(name)
@@ -65,7 +65,7 @@ def family_card(name: str) -> dict[str, Any]:
     return {
         "family": name,
         "knowledge": family.knowledge,
-        "envelope_multiple": family.envelope_multiple,
+        "bounds_multiple": family.bounds_multiple,
         "module": family.__module__,
         "description": inspect.getdoc(family) or "",
         "hyper_parameters": hyper_parameters,
@@ -84,7 +84,7 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
         "family": manifest.name,
         "knowledge": model.knowledge,
         "hyper_parameters": manifest.parameters,
-        "numbers": int(sum(tensor.size for name, tensor in tensors.items() if name != "pairs_")),
+        "numbers": int(sum(tensor.size for name, tensor in tensors.items() if name != "training_sample_")),
         "state_lags": state_lags,
         "control_lags": control_lags,
         "states": [f"{c.name} ({c.unit})" for c in model.system.states],
@@ -95,7 +95,7 @@ def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
         **({"note": model.fit_note} if model.fit_note else {}),
         "versions": manifest.versions,
         "equations": model.equations(),
-        "candidates": model.standing(),
+        "candidates": model.candidate_ranking(),
         **({"parameters": rows} if (rows := model.parameters_table()) else {}),
         "timings": {**manifest.timings, **(speed(model) if measured else {})},
         **({} if measured else {"speed": "not measured, --speed does"}),
@@ -195,7 +195,7 @@ def tune(
         list[int] | None,
         typer.Option(min=1, help="Steps of a free run after which it counts (one second); repeatable."),
     ] = None,
-    only: Annotated[str | None, typer.Option(help="The parameters to search, separated by commas.")] = None,
+    parameters: Annotated[str | None, typer.Option(help="The parameters to search, separated by commas.")] = None,
     seed: Seed = None,
     folder: Out = None,
     columns: Columns = None,
@@ -210,9 +210,16 @@ def tune(
     seconds = None if trials is not None else seconds_of(budget)
     dataset = sysid_evo.Dataset.read(data, columns=column_map(columns))
     path = folder if folder is not None and (folder / JOURNAL).is_file() else evaluation.check_run_folder(folder)
-    search = Tuning(family, dataset, horizons=horizon, only=listed("--only", only), seed=seed or 0, file=path / JOURNAL)
+    search = Tuning(
+        family,
+        dataset,
+        horizons=horizon,
+        parameters=listed("--parameters", parameters),
+        seed=seed or 0,
+        file=path / JOURNAL,
+    )
     interrupted = False
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin(f"tune {search.spec.name}")
         try:
             for _ in search.run(seconds=seconds, trials=trials, progress=bars.advance):
@@ -246,14 +253,14 @@ def search_to_json(search: Tuning) -> dict[str, Any]:
         "importance": search.importance,
         "trials": [
             {"spec": one.spec.text, "error": one.error, "seconds": one.seconds, "reason": one.reason}
-            for one in search.tried
+            for one in search.trials
         ],
     }
 
 
 def print_search(search: Tuning) -> None:
     """Print the best trials, what decides, and the line to use."""
-    best, tried = search.best, search.tried
+    best, tried = search.best, search.trials
     table = table_of("error", "seconds", "parameters", numbers=("error", "seconds"))
     for one in tried[:TRIALS_SHOWN]:
         if one.error is not None:
@@ -306,17 +313,17 @@ def adapt(
     if seconds is not None:
         new = new.with_episodes([episode[: max(1, round(seconds / new.system.dt))] for episode in new])
     training = None if train is None else sysid_evo.Dataset.read(train, columns=columns)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin("adapt")
         adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
         bars.end("adapt", None)
     path = sysid_evo.save_model(adapted, file, seed=seed, data=new.fingerprint)
     rows = tried_ways(adapted)
     if as_json:
-        found = {"decision": adapted.verdict_, "tried": rows, "corrected": adapted.corrects, "file": str(path)}
+        found = {"decision": adapted.decision_, "candidates": rows, "corrected": adapted.corrects, "file": str(path)}
         out.print_json(data=found)
         return
-    print_gate(new, rows, adapted.verdict_)
+    print_gate(new, rows, adapted.decision_)
     say(f"stored as {path}")
     if not adapted.corrects and adapted.chosen_ == "none":
         note("the stored model predicts what its base predicts")
@@ -329,7 +336,7 @@ def tried_ways(adapted: Any) -> list[dict[str, Any]]:
     """
     return [
         {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
-        for name, shares in zip(adapted.tried_, adapted.gate_, strict=True)
+        for name, shares in zip(adapted.candidates_, adapted.test_errors_, strict=True)
     ]
 
 

@@ -12,7 +12,7 @@ import typer
 
 from sysid_evo.cli.console import as_option
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.registry.grammar import split
+from sysid_evo.registry.grammar import split_specs
 from sysid_evo.registry.plugins import load_plugin
 
 Seed: TypeAlias = Annotated[int | None, typer.Option(help="Everything random follows from it (0).", min=0)]
@@ -45,17 +45,20 @@ Aggregate: TypeAlias = Annotated[
 Noise: TypeAlias = Annotated[
     str | None,
     typer.Option(
-        help="What evolution must cope with, such as envelope(sensor=0.1, latency=2, gain=0.15), or none (default: "
+        help="What evolution must cope with, such as domain_randomisation(sensor=0.1, latency=2, gain=0.15), or none "
+        "(default: "
         "what is usual for the task); see the docs."
     ),
 ]
-Caution: TypeAlias = Annotated[
+Penalty: TypeAlias = Annotated[
     str | None,
-    typer.Option(help="What a trial loses in evolution where models cannot be believed, such as doubt(outside=5)."),
+    typer.Option(
+        help="What a trial loses in evolution where models cannot be believed, such as uncertainty(outside=5)."
+    ),
 ]
 Generations: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of controllers, instead of the preset's.")]
 Trials: TypeAlias = Annotated[int | None, typer.Option(min=1, help="Of every candidate in each generation.")]
-Recipe: TypeAlias = Annotated[
+Procedure: TypeAlias = Annotated[
     str | None,
     typer.Option(help="recommended (search in each model, choice by others, polish on all) or plain (all at once)."),
 ]
@@ -63,7 +66,7 @@ Schedule: TypeAlias = Annotated[
     str | None,
     typer.Option(help="Easier stages first: stage(task=NAME(parameter=value), models=[a, b], until=FITNESS), ..."),
 ]
-Runs: TypeAlias = Annotated[
+Repeats: TypeAlias = Annotated[
     int | None, typer.Option(min=1, help="From different seeds; the best counts, all are listed.")
 ]
 
@@ -87,7 +90,7 @@ def settings_of(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, An
     becomes: dict[str, Callable[[Any], Any]] = {
         "data": resolved, "plugins": resolved, "columns": column_map, "test": tuple,
         "estimator_delay": lambda milliseconds: milliseconds / 1000.0,
-        **{name: partial(listed, as_option(name)) for name in ("models", "ensembles", "by_hand")},
+        **{name: partial(listed, as_option(name)) for name in ("models", "ensembles", "baselines")},
     }  # fmt: skip
     values = {**values, "plugins": values.get("plugin")}
     return {
@@ -100,7 +103,7 @@ def listed(option: str, text: str | None) -> tuple[str, ...] | None:
     if text is None:
         return None
     try:
-        return tuple(split(text))
+        return tuple(split_specs(text))
     except InvalidArgument as error:
         raise InvalidArgument(f"{option}: {error}") from error
 

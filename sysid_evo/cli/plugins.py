@@ -117,7 +117,7 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
     load_plugins(plugin)
     rows: list[dict[str, str | None]] = []
     for name, knowledge in models.each(lambda name: str(models.glance(name, "knowledge") or "")):
-        lacking = models.lacking(name)
+        lacking = models.missing_package(name)
         why = None if lacking is None else str(lacking)
         rows.append({"name": name, "knowledge": knowledge, "summary": models.summary(name), "lacking": why})
     if as_json:

@@ -19,7 +19,7 @@ from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.executors import execute
 from sysid_evo.plan.plan import Plan
 from sysid_evo.plan.run_cell import Observer
-from sysid_evo.plan.store import Outcome, Store
+from sysid_evo.plan.store import CellOutcome, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 SHORTEST = 20  # characters of a title
@@ -31,9 +31,9 @@ NAMED = 4
 """Cells that an interruption names."""
 
 
-def carry_out(
+def run_plan(
     plan: Plan, store: Store, *, dry_run: bool, as_json: bool, jobs: int | None = None, scheduler: str | None = None
-) -> Mapping[str, Outcome] | None:
+) -> Mapping[str, CellOutcome] | None:
     """Compute what is missing of ``plan`` and return the outcome of every cell by its digest.
 
     With ``dry_run`` print what would be computed instead, and return None.
@@ -42,14 +42,14 @@ def carry_out(
         print_plan(plan, store, as_json=as_json)
         return None
     session.run = store
-    with Bars(f"--run {shlex.quote(str(store.path))}", cells=plan, elsewhere=scheduler is not None) as bars:
+    with PlanProgress(f"--run {shlex.quote(str(store.path))}", cells=plan, elsewhere=scheduler is not None) as bars:
         return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 
 def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     """Print the cells, about how long they take, and which are done."""
     done = {cell.digest for cell in plan if store.done(cell)}
-    rows = [(cell.title, 0.0 if cell.digest in done else cell.seconds, cell.digest in done) for cell in plan]
+    rows = [(cell.title, 0.0 if cell.digest in done else cell.expected_seconds, cell.digest in done) for cell in plan]
     total = sum(seconds for _, seconds, _ in rows)
     if as_json:
         cells = [{"cell": title, "seconds": round(seconds, 1), "kept": kept} for title, seconds, kept in rows]
@@ -63,7 +63,7 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
     out.print(f"{len(rows)} cells, {len(done)} kept, about {duration(total)}", highlight=False)
 
 
-class Bars(Observer):
+class PlanProgress(Observer):
     """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
 
     ``go_on`` are the options that resume an interrupted command, if it can be resumed. ``where`` is a prefix that
@@ -129,7 +129,7 @@ class Bars(Observer):
 
     def start(self, cell: Cell) -> None:
         self._begin(cell.digest, self._title(cell), resumable=cell.resumable)
-        self._expected[cell.digest] = cell.seconds
+        self._expected[cell.digest] = cell.expected_seconds
         self._tell_all()
 
     def begin(self, title: str) -> None:

@@ -51,9 +51,9 @@ def import_(
     check_new_folder(folder, overwrite=overwrite, replaced=(HEADER, SAMPLES))
     patterns = patterns_of(condition or ())
     recording = read_recording(logs, columns=columns, condition_column=condition_column)
-    dataset = Dataset.of_recording(recording).labelled(patterns)
+    dataset = Dataset.of_recording(recording).label_conditions(patterns)
     dataset.save(folder)
-    tell_notes(dataset.notes, recording.doubts)
+    tell_notes(dataset.notes, recording.remarks)
     out.print(episode_table(dataset))
     say(f"data set stored in {folder}")
 
@@ -72,8 +72,8 @@ def inspect(
 ) -> None:
     """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
     load_plugins(plugin)
-    dataset, raw, doubts = _open(logs, columns)
-    tell_notes(dataset.notes, doubts)
+    dataset, raw, warned = _open(logs, columns)
+    tell_notes(dataset.notes, warned)
     quality = recording_quality(dataset, raw)
     visited = () if controller is None else evaluation.driven_by(controller, dataset.system)
     remarks = evaluation.advise_recording(dataset, quality, visited=visited)
@@ -102,14 +102,14 @@ def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLo
     if len(paths) == 1 and is_stored_dataset(paths[0]):
         return Dataset.read(paths[0], columns=columns), (), ()
     recording = read_recording(paths, columns=columns)
-    return Dataset.of_recording(recording), recording.logs, recording.doubts
+    return Dataset.of_recording(recording), recording.logs, recording.remarks
 
 
-def tell_notes(notes: Iterable[str], doubts: Iterable[str] = ()) -> None:
+def tell_notes(notes: Iterable[str], remarks: Iterable[str] = ()) -> None:
     """Print notes on standard error, and what looks wrong as a warning."""
-    doubtful = set(doubts)
+    remarked = set(remarks)
     for note in notes:
-        label, style = ("warning: ", "yellow") if note in doubtful else ("note: ", "dim")
+        label, style = ("warning: ", "yellow") if note in remarked else ("note: ", "dim")
         tell(note, label=label, style=style)
 
 

@@ -19,13 +19,13 @@ import evaluation
 import hardware
 import sysid_evo
 from evaluation.formatting import by_error
-from sysid_evo.artefacts import is_stored
+from sysid_evo.artefacts import is_stored_dataset
 from sysid_evo.cli.console import ROBOT, err, out, say, table_of, tell
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.cli.options import Json, Plugins, Seed, Task, check_new_folder, load_plugins
-from sysid_evo.cli.progress import Bars
+from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.cli.recordings import episode_table, tell_notes
-from sysid_evo.data.response import measured
+from sysid_evo.data.response import manoeuvre_results
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.plan.store import Store
 from sysid_evo.registry.registry import robots
@@ -63,8 +63,8 @@ def check_robot(
     """
     load_plugins(plugin)
     machine = hardware.find_robot(robot)
-    with hardware.Stops(machine.answers_within) as stops, _ended_by(stops):
-        findings = machine.look_at(seconds=seconds, stops=stops)
+    with hardware.StopRequest(machine.answers_within) as stops, _ended_by(stops):
+        findings = machine.self_test(seconds=seconds, stop=stops)
     if as_json:
         out.print_json(data=[asdict(finding) for finding in findings])
     else:
@@ -79,7 +79,7 @@ def check_robot(
 
 
 @contextmanager
-def _ended_by(stops: hardware.Stops) -> Iterator[None]:
+def _ended_by(stops: hardware.StopRequest) -> Iterator[None]:
     """End the command with the exit code of the signal after which the robot did not answer any more."""
     try:
         yield
@@ -113,9 +113,9 @@ def record(
     machine = hardware.find_robot(robot)
     journal = folder / hardware.JOURNALS
     hardware.check_recording(machine, journal, duration=60.0 * minutes)
-    manoeuvres = None if manoeuvre is None else hardware.measuring(machine.system, manoeuvre)
+    manoeuvres = None if manoeuvre is None else hardware.measuring_manoeuvres(machine.system, manoeuvre)
     title = f"record {robot}"
-    with Bars() as bars, hardware.Stops(machine.answers_within) as stops, _ended_by(stops):
+    with PlanProgress() as bars, hardware.StopRequest(machine.answers_within) as stops, _ended_by(stops):
         bars.begin(title)
         drive = (
             partial(machine.record, duration=60.0 * minutes)
@@ -127,11 +127,11 @@ def record(
         bars.end(title, ended)
     dataset = recorded.dataset
     for log in recorded.logs:
-        hardware.save_raw(log, dataset.system, folder / "raw" / f"{log.name}.csv")
+        hardware.save_raw_log(log, dataset.system, folder / "raw" / f"{log.name}.csv")
     dataset.save(folder)
     tell_notes(dataset.notes)
     out.print(episode_table(dataset))
-    for one in measured(dataset):
+    for one in manoeuvre_results(dataset):
         say(str(one))
     say(f"data set stored in {folder}")
     if ended is not None:
@@ -206,7 +206,7 @@ def drive(
         raise InvalidArgument(f"drive: --controller drives a robot. To run it on a model: {shlex.join(words)}")
     if name is not None:
         raise InvalidArgument("drive: --name is for driving by hand; a controller has a row of its own. Leave it out")
-    if task is not None and is_stored(controller, "controller"):
+    if task is not None and is_stored_dataset(controller, "controller"):
         raise InvalidArgument(f"drive: {controller} was evolved for a task and drives that one; leave --task out")
     code = drive_controller(
         controller,
@@ -242,11 +242,11 @@ def drive_controller(
     """
     if page is not None:
         hardware.check_page()  # what it lacks is said before anything runs
-    if is_stored(controller, "controller"):
+    if is_stored_dataset(controller, "controller"):
         champion = sysid_evo.load_champion(controller)
-        run = run or evaluation.owner_of(Path(controller))
+        run = run or evaluation.run_of_controller(Path(controller))
     else:
-        champion = sysid_evo.Champion.hand_written(controller, task or robot.usual_task or DEFAULT_TASK, robot.system)
+        champion = sysid_evo.Champion.baseline(controller, task or robot.usual_task or DEFAULT_TASK, robot.system)
     champion.check_system(robot.system)
     if seed is None:
         seed = evaluation.seed_of_run(run) if run else champion.seed
@@ -280,7 +280,7 @@ def _loop(
     task, law = sysid_evo.make_task(champion.task), sysid_evo.make_controller(champion.controller)
     hardware.check_driving(robot, task, law, champion.parameters[None])
     with ExitStack() as stack:
-        bars, stops = stack.enter_context(Bars()), stack.enter_context(hardware.Stops())
+        bars, stops = stack.enter_context(PlanProgress()), stack.enter_context(hardware.StopRequest())
         told = None
         if page is not None:
             shown = hardware.shown_live(robot, task, champion.name, page, stops=stops, announce=_watch_at)
@@ -290,17 +290,17 @@ def _loop(
             tracker_frame=tracker_origin,
             seed=seed,
             listeners=() if recorder is None else (recorder,),
-            stops=stops,
+            stop=stops,
             progress=bars.advance,
-            told=told,
+            on_decision=told,
         )
         bars.begin(title)
         try:
             rollouts, report = runner.drive(law, champion.parameters[None], task, seeds)
         except LinkLost as error:
             bars.end(title, str(error))
-            return hardware.Reason.LINK_LOST.exit_code
-        cell = evaluation.cell_of(champion, column, rollouts, task, traces=TRACES)
+            return hardware.StopReason.LINK_LOST.exit_code
+        cell = evaluation.result_of(champion, column, rollouts, task, traces=TRACES)
         bars.end(title, report.sentence if report.reason.is_fault else None)
     out.print(f"{champion.name} on {column}", style="bold", highlight=False, markup=False)
     out.print(trials_table(cell, rollouts))
@@ -326,7 +326,7 @@ def _step(
     assert runner is not None
     law = sysid_evo.make_controller(champion.controller)
     rollouts = runner.bind(law, task)(champion.parameters[None], seeds, record=True)
-    cell = evaluation.cell_of(champion, f"{robot.name} driven", rollouts, task, traces=TRACES)
+    cell = evaluation.result_of(champion, f"{robot.name} driven", rollouts, task, traces=TRACES)
     out.print(f"{champion.name} on {robot.name}", style="bold", highlight=False, markup=False)
     out.print(trials_table(cell, rollouts))
     if run is not None:
@@ -361,7 +361,7 @@ def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
 
 
 @dataclass(frozen=True)
-class Driven:
+class DriveTarget:
     """What somebody drives, in which column of the matrix of which run."""
 
     robot: hardware.Robot
@@ -371,18 +371,18 @@ class Driven:
     task: str = DEFAULT_TASK
 
 
-def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None, task: str | None) -> Driven:
+def _choose(robot: str | None, model: str | None, run: Path | None, name: str | None, task: str | None) -> DriveTarget:
     file = model is not None and Path(model).suffix in (".json", ".safetensors")
     wanted = run is not None or name is not None or (model is not None and not file)
     where = evaluation.latest_run_folder(run) if wanted else None
     if model is None:
         machine = hardware.find_robot(robot or DEFAULT_ROBOT)
         task = task or machine.usual_task or DEFAULT_TASK
-        return Driven(hardware.in_real_time(machine), matrix_column(machine), where, on_robot=True, task=task)
+        return DriveTarget(hardware.in_real_time(machine), matrix_column(machine), where, on_robot=True, task=task)
     store = Store(where or Path())
     column = evaluation.find_column(store, model)
-    modelled = hardware.ModelledRobot(column.label, evaluation.dynamics_of(store, column))
-    return Driven(hardware.in_real_time(modelled), column.label, where, on_robot=False, task=task or DEFAULT_TASK)
+    modelled = hardware.ModelRobot(column.label, evaluation.dynamics_of(store, column))
+    return DriveTarget(hardware.in_real_time(modelled), column.label, where, on_robot=False, task=task or DEFAULT_TASK)
 
 
 def matrix_column(robot: hardware.Robot) -> str:
@@ -391,7 +391,7 @@ def matrix_column(robot: hardware.Robot) -> str:
 
 
 def drive_by_hand(
-    driven: Driven,
+    driven: DriveTarget,
     page: hardware.PageAddress,
     trials: int | None,
     folder: Path | None,
@@ -412,7 +412,7 @@ def drive_by_hand(
         return recorders[-1]
 
     with (
-        hardware.Stops() as stops,
+        hardware.StopRequest() as stops,
         hardware.driven_by_hand(
             robot,
             task,
@@ -429,16 +429,16 @@ def drive_by_hand(
                 ended.append(trial)
                 _tell(trial, task.fitness_unit)
                 if sum(each.fitness is not None for each in ended) == trials:
-                    stops.request(hardware.Reason.SAMPLES)
+                    stops.request(hardware.StopReason.SAMPLES)
         except LinkLost as error:
             tell(f"{robot.name}: {error}")
-            stops.request(hardware.Reason.LINK_LOST)
+            stops.request(hardware.StopReason.LINK_LOST)
     for made in recorders:
         if made.problem is not None:
             tell(f"{made.lost} records are lost: {made.problem}")
-    reason = stops.reason or hardware.Reason.PILOT
+    reason = stops.reason or hardware.StopReason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
-    return ended, 0 if reason is hardware.Reason.SIGINT and not under_way else reason.exit_code
+    return ended, 0 if reason is hardware.StopReason.SIGINT and not under_way else reason.exit_code
 
 
 def _tell(trial: hardware.HandTrial, unit: str) -> None:
@@ -450,7 +450,7 @@ def _tell(trial: hardware.HandTrial, unit: str) -> None:
         err.print(f"trial {trial.number}: given up after {trial.trajectory.duration:.1f} s", highlight=False)
 
 
-def add_row(driven: Driven, run: Path, name: str, trials: Sequence[hardware.HandTrial]) -> None:
+def add_row(driven: DriveTarget, run: Path, name: str, trials: Sequence[hardware.HandTrial]) -> None:
     """Add the trials that were driven to their end to the run's matrix, as the row ``name``."""
     whole = [(one.fitness, one.trajectory, one.task_state) for one in trials if one.fitness is not None]
     if not whole:

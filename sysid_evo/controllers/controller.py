@@ -42,14 +42,14 @@ class Controller(ABC):
 
     Batched over parameter vectors: P candidates act in E trials at once. Memory starts at zero.
     ``n_noise`` standard normal numbers are given to every `act`, never drawn inside; such a controller
-    runs in the reference form. A ``hand_written`` one drives with zeros as its parameters, so that it
+    runs in the reference form. A ``is_baseline`` one drives with zeros as its parameters, so that it
     needs no evolution.
 
     A class writes `act` and one of `bind` and `bind_to`; a `LawController` sets its law there instead of `act`.
     """
 
-    hand_written: ClassVar[bool] = False
-    unwritten: ClassVar[str] = "it has no `program`"
+    is_baseline: ClassVar[bool] = False
+    not_exportable: ClassVar[str] = "it has no `program`"
     """Why it cannot be written in other languages, where `program` gives None."""
 
     n_parameters: int
@@ -139,12 +139,12 @@ LAW_ROWS = ("theta", "memory", "observation", "raw", "scratch")
 MEMORY = "memory"
 
 
-def observed(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
+def observation_indices(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
     """Return where ``names`` stand among the observations of ``task``. Raises `IncompatibleTask`."""
     return _places(f"{what}: the task shows no", names, task.observations)
 
 
-def controlled(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
+def control_indices(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
     """Return where ``names`` stand among the controls of the system of ``task``. Raises `IncompatibleTask`."""
     return _places(f"{what}: the system has no control", names, task.system.controls)
 
@@ -157,14 +157,14 @@ def _places(what: str, names: Sequence[str], channels: Sequence[Channel]) -> tup
     return tuple(known.index(name) for name in names)
 
 
-def size_of(channel: Channel) -> float:
+def channel_scale(channel: Channel) -> float:
     """Return how large the values of ``channel`` are: the larger of its limits, half a period, or 1 of its unit."""
     if channel.period is not None:
         return channel.period / 2.0
     return max(abs(channel.low), abs(channel.high)) if channel.bounded else 1.0
 
 
-def period_of(channel: Channel) -> float | None:
+def channel_period(channel: Channel) -> float | None:
     """Return the period of ``channel``, also of an angle that is shown within one turn; None for all others."""
     if channel.period is None and channel.unit == "rad" and math.isclose(channel.high - channel.low, TURN):
         return TURN

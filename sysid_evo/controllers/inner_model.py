@@ -12,7 +12,7 @@ from sysid_evo.registry.registry import make_robot
 from sysid_evo.tasks.task import Task
 
 
-def inner_model(what: str, model: str | Dynamics, task: Task) -> Dynamics:
+def load_inner_model(what: str, model: str | Dynamics, task: Task) -> Dynamics:
     """Return the dynamics that ``model`` names, for the controller ``what`` at a bound ``task``.
 
     Raises `ArtefactError` and `UnknownName` for what is not there, `IncompatibleTask` for a model of another system.

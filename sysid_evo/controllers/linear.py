@@ -6,7 +6,7 @@ import copy
 from collections.abc import Sequence
 from typing import ClassVar, Self
 
-from sysid_evo.controllers.controller import ControllerLaw, LawController, observed
+from sysid_evo.controllers.controller import ControllerLaw, LawController, observation_indices
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Layout
 from sysid_evo.registry.registry import register_controller
@@ -33,7 +33,7 @@ class LinearFeedback(LawController):
 
     def bind_to(self, task: Task) -> Self:
         names = self.inputs or [channel.name for channel in task.observations]
-        return self._sized(len(task.observations), observed("linear", names, task), task.system.nu)
+        return self._sized(len(task.observations), observation_indices("linear", names, task), task.system.nu)
 
     def _sized(self, n_observations: int, places: tuple[int, ...], n_outputs: int) -> Self:
         bound = copy.copy(self)
@@ -64,11 +64,11 @@ class Constant(LawController):
     The parameters are b (n_outputs,). With zeros it stays at rest.
     """
 
-    hand_written: ClassVar[bool] = True
+    is_baseline: ClassVar[bool] = True
 
     def bind_to(self, task: Task) -> Self:
         bound = copy.copy(self)
-        neutral = task.system.raw_of(task.system.neutral_control)
+        neutral = task.system.raw_output(task.system.neutral_control)
         bound.n_observations, bound.n_outputs = len(task.observations), task.system.nu
         bound.n_parameters = task.system.nu
         bound.law = ControllerLaw(constant, CONSTANT_HEAD.pack(neutral, n_outputs=len(neutral)), width="row")

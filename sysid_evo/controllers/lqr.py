@@ -10,8 +10,8 @@ from typing import ClassVar, Self, cast
 
 import numpy as np
 
-from sysid_evo.controllers.controller import ControllerLaw, LawController, size_of
-from sysid_evo.controllers.inner_model import inner_model
+from sysid_evo.controllers.controller import ControllerLaw, LawController, channel_scale
+from sysid_evo.controllers.inner_model import load_inner_model
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.extras import missing_extra
 from sysid_evo.kernels import Layout, splat
@@ -19,7 +19,7 @@ from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
-from sysid_evo.tasks.tracking import SHOWN, Following, FollowingState
+from sysid_evo.tasks.tracking import OBSERVED_TOLERANCES, TrackingState, TrackingTask
 from sysid_evo.types import Array, check_shape
 
 SAMPLES = 200
@@ -42,7 +42,7 @@ class Lqr(LawController):
     of g: with zero it is LQR itself.
     """
 
-    hand_written: ClassVar[bool] = True
+    is_baseline: ClassVar[bool] = True
     requires: ClassVar[tuple[str, ...]] = ("control",)
     n_parameters = 1
 
@@ -64,7 +64,7 @@ class Lqr(LawController):
         self.weights, self.effort = weights, effort
 
     def bind_to(self, task: Task) -> Self:
-        if not isinstance(task, Following):
+        if not isinstance(task, TrackingTask):
             raise IncompatibleTask(f"lqr leads states to targets, as set_point does; {type(task).__name__} has none")
         unknown = [name for name in self.weights or () if name not in task.system.state_names]
         if unknown:
@@ -84,12 +84,12 @@ class Lqr(LawController):
 
     def _linear(self, task: Task, middle: Array) -> LinearModel:
         if self.model is not None:
-            return linear_model(inner_model("lqr", self.model, task), middle)
+            return linear_model(load_inner_model("lqr", self.model, task), middle)
         nx, nu = task.system.nx, task.system.nu
         a, b = check_shape("lqr: a", self.a or (), (nx, nx)), check_shape("lqr: b", self.b or (), (nx, nu))
         return LinearModel(a, b, check_shape("lqr: c", np.zeros(nx) if self.c is None else self.c, (nx,)))
 
-    def _gain(self, task: Following, linear: LinearModel, led: Sequence[int]) -> Array:
+    def _gain(self, task: TrackingTask, linear: LinearModel, led: Sequence[int]) -> Array:
         """Return K (nu, nx)."""
         try:
             import control
@@ -98,9 +98,9 @@ class Lqr(LawController):
         system = task.system
         wanted = {name: 1.0 if place in led else 0.01 for place, name in enumerate(system.state_names)}
         wanted |= dict(self.weights or {})
-        sizes = [size_of(channel) for channel in system.states]
+        sizes = [channel_scale(channel) for channel in system.states]
         for goal in task.goals:
-            sizes[goal.place] = SHOWN * goal.tolerance
+            sizes[goal.place] = OBSERVED_TOLERANCES * goal.tolerance
         q = np.diag([wanted[channel.name] / size**2 for channel, size in zip(system.states, sizes, strict=True)])
         r = np.diag([self.effort / (0.5 * (channel.high - channel.low)) ** 2 for channel in system.controls])
         try:
@@ -113,13 +113,13 @@ class Lqr(LawController):
 
 
 def _in_observations(
-    task: Following, linear: LinearModel, gain: Array, began: FollowingState, led: Sequence[int]
+    task: TrackingTask, linear: LinearModel, gain: Array, began: TrackingState, led: Sequence[int]
 ) -> tuple[Array, Array]:
     """Return tables (observations + 1, nu) that give the outputs at rest, and the feedback, from what is shown."""
     system = task.system
     at_rest = [linear.at_rest(target, led) for target in began.target]
     states, controls = (np.array(part) for part in zip(*at_rest, strict=True))
-    sizes = np.array([size_of(channel) for channel in system.states])
+    sizes = np.array([channel_scale(channel) for channel in system.states])
     off = NEAR * sizes * np.random.default_rng(0).standard_normal(states.shape)
     shown = task.observe(began, states + off)
     shown = np.concatenate([shown, np.ones((len(shown), 1))], axis=1)
@@ -184,10 +184,10 @@ def linear_model(dynamics: Dynamics, state: Array) -> LinearModel:
     """
     system = dynamics.system
     neutral = system.neutral_control
-    steps = STEP * np.array([size_of(channel) for channel in (*system.states, *system.controls)])
+    steps = STEP * np.array([channel_scale(channel) for channel in (*system.states, *system.controls)])
     moves = np.concatenate([np.diag(steps), -np.diag(steps), np.zeros((1, len(steps)))])
     states, controls = state + moves[:, : system.nx], neutral + moves[:, system.nx :]
-    after = system.near(dynamics.step(started(dynamics, states), controls)[:, : system.nx], states)
+    after = system.unwrap_towards(dynamics.step(started(dynamics, states), controls)[:, : system.nx], states)
     n = len(steps)
     slopes = ((after[:n] - after[n : 2 * n]) / (2.0 * steps[:, None])).T
     a, b = slopes[:, : system.nx], slopes[:, system.nx :]

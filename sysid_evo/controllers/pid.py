@@ -8,7 +8,14 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.controllers.controller import ControllerLaw, LawController, controlled, observed, period_of, size_of
+from sysid_evo.controllers.controller import (
+    ControllerLaw,
+    LawController,
+    channel_period,
+    channel_scale,
+    control_indices,
+    observation_indices,
+)
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Layout, nearest, splat, view
 from sysid_evo.registry.registry import register_controller
@@ -57,14 +64,14 @@ class Pid(LawController):
             for control, names in (self.loops or _all_loops(task)).items()
             for name in ((names,) if isinstance(names, str) else names)
         ]
-        observed("pid: scales", tuple(self.scales or ()), task)
-        observations = observed("pid", [name for _, name in pairs], task)
-        controls = controlled("pid", [control for control, _ in pairs], task)
+        observation_indices("pid: scales", tuple(self.scales or ()), task)
+        observations = observation_indices("pid", [name for _, name in pairs], task)
+        controls = control_indices("pid", [control for control, _ in pairs], task)
         rows = []
         for seen, control in zip(observations, controls, strict=True):
             channel = task.observations[seen]
-            scale = (self.scales or {}).get(channel.name, size_of(channel))
-            period = (period_of(channel) or 0.0) / scale
+            scale = (self.scales or {}).get(channel.name, channel_scale(channel))
+            period = (channel_period(channel) or 0.0) / scale
             per_period = 1.0 / period if period else 0.0
             shares = {"per_scale": 1.0 / scale, "period": period, "per_period": per_period}
             rows.append(LOOP.pack(observation=seen, control=control, **shares))

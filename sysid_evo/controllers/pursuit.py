@@ -6,7 +6,7 @@ import copy
 import math
 from typing import ClassVar, Self
 
-from sysid_evo.controllers.controller import ControllerLaw, LawController, controlled, observed
+from sysid_evo.controllers.controller import ControllerLaw, LawController, control_indices, observation_indices
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Layout, splat
 from sysid_evo.registry.registry import register_controller
@@ -39,7 +39,7 @@ class Pursuit(LawController):
     drives as it was made. ``drive`` and ``steer`` name the controls; any others stay neutral.
     """
 
-    hand_written: ClassVar[bool] = True
+    is_baseline: ClassVar[bool] = True
     n_parameters = 4
 
     def __init__(
@@ -59,9 +59,9 @@ class Pursuit(LawController):
 
     def bind_to(self, task: Task) -> Self:
         bound = copy.copy(self)
-        speed, yaw_rate, angle, distance = observed("pursuit", SHOWN, task)
-        drive, steer = controlled("pursuit (name yours with drive= and steer=)", (self.drive, self.steer), task)
-        rest = task.system.raw_of(task.system.neutral_control)
+        speed, yaw_rate, angle, distance = observation_indices("pursuit", SHOWN, task)
+        drive, steer = control_indices("pursuit (name yours with drive= and steer=)", (self.drive, self.steer), task)
+        rest = task.system.raw_output(task.system.neutral_control)
         bound.n_observations, bound.n_outputs = len(task.observations), len(rest)
         shared = HEAD.pack(
             rest,

@@ -1,6 +1,6 @@
 from .columns import ColumnMap, load_columns
 from .dataset import Dataset, Transitions, check_usable
-from .preparation import Prepared, RawLog, prepare, take_rows
+from .preparation import PreparedLog, RawLog, prepare, rows_as_episodes
 from .quality import RecordingQuality, recording_quality
 from .readers import Reader, Table
 from .reading import Recording, read_recording
@@ -11,7 +11,7 @@ __all__ = [
     "ColumnMap",
     "Dataset",
     "Delay",
-    "Prepared",
+    "PreparedLog",
     "RawLog",
     "Reader",
     "Recording",
@@ -26,5 +26,5 @@ __all__ = [
     "prepare",
     "read_recording",
     "recording_quality",
-    "take_rows",
+    "rows_as_episodes",
 ]

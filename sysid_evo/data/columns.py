@@ -206,8 +206,8 @@ class ColumnMap(_Strict):
         used += [column.column for column in (*self.pose.values(), *self.extra.values())]
         return tuple(dict.fromkeys(used))
 
-    def system(self, envelope: Mapping[str, tuple[float, float]]) -> System:
-        """Return the system that the map describes; ``envelope`` limits the controls without limits."""
+    def system(self, control_limits: Mapping[str, tuple[float, float]]) -> System:
+        """Return the system that the map describes; ``control_limits`` limits the controls without limits."""
         states = tuple(
             Channel(
                 name,
@@ -227,7 +227,7 @@ class ColumnMap(_Strict):
             elif control.low is not None and control.high is not None:
                 low, high = control.low, control.high
             else:
-                low, high = envelope[name]
+                low, high = control_limits[name]
             neutral = math.nan if control.neutral is None else control.neutral
             controls.append(Channel(name, to_si(control.unit)[0], low, high, levels, neutral))
         motion = None if self.motion is None else self.motion_of_states

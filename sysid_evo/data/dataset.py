@@ -28,7 +28,7 @@ from sysid_evo.data.frames import (
     xarray_of,
 )
 from sysid_evo.data.reading import Recording, paths_of, read_recording
-from sysid_evo.data.trajectory import Trajectory, WindowPlaces, Windows, as_columns, moving_rows, recording
+from sysid_evo.data.trajectory import Trajectory, WindowIndex, Windows, as_columns, moving_rows, recording
 from sysid_evo.display import Displayed, listed
 from sysid_evo.errors import ArtefactError, DataWarning, IncompatibleSystem, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.system import Channel, System
@@ -89,7 +89,7 @@ class Dataset(Displayed):
             raise InvalidData(f"data set: episode names must differ, repeated: {', '.join(map(repr, repeated))}")
         system = self.system
         if system.periods:
-            smooth = [replace(episode, states=system.unwrapped(episode.states)) for episode in self.episodes]
+            smooth = [replace(episode, states=system.unwrap(episode.states)) for episode in self.episodes]
             object.__setattr__(self, "episodes", tuple(smooth))
         for episode in self.episodes:
             check_shape(f"states of {episode.name!r}", episode.states, (None, system.nx))
@@ -184,7 +184,7 @@ class Dataset(Displayed):
     ) -> Dataset:
         """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`.
 
-        Each doubt about a log is also one `DataWarning`.
+        Each remark about a log is also one `DataWarning`.
         """
         files = paths_of(paths)
         if len(files) == 1 and is_stored_dataset(files[0]):
@@ -196,8 +196,8 @@ class Dataset(Displayed):
                 )
             return cls.load(files[0])
         read = read_recording(files, columns=columns, condition_column=condition_column)
-        for doubt in read.doubts:
-            warnings.warn(doubt, DataWarning, stacklevel=2)
+        for remark in read.remarks:
+            warnings.warn(remark, DataWarning, stacklevel=2)
         return cls.of_recording(read)
 
     @classmethod
@@ -258,7 +258,7 @@ class Dataset(Displayed):
             )
         return self.with_episodes([episode for episode in self.episodes if episode.condition in names])
 
-    def labelled(self, patterns: Mapping[str, str]) -> Dataset:
+    def label_conditions(self, patterns: Mapping[str, str]) -> Dataset:
         """Return this data set with a condition for each episode whose name fits one of the ``patterns``, by name.
 
         ``{"wet": "*rain*", "dry": "2024-05-*"}``; a piece such as ``log[0:400]`` goes by the name of its log. Raises
@@ -337,14 +337,14 @@ class Dataset(Displayed):
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `window_places`, which takes no memory for windows never looked at."""
-        places = self.window_places(horizon, stride=stride, history=history, first=first, moving=moving)
+        """Cut windows of ``horizon`` steps, see `find_windows`, which takes no memory for windows never looked at."""
+        places = self.find_windows(horizon, stride=stride, history=history, first=first, moving=moving)
         return places[:]
 
-    def window_places(
+    def find_windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
-    ) -> WindowPlaces:
-        """Find windows of ``horizon`` steps, see `WindowPlaces.of`; with ``moving``, only those that start in motion.
+    ) -> WindowIndex:
+        """Find windows of ``horizon`` steps, see `WindowIndex.of`; with ``moving``, only those that start in motion.
 
         ``places[rows]`` cuts some of them.
         """
@@ -353,7 +353,7 @@ class Dataset(Displayed):
                 f"windows: expected horizon >= 1, stride >= 1, history >= 0, got {horizon}, {stride}, {history}"
             )
         rows = self.moving if moving else None
-        return WindowPlaces.of(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
+        return WindowIndex.of(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
     def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
         """Return every single step with that many earlier states and controls.
@@ -361,12 +361,12 @@ class Dataset(Displayed):
         With ``moving``, only those that are no standstill, unless there is nothing else.
         """
         layout = CarryLayout(self.system.nx, self.system.nu, state_lags, control_lags)
-        w = self.windows(1, history=layout.history, moving=moving)
+        w = self.windows(1, history=layout.n_lags, moving=moving)
         if moving and not len(w):
-            w = self.windows(1, history=layout.history)
+            w = self.windows(1, history=layout.n_lags)
         if not len(w):
-            raise InvalidData(f"data set: no episode is longer than {layout.history} steps, the history asked for")
-        carry = np.concatenate(layout.started(w.past_states, w.past_controls), axis=1)
+            raise InvalidData(f"data set: no episode is longer than {layout.n_lags} steps, the history asked for")
+        carry = np.concatenate(layout.initial_parts(w.past_states, w.past_controls), axis=1)
         return Transitions(carry, w.controls[:, 0], w.states[:, 0])
 
     def save(self, path: str | Path) -> Path:
@@ -409,7 +409,7 @@ BLOCKS = 20
 """Fewest blocks from different times, if they are not too short."""
 
 
-def thinned(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
+def subsample(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
     """Return ``dataset`` if it has at most ``most`` steps, else so many of it or a little fewer.
 
     What is kept are blocks of up to 1000 consecutive steps (of a twentieth of ``most``, but 100, if that is less),
@@ -539,7 +539,7 @@ FEWEST = 15
 """Steps of one window of `check_usable`: a score of fewer is one of nothing."""
 
 
-def doubts_about(dataset: Dataset) -> Iterator[str]:
+def warnings_about(dataset: Dataset) -> Iterator[str]:
     """Yield why an error of a model fitted to ``dataset`` would say little, in parts of sentences after its name.
 
     Raises `InvalidData` for numbers with which nothing can be computed.

@@ -58,7 +58,7 @@ class RawLog:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedLog:
     """The episodes of the log ``name``, and what was done to it, in sentences that do not name it."""
 
     name: str
@@ -66,9 +66,9 @@ class Prepared:
     notes: tuple[str, ...]
 
 
-def episodes_of(log: RawLog, system: System) -> Prepared:
+def episodes_of(log: RawLog, system: System) -> PreparedLog:
     """Return the episodes of ``log``: row by row if it is at the control rate, else filtered, see `prepare`."""
-    return take_rows(log, system) if at_control_rate(log, system) else prepare(log, system)
+    return rows_as_episodes(log, system) if at_control_rate(log, system) else prepare(log, system)
 
 
 RATE_TOLERANCE = 0.2
@@ -88,7 +88,7 @@ def at_control_rate(log: RawLog, system: System) -> bool:
     return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
 
 
-def take_rows(log: RawLog, system: System) -> Prepared:
+def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
     """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
 
     ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
@@ -102,7 +102,7 @@ def take_rows(log: RawLog, system: System) -> Prepared:
     states = np.stack([log.extra[name] for name in system.state_names], axis=1)
     steps = np.diff(log.time)
     broken = (steps < SHORTEST * system.dt) | (steps > LONGEST * system.dt)
-    runs = pieces(broken | log.changes)
+    runs = contiguous_rows(broken | log.changes)
     episodes = [
         Trajectory(
             states=states[rows],
@@ -134,7 +134,7 @@ def take_rows(log: RawLog, system: System) -> Prepared:
             f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
             f"{len(runs) - len(episodes)} single rows left out"
         )
-    return Prepared(log.name, tuple(episodes), tuple(notes))
+    return PreparedLog(log.name, tuple(episodes), tuple(notes))
 
 
 CUTOFF = 0.3
@@ -162,7 +162,7 @@ STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 REACH = len(STENCIL) // 2
 
 
-def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap: float | None = None) -> Prepared:
+def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap: float | None = None) -> PreparedLog:
     """Make episodes of ``system`` from a log with at least three rows for each ``system.dt``.
 
     The order matters. Turning before filtering keeps every steady turn exact, whatever the cut-off, because its
@@ -195,7 +195,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     taps = low_pass(cutoff, 1.0 / step, 0.5 / system.dt)
     margin = REACH + len(taps) // 2
     clock = fit_clock(log.time, pose[:, :2], step) if pose.size else Clock(log.time, step)
-    runs = pieces((steps > max_gap) | log.changes)
+    runs = contiguous_rows((steps > max_gap) | log.changes)
     episodes = []
     for rows in runs:
         samples = clock.samples(rows)
@@ -229,7 +229,7 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
         *([clock.note] if clock.note else []),
         *_holes(steps, period, max_gap, int(log.changes.sum()), len(runs) - len(episodes)),
     ]
-    return Prepared(log.name, tuple(episodes), tuple(notes))
+    return PreparedLog(log.name, tuple(episodes), tuple(notes))
 
 
 def _holes(steps: Array, period: float, max_gap: float, changes: int, left_out: int) -> list[str]:
@@ -365,7 +365,7 @@ def fit_clock(stamps: Array, positions: Array, step: float) -> Clock:
     return Clock(stamps, step, f"{told}; the pose is interpolated linearly onto a uniform clock")
 
 
-def pieces(breaks: BoolArray) -> list[slice]:
+def contiguous_rows(breaks: BoolArray) -> list[slice]:
     """Return the runs of rows between ``breaks`` (N - 1,), which are true where row k + 1 begins a new run."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     return [slice(first, last) for first, last in pairwise(edges)]
@@ -380,7 +380,7 @@ LISTED = 4
 """Logs that a note names."""
 
 
-def said_once(prepared: Sequence[Prepared]) -> list[str]:
+def said_once(prepared: Sequence[PreparedLog]) -> list[str]:
     """Return the notes of all logs, each once and with the names of its logs before it."""
     logs: dict[str, list[str]] = {}
     for one in prepared:

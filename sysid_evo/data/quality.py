@@ -135,7 +135,7 @@ def recording_quality(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Recordin
         switches = int(changes.sum())
         per_minute = 60.0 * switches / dataset.duration
         uses.append(ControlUse(channel.name, channel.unit, values, tuple(shares.tolist()), switches, per_minute))
-    cell = _cells(system.wrapped(states))
+    cell = _cells(system.wrap(states))
     visited = int(cell.max()) + 1
     fit = fit_linear(dataset, LATEST_STEPS)
     explained = np.ones(system.nx) if fit is None else fit.explained
@@ -188,7 +188,7 @@ def _levels(channel: Channel, values: Array) -> tuple[float, ...]:
 
 def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
     channel = dataset.system.states[i]
-    values = np.concatenate([dataset.system.wrapped(episode.states)[:, i] for episode in dataset])
+    values = np.concatenate([dataset.system.wrap(episode.states)[:, i] for episode in dataset])
     return StateUse(
         channel.name,
         channel.unit,

@@ -75,7 +75,7 @@ class Reader(ABC):
     def read(self, path: Path, columns: Sequence[str]) -> Table:
         """Return these columns. Raises `InvalidData`, which names file, row and column."""
 
-    def labels(self, path: Path, column: str) -> list[str]:
+    def texts(self, path: Path, column: str) -> list[str]:
         """Return what a column calls each row that `read` returns; here its numbers, as texts."""
         return [f"{value:g}" for value in self.read(path, [column]).columns[column]]
 
@@ -106,7 +106,7 @@ class CsvReader(Reader):
         rows = np.arange(2, len(values[0]) + 2, dtype=np.int64)
         return _finite(Table(path, rows, dict(zip(columns, values, strict=True))), self.gaps)
 
-    def labels(self, path: Path, column: str) -> list[str]:
+    def texts(self, path: Path, column: str) -> list[str]:
         header = self.header(path)
         place = _place(column, header, path)
         lines = self._lines(path)
@@ -242,7 +242,7 @@ class ParquetReader(Reader):
             data[name] = np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
         return _finite(Table(path, np.arange(1, table.num_rows + 1), data), self.gaps)
 
-    def labels(self, path: Path, column: str) -> list[str]:
+    def texts(self, path: Path, column: str) -> list[str]:
         _place(column, self.header(path), path)
         values = read_parquet(path, [column])[column].to_pylist()
         return ["" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for value in values]
@@ -290,7 +290,7 @@ def _named(path: Path) -> Iterator[None]:
         raise InvalidData(f"{path.name}: not a readable Parquet file: {error}") from error
 
 
-def reader_for(path: Path, *, encoding: str | None = None, gaps: bool = False) -> Reader:
+def find_reader(path: Path, *, encoding: str | None = None, gaps: bool = False) -> Reader:
     """Return the reader of this file's suffix, see `Reader`. Raises `InvalidData` if there is none."""
     known = []
     for _, make in readers.load_all():

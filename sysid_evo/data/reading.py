@@ -20,7 +20,7 @@ from sysid_evo.data.checks import (
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.data.preparation import RawLog, episodes_of, said_once
-from sysid_evo.data.readers import MISSING, Table, log_suffixes, reader_for, such_rows
+from sysid_evo.data.readers import MISSING, Table, find_reader, log_suffixes, such_rows
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, did_you_mean
 from sysid_evo.system import System
@@ -32,21 +32,21 @@ class Recording:
     """Logs of one system: what the files hold in SI units, and what was noticed.
 
     ``logs`` carry states that have a column, and the map's ``extra`` columns, in `RawLog.extra`.
-    ``notes`` say what was done, ``doubts`` what looks wrong.
+    ``notes`` say what was done, ``remarks`` what looks wrong.
     """
 
     system: System
     logs: tuple[RawLog, ...]
     notes: tuple[str, ...]
-    doubts: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     def prepared(self) -> tuple[tuple[Trajectory, ...], tuple[str, ...]]:
         """Return the episodes, logs at the control rate row by row, faster ones differentiated and filtered.
 
-        Beside them are all notes, also what was done to the logs, and the doubts. Raises `InvalidData`.
+        Beside them are all notes, also what was done to the logs, and the remarks. Raises `InvalidData`.
         """
         prepared = [episodes_of(log, self.system) for log in self.logs]
-        notes = [*self.notes, *said_once(prepared), *self.doubts]
+        notes = [*self.notes, *said_once(prepared), *self.remarks]
         episodes = [episode for one in prepared for episode in one.episodes]
         return tuple(episodes), tuple(dict.fromkeys(notes))
 
@@ -63,7 +63,7 @@ def read_recording(
     files = log_files(paths)
     notes = []
     if columns is None:
-        name = choose_columns(reader_for(files[0]).header(files[0]), files[0].name)
+        name = choose_columns(find_reader(files[0]).header(files[0]), files[0].name)
         chosen = shipped_columns()[name]
         notes.append(f"column map {name!r} chosen: all its columns are in the header of {files[0].name}")
     else:
@@ -71,9 +71,9 @@ def read_recording(
     named = condition_column or chosen.condition
     tables, steps = zip(*(_read(file, chosen, named, notes) for file in files), strict=True)
     logs = [_log(table, chosen, step, named, notes) for table, step in zip(tables, steps, strict=True)]
-    envelope = _envelope(logs, chosen, notes)
-    doubts = [*constant_controls(logs, tables, chosen), *unused_limits(logs, tables, chosen)]
-    doubts += [doubt for log, table in zip(logs, tables, strict=True) for doubt in findings(log, table, chosen)]
+    control_limits = _control_limits(logs, chosen, notes)
+    remarks = [*constant_controls(logs, tables, chosen), *unused_limits(logs, tables, chosen)]
+    remarks += [remark for log, table in zip(logs, tables, strict=True) for remark in findings(log, table, chosen)]
     for name, control in chosen.controls.items():
         if control.gate is not None:
             closed = np.mean(np.concatenate([table.columns[control.gate] for table in tables]) == 0.0)
@@ -82,7 +82,7 @@ def read_recording(
             )
     if chosen.time is None:
         notes.append(f"no time column: rows are taken to be {chosen.dt:g} s apart, and lost rows cannot be seen")
-    return Recording(chosen.system(envelope), tuple(logs), tuple(notes), tuple(doubts))
+    return Recording(chosen.system(control_limits), tuple(logs), tuple(notes), tuple(remarks))
 
 
 def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
@@ -132,10 +132,10 @@ def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str
     Rows that lack a number or a command in words are left out, if the map says so, and counted in ``notes``.
     """
     drop = columns.missing == "drop"
-    reader = reader_for(path, encoding=columns.encoding, gaps=drop)
+    reader = find_reader(path, encoding=columns.encoding, gaps=drop)
     table = reader.read(path, columns.number_columns)
     worded = [control.column for control in columns.controls.values() if control.words is not None]
-    texts = {name: reader.labels(path, name) for name in (*worded, *([condition] if condition else []))}
+    texts = {name: reader.texts(path, name) for name in (*worded, *([condition] if condition else []))}
     places = np.arange(len(table), dtype=np.int64)
     lacking = {name: np.isnan(values) for name, values in table.columns.items()} if drop else {}
     lacking |= {name: np.isin(texts[name], MISSING) for name in worded} if drop else {}
@@ -209,9 +209,9 @@ def _commands(table: Table, name: str, control: ControlColumn) -> Array:
     return np.array([control.words[label] for label in labels])
 
 
-def _envelope(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> Mapping[str, tuple[float, float]]:
+def _control_limits(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> Mapping[str, tuple[float, float]]:
     """Return the range over all logs of every control that has no limits in the map, and say so in ``notes``."""
-    envelope = {}
+    control_limits = {}
     for i, (name, control) in enumerate(columns.controls.items()):
         if control.limited:
             continue
@@ -222,6 +222,6 @@ def _envelope(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> M
                 f"control {name!r} (column {control.column!r}) is {low:g} in every row of every file and has no limits "
                 "in the column map: give it low and high, or leave it out"
             )
-        envelope[name] = (low, high)
+        control_limits[name] = (low, high)
         notes.append(f"control {name!r} has no limits in the column map: {low:g} to {high:g}, as recorded")
-    return envelope
+    return control_limits

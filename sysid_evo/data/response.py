@@ -279,7 +279,7 @@ LEAST = 1e-9
 
 
 @dataclass(frozen=True)
-class Measured:
+class ManoeuvreResult:
     """A ``value`` with its standard ``error`` and ``unit``; ``name`` says of what, ``episode`` where it was seen."""
 
     name: str
@@ -292,18 +292,18 @@ class Measured:
         return f"{self.name}: {self.value:.3g} +- {self.error:.1g} {self.unit} ({self.episode})"
 
 
-def measured(dataset: Dataset) -> list[Measured]:
+def manoeuvre_results(dataset: Dataset) -> list[ManoeuvreResult]:
     """Return what the manoeuvres of a data set say, in their order; nothing if there are none.
 
     They are episodes whose names begin with ``step``, ``coast_down`` or ``circle``, as `sysid-evo record --manoeuvre`
     makes them: first guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in reinforcement learning").
     """
-    ways: dict[str, Callable[[System, Trajectory], Iterator[Measured]]] = {
+    ways: dict[str, Callable[[System, Trajectory], Iterator[ManoeuvreResult]]] = {
         "step": _step,
         "coast_down": _coast_down,
         "circle": _circle,
     }
-    found: list[Measured] = []
+    found: list[ManoeuvreResult] = []
     for episode in dataset.episodes:
         way = ways.get(recording(episode.name).split("-")[0])
         if way is not None:
@@ -333,7 +333,7 @@ def _direction(value: float) -> str:
     return "forward" if value > 0.0 else "backward"
 
 
-def _step(system: System, episode: Trajectory) -> Iterator[Measured]:
+def _step(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
     """Steady value and time constant of every state, or of the forward speed of what drives."""
     first, last = _commanded(system, episode)
     if last - first < 5:
@@ -347,20 +347,20 @@ def _step(system: System, episode: Trajectory) -> Iterator[Measured]:
         if abs(change) <= 5.0 * noise + LEAST:
             continue
         said = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
-        yield Measured(said, abs(value) if forward is not None else value, error, unit, name)
+        yield ManoeuvreResult(said, abs(value) if forward is not None else value, error, unit, name)
         share = (run - run[0]) / change
         after = int(np.argmax(share >= RISEN))
         if after == 0:
             continue
         whole = after - (share[after] - RISEN) / max(share[after] - share[after - 1], LEAST)
         said = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
-        yield Measured(said, float(whole * system.dt), 0.5 * system.dt, "s", name)
+        yield ManoeuvreResult(said, float(whole * system.dt), 0.5 * system.dt, "s", name)
         if forward is not None:
             start = float(np.max(np.abs(np.diff(run)[: after + 1])) / system.dt)
-            yield Measured(f"acceleration from rest {_direction(value)}", start, 0.1 * start, "m/s^2", name)
+            yield ManoeuvreResult(f"acceleration from rest {_direction(value)}", start, 0.1 * start, "m/s^2", name)
 
 
-def _coast_down(system: System, episode: Trajectory) -> Iterator[Measured]:
+def _coast_down(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
     """Rolling resistance c and drag d of du/dt = -(c + d |u|) without a command, from the shape of the free run."""
     forward, (_, last) = _forward(system), _commanded(system, episode)
     if forward is None or not last:
@@ -380,10 +380,10 @@ def _coast_down(system: System, episode: Trajectory) -> Iterator[Measured]:
     covariance = np.linalg.inv(inputs.T @ inputs) * float(left @ left) / max(1, count - 3) * 5.0
     way, name = _direction(float(run[0])), recording(episode.name)
     for said, i, unit in (("rolling resistance", 1, "m/s^2"), ("drag", 2, "1/s")):
-        yield Measured(f"{said} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
+        yield ManoeuvreResult(f"{said} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
 
 
-def _circle(system: System, episode: Trajectory) -> Iterator[Measured]:
+def _circle(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
     """Turning radius and speed on it; positive to the left."""
     if not isinstance(system.motion, PlanarBody):
         return
@@ -399,4 +399,6 @@ def _circle(system: System, episode: Trajectory) -> Iterator[Measured]:
     error = radius * float(np.hypot(error_of_speed / speed, error_of_turn / turn))
     side = "left" if turn * speed > 0.0 else "right"
     name = recording(episode.name)
-    yield Measured(f"turning radius {side}, {_direction(speed)} at {abs(speed):.2f} m/s", radius, error, "m", name)
+    yield ManoeuvreResult(
+        f"turning radius {side}, {_direction(speed)} at {abs(speed):.2f} m/s", radius, error, "m", name
+    )

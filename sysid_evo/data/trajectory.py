@@ -160,7 +160,7 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class WindowPlaces:
+class WindowIndex:
     """Where N windows of ``horizon`` steps and ``history`` earlier samples lie; ``places[rows]`` cuts some of them.
 
     ``states`` (M + E, nx) and ``controls`` (M, nu) are those of all E episodes in a row; a window begins at sample
@@ -185,7 +185,7 @@ class WindowPlaces:
         history: int = 0,
         first: int | None = None,
         rows: Sequence[BoolArray] | None = None,
-    ) -> WindowPlaces:
+    ) -> WindowIndex:
         """Find windows of ``horizon`` steps with ``history`` samples before them, every ``stride`` samples.
 
         The first window starts at sample ``first``, or at ``history`` if that is later, so that all its

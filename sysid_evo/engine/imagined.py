@@ -10,7 +10,7 @@ import numpy as np
 from sysid_evo.carry import clip_state
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
-from sysid_evo.engine.compiled.workspace import aligned, empty_lines, envelope_table
+from sysid_evo.engine.compiled.workspace import aligned, bounds_table, empty_lines
 from sysid_evo.kernels import ADVANCE, DYNAMICS, LANES, DynamicsKernel, Precision, TaskKernel
 from sysid_evo.models.dynamics import Dynamics, enough
 from sysid_evo.processors import Engine, resolve
@@ -18,7 +18,7 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray
 
 
-class Imagination:
+class ImaginedTrials:
     """Runs trials of a bound ``task`` in ``dynamics``, from where they stand, without noise.
 
     ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy); "auto" takes the lowest
@@ -47,25 +47,25 @@ class Imagination:
             reached, state, lost = self.compiled.run(
                 carry, legal, task_state, nx=dynamics.system.nx, n_noise=dynamics.n_noise
             )
-        scores = task.fitness(reached) + task.promise(reached, state)
+        scores = task.fitness(reached) + task.potential(reached, state)
         return np.where(lost, task.worst - 1.0, scores).reshape(count, trials)
 
     @cached_property
-    def compiled(self) -> CompiledTrials | None:
+    def compiled(self) -> CompiledImagined | None:
         """The compiled form; None if it is not wanted, or the model or the task has none."""
         engine = resolve(self.engine)
         if engine == "reference":
             return None
-        of_dynamics, of_task, envelope = self.dynamics.kernel(), self.task.kernel(), self.dynamics.envelope
+        of_dynamics, of_task, state_bounds = self.dynamics.kernel(), self.task.kernel(), self.dynamics.state_bounds
         if of_dynamics is None or of_task is None:
             return None
-        precision = enough(of_dynamics.precision, envelope) if engine == "auto" else engine
-        return CompiledTrials(
-            of_dynamics, of_task, envelope_table(envelope, self.dynamics.system.nx, precision), precision
+        precision = enough(of_dynamics.precision, state_bounds) if engine == "auto" else engine
+        return CompiledImagined(
+            of_dynamics, of_task, bounds_table(state_bounds, self.dynamics.system.nx, precision), precision
         )
 
     def _run(self, carry: Array, legal: Array, here: TaskState) -> tuple[TaskState, Array, BoolArray]:
-        """Return what `CompiledTrials.run` does, in NumPy."""
+        """Return what `CompiledImagined.run` does, in NumPy."""
         dynamics, nx, (count, trials, steps, nu) = self.dynamics, self.dynamics.system.nx, legal.shape
         legal = legal.reshape(count * trials, steps, nu)
         carry, here = np.tile(carry, (count, 1)), here.tile(count)
@@ -75,20 +75,22 @@ class Imagination:
                 before, going = carry[:, :nx], here.alive
                 stepped = dynamics.step(carry, legal[:, k])
                 lost |= going & ~np.isfinite(stepped).all(axis=1)
-                stepped, _ = clip_state(np.where(lost[:, None], 0.0, stepped), dynamics.envelope)
+                stepped, _ = clip_state(np.where(lost[:, None], 0.0, stepped), dynamics.state_bounds)
                 predicted = stepped[:, :nx]
                 advanced, after = self.task.advance(here, before, predicted, control=legal[:, k])
                 if after is not predicted:
                     stepped = np.concatenate([after, stepped[:, nx:]], axis=1)
-                here = advanced if going.all() else here.keep(advanced, going)
+                here = advanced if going.all() else here.updated_where(advanced, going)
                 carry = stepped if going.all() else np.where(going[:, None], stepped, carry)
         return here, carry[:, :nx], lost
 
 
-class CompiledTrials:
+class CompiledImagined:
     """The kernels of a dynamics and of a bound task, ready to run trials that are only imagined."""
 
-    def __init__(self, dynamics: DynamicsKernel, task: TaskKernel[Any], envelope: Array, precision: Precision) -> None:
+    def __init__(
+        self, dynamics: DynamicsKernel, task: TaskKernel[Any], state_bounds: Array, precision: Precision
+    ) -> None:
         self.task, self.n_scratch, self.precision = task, dynamics.n_scratch, precision
         self.functions = {
             "dynamics": compiled(dynamics.source, DYNAMICS, precision),
@@ -97,7 +99,7 @@ class CompiledTrials:
         self.tables = {
             "dynamics_parameters": aligned(dynamics.parameters, precision),
             "task_parameters": aligned(task.parameters, precision),
-            "envelope": aligned(envelope, precision),
+            "state_bounds": aligned(state_bounds, precision),
         }
 
     def run(

@@ -7,10 +7,10 @@ import numpy as np
 from sysid_evo.carry import clip_state
 from sysid_evo.controllers.controller import Controller, View
 from sysid_evo.engine.compiled.closed_loop import LoopResults
-from sysid_evo.engine.results import Rollouts, finished, neutral, sampled, sides
+from sysid_evo.engine.results import Rollouts, above_and_below, finished, neutral_values, sampled
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.processors import one_blas_thread
-from sysid_evo.randomness import CONTROLLER_STREAM, step_noise, trial_draws
+from sysid_evo.randomness import CONTROLLER_STREAM, draw_for_steps, draw_for_trials
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds
 
@@ -25,9 +25,9 @@ def run(
     system = dynamics.system
     candidates, trials = len(parameters), len(seeds)
     batch, grid = candidates * trials, (candidates, trials)
-    noise = step_noise(seeds, task.horizon, dynamics.n_noise)
-    disturbance = step_noise(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
-    draws = np.tile(trial_draws(seeds, dynamics.n_draws), (candidates, 1))
+    noise = draw_for_steps(seeds, task.horizon, dynamics.n_noise)
+    disturbance = draw_for_steps(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
+    draws = np.tile(draw_for_trials(seeds, dynamics.n_draws), (candidates, 1))
 
     began = task.begin(seeds)
     task_state = began.tile(candidates)
@@ -35,7 +35,7 @@ def run(
     memory = np.zeros((*grid, controller.n_memory))
     survived, clipped = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.int64)
     diverged = np.zeros(batch, dtype=bool)
-    counts, centre = np.zeros((batch, 2 * (system.nx + system.nu))), neutral(system)
+    counts, centre = np.zeros((batch, 2 * (system.nx + system.nu))), neutral_values(system)
     kept = batch if record else 0
     taped_states = np.zeros((kept, task.horizon + 1, system.nx))
     taped_controls = np.zeros((kept, task.horizon, system.nu))
@@ -54,14 +54,14 @@ def run(
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
             if sampled(k):
-                counts += sides(state, control, centre) & alive[:, None]
+                counts += above_and_below(state, control, centre) & alive[:, None]
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, control, draw)
             going = alive
             if not np.isfinite(stepped).all():
                 diverged |= alive & ~np.isfinite(stepped).all(axis=1)
                 going = alive & ~diverged
-            stepped, touched = clip_state(stepped, dynamics.envelope)
+            stepped, touched = clip_state(stepped, dynamics.state_bounds)
             reached = stepped[:, : system.nx]
             advanced, after = task.advance(task_state, state, reached, control=control)
             if after is not reached:
@@ -70,7 +70,7 @@ def run(
                 carry, task_state = stepped, advanced
             else:
                 carry = np.where(going[:, None], stepped, carry)
-                task_state = task_state.keep(advanced, going)
+                task_state = task_state.updated_where(advanced, going)
             survived += going
             clipped += touched & going
             if record:
@@ -78,7 +78,7 @@ def run(
                 taped_controls[going, k], taped_poses[going, k + 1] = control[going], task_state.pose[going]
         fitness = task.fitness(task_state)
 
-    doubt = np.zeros(batch) if dynamics.doubt_at is None else carry[:, dynamics.doubt_at]
+    penalty = np.zeros(batch) if dynamics.penalty_at is None else carry[:, dynamics.penalty_at]
     tape = (taped_states, taped_controls, taped_poses)
-    found = LoopResults(fitness, survived, clipped, diverged, counts, doubt, tape)
+    found = LoopResults(fitness, survived, clipped, diverged, counts, penalty, tape)
     return finished(found, task, system, began, task_state, ENGINE, record)

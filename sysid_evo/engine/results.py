@@ -21,8 +21,8 @@ class Rollouts:
 
     ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
     horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
-    steps whose state was clipped to the model's envelope. ``behaviour`` (P, E, d) says what the controller
-    did, see `behaviour_names`; d is 0 where nobody counted. ``doubt`` (P, E) is what the dynamics counted of it, in
+    steps whose state was clipped to the model's state_bounds. ``behaviour`` (P, E, d) says what the controller
+    did, see `behaviour_names`; d is 0 where nobody counted. ``penalty`` (P, E) is what the dynamics counted of it, in
     steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
     stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
     that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
@@ -34,7 +34,7 @@ class Rollouts:
     task_state: TaskState
     engine: str
     behaviour: Array = field(default_factory=lambda: np.empty((0, 0, 0)))
-    doubt: Array = field(default_factory=lambda: np.empty((0, 0)))
+    penalty: Array = field(default_factory=lambda: np.empty((0, 0)))
     trajectories: tuple[Trajectory, ...] = ()
     missing: tuple[str, ...] = ()
 
@@ -50,8 +50,8 @@ def finished(
         clipped=found.clipped.reshape(grid),
         task_state=task_state,
         engine=engine,
-        behaviour=shares(found.counts, found.survived, found.diverged).reshape(*grid, -1),
-        doubt=np.where(found.diverged, 0.0, found.doubt).reshape(grid),
+        behaviour=time_shares(found.counts, found.survived, found.diverged).reshape(*grid, -1),
+        penalty=np.where(found.diverged, 0.0, found.penalty).reshape(grid),
         trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
     )
 
@@ -72,18 +72,18 @@ def behaviour_names(system: System) -> tuple[str, ...]:
     return tuple(f"{channel.name} {side}" for channel in channels for side in ("above", "below"))
 
 
-def neutral(system: System) -> Array:
+def neutral_values(system: System) -> Array:
     """Return the neutral value of each state and then each control, (nx + nu,)."""
     return np.concatenate([system.neutral_state, system.neutral_control])
 
 
-def sides(states: Array, controls: Array, centre: Array) -> BoolArray:
+def above_and_below(states: Array, controls: Array, centre: Array) -> BoolArray:
     """Return whether each value of states (B, nx) and controls (B, nu) is above ``centre``, and below: (B, d)."""
     off = np.concatenate([states, controls], axis=1) - centre
     return np.stack([off > 0.0, off < 0.0], axis=2).reshape(len(off), -1)
 
 
-def shares(counts: Array, survived: IntArray, diverged: BoolArray) -> Array:
+def time_shares(counts: Array, survived: IntArray, diverged: BoolArray) -> Array:
     """Return the descriptors (B, d), shares in [0, 1], from the samples counted; 0 for a rollout that diverged."""
     samples = np.maximum(1, -(-survived // EVERY))[:, None]
     return np.where(diverged[:, None], 0.0, counts / samples)

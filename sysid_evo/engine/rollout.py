@@ -11,13 +11,13 @@ import numpy as np
 
 from sysid_evo.controllers.controller import Controller
 from sysid_evo.engine import reference
-from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutKernels, spread
+from sysid_evo.engine.compiled.closed_loop import LoopData, LoopTrials, RolloutKernels, run_in_threads
 from sysid_evo.engine.results import Rollouts, finished
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Precision
 from sysid_evo.models.dynamics import Dynamics, enough, started
 from sysid_evo.processors import Engine, available_processors, resolve
-from sysid_evo.randomness import step_noise, trial_draws
+from sysid_evo.randomness import draw_for_steps, draw_for_trials
 from sysid_evo.tasks.task import Task
 from sysid_evo.types import Array, Seeds, check_shape
 
@@ -63,10 +63,10 @@ class DynamicsRunner:
 
 
 @dataclass(frozen=True)
-class Discounted:
-    """A runner whose fitness is that of ``runner`` less the doubt: its mean over the steps of the task.
+class PenalisedRunner:
+    """A runner whose fitness is that of ``runner`` less the penalty: its mean over the steps of the task.
 
-    A trial that diverges is in doubt from beginning to end and loses ``most``, so that it stays below all others.
+    A trial that diverges is in penalty from beginning to end and loses ``most``, so that it stays below all others.
     """
 
     runner: Runner
@@ -78,9 +78,9 @@ class Discounted:
 
         def discounted(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
             run = bound(parameters, seeds, record=record)
-            if run.doubt.shape != run.fitness.shape:
+            if run.penalty.shape != run.fitness.shape:
                 return run
-            lost = np.where(run.fitness < task.worst, self.most, run.doubt / task.horizon)
+            lost = np.where(run.fitness < task.worst, self.most, run.penalty / task.horizon)
             return replace(run, fitness=run.fitness - lost)
 
         return discounted
@@ -167,9 +167,9 @@ class BoundRollout:
             n_memory=controller.n_memory,
             n_observations=len(task.observations),
             seen=dynamics.observed_at,
-            doubt_at=dynamics.doubt_at,
-            envelope=dynamics.envelope,
-            precision=enough(of_dynamics.precision, dynamics.envelope) if engine == "auto" else engine,
+            penalty_at=dynamics.penalty_at,
+            state_bounds=dynamics.state_bounds,
+            precision=enough(of_dynamics.precision, dynamics.state_bounds) if engine == "auto" else engine,
         )
 
     def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
@@ -182,8 +182,8 @@ class BoundRollout:
             return reference.run(dynamics, self.controller, parameters, task, seeds, record=record)
         trials, began, of_task = len(seeds), task.begin(seeds), self.compiled.kernels.task
         noise = np.empty((trials, task.horizon, dynamics.n_noise))
-        spread(lambda: partial(_draw, seeds, noise), trials, self.threads)
-        carry = started(dynamics, began.state, trial_draws(seeds, dynamics.n_draws))
+        run_in_threads(lambda: partial(_draw, seeds, noise), trials, self.threads)
+        carry = started(dynamics, began.state, draw_for_trials(seeds, dynamics.n_draws))
         begun = LoopTrials(
             theta=parameters,
             carry=check_shape("start", carry, (trials, dynamics.n_carry)),
@@ -198,4 +198,4 @@ class BoundRollout:
 
 def _draw(seeds: Seeds, noise: Array, first: int, last: int) -> None:
     """Fill the ``noise`` (E, horizon, n_noise) of some trials."""
-    step_noise(seeds[first:last], *noise.shape[1:], out=noise[first:last])
+    draw_for_steps(seeds[first:last], *noise.shape[1:], out=noise[first:last])

@@ -13,7 +13,7 @@ from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.extras import missing_extra
 from sysid_evo.models.dynamics import Dynamics, started
-from sysid_evo.randomness import step_noise, trial_draws
+from sysid_evo.randomness import draw_for_steps, draw_for_trials
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Task
@@ -47,7 +47,7 @@ class ModelEnvironment(gymnasium.Env[Any, Any]):
     def __init__(
         self, members: Mapping[str, Dynamics], task: Task, *, actions: Actions = "auto", seed: int | None = None
     ) -> None:
-        self.trials = Trials(members, task, 1)
+        self.trials = EnvironmentTrials(members, task, 1)
         self.observation_space = observation_space(self.trials.task)
         self.action_space = action_space(self.trials.system, actions)
         self.metadata = metadata_of(self.trials.task, self.action_space)
@@ -57,7 +57,7 @@ class ModelEnvironment(gymnasium.Env[Any, Any]):
         """Begin a trial; ``options`` may name the ``member`` that it is on."""
         seed, self._first_seed = self._first_seed if seed is None else seed, None
         super().reset(seed=seed)
-        number, trial = drawn(self.np_random, len(self.trials.members))
+        number, trial = draw_episode(self.np_random, len(self.trials.members))
         if options and "member" in options:
             number = self._number(options["member"])
         self.trials.begin(np.array([0]), np.array([trial]), np.array([number]))
@@ -103,7 +103,7 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
     ) -> None:
         super().__init__()
         self.num_envs = num_envs
-        self.trials = Trials(members, task, num_envs)
+        self.trials = EnvironmentTrials(members, task, num_envs)
         self.single_observation_space = observation_space(self.trials.task)
         self.single_action_space = action_space(self.trials.system, actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -146,7 +146,7 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
     def restart(self, which: BoolArray) -> None:
         """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
         rows = np.flatnonzero(which)
-        picks = [drawn(self._generators[row], len(self.trials.members)) for row in rows]
+        picks = [draw_episode(self._generators[row], len(self.trials.members)) for row in rows]
         self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
         self._ended = self._ended & ~which
 
@@ -159,7 +159,7 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
         return {"fitness": self.trials.fitness.copy(), "_fitness": everyone}
 
 
-class Trials:
+class EnvironmentTrials:
     """``count`` trials of ``task``, side by side, each on one of the dynamics in ``members``.
 
     The rules are those of a rollout: noise and draws depend on the trial's seed alone, a state beyond the envelope is
@@ -194,13 +194,15 @@ class Trials:
         self.seeds[rows], self.member[rows], self.survived[rows] = seeds, members, 0
         fresh, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
         restarted[rows] = True
-        self._task_state = self._task_state.keep(fresh, restarted)
+        self._task_state = self._task_state.updated_where(fresh, restarted)
         self.fitness[rows] = self.task.fitness(fresh)[rows]
         for row in rows:
             number = int(self.member[row])
             member, seed = self.members[number], self.seeds[row : row + 1]
-            self._carries[number][row] = started(member, fresh.state[row][None], trial_draws(seed, member.n_draws))[0]
-            self._noise[row] = step_noise(seed, self.task.horizon, member.n_noise)[0]
+            self._carries[number][row] = started(member, fresh.state[row][None], draw_for_trials(seed, member.n_draws))[
+                0
+            ]
+            self._noise[row] = draw_for_steps(seed, self.task.horizon, member.n_noise)[0]
 
     @property
     def state(self) -> Array:
@@ -230,13 +232,13 @@ class Trials:
                     carry = self._carries[number][rows]
                     stepped = member.step(carry, control[rows], np.array(drawn) if member.n_noise else None)
                     diverged[rows] = ~np.isfinite(stepped).all(axis=1)
-                    stepped, _ = clip_state(np.where(diverged[rows, None], carry, stepped), member.envelope)
+                    stepped, _ = clip_state(np.where(diverged[rows, None], carry, stepped), member.state_bounds)
                     self._carries[number][rows], after[rows] = stepped, stepped[:, :nx]
             advanced, reached = self.task.advance(self._task_state, before, after, control=control)
         for number, carries in enumerate(self._carries):
             rows = np.flatnonzero(self.member == number)
             carries[rows, :nx] = reached[rows]
-        self._task_state = self._task_state.keep(advanced, ~diverged)
+        self._task_state = self._task_state.updated_where(advanced, ~diverged)
         self.survived += ~diverged
         fitness = scored(self.task, self.task.fitness(self._task_state), self.survived, diverged)
         growth, self.fitness = fitness - self.fitness, fitness
@@ -251,7 +253,7 @@ class Trials:
         return found
 
 
-def drawn(rng: np.random.Generator, members: int) -> tuple[int, np.uint64]:
+def draw_episode(rng: np.random.Generator, members: int) -> tuple[int, np.uint64]:
     """Return the member of an episode and the seed of its trial."""
     return int(rng.integers(members)), np.uint64(rng.integers(SEEDS))
 
@@ -317,7 +319,9 @@ def _described(channels: tuple[Channel, ...]) -> dict[str, str]:
 ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu"}
 
 
-def champion_of(algorithm: Any, trials: Trials, *, name: str, task: str | Spec, seed: int = 0) -> Champion:
+def champion_from_policy(
+    algorithm: Any, trials: EnvironmentTrials, *, name: str, task: str | Spec, seed: int = 0
+) -> Champion:
     """Return what a PPO or SAC ``algorithm`` of Stable-Baselines3 has learned in the environment of ``trials``.
 
     Its policy must be a plain network (``MlpPolicy``) over the observations as they are, with continuous actions:

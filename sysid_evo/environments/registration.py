@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import gymnasium
 
-from sysid_evo.artefacts import is_stored
+from sysid_evo.artefacts import is_stored_dataset as is_stored
 from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.environments.environments import Actions, ModelEnvironment, ModelVectorEnvironment
 from sysid_evo.errors import InvalidArgument
@@ -36,7 +36,7 @@ def make_env(
     first reset. Nothing is drawn: `InvalidArgument` for a ``render_mode``.
     """
     _drawn(render_mode)
-    return ModelEnvironment(members_of(model), _task(task), actions=actions, seed=seed)
+    return ModelEnvironment(load_members(model), _task(task), actions=actions, seed=seed)
 
 
 def make_vector_env(
@@ -53,7 +53,7 @@ def make_vector_env(
     Stable-Baselines3 takes them as `sysid_evo.environments.stable_baselines.StableBaselinesEnv`.
     """
     _drawn(render_mode)
-    return ModelVectorEnvironment(members_of(model), _task(task), num_envs, actions=actions, seed=seed)
+    return ModelVectorEnvironment(load_members(model), _task(task), num_envs, actions=actions, seed=seed)
 
 
 def _drawn(render_mode: str | None) -> None:
@@ -69,7 +69,7 @@ def _task(task: str | Task) -> Task:
     return make_task(task) if isinstance(task, str) else task
 
 
-def members_of(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
+def load_members(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
     """Return the dynamics by name that ``source`` stands for; several are an ensemble.
 
     A folder stands for all models in it, as the folder ``models`` of a run does. Raises `InvalidArgument`,

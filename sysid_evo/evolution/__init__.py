@@ -2,11 +2,11 @@
 
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.evolution.champion import Champion, Finalist, load_champion, save_champion
-from sysid_evo.evolution.controller_evolution import ControllerEvolution, evolve_controller, observed_late
+from sysid_evo.evolution.controller_evolution import ControllerEvolution, delayed_runner, evolve_controller
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Generation, Objective, Schedule, Scores, Stage, evolve
 from sysid_evo.evolution.model_evolution import ModelEvolution
-from sysid_evo.evolution.selection import Judgement, choose, judge, polish, worth
+from sysid_evo.evolution.selection import FinalistScore, choose, polish, ranking_value, score_finalists
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.niches import Niches
@@ -19,8 +19,8 @@ __all__ = [
     "EnsembleObjective",
     "EvolutionStrategy",
     "Finalist",
+    "FinalistScore",
     "Generation",
-    "Judgement",
     "ModelEvolution",
     "MuPlusLambda",
     "Niches",
@@ -30,14 +30,14 @@ __all__ = [
     "Stage",
     "StrategyState",
     "choose",
+    "delayed_runner",
     "evolve",
     "evolve_controller",
-    "judge",
     "load_champion",
     "make_aggregate",
     "make_strategy",
-    "observed_late",
     "polish",
+    "ranking_value",
     "save_champion",
-    "worth",
+    "score_finalists",
 ]

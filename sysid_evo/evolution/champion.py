@@ -23,19 +23,25 @@ from sysid_evo.types import Array, Converted, check_shape
 class Finalist:
     """The best candidate (n,) of one niche of one run, from which the champion is chosen.
 
-    ``fitness`` is what it claims, on fresh trials; ``elsewhere`` what it is worth to the judges, by which it was
-    chosen (`Judgement`), None where there were none. ``niche`` is empty for a strategy that keeps no kinds apart.
+    ``fitness`` is what it claims, on fresh trials; ``forecast`` what it is worth to the judges, by which it was
+    chosen (`FinalistScore`), None where there were none. ``behaviour_class`` is empty for a strategy that keeps no
+    kinds apart.
     """
 
-    niche: str
-    run: int
+    behaviour_class: str
+    repeat: int
     fitness: float
     parameters: Array
-    elsewhere: float | None = None
+    forecast: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the parameters, as strict JSON."""
-        return {"niche": self.niche, "run": self.run, "fitness": self.fitness, "elsewhere": self.elsewhere}
+        return {
+            "behaviour_class": self.behaviour_class,
+            "repeat": self.repeat,
+            "fitness": self.fitness,
+            "forecast": self.forecast,
+        }
 
 
 @dataclass(frozen=True, repr=False)
@@ -44,9 +50,9 @@ class Champion(Displayed):
 
     ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history`` (G, 3) holds the
     best, mean and worst fitness of each generation, as evolution saw them, with states observed ``estimator_delay`` s
-    late, and with ``noise`` and ``caution`` (specs, empty for none). ``seed_fitness`` holds the fitness of the
+    late, and with ``noise`` and ``penalty`` (specs, empty for none). ``seed_fitness`` holds the fitness of the
     champion of each run, from different evolution seeds, on the same fresh trials. The champion is one of the
-    ``finalists``: the one that is worth most to the models that ``judges`` names; without judges the fittest.
+    ``finalists``: the one that is worth most to the models that ``scoring_models`` names; without judges the fittest.
     ``system`` is the one that it was evolved for; None for somebody who drives by hand. It is ``polished`` if it was
     chosen among those of single models and then polished on several, see `polish`. ``population`` (P, n) holds the
     last candidates of its run, best first.
@@ -62,10 +68,10 @@ class Champion(Displayed):
     task: Converted[Spec | str, Spec] = Converted(spec_of, "point_to_point")
     estimator_delay: float = 0.0
     noise: str = ""
-    caution: str = ""
+    penalty: str = ""
     seed_fitness: tuple[float, ...] = ()
     system: System | None = None
-    judges: tuple[str, ...] = ()
+    scoring_models: tuple[str, ...] = ()
     polished: bool = False
     finalists: tuple[Finalist, ...] = ()
     population: Array = field(default_factory=lambda: np.empty((0, 0)))
@@ -82,19 +88,19 @@ class Champion(Displayed):
             "parameters": str(len(self.parameters)),
             "task": self.task.text,
             **({"evolved against": f"{listed(self.against)} ({self.aggregate})"} if self.against else {}),
-            **({"chosen by": listed(self.judges)} if self.judges else {}),
+            **({"chosen by": listed(self.scoring_models)} if self.scoring_models else {}),
             **({"best fitness in evolution": reached} if reached else {}),
         }
 
     @classmethod
-    def hand_written(cls, controller: Spec | str, task: Spec | str, system: System) -> Champion:
+    def baseline(cls, controller: Spec | str, task: Spec | str, system: System) -> Champion:
         """Return a controller that needs no evolution, with zeros as its parameters, for ``task`` on ``system``.
 
         It was evolved against nothing. Raises `InvalidArgument` for one that must be evolved.
         """
         spec = spec_of(controller)
         law = make_controller(spec).bind_to(make_task(task).bind(system))
-        if not law.hand_written:
+        if not law.is_baseline:
             raise InvalidArgument(f"controller {spec.name!r} must be evolved before it can drive: give its file")
         nothing = np.zeros(law.n_parameters)
         return cls(spec.label, nothing, (), "min", 0, np.empty((0, 3)), controller=spec, task=task, system=system)
@@ -119,10 +125,10 @@ class Champion(Displayed):
             "task": self.task.text,
             "estimator_delay": self.estimator_delay,
             "noise": self.noise,
-            "caution": self.caution,
+            "penalty": self.penalty,
             "seed_fitness": list(self.seed_fitness),
             "system": None if self.system is None else self.system.to_dict(),
-            "judges": list(self.judges),
+            "scoring_models": list(self.scoring_models),
             "polished": self.polished,
             "finalists": [finalist.to_dict() for finalist in self.finalists],
         }
@@ -159,10 +165,10 @@ class Champion(Displayed):
             task=Spec.parse(value["task"]),
             estimator_delay=value["estimator_delay"],
             noise=value["noise"],
-            caution=value["caution"],
+            penalty=value["penalty"],
             seed_fitness=tuple(value["seed_fitness"]),
             system=None if system is None else System.from_dict(system),
-            judges=tuple(value["judges"]),
+            scoring_models=tuple(value["scoring_models"]),
             polished=bool(value["polished"]),
             finalists=tuple(
                 Finalist(**finalist, parameters=row) for finalist, row in zip(value["finalists"], found, strict=True)

@@ -13,20 +13,20 @@ from sysid_evo.carry import clip_state
 from sysid_evo.controllers.controller import Controller, make_controller
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.engine.results import behaviour_names
-from sysid_evo.engine.rollout import Discounted, DynamicsRunner, Runner, as_runners
+from sysid_evo.engine.rollout import DynamicsRunner, PenalisedRunner, Runner, as_runners
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Stage
-from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.runs import Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
-from sysid_evo.models.disturbances import Disturbed, RadicalEnvelope
+from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
 from sysid_evo.models.dynamics import Dynamics, started
-from sysid_evo.models.penalty import Doubt
+from sysid_evo.models.penalty import UncertaintyPenalty
 from sysid_evo.progress import Checkpoint, Progress, told
 from sysid_evo.randomness import as_seed, derived_seed, trial_seeds
 from sysid_evo.registry.grammar import Spec
-from sysid_evo.registry.registry import aggregates, cautions, controllers, noises, strategies, tasks
+from sysid_evo.registry.registry import aggregates, controllers, noises, penalties, strategies, tasks
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, make_task
 from sysid_evo.types import Array, Converted, Seeds
@@ -39,20 +39,20 @@ SELECTION = 2**31
 class ControllerEvolution:
     """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
 
-    ``trials`` of every candidate in each generation (paper: 10); ``runs`` from different seeds (paper: 2).
+    ``trials`` of every candidate in each generation (paper: 10); ``repeats`` from different seeds (paper: 2).
     Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
     champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
     ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
     see `Disturbed`. The ``schedule`` holds easier stages, or their text, which come before the task in
     every run.
     ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
-    `RadicalEnvelope`; empty for none. With ``caution``, a spec too (`Doubt`), candidates lose fitness where
-    the models that they are evolved in cannot be believed.
+    `DomainRandomisation`; empty for none. With ``penalty``, a spec too (`UncertaintyPenalty`), candidates lose fitness
+    where the models that they are evolved in cannot be believed.
     """
 
     generations: int = 300
     trials: int = 10
-    runs: int = 1
+    repeats: int = 1
     aggregate: str = "min"
     selection_trials: int = 100
     estimator_delay: float = 0.0
@@ -61,16 +61,16 @@ class ControllerEvolution:
     task: Converted[Spec | str, Spec] = Converted(tasks.check, "point_to_point")
     strategy: Converted[Spec | str, Spec] = Converted(strategies.check, "mu_plus_lambda")
     noise: str = ""
-    caution: str = ""
+    penalty: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("generations", "trials", "runs", "selection_trials"):
+        for name in ("generations", "trials", "repeats", "selection_trials"):
             number = getattr(self, name)
             if not isinstance(number, (int, np.integer)) or number < 1:
                 raise InvalidArgument(f"evolution: expected {name} as a whole number >= 1, got {number!r}")
         aggregates.check(self.aggregate)
         self.make_noise()
-        self.make_caution()
+        self.make_penalty()
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
 
@@ -100,13 +100,13 @@ class ControllerEvolution:
         """Return the controller with the inputs of ``task`` and the outputs of its system."""
         return make_controller(self.controller).bind_to(task)
 
-    def make_noise(self) -> RadicalEnvelope | None:
+    def make_noise(self) -> DomainRandomisation | None:
         """Return the noise, None without any."""
         return noises.make(self.noise) if self.noise else None
 
-    def make_caution(self) -> Doubt | None:
+    def make_penalty(self) -> UncertaintyPenalty | None:
         """Return what a trial loses where models are doubted, None for nothing."""
-        return cautions.make(self.caution) if self.caution else None
+        return penalties.make(self.penalty) if self.penalty else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
         """Return the strategy, which searches ``n_parameters`` numbers.
@@ -148,7 +148,7 @@ def evolve_controller(
     runners, seed = as_runners(runners, "evolve_controller"), as_seed(seed)
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late = met(runners, settings)
+    late = disturbed_runners(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
     models = tuple(late)
     stages = settings.stages(task, models)
@@ -168,7 +168,7 @@ def evolve_controller(
             generations=settings.generations,
         )
         easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
-        return strategy, Schedule(easier, objective(run, task, models), most=task.most)
+        return strategy, Schedule(easier, objective(run, task, models), most=task.max_fitness)
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         found, on = [], objective(run, task, models)
@@ -179,16 +179,16 @@ def evolve_controller(
         return tuple(found)
 
     runs = Runs(
-        settings.runs,
+        settings.repeats,
         settings.generations,
         begun,
         finals,
         models=(*(on for _, _, on in stages), models),
         checkpoint=checkpoint,
-        identity="" if checkpoint is None else identity([repr(settings)], runners, controller, task, seed),
+        identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, controller, task, seed),
     )
     with told(progress, f"evolve {name}") as report:
-        ended = runs.to_the_end(report)
+        ended = runs.finish(report)
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
     best = max(finalists, key=lambda one: one.fitness)  # of equals the first
     return Champion(
@@ -197,16 +197,16 @@ def evolve_controller(
         against=tuple(runners),
         aggregate=settings.aggregate,
         seed=seed,
-        history=ended[best.run].history,
+        history=ended[best.repeat].history,
         controller=settings.controller,
         task=settings.task,
         estimator_delay=settings.estimator_delay,
         noise=settings.noise,
-        caution=settings.caution,
+        penalty=settings.penalty,
         seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
         system=system,
         finalists=finalists,
-        population=ended[best.run].population,
+        population=ended[best.repeat].population,
     )
 
 
@@ -215,24 +215,24 @@ def selection_seeds(seed: int, trials: int) -> Seeds:
     return trial_seeds(seed, trials, generation=SELECTION)
 
 
-def met(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
+def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
     """Return ``runners`` as candidates meet them by ``settings``.
 
     Raises `InvalidArgument` for what is no model, if something is to be added to it.
     """
-    noise, caution, delay = settings.make_noise(), settings.make_caution(), settings.estimator_delay
-    if noise is None and caution is None and delay == 0.0:
+    noise, penalty, delay = settings.make_noise(), settings.make_penalty(), settings.estimator_delay
+    if noise is None and penalty is None and delay == 0.0:
         return dict(runners)
     models = _models(runners)
     found: dict[str, Runner] = {}
     for label, runner in models.items():
         dynamics = runner.dynamics
-        if caution is not None:
-            dynamics = caution.about(dynamics, [other.dynamics for name, other in models.items() if name != label])
+        if penalty is not None:
+            dynamics = penalty.around(dynamics, [other.dynamics for name, other in models.items() if name != label])
         if noise is not None or delay:
             dynamics = Disturbed(dynamics, noise, delay=delay)
         alone = replace(runner, dynamics=dynamics)
-        found[label] = alone if caution is None else Discounted(alone, caution.most)
+        found[label] = alone if penalty is None else PenalisedRunner(alone, penalty.maximum)
     return found
 
 
@@ -241,12 +241,12 @@ def _models(runners: Mapping[str, Runner]) -> dict[str, DynamicsRunner]:
     others = [label for label in runners if label not in found]
     if others:
         raise InvalidArgument(
-            f"evolution: {', '.join(others)} is not a model: noise, caution and late states can only be added to models"
+            f"evolution: {', '.join(others)} is not a model: noise, penalty and late states can only be added to models"
         )
     return found
 
 
-def observed_late(name: str, runner: Runner, delay: float) -> Runner:
+def delayed_runner(name: str, runner: Runner, delay: float) -> Runner:
     """Return ``runner`` with a state that is observed ``delay`` s late. Raises `InvalidArgument`."""
     if delay == 0.0:
         return runner
@@ -262,13 +262,13 @@ SHARE = 0.99
 """Of the recorded samples that stay below what is called the farthest."""
 
 
-def farthest_recorded(dataset: Dataset) -> Array:
+def recorded_state_range(dataset: Dataset) -> Array:
     """Return the absolute value that each state stays below in 99 % of the recorded samples, (nx,)."""
     states = np.concatenate([episode.states for episode in dataset])
     return np.asarray(np.quantile(np.abs(states), SHARE, axis=0))
 
 
-def farthest_driven(dynamics: Dynamics) -> Array | None:
+def simulated_state_range(dynamics: Dynamics) -> Array | None:
     """Return the largest absolute value of each state under extreme commands held from rest, (nx,).
 
     None without controls, or where a command has no limits; what stops being a number does not count.
@@ -283,7 +283,7 @@ def farthest_driven(dynamics: Dynamics) -> Array | None:
     farthest = np.abs(system.neutral_state)
     with np.errstate(all="ignore"):
         for _ in range(round(SECONDS / system.dt)):
-            carry, _ = clip_state(dynamics.step(carry, commands, noise), dynamics.envelope)
+            carry, _ = clip_state(dynamics.step(carry, commands, noise), dynamics.state_bounds)
             states = np.abs(carry[:, : system.nx])
             farthest = np.maximum(farthest, np.where(np.isfinite(states), states, 0.0).max(axis=0))
     return farthest

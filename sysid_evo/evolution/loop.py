@@ -14,7 +14,7 @@ import numpy as np
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
 from sysid_evo.processors import one_blas_thread
-from sysid_evo.registry.grammar import Spec, split
+from sysid_evo.registry.grammar import Spec, split_specs
 from sysid_evo.registry.registry import tasks
 from sysid_evo.types import Array, Converted, check_shape
 
@@ -106,7 +106,7 @@ class Stage:
         """Return stages, or read ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
         if not isinstance(given, str):
             return tuple(given)
-        return tuple(cls._of(Spec.parse(piece)) for piece in split(given))
+        return tuple(cls._of(Spec.parse(piece)) for piece in split_specs(given))
 
     @classmethod
     def _of(cls, spec: Spec) -> Stage:
@@ -137,7 +137,7 @@ class Schedule:
                 strategy.forget_fitness()
 
     ``most`` is the most that a candidate can score at what is asked for: where many reach that for long, the schedule
-    is `exhausted`, for nothing is left to choose by.
+    is `converged`, for nothing is left to choose by.
     """
 
     def __init__(self, stages: Sequence[tuple[Stage, Objective]], asked: Objective, *, most: float = np.inf) -> None:
@@ -165,7 +165,7 @@ class Schedule:
         return True
 
     @property
-    def exhausted(self) -> bool:
+    def converged(self) -> bool:
         """Whether half of the candidates have had all there is in each of the last 20 generations."""
         return self._full >= LONG
 

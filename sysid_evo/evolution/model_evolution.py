@@ -20,7 +20,7 @@ from sysid_evo.evolution.runs import Runs
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.kernels import DynamicsKernel, Precision
-from sysid_evo.models.dynamics import chained, enough, training_envelope
+from sysid_evo.models.dynamics import chained, enough, training_bounds
 from sysid_evo.processors import available_processors, engine_inputs, resolve
 from sysid_evo.progress import Checkpoint, Progress
 from sysid_evo.randomness import keyed_generator
@@ -45,7 +45,7 @@ class ModelEvolution:
     """A 50+50 strategy on the error after ``horizon`` steps from ``windows`` random starts.
 
     The fitness of a candidate is minus the mean square difference between the simulated and the
-    recorded state ``horizon`` steps after the start. ``weights`` says in what: with "spread", every state is
+    recorded state ``horizon`` steps after the start. ``error_units`` says in what: with "spread", every state is
     divided by its standard deviation over the data; with "paper", states count in their own units, so
     that one whose numbers are small hardly counts. All candidates of a generation meet the same
     windows, the next generation new ones, and parents are evaluated again. The winner is the best
@@ -58,7 +58,7 @@ class ModelEvolution:
     parents: int = 50
     children: int = 50
     sigma: float = 0.1
-    weights: Weights = "spread"
+    error_units: Weights = "spread"
 
     def run(
         self,
@@ -80,16 +80,16 @@ class ModelEvolution:
         reference. A simulation starts from what ``start`` makes of ``history`` earlier samples, by default from the
         measured state. What was stopped or killed goes on from its ``checkpoint``, to the same parameters.
         """
-        every = dataset.window_places(self.horizon, history=history)
+        every = dataset.find_windows(self.horizon, history=history)
         if not len(every):
             raise InvalidData(
                 f"data set: no episode is longer than {self.horizon + history} steps, the horizon of the fit"
                 + (f" and {history} of history" if history else "")
             )
         scale = dataset.system.spread(every.last_states)
-        weight = np.ones_like(scale) if self.weights == "paper" else 1.0 / np.where(scale > 0, scale, 1.0) ** 2
+        weight = np.ones_like(scale) if self.error_units == "paper" else 1.0 / np.where(scale > 0, scale, 1.0) ** 2
         seed = int(rng.integers(2**32))
-        precision = enough("float32", training_envelope(every.last_states, 2.0))
+        precision = enough("float32", training_bounds(every.last_states, 2.0))
 
         def objective(population: Array, generation: int) -> Array:
             chosen = every[keyed_generator(seed, generation).integers(len(every), size=self.windows)]
@@ -134,7 +134,7 @@ class ModelEvolution:
             models=((),),
             checkpoint=checkpoint,
             identity="" if checkpoint is None else identity(),
-        ).to_the_end(told)
+        ).finish(told)
         return run.finalists[0].parameters
 
 

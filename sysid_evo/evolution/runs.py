@@ -30,7 +30,7 @@ class Runs:
 
     ``begun(run)`` makes strategy and objective anew, as they are before the first generation; ``finals`` chooses
     the finalists of a run that has ended. ``models`` are the labels of those that each stage is met on, the last
-    for what is asked. The ``checkpoint`` is kept under ``identity``.
+    for what is asked. The ``checkpoint`` is kept under ``evolution_digest``.
     """
 
     count: int
@@ -41,7 +41,7 @@ class Runs:
     checkpoint: Checkpoint | None = None
     identity: str = ""
 
-    def to_the_end(self, progress: Progress | None) -> tuple[EndedRun, ...]:
+    def finish(self, progress: Progress | None) -> tuple[FinishedRun, ...]:
         """Return all runs when they have ended. Whatever stops them, the generations done are kept.
 
         The state of a strategy is taken only when it is to be kept: to copy it takes as long as to learn. A stop while
@@ -66,22 +66,22 @@ class Runs:
             raise
         return standing.ended
 
-    def _steps(self, standing: Standing) -> Iterator[tuple[Standing, _Search, str]]:
+    def _steps(self, standing: EvolutionState) -> Iterator[tuple[EvolutionState, _Search, str]]:
         """Yield how things stand after every generation, with a note, and after every run, without one."""
         for run in range(len(standing.ended), self.count):
             strategy, schedule = self.begun(run)
             standing.restore(strategy, schedule)
             begin = len(standing.history)
             for generation in evolve(
-                strategy, schedule, begin if schedule.exhausted else self.generations, start=begin
+                strategy, schedule, begin if schedule.converged else self.generations, start=begin
             ):
                 note = self._note(run, generation, strategy, schedule)
                 if schedule.tell(generation):
                     strategy.forget_fitness()
                 history = np.concatenate([standing.history, [generation.summary]])
-                standing = Standing(standing.ended, history)
-                yield standing, _Search(strategy, schedule, strategy.told), note
-                if schedule.exhausted:
+                standing = EvolutionState(standing.ended, history)
+                yield standing, _Search(strategy, schedule, strategy.updates), note
+                if schedule.converged:
                     break
             if schedule.stage < len(schedule.stages):
                 warnings.warn(
@@ -90,23 +90,23 @@ class Runs:
                     EvolutionWarning,
                     stacklevel=2,
                 )
-            ended = EndedRun(self.finals(run, strategy), standing.history, strategy.elite)
-            standing = Standing((*standing.ended, ended))
-            yield standing, _Search(strategy, schedule, strategy.told), ""
+            ended = FinishedRun(self.finals(run, strategy), standing.history, strategy.elite)
+            standing = EvolutionState((*standing.ended, ended))
+            yield standing, _Search(strategy, schedule, strategy.updates), ""
 
-    def _resumed(self) -> Standing:
+    def _resumed(self) -> EvolutionState:
         """Return how far the checkpoint is, if it is a checkpoint of this very evolution."""
         found = None if self.checkpoint is None else self.checkpoint.load(self.identity)
         if found is None:
-            return Standing()
+            return EvolutionState()
         try:
-            standing = Standing.of(found)
+            standing = EvolutionState.of(found)
             standing.restore(*self.begun(0))
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(
                 f"the checkpoint is ignored, and all is computed again: {error}", CheckpointWarning, stacklevel=2
             )
-            return Standing()
+            return EvolutionState()
         return standing
 
     def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy, schedule: Schedule) -> str:
@@ -133,16 +133,18 @@ class _Search:
     @property
     def settled(self) -> bool:
         """Whether nothing was learned since."""
-        return self.strategy.told == self.told
+        return self.strategy.updates == self.told
 
-    def added_to(self, standing: Standing) -> Standing:
+    def added_to(self, standing: EvolutionState) -> EvolutionState:
         """Return ``standing`` with the states of both, as they are now; as it is between two runs."""
         if not len(standing.history):
             return standing
         return replace(standing, strategy=self.strategy.state, schedule=self.schedule.state)
 
 
-def identity(told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int) -> str:
+def evolution_digest(
+    told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int
+) -> str:
     """Return the digest of an evolution: what is ``told`` of it, strict JSON, and where controllers drive in models."""
     text = json.dumps([*told, list(runners), task.system.to_dict(), seed, *engine_inputs().items()], sort_keys=True)
     digest = hashlib.sha256(text.encode())
@@ -158,7 +160,7 @@ STRATEGY, SCHEDULE = "strategy.", "schedule."
 
 
 @dataclass(frozen=True)
-class EndedRun:
+class FinishedRun:
     """What one run ended with: finalists, history (G, 3), the last candidates (P, n)."""
 
     finalists: tuple[Finalist, ...]
@@ -167,10 +169,10 @@ class EndedRun:
 
 
 @dataclass(frozen=True)
-class Standing:
+class EvolutionState:
     """The runs that ended, and how far the next one is: history (G, 3) of G generations, strategy and schedule."""
 
-    ended: tuple[EndedRun, ...] = ()
+    ended: tuple[FinishedRun, ...] = ()
     history: Array = field(default_factory=lambda: np.empty((0, 3)))
     strategy: StrategyState = field(default_factory=dict)
     schedule: StrategyState = field(default_factory=dict)
@@ -186,7 +188,7 @@ class Standing:
         ended: dict[str, Array | str] = {}
         for i, run in enumerate(self.ended):
             ended |= {
-                f"ended.{i}.niches": json.dumps([finalist.niche for finalist in run.finalists]),
+                f"ended.{i}.niches": json.dumps([finalist.behaviour_class for finalist in run.finalists]),
                 f"ended.{i}.fitness": np.array([finalist.fitness for finalist in run.finalists]),
                 f"ended.{i}.finalists": np.array([finalist.parameters for finalist in run.finalists]),
                 f"ended.{i}.history": run.history,
@@ -197,7 +199,7 @@ class Standing:
         return {"runs": len(self.ended), "history": self.history, **ended, **present}
 
     @classmethod
-    def of(cls, state: StrategyState) -> Standing:
+    def of(cls, state: StrategyState) -> EvolutionState:
         """Undo `state`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
         runs = state["runs"]
         if not isinstance(runs, int) or runs < 0:
@@ -220,14 +222,14 @@ def _part(state: StrategyState, prefix: str) -> StrategyState:
     return {name.removeprefix(prefix): value for name, value in state.items() if name.startswith(prefix)}
 
 
-def _ended(state: Mapping[str, Array | int | float | str], run: int) -> EndedRun:
+def _ended(state: Mapping[str, Array | int | float | str], run: int) -> FinishedRun:
     niches, fitness, finalists, history, population = (
         state[f"ended.{run}.{name}"] for name in ("niches", "fitness", "finalists", "history", "population")
     )
     names: list[str] = json.loads(str(niches))
     fitness = check_shape("fitness", fitness, (len(names),))
     finalists = check_shape("finalists", finalists, (len(names), None))
-    return EndedRun(
+    return FinishedRun(
         tuple(
             Finalist(name, run, float(value), row) for name, value, row in zip(names, fitness, finalists, strict=True)
         ),

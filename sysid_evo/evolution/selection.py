@@ -13,10 +13,15 @@ from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine.rollout import Runner
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
-from sysid_evo.evolution.controller_evolution import ControllerEvolution, met, observed_late, selection_seeds
+from sysid_evo.evolution.controller_evolution import (
+    ControllerEvolution,
+    delayed_runner,
+    disturbed_runners,
+    selection_seeds,
+)
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule
-from sysid_evo.evolution.runs import Runs, identity
+from sysid_evo.evolution.runs import Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.progress import Checkpoint, Progress, told
@@ -25,7 +30,7 @@ from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
 from sysid_evo.validation.acceptance import within_margin
 
-Judgement: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
+FinalistScore: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
 """What a champion's finalists are worth, (P,), by their fitness (M, P) on the models of these labels."""
 
 
@@ -40,7 +45,7 @@ def choose(
     *,
     seed: int,
     trials: int = 100,
-    judgement: Judgement = median,
+    judgement: FinalistScore = median,
 ) -> Champion:
     """Return the champion of the finalist that is worth most on the models beside its champion.
 
@@ -52,15 +57,18 @@ def choose(
     """
     if not contenders:
         raise InvalidArgument("choose: expected at least one champion, got none")
-    judged = [judge(champion, judges, seed=seed, trials=trials, judgement=judgement) for champion, judges in contenders]
+    judged = [
+        score_finalists(champion, judges, seed=seed, trials=trials, judgement=judgement)
+        for champion, judges in contenders
+    ]
     ranked = [(finalist, champion) for champion in judged for finalist in champion.finalists]
-    known = [pair for pair in ranked if pair[0].elsewhere is not None]
-    best, own = max(known or ranked, key=lambda pair: worth(pair[0]))  # of equals the first
+    known = [pair for pair in ranked if pair[0].forecast is not None]
+    best, own = max(known or ranked, key=lambda pair: ranking_value(pair[0]))  # of equals the first
     return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _ in ranked))
 
 
-def judge(
-    champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials: int = 100, judgement: Judgement = median
+def score_finalists(
+    champion: Champion, judges: Mapping[str, Runner], *, seed: int, trials: int = 100, judgement: FinalistScore = median
 ) -> Champion:
     """Return ``champion`` with what each finalist is worth to the ``judges``; as it is where there are none."""
     if not judges or not champion.finalists:
@@ -68,7 +76,7 @@ def judge(
     assert champion.system is not None
     task = make_task(champion.task).bind(champion.system)
     controller = make_controller(champion.controller).bind_to(task)
-    late = tuple(observed_late(label, runner, champion.estimator_delay) for label, runner in judges.items())
+    late = tuple(delayed_runner(label, runner, champion.estimator_delay) for label, runner in judges.items())
     everyone = np.stack([finalist.parameters for finalist in champion.finalists])
     by_model = (
         EnsembleObjective(late, controller, task, seed).on_trials(everyone, selection_seeds(seed, trials)).by_model
@@ -76,14 +84,14 @@ def judge(
     assert by_model is not None
     worths = judgement(champion, tuple(judges), by_model)
     finalists = tuple(
-        replace(one, elsewhere=float(value)) for one, value in zip(champion.finalists, worths, strict=True)
+        replace(one, forecast=float(value)) for one, value in zip(champion.finalists, worths, strict=True)
     )
-    return replace(champion, finalists=finalists, judges=tuple(judges))
+    return replace(champion, finalists=finalists, scoring_models=tuple(judges))
 
 
-def worth(finalist: Finalist) -> float:
+def ranking_value(finalist: Finalist) -> float:
     """Return by what finalists are ranked: what the judges made of it, or what it claims where nobody judged."""
-    return finalist.fitness if finalist.elsewhere is None else finalist.elsewhere
+    return finalist.fitness if finalist.forecast is None else finalist.forecast
 
 
 POLISHED = "polished"
@@ -117,15 +125,15 @@ def polish(
         raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
     task = settings.make_task(champion.system)
     controller = settings.make_controller(task)
-    late = {label: observed_late(label, runner, settings.estimator_delay) for label, runner in runners.items()}
+    late = {label: delayed_runner(label, runner, settings.estimator_delay) for label, runner in runners.items()}
     seeds = selection_seeds(seed, settings.selection_trials)
-    chosen = sorted(champion.finalists, key=lambda one: -worth(one))[:starts]
+    chosen = sorted(champion.finalists, key=lambda one: -ranking_value(one))[:starts]
     everyone = EnsembleObjective(tuple(late.values()), controller, task, seed, aggregate=settings.aggregate)
     by_model = everyone.on_trials(chosen[0].parameters[None], seeds).by_model
     assert by_model is not None
     credible = within_margin(-by_model[:, 0], -float(np.median(by_model[:, 0])), DENIED)
     used = tuple(label for label, kept in zip(late, credible, strict=True) if kept)
-    believed = tuple(met({label: runners[label] for label in used}, settings).values())
+    believed = tuple(disturbed_runners({label: runners[label] for label in used}, settings).values())
 
     @cache
     def objective(run: int) -> EnsembleObjective:
@@ -140,13 +148,13 @@ def polish(
             sigma=sigma,
             initial=chosen[run].parameters,
         )
-        return strategy, Schedule((), objective(run), most=task.most)
+        return strategy, Schedule((), objective(run), most=task.max_fitness)
 
     def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
         fitness = objective(run).on_trials(candidates, seeds).fitness
         winner = int(np.argmax(fitness))
-        label = f"{POLISHED} {chosen[run].niche}".strip()
+        label = f"{POLISHED} {chosen[run].behaviour_class}".strip()
         return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)
 
     asked = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
@@ -157,10 +165,10 @@ def polish(
         finals,
         models=(used,),
         checkpoint=checkpoint,
-        identity="" if checkpoint is None else identity(asked, runners, controller, task, seed),
+        identity="" if checkpoint is None else evolution_digest(asked, runners, controller, task, seed),
     )
     with told(progress, f"polish {name}") as report:
-        ended = runs.to_the_end(report)
+        ended = runs.finish(report)
     best = max((run.finalists[0] for run in ended), key=lambda one: one.fitness)  # of equals the first
     return replace(
         champion,
@@ -169,10 +177,10 @@ def polish(
         against=used,
         aggregate=settings.aggregate,
         seed=seed,
-        history=ended[best.run].history,
+        history=ended[best.repeat].history,
         seed_fitness=(),
-        judges=(),
+        scoring_models=(),
         polished=True,
         finalists=tuple(run.finalists[0] for run in ended),
-        population=ended[best.run].population,
+        population=ended[best.repeat].population,
     )

@@ -19,7 +19,7 @@ from sysid_evo.controllers.program import (
     Variable,
     parts_of,
 )
-from sysid_evo.export.exported_controller import Law, Real
+from sysid_evo.export.exported_controller import ExportedController, Real
 from sysid_evo.types import Array
 
 FUNCTIONS = {"tanh": "tanh", "abs": "fabs", "round": "rint", "sqrt": "sqrt", "sin": "sin", "min": "fmin", "max": "fmax"}
@@ -109,7 +109,7 @@ static {name}_real dot(const {name}_real *weights, const {name}_real *vector, si
 """
 
 
-def c_text(law: Law, real: Real = "double", file: str = "") -> str:
+def c_text(law: ExportedController, real: Real = "double", file: str = "") -> str:
     """Return the text of the file, which will be called ``file``."""
     return _CWriter(law, real).text(file or f"{law.name}.c")
 
@@ -117,7 +117,7 @@ def c_text(law: Law, real: Real = "double", file: str = "") -> str:
 class _CWriter:
     """Writes one law in one precision."""
 
-    def __init__(self, law: Law, real: Real) -> None:
+    def __init__(self, law: ExportedController, real: Real) -> None:
         self.law, self.real = law, real
         self.name, self.suffix = law.name, "f" if real == "float" else ""
 

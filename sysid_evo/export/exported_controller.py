@@ -25,7 +25,7 @@ ATTEMPTS = 50
 
 
 @dataclass(frozen=True)
-class Law:
+class ExportedController:
     """A controller that was evolved, ready to be written.
 
     ``formulas`` say how observations are computed, where their names do not. ``program`` goes from the observations
@@ -71,7 +71,7 @@ class Law:
         ]
 
 
-def law_of(champion: Champion) -> Law:
+def exported_controller(champion: Champion) -> ExportedController:
     """Return ``champion`` ready to be written. Raises `InvalidArgument` for one that cannot be."""
     if champion.system is None:
         raise InvalidArgument(f"export: {champion.name!r} is somebody who drives by hand, not a controller")
@@ -82,15 +82,15 @@ def law_of(champion: Champion) -> Law:
     if program is None:
         raise InvalidArgument(
             f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
-            f"{controller.unwritten}. The controllers recurrent, feed_forward, constant, linear, lqr, pid, policy and "
-            "pursuit can"
+            f"{controller.not_exportable}. The controllers recurrent, feed_forward, constant, linear, lqr, pid, policy "
+            "and pursuit can"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))
     controls = tuple(statement.value for statement in actuated)
     seen = _observations(whole, controls, task.observations)
     decided = decided_by(controller, champion, task, seen)
-    return Law(champion, system, task.observations, task.formulas(), whole, controls, seen, decided)
+    return ExportedController(champion, system, task.observations, task.formulas(), whole, controls, seen, decided)
 
 
 def decided_by(controller: Controller, champion: Champion, task: Task, seen: Array) -> Array:

@@ -20,7 +20,7 @@ from sysid_evo.controllers.program import (
     Unary,
     Variable,
 )
-from sysid_evo.export.exported_controller import Law, Real
+from sysid_evo.export.exported_controller import ExportedController, Real
 from sysid_evo.extras import missing_extra
 from sysid_evo.types import Array
 
@@ -36,7 +36,7 @@ OPERATORS = {
 }  # fmt: skip
 
 
-def onnx_bytes(law: Law, real: Real = "double") -> bytes:
+def onnx_bytes(law: ExportedController, real: Real = "double") -> bytes:
     """Return the content of the file. Raises `MissingExtra` without the library onnx.
 
     Its inputs are ``observation`` (n,) and ``memory_NAME`` of each vector that is remembered, zeros at first; its
@@ -60,7 +60,7 @@ class _Graph:
         self.nodes: list[onnx.NodeProto] = []
         self.tables: dict[str, onnx.TensorProto] = {}
 
-    def model(self, law: Law) -> onnx.ModelProto:
+    def model(self, law: ExportedController) -> onnx.ModelProto:
         from onnx import checker, helper
 
         program = law.program

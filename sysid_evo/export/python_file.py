@@ -15,7 +15,7 @@ from sysid_evo.controllers.program import (
     Variable,
     parts_of,
 )
-from sysid_evo.export.exported_controller import Law
+from sysid_evo.export.exported_controller import ExportedController
 from sysid_evo.types import Array
 
 SUM, PRODUCT, ATOM = 1, 2, 3
@@ -76,7 +76,7 @@ if __name__ == "__main__":
 '''
 
 
-def python_text(law: Law) -> str:
+def python_text(law: ExportedController) -> str:
     """Return the text of the file."""
     program = law.program
     tables = "\n".join(f"{name} = {_table(values)}" for name, values in program.constants().items())

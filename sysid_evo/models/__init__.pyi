@@ -1,21 +1,21 @@
 from .base import DynamicsModel, require_planar
-from .disturbances import Disturbed, RadicalEnvelope, state_spread
-from .dynamics import Dynamics, PlainDynamics, training_envelope
-from .penalty import Doubt, Penalised
+from .disturbances import Disturbed, DomainRandomisation, state_std
+from .dynamics import Dynamics, PlainDynamics, training_bounds
+from .penalty import Penalised, UncertaintyPenalty
 from .storage import family_name, load_model, save_model
 
 __all__ = [
+    "Disturbed",
+    "DomainRandomisation",
     "Dynamics",
     "DynamicsModel",
-    "PlainDynamics",
-    "require_planar",
-    "training_envelope",
-    "Disturbed",
-    "Doubt",
     "Penalised",
-    "RadicalEnvelope",
+    "PlainDynamics",
+    "UncertaintyPenalty",
     "family_name",
     "load_model",
+    "require_planar",
     "save_model",
-    "state_spread",
+    "state_std",
+    "training_bounds",
 ]

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, cast, dataclass_transform
 import numpy as np
 import numpy.typing as npt
 
-from sysid_evo.carry import CarryLayout, band_of, held_at_rest
-from sysid_evo.data.dataset import Dataset, as_dataset, doubts_about, from_samples, thinned
+from sysid_evo.carry import CarryLayout, dead_band_size, hold_at_rest
+from sysid_evo.data.dataset import Dataset, as_dataset, from_samples, subsample, warnings_about
 from sysid_evo.data.support import recorded_pairs
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.display import html_table, line_of
@@ -30,14 +30,14 @@ from sysid_evo.models.dynamics import (
     no_times,
     of_each_row,
     one_run,
-    training_envelope,
+    training_bounds,
 )
 from sysid_evo.models.kernels.stepping import Output, StepNoise, stepping_kernel
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.models.parameters import (
-    Estimator,
     Limit,
-    Searched,
+    ParameterAccess,
+    SearchRange,
     at_least,
     check_names,
     check_values,
@@ -52,14 +52,14 @@ from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.simulation_error import judging_windows, simulation_error
+from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 MOST_LAGS = 10_000
 """A guess: far more than any recording supports, and a carry of that size still fits into memory."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
-class DynamicsModel(Dynamics, Estimator):
+class DynamicsModel(Dynamics, ParameterAccess):
     """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
     A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
@@ -73,25 +73,26 @@ class DynamicsModel(Dynamics, Estimator):
     A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
     that many earlier states (newest first) and that many earlier controls (newest first). None leaves
     the number to `fit`, which then records it as ``state_lags_`` or ``control_lags_``. With
-    ``rest_hold``, a state within 0.5 % of the training range around neutral stays at neutral as long as
+    ``dead_band``, a state within 0.5 % of the training range around neutral stays at neutral as long as
     the control is neutral, and so are the earlier controls in the carry, which may still act.
 
-    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``structure`` in which class
-    `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the hyper-parameters
-    that change with a budget (quick, standard, paper), ``searched`` where `sysid_evo.tuning` looks for some, ``limits``
-    what numbers they may be (types follow from the constructor); ``requires`` are optional packages that `fit` imports;
-    ``precision`` is the lowest in which the compiled form is exact enough. A family is ``periodic`` if equal angles are
-    equal to it, however many turns apart.
+    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``model_class`` in which
+    class `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the
+    hyper-parameters that change with a budget (quick, standard, paper), ``search_ranges`` where `sysid_evo.tuning`
+    looks for some, ``limits`` what numbers they may be (types follow from the constructor); ``requires`` are optional
+    packages that `fit` imports; ``precision`` is the lowest in which the compiled form is exact enough. A family is
+    ``periodic`` if equal angles are equal to it, however many turns apart.
 
-    A family with the hyper-parameter ``most_steps`` is given no more steps than that to learn from: of longer data,
+    A family with the hyper-parameter ``max_steps`` is given no more steps than that to learn from: of longer data,
     blocks of time at random places (`sysid_evo.data.dataset`), which a `DataWarning` and `fit_note` say.
 
     A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
     there, to the same model.
 
-    A family is ``cheap`` if it is fitted within about a second: advice on it may then fit copies to parts of the data.
+    A family is ``fast_fit`` if it is fitted within about a second: advice on it may then fit copies to parts of the
+    data.
 
-    A family that ``chooses`` among others fits many of them: it is not fitted anew for an adaptation.
+    A family that ``chooses_families`` among others fits many of them: it is not fitted anew for an adaptation.
 
     A family declares the shapes of what it learns in `learned_arrays`; of one that does not, a file is searched for
     nan alone.
@@ -104,39 +105,39 @@ class DynamicsModel(Dynamics, Estimator):
     What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
     anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
     forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
-    ``envelope_``: the centre of the training states plus and minus ``envelope_multiple`` half
-    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``pairs_``, states and controls
-    of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took. A family
-    that holds something back may record ``held_out_error_`` (`sysid_evo.models.adaptation.held_out_error`):
+    ``state_bounds_``: the centre of the training states plus and minus ``bounds_multiple`` half
+    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``training_sample_``, states and
+    controls of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took. A
+    family that holds something back may record ``held_out_error_`` (`sysid_evo.models.adaptation.held_out_error`):
     `adapt` leaves alone what is as near in the new seconds.
     """
 
     knowledge: ClassVar[str] = "black"
-    structure: ClassVar[str] = ""
-    searched: ClassVar[Mapping[str, Searched]] = {}
-    envelope_multiple: ClassVar[float] = 2.0
+    model_class: ClassVar[str] = ""
+    search_ranges: ClassVar[Mapping[str, SearchRange]] = {}
+    bounds_multiple: ClassVar[float] = 2.0
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     limits: ClassVar[Mapping[str, Limit]] = {
         "state_lags": at_least(0),
         "control_lags": at_least(0),
-        "most_steps": at_least(1),
+        "max_steps": at_least(1),
     }
     requires: ClassVar[tuple[str, ...]] = ()
     resumable: ClassVar[bool] = False
-    cheap: ClassVar[bool] = False
-    chooses: ClassVar[bool] = False
+    fast_fit: ClassVar[bool] = False
+    chooses_families: ClassVar[bool] = False
     periodic: ClassVar[bool] = False
     precision: ClassVar[Precision] = "float32"
     state_lags: int | None = 0
     control_lags: int | None = 0
-    rest_hold: bool = False
-    most_steps: int | None = None
+    dead_band: bool = False
+    max_steps: int | None = None
     kept_steps_: list[int]
     fit_seconds: float | None = None
     checkpoint: Checkpoint | None = None
     system_: System
-    envelope_: Array
-    pairs_: Array
+    state_bounds_: Array
+    training_sample_: Array
     held_out_error_: Array | None = None
 
     _derived: ClassVar[frozenset[str]] = frozenset({"_stepping_kernel"})
@@ -199,7 +200,7 @@ class DynamicsModel(Dynamics, Estimator):
         controls = getattr(self, "control_lags_", 0) if self.control_lags is None else self.control_lags
         return states, controls
 
-    def keep_lags(self, chosen: tuple[int, int]) -> None:
+    def record_lags(self, chosen: tuple[int, int]) -> None:
         """Record the numbers of lags that `fit` chose where the hyper-parameters leave them open."""
         if self.state_lags is None:
             self.state_lags_ = chosen[0]
@@ -220,8 +221,8 @@ class DynamicsModel(Dynamics, Estimator):
         return self.layout.size
 
     @property
-    def envelope(self) -> Array | None:
-        return getattr(self, "envelope_", None)
+    def state_bounds(self) -> Array | None:
+        return getattr(self, "state_bounds_", None)
 
     @abstractmethod
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
@@ -236,13 +237,13 @@ class DynamicsModel(Dynamics, Estimator):
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
     def record(self, dataset: Dataset) -> None:
-        """Record the system, the envelope and some pairs of ``dataset``, as every `fit` does first."""
+        """Record the system, the state_bounds and some pairs of ``dataset``, as every `fit` does first."""
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
-        self.envelope_ = training_envelope(states, self.envelope_multiple)
+        self.state_bounds_ = training_bounds(states, self.bounds_multiple)
         for i in dataset.system.periods:
-            self.envelope_[:, i] = -np.inf, np.inf
-        self.pairs_ = recorded_pairs(dataset)
+            self.state_bounds_[:, i] = -np.inf, np.inf
+        self.training_sample_ = recorded_pairs(dataset)
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         """Declare the learned arrays of this fitted model by name: the shape of each, or `Numbers`.
@@ -255,15 +256,15 @@ class DynamicsModel(Dynamics, Estimator):
         return {
             "state_lags_": lags,
             "control_lags_": lags,
-            "envelope_": Numbers(2, nx, infinite=True, rising=True, optional=not self.rest_hold),
-            "pairs_": Numbers("pairs", nx + self.system.nu, optional=True),
+            "state_bounds_": Numbers(2, nx, infinite=True, rising=True, optional=not self.dead_band),
+            "training_sample_": Numbers("pairs", nx + self.system.nu, optional=True),
             "held_out_error_": Numbers(nx, infinite=True, optional=True),
         }
 
     @property
     def fit_note(self) -> str:
         """What there is to say of the data that it learned from, in a sentence; empty if nothing."""
-        far = [self.system.state_names[i] for i in far_from_zero(self.envelope)]
+        far = [self.system.state_names[i] for i in far_from_zero(self.state_bounds)]
         precise = (
             f"runs in double precision, which takes twice the time: {', '.join(far)} changes little for how far from "
             "zero it is; subtract a constant from the recordings"
@@ -278,7 +279,7 @@ class DynamicsModel(Dynamics, Estimator):
             return ""
         return (
             f"learned from {kept:,} of {given:,} steps, blocks of time at random places, as many as "
-            f"most_steps={self.most_steps} allows"
+            f"max_steps={self.max_steps} allows"
         )
 
     def equations(self) -> list[str]:
@@ -289,7 +290,7 @@ class DynamicsModel(Dynamics, Estimator):
         """Return name, value, standard error and unit of every physical parameter; empty for a family without any."""
         return []
 
-    def standing(self) -> list[dict[str, str]]:
+    def candidate_ranking(self) -> list[dict[str, str]]:
         """Return what the fitted model was chosen from, best first; empty for a family that does not choose."""
         return []
 
@@ -310,12 +311,12 @@ class DynamicsModel(Dynamics, Estimator):
         facts = dict(self.facts()) or {"fitted": "no"}
         if hasattr(self, "system_"):
             rows = (f"{row['parameter']} = {row['value']:.4g} {row['unit']}" for row in self.parameters_table())
-            chosen = (", ".join(row.values()) for row in self.standing())
+            chosen = (", ".join(row.values()) for row in self.candidate_ranking())
             learned = {"equations": self.equations(), "parameters": rows, "chosen from": chosen}
             facts |= {name: text for name, lines in learned.items() if (text := "\n".join(lines))}
         return html_table(super().__repr__(), facts)
 
-    def uses(self) -> tuple[str, ...]:
+    def families_used(self) -> tuple[str, ...]:
         """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
         return ()
 
@@ -323,7 +324,7 @@ class DynamicsModel(Dynamics, Estimator):
         """Return this fitted model as it steps without noise; itself if it draws none."""
         return self.variant(stochastic=False) if self.get_params(deep=False).get("stochastic") else self
 
-    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+    def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
         """Return this fitted model after so many more ``updates`` on ``dataset``; None if it does not learn in such."""
         return None
 
@@ -336,7 +337,7 @@ class DynamicsModel(Dynamics, Estimator):
         draws noise runs without. scikit-learn passes ``y``, which is unused.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
-        return -simulation_error(self.without_noise(), judging_windows(data, self.n_lags))
+        return -simulation_error(self.without_noise(), error_windows(data, self.n_lags))
 
     def adapt(
         self,
@@ -373,42 +374,42 @@ class DynamicsModel(Dynamics, Estimator):
         """Return the compiled form of `step` around what is predicted: motion, noise, lags, rest; None without one."""
         output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
         kernel = stepping_kernel(
-            predictor, self.system, output=output, lags=self.lags, rest_band=self.rest_band, noise=noise
+            predictor, self.system, output=output, lags=self.lags, dead_band_size=self.dead_band_size, noise=noise
         )
         return None if kernel is None else replace(kernel, precision=self.precision)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        return self.lagged(states, controls)
+        return self.initial_carry(states, controls)
 
-    def lagged(self, states: Array, controls: Array) -> Array:
+    def initial_carry(self, states: Array, controls: Array) -> Array:
         """Return state, earlier states and earlier controls, newest first, side by side."""
-        return np.concatenate(self.layout.started(states, controls), axis=1)
+        return np.concatenate(self.layout.initial_parts(states, controls), axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         after = of_each_row(self, "next_state", carry, self.next_state(carry, control))
-        return self.remember(carry, control, self.held(carry, control, after))
+        return self.shift_lags(carry, control, self.apply_limits(carry, control, after))
 
-    def remember(self, carry: Array, control: Array, after: Array) -> Array:
+    def shift_lags(self, carry: Array, control: Array, after: Array) -> Array:
         """Return the lagged carry whose newest state is ``after``: states and controls move one place back.
 
-        Like `held` for (B, n) arrays, or any number of axes before the last.
+        Like `apply_limits` for (B, n) arrays, or any number of axes before the last.
         """
-        parts = self.layout.moved(carry, control, after)
+        parts = self.layout.shifted_parts(carry, control, after)
         return np.concatenate(parts, axis=-1) if len(parts) > 1 else after
 
     @property
-    def rest_band(self) -> Array | None:
-        """How near to neutral (nx,) a state counts as rest; None without ``rest_hold``."""
-        return band_of(self.system, self.envelope_, self.envelope_multiple) if self.rest_hold else None
+    def dead_band_size(self) -> Array | None:
+        """How near to neutral (nx,) a state counts as rest; None without ``dead_band``."""
+        return dead_band_size(self.system, self.state_bounds_, self.bounds_multiple) if self.dead_band else None
 
-    def held(self, carry: Array, control: Array, after: Array) -> Array:
-        """Return ``after`` (B, nx) within the limits of the channels; with ``rest_hold``, `held_at_rest`."""
-        band = self.rest_band
+    def apply_limits(self, carry: Array, control: Array, after: Array) -> Array:
+        """Return ``after`` (B, nx) within the limits of the channels; with ``dead_band``, `hold_at_rest`."""
+        band = self.dead_band_size
         if self.system.limited:
             after = np.clip(after, *self.system.limits)
         if band is None:
             return after
-        return held_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
+        return hold_at_rest(self.system, self.layout.earlier_controls, band, carry, control, after)
 
     def next_state(self, carry: Array, control: Array) -> Array:
         """Return the next state (B, nx); by default the integral of `acceleration`."""
@@ -440,7 +441,7 @@ class DynamicsModel(Dynamics, Estimator):
         Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
         and (B, L, nu), L at least ``n_lags`` (more is left unused), and (B, H, nu); returns (B, H, nx).
 
-        States are clipped to the envelope; a state that is not a number becomes its upper limit there
+        States are clipped to the state_bounds; a state that is not a number becomes its upper limit there
         and stays nan without one. With ``samples``, a stochastic model is run that often, and these are
         the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
@@ -478,7 +479,7 @@ class DynamicsModel(Dynamics, Estimator):
 
 def _numbers_learned(model: DynamicsModel) -> int:
     """Return how many numbers the arrays of a fitted model hold, those of models within it included."""
-    learned = {name: value for name, value in vars(model).items() if name.endswith("_") and name != "pairs_"}
+    learned = {name: value for name, value in vars(model).items() if name.endswith("_") and name != "training_sample_"}
     parts = [part for value in learned.values() for part in (value if isinstance(value, (list, tuple)) else [value])]
     arrays = sum(part.size for part in parts if isinstance(part, np.ndarray))
     return arrays + sum(_numbers_learned(part) for part in parts if isinstance(part, DynamicsModel))
@@ -494,7 +495,7 @@ def require_planar(model: DynamicsModel, system: System) -> None:
 
 
 def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
-    """Wrap a family's `fit`: check what it is given, record system and envelope, undo what is interrupted."""
+    """Wrap a family's `fit`: check what it is given, record system and state_bounds, undo what is interrupted."""
 
     @functools.wraps(fit)
     def wrapped(
@@ -518,8 +519,8 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         self.check_parameters()
         self.check_installed()
         self.check_system(data.system)
-        for doubt in doubts_about(data):
-            warnings.warn(f"{type(self).__name__} {doubt}", DataWarning, stacklevel=2)
+        for remark in warnings_about(data):
+            warnings.warn(f"{type(self).__name__} {remark}", DataWarning, stacklevel=2)
         with told(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)
 
@@ -564,7 +565,7 @@ def _kept(
 
 def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:
     """Return what there is to learn from; where that is not all of it, warn and record how much it is."""
-    few = dataset if self.most_steps is None else thinned(dataset, self.most_steps, rng)
+    few = dataset if self.max_steps is None else subsample(dataset, self.max_steps, rng)
     self.__dict__.pop("kept_steps_", None)
     if few is not dataset:
         self.kept_steps_ = [few.n_steps, dataset.n_steps]

@@ -19,13 +19,13 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 
-@noises.register("envelope")
+@noises.register("domain_randomisation")
 @dataclass(frozen=True)
-class RadicalEnvelope:
+class DomainRandomisation:
     """How far a robot may differ from its model; 0 means that it does not.
 
-    It is Jakobi's radical envelope (paper, section 2.1): noise whose absence a controller must not rely on.
-    The *base set* is what is reliable: channels named in ``base`` (states and controls) meet no noise. All
+    It is Jakobi's radical state_bounds (paper, section 2.1): noise whose absence a controller must not rely on.
+    The *base set* is what is reliable: channels named in ``exact_channels`` (states and controls) meet no noise. All
     others do, and how much is drawn anew for every trial, from none to all of what stands here. Most trials
     therefore meet some noise and some hardly any, so that a controller can rely neither on its absence
     nor on its presence.
@@ -46,13 +46,17 @@ class RadicalEnvelope:
     latency: int = 0
     gain: float = 0.0
     process: float = 0.0
-    base: Sequence[str] = ()
+    exact_channels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "base", tuple(self.base) if isinstance(self.base, (list, tuple)) else (self.base,))
+        object.__setattr__(
+            self,
+            "exact_channels",
+            tuple(self.exact_channels) if isinstance(self.exact_channels, (list, tuple)) else (self.exact_channels,),
+        )
         for item in fields(self):
             value = getattr(self, item.name)
-            if item.name == "base":
+            if item.name == "exact_channels":
                 continue
             whole = item.name == "latency"
             number = isinstance(value, int if whole else (int, float)) and not isinstance(value, bool)
@@ -61,18 +65,18 @@ class RadicalEnvelope:
                     f"noise: expected {item.name} to be {'a whole number' if whole else 'a number'} >= 0, got {value!r}"
                 )
 
-    def free(self, system: System) -> tuple[Array, Array]:
+    def disturbed_channels(self, system: System) -> tuple[Array, Array]:
         """Return 1.0 for each state (nx,) and each control (nu,) that meets noise, 0.0 for those of the base set.
 
         Raises `InvalidArgument` if the base set names a channel that ``system`` does not have.
         """
         known = [channel.name for channel in (*system.states, *system.controls)]
-        unknown = [name for name in self.base if name not in known]
+        unknown = [name for name in self.exact_channels if name not in known]
         if unknown:
             raise InvalidArgument(
                 f"noise: the base set names {', '.join(map(repr, unknown))}; the channels are {', '.join(known)}"
             )
-        free = np.array([0.0 if name in self.base else 1.0 for name in known])
+        free = np.array([0.0 if name in self.exact_channels else 1.0 for name in known])
         return free[: system.nx], free[system.nx :]
 
 
@@ -89,15 +93,15 @@ class Disturbed(PlainDynamics):
         v = u_{k-d}                                     d = 0 to latency, the same for a trial
         y = x_k + g (f(x_k, v) - x_k)                   g = exp(gain w)
         x_{k+1} = y + p z                               p = process spread U,       U in [0, 1]
-        o_{k+1} = (1 - f) x_{k+1-m} + f x_{k-m}         clipped to the envelope
+        o_{k+1} = (1 - f) x_{k+1-m} + f x_{k-m}         clipped to the state_bounds
         observed = o_{k+1} + b + s z                    b = bias spread w,          s = sensor spread U
 
-    g, p, b, s (nx,) and d are drawn when a trial begins; ``spread`` (nx,) is `state_spread` if it is not given. What is
+    g, p, b, s (nx,) and d are drawn when a trial begins; ``spread`` (nx,) is `state_std` if it is not given. What is
     zero costs a test in a step, and no random numbers.
 
     Controllers and tasks observe the last line. The state itself, the pose that a task makes of it, walls and the
-    envelope are those of ``inner``: on a robot too the tracker sees the pose, and velocities come out of it late and
-    with noise. The first sample has no white noise.
+    state_bounds are those of ``inner``: on a robot too the tracker sees the pose, and velocities come out of it late
+    and with noise. The first sample has no white noise.
 
     The carry is that of ``inner``, then, where they are wanted: g, p, d, earlier commands; what is observed, earlier
     states; b, s. Commands and states stand newest first.
@@ -106,7 +110,7 @@ class Disturbed(PlainDynamics):
     def __init__(
         self,
         inner: Dynamics,
-        noise: RadicalEnvelope | None = None,
+        noise: DomainRandomisation | None = None,
         *,
         delay: float = 0.0,
         spread: Array | None = None,
@@ -115,17 +119,17 @@ class Disturbed(PlainDynamics):
             raise InvalidArgument(f"disturbances: expected a delay >= 0 s, got {delay}")
         if inner.observed_at != 0:
             raise InvalidArgument("disturbances: the dynamics is disturbed already; give noise and delay together")
-        self.inner, self.system, self.doubt_at = inner, inner.system, inner.doubt_at
-        self.noise = noise = RadicalEnvelope() if noise is None else noise
+        self.inner, self.system, self.penalty_at = inner, inner.system, inner.penalty_at
+        self.noise = noise = DomainRandomisation() if noise is None else noise
         nx, nu, samples = inner.system.nx, inner.system.nu, delay / inner.system.dt
-        self.free_states, self.free_controls = noise.free(inner.system)
+        self.free_states, self.free_controls = noise.disturbed_channels(inner.system)
         self.whole = math.floor(samples + WHOLE_TOLERANCE)
         self.share = max(0.0, samples - self.whole)
         self.kept = self.whole + (self.share > 0.0)
         self.moves, self.senses = any((noise.latency, noise.gain, noise.process)), any((noise.sensor, noise.bias))
         self.observes = self.senses or delay > 0.0
         if spread is None and (self.senses or noise.process):
-            spread = state_spread(inner)
+            spread = state_std(inner)
         self.size = self.free_states * (1.0 if spread is None else spread)
         sizes = [nx * self.moves, nx * self.moves, 1 * self.moves, nu * noise.latency]
         sizes += [nx * self.observes, nx * self.kept, nx * self.senses, nx * self.senses]
@@ -137,8 +141,8 @@ class Disturbed(PlainDynamics):
         self.n_draws = inner.n_draws + (3 * nx + nu + 2) * self.moves + 2 * nx * self.senses
 
     @property
-    def envelope(self) -> Array | None:
-        return self.inner.envelope
+    def state_bounds(self) -> Array | None:
+        return self.inner.state_bounds
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         from scipy.special import ndtr
@@ -186,7 +190,7 @@ class Disturbed(PlainDynamics):
         if self.noise.process:
             after = after + process * noise[:, at : at + nx]
         if self.observes:
-            newest = after if self.envelope is None else np.clip(after, *self.envelope)
+            newest = after if self.state_bounds is None else np.clip(after, *self.state_bounds)
             history = np.concatenate([newest, before, states], axis=1).reshape(len(carry), -1, nx)
             observed, states = self._observed(history), history[:, 1 : 1 + self.kept].reshape(len(carry), -1)
         if self.senses:
@@ -207,7 +211,7 @@ class Disturbed(PlainDynamics):
             inner,
             self.system,
             free_controls=self.free_controls,
-            envelope=self.envelope,
+            state_bounds=self.state_bounds,
             latency=self.noise.latency,
             kept=self.kept,
             whole=self.whole,
@@ -228,14 +232,14 @@ class Disturbed(PlainDynamics):
 TRIALS, STEPS, HELD, WARM_UP = 32, 120, 8, 40
 
 
-def state_spread(dynamics: Dynamics) -> Array:
+def state_std(dynamics: Dynamics) -> Array:
     """Return the standard deviation (nx,) of each state in the training data of ``dynamics``, see `System.spread`.
 
     What was not fitted to any, as an emulated robot, is driven by random commands for that, from a fixed
     seed: 32 times, each command held for 8 samples. A state that never varies has 1, its own unit.
     """
     nx = dynamics.system.nx
-    pairs = getattr(dynamics, "pairs_", None)
+    pairs = getattr(dynamics, "training_sample_", None)
     states = _driven(dynamics) if pairs is None else pairs[:, :nx]
     spread = dynamics.system.spread(states)
     return np.where(np.isfinite(spread) & (spread > 0.0), spread, 1.0)
@@ -252,7 +256,7 @@ def _driven(dynamics: Dynamics) -> Array:
             if k % HELD == 0:
                 command = system.actuate(rng.uniform(-1.0, 1.0, (TRIALS, system.nu)))
             noise = rng.standard_normal((TRIALS, dynamics.n_noise)) if dynamics.n_noise else None
-            carry, _ = clip_state(dynamics.step(carry, command, noise), dynamics.envelope)
+            carry, _ = clip_state(dynamics.step(carry, command, noise), dynamics.state_bounds)
             seen.append(carry[:, : system.nx])
     visited = np.concatenate(seen[WARM_UP:])
     return visited[np.isfinite(visited).all(axis=1)]

@@ -25,11 +25,11 @@ class Dynamics(ABC):
     numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
     never drawn inside. What controllers and tasks observe of the state stands in the carry from
     ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
-    counts how far it is to be doubted does so in the carry at ``doubt_at``; None if it does not.
+    counts how far it is to be doubted does so in the carry at ``penalty_at``; None if it does not.
     """
 
     observed_at: int = 0
-    doubt_at: int | None = None
+    penalty_at: int | None = None
     if TYPE_CHECKING:  # a family answers them by properties, `PlainDynamics` has plain names
 
         @property
@@ -47,7 +47,7 @@ class Dynamics(ABC):
         n_lags = n_noise = n_draws = 0
 
     @property
-    def envelope(self) -> Array | None:
+    def state_bounds(self) -> Array | None:
         """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
         return None
 
@@ -98,7 +98,7 @@ def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) ->
     return values if isinstance(values, np.ndarray) else checked
 
 
-def training_envelope(states: Array, multiple: float) -> Array:
+def training_bounds(states: Array, multiple: float) -> Array:
     """Return the centre of ``states`` (N, nx) plus and minus ``multiple`` half ranges, (2, nx)."""
     low, high = states.min(axis=0), states.max(axis=0)
     centre, half = (low + high) / 2.0, np.maximum((high - low) / 2.0, np.finfo(float).tiny)
@@ -113,20 +113,21 @@ On a damped oscillation the rounding error of single precision after 3 s was 1e-
 """
 
 
-def far_from_zero(envelope: Array | None) -> IntArray:
-    """Return the indices of the states whose bounds, ``envelope`` (2, nx), are more than `FAR` half widths from zero.
+def far_from_zero(state_bounds: Array | None) -> IntArray:
+    """Return the indices of the states whose bounds, ``state_bounds`` (2, nx), are more than `FAR` half widths from
+    zero.
 
     A float32 is exact to 6e-8 of its size: 4e6 m to a quarter of a metre. Every step rounds, and the errors add up.
     States without bounds, and states that do not change, are left out.
     """
-    low, high = np.zeros((2, 0)) if envelope is None else envelope
+    low, high = np.zeros((2, 0)) if state_bounds is None else state_bounds
     half, nearest = (high - low) / 2.0, np.maximum(low, -high)
     return np.flatnonzero((half > 0.0) & (nearest > FAR * half))
 
 
-def enough(precision: Precision, envelope: Array | None) -> Precision:
-    """Return ``precision``, or float64 if states within ``envelope`` need it, see `far_from_zero`."""
-    return "float64" if len(far_from_zero(envelope)) else precision
+def enough(precision: Precision, state_bounds: Array | None) -> Precision:
+    """Return ``precision``, or float64 if states within ``state_bounds`` need it, see `far_from_zero`."""
+    return "float64" if len(far_from_zero(state_bounds)) else precision
 
 
 def rk4(rate: Callable[[Any], Any], state: Any, dt: float) -> Any:
@@ -217,7 +218,7 @@ def many_runs(
 
     def step(carry: Array, control: Array) -> Array:
         noise = rng.standard_normal((batch, model.n_noise)) if model.n_noise else None
-        return clip_state(model.step(carry, control, noise), model.envelope)[0]
+        return clip_state(model.step(carry, control, noise), model.state_bounds)[0]
 
     draws = rng.standard_normal((batch, model.n_draws)) if model.n_draws else None
     out = np.empty((batch, horizon, system.nx))

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.carry import held_at_rest, recent
+from sysid_evo.carry import hold_at_rest, recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
@@ -18,7 +18,7 @@ from sysid_evo.models.kernels.ensemble import mean_kernel
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array
 from sysid_evo.validation.intervals import conformal_scale
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 
 
 class Members:
@@ -73,16 +73,16 @@ def _places(sizes: list[int]) -> list[int]:
     return [sum(sizes[:i]) for i in range(len(sizes))]
 
 
-class MeanOfMembers(DynamicsModel):
+class MeanModel(DynamicsModel):
     """A family that learns ``members_``, fitted models, and their ``weights_`` (M,), whose sum is 1.
 
     The next state is the mean of theirs. The carry is the state, then the members' carries, each with the same state
     at its head. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) make the noise of a step. Members
-    are not held at rest: the mean is, with ``rest_hold``, while no member remembers a control that may still act.
+    are not held at rest: the mean is, with ``dead_band``, while no member remembers a control that may still act.
     """
 
     stochastic: bool = False
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
         """Be the mean of these fitted models."""
@@ -107,7 +107,7 @@ class MeanOfMembers(DynamicsModel):
 
         ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
         """
-        judged = [(mean, judging_windows(held, mean.n_lags)) for mean, held in cases]
+        judged = [(mean, error_windows(held, mean.n_lags)) for mean, held in cases]
         off = []
         for mean, part in judged:
             first = mean.simulate(part.past_states, part.past_controls, part.controls[:, :1])
@@ -157,13 +157,13 @@ class MeanOfMembers(DynamicsModel):
             variance = (weights * (predicted - after) ** 2).sum(axis=0)
             deviation = np.sqrt(variance + self.residual_**2)
             after = after + self.noise_scale_ * deviation * noise[:, together.n_noise :]
-        after = self.held(carry, control, after)
+        after = self.apply_limits(carry, control, after)
         return np.concatenate([after, together.joined(after, rests)], axis=1)
 
-    def held(self, carry: Array, control: Array, after: Array) -> Array:
-        system, band = self.system, self.rest_band
+    def apply_limits(self, carry: Array, control: Array, after: Array) -> Array:
+        system, band = self.system, self.dead_band_size
         after = np.clip(after, *system.limits) if system.limited else after
-        return after if band is None else held_at_rest(system, self._earlier_controls, band, carry, control, after)
+        return after if band is None else hold_at_rest(system, self._earlier_controls, band, carry, control, after)
 
     @property
     def _earlier_controls(self) -> list[int]:
@@ -188,7 +188,7 @@ class MeanOfMembers(DynamicsModel):
             places=[self.system.nx + place for place in self._together.places],
             noise_places=self._together.noise_places,
             weights=self.weights_,
-            rest_band=self.rest_band,
+            dead_band_size=self.dead_band_size,
             watched=self._earlier_controls,
         )
 
@@ -198,9 +198,9 @@ class MeanOfMembers(DynamicsModel):
             return self
         return self.of(quiet, self.weights_)
 
-    def trained_further(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
+    def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
         """Return the mean with those members trained further that can be; None if none can."""
-        further = [model.trained_further(dataset, updates, rng=rng) for model in self.members_]
+        further = [model.fine_tuned(dataset, updates, rng=rng) for model in self.members_]
         if all(model is None for model in further):
             return None
         other = self.variant()

@@ -154,7 +154,7 @@ def checked(init: Any) -> Any:
     return wrapped
 
 
-class Estimator:
+class ParameterAccess:
     """An object whose constructor only stores its arguments, under their names.
 
     `sklearn.base.clone` and `GridSearchCV` take it for one of their own.
@@ -170,13 +170,13 @@ class Estimator:
             setattr(self, name, value)
         return self
 
-    def unfitted(self) -> Self:
+    def clone_unfitted(self) -> Self:
         """Return another one with copies of the same arguments that has learned nothing."""
         return type(self)(**copy.deepcopy(self.get_params()))
 
     def variant(self, **parameters: Any) -> Self:
         """Return a copy with everything that was learned, and other hyper-parameters."""
-        other: Self = self.unfitted().set_params(**parameters)
+        other: Self = self.clone_unfitted().set_params(**parameters)
         other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
         return other
 
@@ -198,8 +198,8 @@ def shorter(estimator: Any, dataset: Dataset) -> str:
     n_steps, now = dataset.n_steps, estimator.get_params(deep=False)
     found = {name: value for name, value in estimator.presets.get("quick", {}).items() if value != now[name]}
     found |= {name: 0 for name in ("state_lags", "control_lags") if now.get(name, 0) != 0}
-    if "most_steps" in now:
-        found["most_steps"] = max(1, min(n_steps, now["most_steps"] or n_steps) // 10)
+    if "max_steps" in now:
+        found["max_steps"] = max(1, min(n_steps, now["max_steps"] or n_steps) // 10)
     what = ", ".join(f"{name}={value!r}" for name, value in found.items()) or "a shorter recording"
     return f"{what} (of {n_steps:,} steps, {dataset.system.nx} states and {dataset.system.nu} controls)"
 
@@ -220,4 +220,4 @@ class OneOf:
     values: tuple[Any, ...]
 
 
-Searched: TypeAlias = Within | OneOf
+SearchRange: TypeAlias = Within | OneOf

@@ -15,13 +15,13 @@ from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics, PlainDynamics
 from sysid_evo.models.ensemble import Members
 from sysid_evo.models.kernels.penalty import penalised_kernel
-from sysid_evo.registry.registry import cautions
+from sysid_evo.registry.registry import penalties
 from sysid_evo.types import Array, check_shape
 
 
-@cautions.register("doubt")
+@penalties.register("uncertainty")
 @dataclass(frozen=True)
-class Doubt:
+class UncertaintyPenalty:
     """What a trial loses where its model cannot be believed, in units of fitness; 0 means nothing (as in MOPO, MOReL).
 
     ``outside``: of a trial that is outside the training data from beginning to end; ``disagreement``: of one in which
@@ -36,28 +36,28 @@ class Doubt:
         for name in ("outside", "disagreement"):
             value = getattr(self, name)
             if not isinstance(value, (int, float)) or isinstance(value, bool) or not 0 <= value < np.inf:
-                raise InvalidArgument(f"caution: expected {name} to be a number >= 0, got {value!r}")
+                raise InvalidArgument(f"penalty: expected {name} to be a number >= 0, got {value!r}")
 
     @property
-    def most(self) -> float:
+    def maximum(self) -> float:
         """What a trial loses at most."""
         return self.outside + self.disagreement
 
-    def about(self, dynamics: Dynamics, others: Sequence[Dynamics] = ()) -> Dynamics:
-        """Return ``dynamics`` with the doubt counted; a robot is not doubted.
+    def around(self, dynamics: Dynamics, others: Sequence[Dynamics] = ()) -> Dynamics:
+        """Return ``dynamics`` with the penalty counted; a robot is not doubted.
 
         The ``others`` are further models of the ensemble; what is no model is left out. Raises `InvalidArgument` for
         a model that does not know its training data.
         """
-        if getattr(dynamics, "pairs_", None) is None:
+        if getattr(dynamics, "training_sample_", None) is None:
             if isinstance(dynamics, DynamicsModel):
                 raise InvalidArgument(
-                    f"caution: {type(dynamics).__name__} was stored without states of its training data: fit it again"
+                    f"penalty: {type(dynamics).__name__} was stored without states of its training data: fit it again"
                 )
             return dynamics
-        against = [other for other in others if getattr(other, "pairs_", None) is not None]
-        wanted = self if against else Doubt(self.outside)
-        return Penalised(dynamics, wanted, against) if wanted.most else dynamics
+        against = [other for other in others if getattr(other, "training_sample_", None) is not None]
+        wanted = self if against else UncertaintyPenalty(self.outside)
+        return Penalised(dynamics, wanted, against) if wanted.maximum else dynamics
 
 
 CHECKED_EVERY = 10
@@ -65,24 +65,24 @@ CHECKED_EVERY = 10
 
 
 class Penalised(PlainDynamics):
-    """``model``, which counts in its carry how far it is to be doubted, by the weights of ``doubt``.
+    """``model``, which counts in its carry how far it is to be doubted, by the weights of ``uncertainty``.
 
     *Outside*: a look at every ``every``-th step counts for all of them: 0 within the limit of `Support`, the weight
-    from twice the limit on, in proportion between. ``support`` is made of the ``pairs_`` of the model if it is not
-    given.
+    from twice the limit on, in proportion between. ``support`` is made of the ``training_sample_`` of the model if it
+    is not given.
 
     *Disagreement*: all models step from the state of ``model``. The largest difference between two of them in a state,
     divided by its ``limit`` (nx,), and of these the largest, counts: 0 up to 1, the weight from 2 on, in proportion
-    between. The limit is the 99 % quantile of the difference over the ``pairs_`` if it is not given; errors on held-out
-    data are another one. A step costs what the steps of all models cost.
+    between. The limit is the 99 % quantile of the difference over the ``training_sample_`` if it is not given; errors
+    on held-out data are another one. A step costs what the steps of all models cost.
 
-    The carry is that of ``model``, those of the ``others``, the doubt, and the steps to the next look.
+    The carry is that of ``model``, those of the ``others``, the penalty, and the steps to the next look.
     """
 
     def __init__(
         self,
         model: Dynamics,
-        doubt: Doubt,
+        penalty: UncertaintyPenalty,
         others: Sequence[Dynamics] = (),
         *,
         support: Support | None = None,
@@ -90,53 +90,53 @@ class Penalised(PlainDynamics):
         every: int = CHECKED_EVERY,
     ) -> None:
         if every < 1:
-            raise InvalidArgument(f"caution: expected every >= 1 step, got {every}")
-        if doubt.disagreement and not others:
-            raise InvalidArgument("caution: expected at least one other model, got none")
-        self.doubt, self.every = doubt, every
-        self.members = Members([model, *others] if doubt.disagreement else [model])
+            raise InvalidArgument(f"penalty: expected every >= 1 step, got {every}")
+        if penalty.disagreement and not others:
+            raise InvalidArgument("penalty: expected at least one other model, got none")
+        self.penalty, self.every = penalty, every
+        self.members = Members([model, *others] if penalty.disagreement else [model])
         self.system, self.n_lags = self.members.system, self.members.n_lags
         self.n_noise, self.n_draws = self.members.n_noise, self.members.n_draws
-        self.doubt_at = self.members.n_carry
-        self.n_carry = self.doubt_at + 2
-        self.pairs_: Array | None = getattr(model, "pairs_", None)
+        self.penalty_at = self.members.n_carry
+        self.n_carry = self.penalty_at + 2
+        self.training_sample_: Array | None = getattr(model, "training_sample_", None)
         self.support: Support | None = None
-        if doubt.outside:
+        if penalty.outside:
             data = Support.of(self.system, *self._recorded()) if support is None else support
             smallest = float(np.finfo(np.float32).tiny)  # where all recorded pairs are the same, the limit is 0
             self.support = replace(data, limit=max(data.limit, smallest))
         self.limit = np.ones(self.system.nx)
-        if doubt.disagreement:
+        if penalty.disagreement:
             found = self._usual() if limit is None else check_shape("limit", limit, (self.system.nx,))
             self.limit = np.maximum(found, 1e-6)
 
     @property
-    def envelope(self) -> Array | None:
-        return self.members.models[0].envelope
+    def state_bounds(self) -> Array | None:
+        return self.members.models[0].state_bounds
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
         return np.concatenate([self.members.start(states, controls, draws), np.zeros((len(states), 2))], axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
-        state, members, (doubt, clock) = (
+        state, members, (penalty, clock) = (
             carry[:, : self.system.nx],
-            carry[:, : self.doubt_at],
-            carry[:, self.doubt_at :].T,
+            carry[:, : self.penalty_at],
+            carry[:, self.penalty_at :].T,
         )
         outside = np.zeros(len(carry))
         if self.support is not None:
             due = clock == 0.0
             if due.any():
                 beyond = self.support.distances(state[due], control[due]) / self.support.limit - 1.0
-                outside[due] = self.doubt.outside * self.every * np.clip(beyond, 0.0, 1.0)
+                outside[due] = self.penalty.outside * self.every * np.clip(beyond, 0.0, 1.0)
             clock = np.where(due, self.every, clock) - 1.0
         predicted, rests = self.members.step(state, members, control, noise)
-        if self.doubt.disagreement:
+        if self.penalty.disagreement:
             beyond = (np.ptp(predicted, axis=0) / self.limit).max(axis=1) - 1.0
-            doubt = doubt + self.doubt.disagreement * np.clip(beyond, 0.0, 1.0)
+            penalty = penalty + self.penalty.disagreement * np.clip(beyond, 0.0, 1.0)
         return np.concatenate(
-            [self.members.joined(predicted[0], rests), np.stack([doubt + outside, clock], axis=1)], axis=1
+            [self.members.joined(predicted[0], rests), np.stack([penalty + outside, clock], axis=1)], axis=1
         )
 
     def kernel(self) -> DynamicsKernel | None:
@@ -152,11 +152,11 @@ class Penalised(PlainDynamics):
             (self.system.nx, self.system.nu),
             self.members.places,
             self.members.noise_places,
-            doubt_at=self.members.n_carry,
-            outside=self.doubt.outside,
+            penalty_at=self.members.n_carry,
+            outside=self.penalty.outside,
             support=self.support,
             every=self.every,
-            disagreement=self.doubt.disagreement,
+            disagreement=self.penalty.disagreement,
             limit=self.limit,
         )
 
@@ -172,9 +172,9 @@ class Penalised(PlainDynamics):
 
     def _recorded(self) -> tuple[Array, Array]:
         """Return states (N, nx) and controls (N, nu) of the training data."""
-        if self.pairs_ is None:
+        if self.training_sample_ is None:
             raise InvalidArgument(
-                "caution: the model does not know its training data; give support= for `outside`, limit= for "
+                "penalty: the model does not know its training data; give support= for `outside`, limit= for "
                 "`disagreement`"
             )
-        return split_pairs(self.system, self.pairs_)
+        return split_pairs(self.system, self.training_sample_)

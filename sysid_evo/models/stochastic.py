@@ -16,10 +16,10 @@ from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.kernels.stepping import StepNoise
 from sysid_evo.models.learned import Declared, Numbers
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import unseen_parts
+from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.intervals import (
     HORIZONS,
-    MOST_WINDOWS,
+    MAX_WINDOWS,
     Case,
     horizon_scales,
     step_spread,
@@ -27,7 +27,7 @@ from sysid_evo.validation.intervals import (
 )
 
 
-class Uncertain(DynamicsModel):
+class StochasticModel(DynamicsModel):
     """A family that gives a spread when it is fitted with ``stochastic``.
 
     Every step adds normal noise to the state: sigma_k (sqrt(1 - p) w + sqrt(p) b) times a deviation, w new in every
@@ -38,7 +38,7 @@ class Uncertain(DynamicsModel):
     The deviation is the error of one step, unless a family says otherwise (`with_deviation`).
     """
 
-    spread_groups: ClassVar[int] = 4
+    calibration_folds: ClassVar[int] = 4
     """Of how many parts, held out in turn, the spread is learned: so many more fits."""
     stochastic: bool = False
 
@@ -60,7 +60,7 @@ class Uncertain(DynamicsModel):
         return self.layout.size + (self.system.nx + 1 if self.timed else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
-        carry = self.lagged(states, controls)
+        carry = self.initial_carry(states, controls)
         if not self.timed:
             return carry
         lasting = np.zeros((len(carry), self.system.nx)) if draws is None else draws
@@ -129,19 +129,19 @@ class Uncertain(DynamicsModel):
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         """Return the next lagged carry, its state moved by ``disturbance`` (B, nx) deviations."""
         after, deviation = self.with_deviation(carry, control)
-        after = self.held(carry, control, after + deviation * disturbance)
-        return self.remember(carry, control, after)
+        after = self.apply_limits(carry, control, after + deviation * disturbance)
+        return self.shift_lags(carry, control, after)
 
     def calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None] = lambda: None) -> None:
         """Learn the spread at the end of `fit`, with ``stochastic``; fits as many more models as parts are held out."""
         if not self.stochastic:
             return
         models = []
-        for seen, unseen in unseen_parts(dataset)[: self.spread_groups]:
+        for seen, unseen in recording_or_time_folds(dataset)[: self.calibration_folds]:
             models.append((self.settled().fit(seen, rng=rng, progress=lambda *_: still()), unseen))
         self.spread_on(models, rng, still)
 
-    def settled(self) -> Uncertain:
+    def settled(self) -> StochasticModel:
         """Return an unfitted model of this family with what `fit` chose, and without noise."""
         parameters = self.get_params(deep=False)
         chosen = {
@@ -149,12 +149,12 @@ class Uncertain(DynamicsModel):
             for name, value in parameters.items()
             if value is None and hasattr(self, f"{name}_")
         }
-        found: Uncertain = self.unfitted().set_params(**{**chosen, "stochastic": False})
+        found: StochasticModel = self.clone_unfitted().set_params(**{**chosen, "stochastic": False})
         return found
 
     def spread_on(
         self,
-        models: Sequence[tuple[Uncertain, Dataset]],
+        models: Sequence[tuple[StochasticModel, Dataset]],
         rng: np.random.Generator,
         still: Callable[[], None],
         *,
@@ -166,7 +166,7 @@ class Uncertain(DynamicsModel):
         for model, _ in models:
             if not own_deviation:
                 model.residual_ = residual
-        cases = [Case.of(model, part, horizon, MOST_WINDOWS // len(models)) for model, part in models]
+        cases = [Case.of(model, part, horizon, MAX_WINDOWS // len(models)) for model, part in models]
         scales = horizon_scales(cases, persistent, rng, still=still)
         self.keep_spread(residual, persistent, scales)
 
@@ -174,7 +174,9 @@ class Uncertain(DynamicsModel):
     def _stepping_kernel(self) -> DynamicsKernel | None:
         if not self.timed:
             return super()._stepping_kernel
-        if type(self).with_deviation is not Uncertain.with_deviation:  # the unit of the noise is another in every state
+        if (
+            type(self).with_deviation is not StochasticModel.with_deviation
+        ):  # the unit of the noise is another in every state
             return None
         predictor = self.variant(stochastic=False).predictor()  # which does not know the rows behind the lags
         if predictor is None:

@@ -21,20 +21,20 @@ CONTRACT = 15
 
 
 @dataclass(frozen=True)
-class Work:
+class CellContext:
     """What a cell may use while it computes.
 
     ``result(cell)`` is the value of a cell that it needs, None if that one failed and this one is
-    `CellKind.tolerant`; ``place`` is the path, without suffix, at which its result will be stored, and ``where(cell)``
+    `CellKind.tolerant`; ``path`` is the path, without suffix, at which its result will be stored, and ``path_of(cell)``
     the one at which that of a cell that it needs stands. What it keeps in the file ``checkpoint`` is there when it is
     computed again after an interruption, and goes when it is done.
     """
 
     result: Callable[[Cell], Any]
     progress: Progress
-    place: Path
+    path: Path
     checkpoint: Path
-    where: Callable[[Cell], Path]
+    path_of: Callable[[Cell], Path]
 
 
 class CellSettings(ABC):
@@ -45,7 +45,7 @@ class CellSettings(ABC):
         """Return all that the result depends on beside the needed cells, as strict JSON. Labels are no part of it."""
 
     @abstractmethod
-    def compute(self, work: Work) -> Any:
+    def compute(self, work: CellContext) -> Any:
         """Return the result."""
 
 
@@ -58,11 +58,11 @@ class Cell(Generic[S]):
 
     ``name`` is how its files are called, and need not be unique; ``title`` what people read: the kind of work, then
     its object; ``group`` what a log calls many short cells in a single line, empty for a line of its own. ``labels``
-    are fields of the result that carry names, see `labelled`. It takes about ``seconds`` on one processor. One that is
-    ``resumable`` goes on after an interruption where it was. One that is ``local`` is computed by the process that made
-    the plan, as it holds recordings, reads a file or drives a robot; one that is ``at_home``, and all that needs it,
-    where the run folder is, as its work or its result names files there. ``known_digest`` is that of a stored cell
-    (`stored`), of which no more is known than its record.
+    are fields of the result that carry names, see `labelled`. It takes about ``expected_seconds`` on one processor. One
+    that is ``resumable`` goes on after an interruption where it was. One that is ``local`` is computed by the process
+    that made the plan, as it holds recordings, reads a file or drives a robot; one that is ``local_only``, and all that
+    needs it, where the run folder is, as its work or its result names files there. ``known_digest`` is that of a stored
+    cell (`stored`), of which no more is known than its record.
     """
 
     kind: str
@@ -72,10 +72,10 @@ class Cell(Generic[S]):
     needs: tuple[Cell, ...] = ()
     labels: Mapping[str, Any] = field(default_factory=dict)
     group: str = ""
-    seconds: float = 1.0
+    expected_seconds: float = 1.0
     resumable: bool = False
     local: bool = False
-    at_home: bool = False
+    local_only: bool = False
     known_digest: str = ""
 
     @property

@@ -72,7 +72,7 @@ class Away:
     only: frozenset[str] | None = None
 
 
-class Cluster:
+class DaskExecutor:
     """The workers of ``scheduler``, for the ``cells`` of a plan; ``tell`` passes a remark on to the user.
 
     Results that cells need are sent once and stay in the cluster as long as one of the cells needs them.
@@ -160,7 +160,7 @@ class Cluster:
                 return self._unknown(cell, end, worker)
             if end.status == "done":
                 try:
-                    self._store.take(cell, bundle)
+                    self._store.receive(cell, bundle)
                 except ArtefactError as error:
                     raise CellLost(str(error)) from error
                 self._store.checkpoint(cell).unlink(missing_ok=True)

@@ -15,11 +15,11 @@ from typing import Any, Protocol
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.plan.cell import Cell
-from sysid_evo.plan.dask_executor import Cluster, Scheduler
-from sysid_evo.plan.plan import Plan, at_home, work_ahead
+from sysid_evo.plan.dask_executor import DaskExecutor, Scheduler
+from sysid_evo.plan.plan import Plan, critical_path, local_cells
 from sysid_evo.plan.processes import Processes
 from sysid_evo.plan.run_cell import CellEnd, CellLost, Observer, Unsendable, run_cell
-from sysid_evo.plan.store import Outcome, Store, blocked_by
+from sysid_evo.plan.store import CellOutcome, Store, blocked_reason
 from sysid_evo.processors import usable_processors
 
 
@@ -31,7 +31,7 @@ def execute(
     only: Collection[Cell] | None = None,
     jobs: int | None = 1,
     scheduler: Scheduler | None = None,
-) -> dict[str, Outcome]:
+) -> dict[str, CellOutcome]:
     """Compute every cell of ``plan`` that ``store`` does not have; return how each ended, by digest.
 
     A cell that fails is an outcome with its reason, and so is one whose needs failed; the rest goes on.
@@ -50,8 +50,8 @@ def execute(
     left = execution.left
     if scheduler is not None and left:
         check_installed("a scheduler", ["distributed"])
-        with Cluster(store, left, scheduler, execution.tell) as workers:
-            execution.to_the_end(workers, at_home(plan))
+        with DaskExecutor(store, left, scheduler, execution.tell) as workers:
+            execution.to_the_end(workers, local_cells(plan))
         return execution.ended
     count, sentence = number_of_jobs(jobs, left)
     if sentence:
@@ -97,7 +97,7 @@ class Execution:
         self.plan, self.store, self.observer, self.only = plan, store, observer or Observer(), only
         self.workers: Workers | None = None
         self.here: set[str] = set()
-        self.ended: dict[str, Outcome] = {}
+        self.ended: dict[str, CellOutcome] = {}
         self.told: set[str] = set()
         self.started: set[str] = set()
         self.tried: Counter[str] = Counter()
@@ -110,7 +110,7 @@ class Execution:
         kept = {cell for cell in plan if store.done(cell) and not store.without(cell)}
         self.tell()
         self.left = [cell for cell in plan if cell not in kept]
-        self.observer.plan(len(plan), len(kept), sum(cell.seconds for cell in self.left))
+        self.observer.plan(len(plan), len(kept), sum(cell.expected_seconds for cell in self.left))
         for cell in plan:
             if cell in kept:
                 self._end(cell, CellEnd("kept", store.seconds(cell)))
@@ -128,7 +128,7 @@ class Execution:
         written, and what the workers raise if they are lost.
         """
         self.workers, self.here = workers, set(here)
-        ahead = {} if workers is None else work_ahead(self.plan)
+        ahead = {} if workers is None else critical_path(self.plan)
         self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(self.plan)}
         self._free([cell for cell in self.left if not self.open[cell.digest]])
         while self.ready or self.own or self.later or self.away:
@@ -165,7 +165,7 @@ class Execution:
         """Return how ``cell`` ends without work: what it needs failed, or it is not asked for; else None."""
         failed = [needed for needed in cell.needs if self.ended[needed.digest].failed]
         if failed and not cell.tolerant:
-            return CellEnd("blocked", reason=blocked_by(failed[0]))
+            return CellEnd("blocked", reason=blocked_reason(failed[0]))
         if self.only is not None and cell not in self.only:
             known = self.store.outcome(cell)
             return CellEnd("kept", known.seconds, known.reason)
@@ -253,7 +253,7 @@ class Execution:
             self._free(self._released(cell))
 
     def _end(self, cell: Cell, end: CellEnd) -> None:
-        self.ended[cell.digest] = Outcome(None, end.reason, end.seconds, end.error)
+        self.ended[cell.digest] = CellOutcome(None, end.reason, end.seconds, end.error)
         self.observer.finish(cell, cached=end.status == "kept", reason=end.reason)
         self.tell()
 
@@ -275,7 +275,7 @@ def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str
     """
     if wanted is not None and wanted < 1:
         raise InvalidArgument(f"jobs: expected at least 1, got {wanted}")
-    asked = wanted or _by_default(sum(cell.seconds for cell in left))
+    asked = wanted or _by_default(sum(cell.expected_seconds for cell in left))
     jobs = max(1, min(asked, len(left)))
     if jobs == 1:
         return 1, ""

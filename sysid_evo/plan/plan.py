@@ -27,7 +27,7 @@ class Plan:
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
         """Return the plan of the ``wanted`` cells and all that they need.
 
-        Raises `InvalidArgument` for years of work, as cells foresee it (`Cell.seconds`).
+        Raises `InvalidArgument` for years of work, as cells foresee it (`Cell.expected_seconds`).
         """
         placed: dict[str, Cell] = {}
 
@@ -39,7 +39,7 @@ class Plan:
 
         for cell in wanted:
             place(cell)
-        foreseen = {cell.title: cell.seconds for cell in placed.values()}
+        foreseen = {cell.title: cell.expected_seconds for cell in placed.values()}
         if sum(foreseen.values()) > MOST_YEARS * YEAR:
             longest = max(foreseen, key=foreseen.__getitem__)
             raise InvalidArgument(
@@ -65,19 +65,19 @@ def cell_seed(seed: int, work: str) -> int:
     return derived_seed(seed, zlib.crc32(work.encode()))
 
 
-def at_home(plan: Plan) -> set[str]:
+def local_cells(plan: Plan) -> set[str]:
     """Return the digests of the cells that must be computed where the run is, and of those that need them."""
     found: set[str] = set()
     for cell in plan:
-        if cell.at_home or any(needed.digest in found for needed in cell.needs):
+        if cell.local_only or any(needed.digest in found for needed in cell.needs):
             found.add(cell.digest)
     return found
 
 
-def work_ahead(plan: Plan) -> dict[str, float]:
+def critical_path(plan: Plan) -> dict[str, float]:
     """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
-    ahead = {cell.digest: cell.seconds for cell in plan}
+    ahead = {cell.digest: cell.expected_seconds for cell in plan}
     for cell in reversed(plan.cells):
         for needed in cell.needs:
-            ahead[needed.digest] = max(ahead[needed.digest], needed.seconds + ahead[cell.digest])
+            ahead[needed.digest] = max(ahead[needed.digest], needed.expected_seconds + ahead[cell.digest])
     return ahead

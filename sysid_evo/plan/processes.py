@@ -150,7 +150,7 @@ class Processes:
 
     def _share_processors(self) -> None:
         """Give every worker that computes its share of the processors, the longest cell the rest."""
-        working = sorted(self._busy.values(), key=lambda slot: -slot.cell.seconds if slot.cell else 0.0)
+        working = sorted(self._busy.values(), key=lambda slot: -slot.cell.expected_seconds if slot.cell else 0.0)
         processors = usable_processors()
         for i, slot in enumerate(working):
             self._shares[slot.number] = max(1, processors // len(working) + (i < processors % len(working)))

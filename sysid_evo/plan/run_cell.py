@@ -18,7 +18,7 @@ from typing import Any, Literal
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, SysidEvoError, described
-from sysid_evo.plan.cell import Cell, Work
+from sysid_evo.plan.cell import Cell, CellContext
 from sysid_evo.plan.store import Store, stored
 from sysid_evo.processors import one_blas_thread
 
@@ -109,7 +109,7 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
                 raise ArtefactError(f"needs {needed.title}, which failed: {end.reason}") from error
             return store.load(needed)
 
-    work = Work(result, partial(observer.progress, cell), store.place(cell), checkpoint, store.where)
+    work = CellContext(result, partial(observer.progress, cell), store.new_path(cell), checkpoint, store.result_path)
     began = time.perf_counter()
     try:
         with one_blas_thread():  # so that sums are rounded alike everywhere
@@ -120,7 +120,7 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
         return _failed(store, cell, error, time.perf_counter() - began)
     seconds = time.perf_counter() - began
     try:
-        store.keep(cell, value, seconds=seconds, without=without)
+        store.save(cell, value, seconds=seconds, without=without)
     except OSError:  # a full disk stops all cells
         raise
     except Exception as error:  # a plugin's result may be such that it cannot be written

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from sysid_evo.errors import ArtefactError, SysidEvoError
 from sysid_evo.files import write_atomically
-from sysid_evo.plan.cell import Cell, CellSettings, Work
+from sysid_evo.plan.cell import Cell, CellContext, CellSettings
 from sysid_evo.version import versions
 
 CELLS, LOCKS, LOG = "cells", ".locks", "log.jsonl"
@@ -32,7 +32,7 @@ IN_MEMORY = 512
 WAITING = "not computed yet"
 
 
-class Record(BaseModel):
+class CellRecord(BaseModel):
     """What stands in ``cells/<digest>.json``: a cell that was tried, and where its result is.
 
     ``files`` maps each file of the result, relative to the run folder, to its SHA-256; ``artefact`` is
@@ -64,7 +64,7 @@ class Record(BaseModel):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CellOutcome:
     """What a cell gave: a value, or None and the reason; and the seconds it took when it was computed.
 
     ``error`` is what was raised, if that was now.
@@ -94,13 +94,13 @@ class Store:
     def __init__(self, path: str | Path) -> None:
         self.path, self.remarks, self._values = Path(path), [], {}
 
-    def records(self) -> list[Record]:
+    def records(self) -> list[CellRecord]:
         """Return every readable record, the oldest first; each unreadable one is a remark."""
         files = sorted((self.path / CELLS).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
         found = (self._read(file) for file in files)
         return [record for record in found if record is not None]
 
-    def find(self, digest: str) -> Record | None:
+    def find(self, digest: str) -> CellRecord | None:
         """Return the record of the cell with this digest, None if it was never tried or its record is damaged."""
         file = self._record(digest)
         return self._read(file) if file.is_file() else None
@@ -136,18 +136,18 @@ class Store:
         if len(self._values) > IN_MEMORY:
             del self._values[next(iter(self._values))]
 
-    def outcome(self, cell: Cell) -> Outcome:
+    def outcome(self, cell: Cell) -> CellOutcome:
         """Return what is known of ``cell``: its value, or why there is none."""
         record = self.find(cell.digest)
         seconds = 0.0 if record is None else record.seconds
         if record is None and cell.digest not in self._values:
-            return Outcome(None, self._why_not(cell), 0.0)
+            return CellOutcome(None, self._why_not(cell), 0.0)
         if record is not None and record.status == "failed":
-            return Outcome(None, record.reason, seconds)
+            return CellOutcome(None, record.reason, seconds)
         try:
-            return Outcome(self.load(cell), None, seconds)
+            return CellOutcome(self.load(cell), None, seconds)
         except ArtefactError as error:
-            return Outcome(None, str(error), seconds)
+            return CellOutcome(None, str(error), seconds)
 
     def without(self, cell: Cell) -> set[str]:
         """Return the digests of the needed cells that a stored result did without: a tolerant cell's may be stale."""
@@ -164,12 +164,12 @@ class Store:
         for needed in () if cell.tolerant else cell.needs:
             record = self.find(needed.digest)
             if record is not None and record.status == "failed":
-                return blocked_by(needed)
+                return blocked_reason(needed)
             if record is None and needed.digest not in self._values and self._why_not(needed) != WAITING:
-                return blocked_by(needed)
+                return blocked_reason(needed)
         return WAITING
 
-    def place(self, cell: Cell) -> Path:
+    def new_path(self, cell: Cell) -> Path:
         """Return where the result of ``cell`` stands, without suffix: a readable name and a piece of the digest."""
         name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
         return self.path / cell.result.folder / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
@@ -178,18 +178,18 @@ class Store:
         """Return where ``cell`` keeps how far it is until it is done."""
         return self.path / cell.result.folder / f"{cell.digest}{CHECKPOINT}"
 
-    def where(self, cell: Cell) -> Path:
+    def result_path(self, cell: Cell) -> Path:
         """Return where the result of ``cell`` stands, or would: one found again may have had another name."""
         record = self.find(cell.digest)
-        return self.place(cell) if record is None or record.status != "done" else self.path / record.artefact
+        return self.new_path(cell) if record is None or record.status != "done" else self.path / record.artefact
 
-    def keep(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[str] = ()) -> Record:
+    def save(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[str] = ()) -> CellRecord:
         """Write the result of ``cell``, then its record; ``without`` are the digests of needed cells that
         had failed.
 
         Raises OSError if the disk is full.
         """
-        place = self.place(cell)
+        place = self.new_path(cell)
         files = cell.result.save(value, place, cell)
         record = self._of(
             cell,
@@ -210,14 +210,14 @@ class Store:
         files = ((name, self.path / name) for name in (self._name(digest), *record.files))
         return tuple((name, file.stat().st_mtime_ns, file.read_bytes()) for name, file in files)
 
-    def take(self, cell: Cell, bundle: Bundle) -> Record:
+    def receive(self, cell: Cell, bundle: Bundle) -> CellRecord:
         """Put down the result of ``cell`` that was computed elsewhere, as it is: its record and its own files alone.
 
         Raises `ArtefactError` if that is no result of this cell or not whole, OSError if the disk is full.
         """
         (named, _, text), *files = bundle or ((self._name(cell.digest), 0, b""),)
         try:
-            record = Record.model_validate_json(text)
+            record = CellRecord.model_validate_json(text)
         except ValidationError as error:
             raise ArtefactError(f"{cell.title}: what came has no readable record: {error}") from error
         digests = {name: hashlib.sha256(content).hexdigest() for name, _, content in files}
@@ -230,7 +230,7 @@ class Store:
         self._write(record)
         return record
 
-    def fail(self, cell: Cell, *, reason: str, traceback: str, seconds: float) -> Record:
+    def fail(self, cell: Cell, *, reason: str, traceback: str, seconds: float) -> CellRecord:
         """Record that ``cell`` failed, and why; it is tried again the next time."""
         record = self._of(cell, status="failed", seconds=seconds, reason=reason, traceback=traceback)
         self._write(record)
@@ -270,8 +270,8 @@ class Store:
             lock.release()
         return False
 
-    def _of(self, cell: Cell, *, status: Literal["done", "failed"], seconds: float, **fields: Any) -> Record:
-        return Record(
+    def _of(self, cell: Cell, *, status: Literal["done", "failed"], seconds: float, **fields: Any) -> CellRecord:
+        return CellRecord(
             digest=cell.digest,
             kind=cell.kind,
             title=cell.title,
@@ -279,7 +279,7 @@ class Store:
             status=status,
             inputs=cell.settings.inputs(),
             needs=[needed.digest for needed in cell.needs],
-            artefact=self.place(cell).relative_to(self.path).as_posix(),
+            artefact=self.new_path(cell).relative_to(self.path).as_posix(),
             versions=versions(),
             timings={"seconds": seconds},
             **fields,
@@ -291,11 +291,11 @@ class Store:
     def _record(self, digest: str) -> Path:
         return self.path / self._name(digest)
 
-    def _read(self, file: Path) -> Record | None:
+    def _read(self, file: Path) -> CellRecord | None:
         try:
             if file.stat().st_size > MAX_BYTES:
                 raise ValueError(f"a record has at most {MAX_BYTES} bytes")
-            record = Record.model_validate_json(file.read_bytes())
+            record = CellRecord.model_validate_json(file.read_bytes())
             if record.digest != file.stem:
                 raise ValueError("it is the record of another cell")
             outside = [name for name in (*record.files, record.artefact) if not is_inside(name)]
@@ -309,7 +309,7 @@ class Store:
             return None
         return record
 
-    def _write(self, record: Record) -> None:
+    def _write(self, record: CellRecord) -> None:
         text = record.model_dump_json(indent=1)
         write_atomically(self._record(record.digest), lambda file: file.write_text(text, encoding="utf-8"))
         self.log(**record.model_dump(include={"digest", "title", "status", "reason", "traceback", "timings"}))
@@ -323,16 +323,16 @@ class Store:
 class Stored(CellSettings):
     """What is known of a cell of a run that can be loaded but not computed: its ``record``."""
 
-    record: Record
+    record: CellRecord
 
     def inputs(self) -> dict[str, Any]:
         return self.record.inputs
 
-    def compute(self, work: Work) -> Any:
+    def compute(self, work: CellContext) -> Any:
         raise ArtefactError(f"{self.record.artefact} is missing or damaged, and how it was made is not known here")
 
 
-def stored(record: Record) -> Cell[Stored]:
+def stored(record: CellRecord) -> Cell[Stored]:
     """Return the cell of which ``record`` is all that is known."""
     return Cell(
         kind=record.kind,
@@ -343,7 +343,7 @@ def stored(record: Record) -> Cell[Stored]:
     )
 
 
-def blocked_by(needed: Cell) -> str:
+def blocked_reason(needed: Cell) -> str:
     """Return the reason of a cell that is not computed because ``needed`` failed."""
     return f"needs {needed.title}, which failed"
 

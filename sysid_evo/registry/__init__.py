@@ -1,6 +1,6 @@
 """Everything that has a name: registries, the grammar of names, plugin files."""
 
-from sysid_evo.registry.grammar import Spec, distinct, split
+from sysid_evo.registry.grammar import Spec, check_labels, split_specs
 from sysid_evo.registry.plugins import (
     load_named_plugins,
     load_plugin,
@@ -40,8 +40,8 @@ __all__ = [
     "Registry",
     "Spec",
     "aggregates",
+    "check_labels",
     "controllers",
-    "distinct",
     "load_named_plugins",
     "load_plugin",
     "load_plugins_again",
@@ -64,7 +64,7 @@ __all__ = [
     "robot_spec",
     "robots",
     "source_digest",
-    "split",
+    "split_specs",
     "strategies",
     "tasks",
     "trackers",

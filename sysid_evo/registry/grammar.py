@@ -52,7 +52,7 @@ class Spec:
     @classmethod
     def parse(cls, text: str) -> Spec:
         """Read one spec. Raises `InvalidArgument` that says what cannot be read."""
-        pieces = split(text)
+        pieces = split_specs(text)
         if len(pieces) != 1:
             raise InvalidArgument(f"expected one NAME(parameter=value, ...), got {_short(text)}")
         return _parse(pieces[0])
@@ -60,7 +60,7 @@ class Spec:
     @classmethod
     def parse_many(cls, text: str) -> tuple[Spec, ...]:
         """Read specs separated by commas. Raises `InvalidArgument`, also if two have the same label."""
-        return distinct(tuple(_parse(piece) for piece in split(text)))
+        return check_labels(tuple(_parse(piece) for piece in split_specs(text)))
 
     @property
     def text(self) -> str:
@@ -85,7 +85,7 @@ def spec_of(given: Spec | str) -> Spec:
     return Spec.parse(given) if isinstance(given, str) else given
 
 
-def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
+def check_labels(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
     """Return ``specs`` if their labels differ, else raise `InvalidArgument`."""
     labels = Counter(spec.label for spec in specs)
     repeated = min((label for label, count in labels.items() if count > 1), default=None)
@@ -97,7 +97,7 @@ def distinct(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
     return specs
 
 
-def split(text: str) -> list[str]:
+def split_specs(text: str) -> list[str]:
     """Split at the commas outside brackets and quotes. Raises `InvalidArgument` for empty parts and long texts."""
     if len(text) > LONGEST:
         raise InvalidArgument(

@@ -169,7 +169,7 @@ class Registry(Generic[T]):
             "source": source_digest(self.get(found.name)),
         }
 
-    def lacking(self, name: str) -> MissingExtra | None:
+    def missing_package(self, name: str) -> MissingExtra | None:
         """Return why ``name`` cannot run here for want of an optional package; None if it can.
 
         A class names what it imports late in ``requires``. Raises what `get` raises for other reasons.
@@ -308,14 +308,14 @@ probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
 motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
 noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
 """What ``--noise`` may name: one kind of noise, which the command line describes as options."""
-cautions: Registry[Any] = Registry("caution", "sysid_evo.cautions")
-"""What ``--caution`` may name, likewise."""
+penalties: Registry[Any] = Registry("penalty", "sysid_evo.penalties")
+"""What ``--penalty`` may name, likewise."""
 
 KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
     for registry in (
         models, tasks, controllers, strategies, aggregates, robots, trackers, readers, probes, motions, noises,
-        cautions,
+        penalties,
     )
 }  # fmt: skip
 """The kinds that ``sysid-evo names`` lists."""

@@ -28,15 +28,15 @@ from sysid_evo.kernels import (
     where_bits,
 )
 from sysid_evo.motion_kernels import wrap as wrap_lanes
-from sysid_evo.randomness import TASK_STREAM, drawn
+from sysid_evo.randomness import TASK_STREAM, draw
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.types import Array, IntArray, Seeds
 
-APART = 128.0 / (45.0 * np.pi)
+MEAN_DISTANCE = 128.0 / (45.0 * np.pi)
 """Mean distance of two random points of a disc, in its radii."""
-FEW, ENOUGH = 3.0, 10.0
+TOO_FEW, SUGGESTED = 3.0, 10.0
 """So few waypoints at full speed are told, and so many are what is proposed."""
 
 
@@ -135,7 +135,7 @@ class PointToPoint(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("PointToPointState", task_state).passed.astype(np.float64)
 
-    def foreseen(self, task_state: TaskState) -> PointToPointState:
+    def hide_future(self, task_state: TaskState) -> PointToPointState:
         """Return the trials with the next waypoint alone; what comes after it is expected in the arena's centre."""
         here = cast("PointToPointState", task_state)
         trials = len(here.trial)
@@ -143,24 +143,27 @@ class PointToPoint(Task):
         known[:, 0] = here.waypoint
         return replace(here, waypoints=known, trial=np.arange(trials), passed=np.zeros(trials, dtype=np.int64))
 
-    def promise(self, task_state: TaskState, state: Array) -> Array:
+    def potential(self, task_state: TaskState, state: Array) -> Array:
         """Return 1 less the distance to the next waypoint, in diameters of the arena, at least 0."""
         here = cast("PointToPointState", task_state)
         dx, dy = here.to_waypoint(here.pose)
         return np.maximum(0.0, 1.0 - np.sqrt(dx * dx + dy * dy) / (2.0 * self.arena_radius))
 
-    def doubts(self, farthest: Array) -> tuple[str, ...]:
+    def feasibility_warnings(self, farthest: Array) -> tuple[str, ...]:
         """Say if the waypoints are too far apart for the speed, or too small for one step, or the arena to turn in."""
         forward, yaw_rate = self._speeds
         speed, turning, dt = farthest[forward], farthest[yaw_rate], self.system.dt
         if speed <= 0.0:
             return ("point_to_point: this robot was never seen to move, so that no waypoint can be reached",)
-        way = max(APART * self.arena_radius - self.waypoint_radius, 1e-9)
+        way = max(MEAN_DISTANCE * self.arena_radius - self.waypoint_radius, 1e-9)
         driven, size = speed * self.horizon * dt, 2.0 * self.waypoint_radius
         fastest = f"point_to_point: at its fastest, {speed:.2g} m/s, this robot"
         told = []
-        if driven < FEW * way:
-            arena, steps = (driven / ENOUGH + self.waypoint_radius) / APART, np.ceil(ENOUGH * way / speed / dt)
+        if driven < TOO_FEW * way:
+            arena, steps = (
+                (driven / SUGGESTED + self.waypoint_radius) / MEAN_DISTANCE,
+                np.ceil(SUGGESTED * way / speed / dt),
+            )
             told.append(
                 f"{fastest} drives {driven:.2g} m in a trial of {self.horizon * dt:g} s, and from one waypoint to the "
                 f"next it is {way:.2g} m on average: it can pass about {driven / way:.1f}. Give it a smaller arena "
@@ -171,7 +174,7 @@ class PointToPoint(Task):
                 f"{fastest} drives {speed * dt:.2g} m in one step and may jump over a waypoint of {size:.2g} m: "
                 "give a larger waypoint_radius"
             )
-        if speed > FEW * self.arena_radius * turning:
+        if speed > TOO_FEW * self.arena_radius * turning:
             circle = f"circles of {speed / turning:.2g} m" if turning > 0.0 else "no circle"
             told.append(
                 f"{fastest} turns at {turning:.2g} rad/s at most, in {circle}, in an arena of {self.arena_radius:g} m: "
@@ -224,7 +227,7 @@ def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
 
     Read-only, and remembered: all models of an ensemble meet the same trials.
     """
-    found = drawn(np.array(seeds, dtype=np.uint64), TASK_STREAM, (count, 2), "random")
+    found = draw(np.array(seeds, dtype=np.uint64), TASK_STREAM, (count, 2), "random")
     radius, angle = arena_radius * np.sqrt(found[..., 0]), 2.0 * np.pi * found[..., 1]
     found[..., 0], found[..., 1] = radius * np.cos(angle), radius * np.sin(angle)
     found.flags.writeable = False

@@ -11,18 +11,18 @@ from sysid_evo.angles import TURN
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import System
-from sysid_evo.tasks.tracking import Following, Goal, Names, Numbers, goals_of, places
+from sysid_evo.tasks.tracking import Goal, Names, Numbers, TrackingTask, goals_of, places
 from sysid_evo.types import Array
 
 
 @register_task("set_point")
-class SetPoint(Following):
+class SetPoint(TrackingTask):
     """Every trial draws a value for each of ``channels`` (default: the first state) and holds it to the end.
 
     Values are uniform from ``low`` to ``high``: by default the middle half of the channel's limits, or 1 either side
-    of neutral. ``tolerance`` is by default a twentieth of that, ``still`` (per second) infinite. A trial begins at
-    rest, ``spread`` off at most, and is over once an error exceeds ``end``. Each is one number, or a list with one
-    for each channel, in its unit. See `Following` for the score, the observations and ``effort``.
+    of neutral. ``tolerance`` is by default a twentieth of that, ``rate_tolerance`` (per second) infinite. A trial
+    begins at rest, ``start_spread`` off at most, and is over once an error exceeds ``abort_error``. Each is one number,
+    or a list with one for each channel, in its unit. See `TrackingTask` for the score, the observations and ``effort``.
     """
 
     name: ClassVar[str] = "set_point"
@@ -34,18 +34,27 @@ class SetPoint(Following):
         low: Numbers = None,
         high: Numbers = None,
         tolerance: Numbers = None,
-        still: Numbers = math.inf,
-        spread: Numbers = 0.0,
-        end: Numbers = math.inf,
+        rate_tolerance: Numbers = math.inf,
+        start_spread: Numbers = 0.0,
+        abort_error: Numbers = math.inf,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
         super().__init__(effort=effort, horizon=horizon)
         self.channels, self.low, self.high = channels, low, high
-        self.tolerance, self.still, self.spread, self.end = tolerance, still, spread, end
+        self.tolerance, self.rate_tolerance, self.start_spread, self.abort_error = (
+            tolerance,
+            rate_tolerance,
+            start_spread,
+            abort_error,
+        )
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
-        limits = {"still": self.still, "spread": self.spread, "end": self.end}
+        limits = {
+            "rate_tolerance": self.rate_tolerance,
+            "start_spread": self.start_spread,
+            "abort_error": self.abort_error,
+        }
         return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, **limits)
 
     def references(self, rng: np.random.Generator) -> Array:
@@ -58,7 +67,7 @@ PERIODS = 4.0
 
 
 @register_task("track_reference")
-class TrackReference(Following):
+class TrackReference(TrackingTask):
     """Follow a reference in each of ``channels``, drawn anew for every trial, between ``low`` and ``high``.
 
     ``kind`` is "sine" (amplitude from a third to all of the range, period from ``period`` to twice that, any phase),
@@ -80,7 +89,7 @@ class TrackReference(Following):
         low: Numbers = None,
         high: Numbers = None,
         tolerance: Numbers = None,
-        spread: Numbers = 0.0,
+        start_spread: Numbers = 0.0,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
@@ -90,10 +99,12 @@ class TrackReference(Following):
                 f"track_reference: expected kind {', '.join(KINDS)} and period > 0 s, got {kind!r} and {period}"
             )
         self.channels, self.low, self.high = channels, low, high
-        self.kind, self.period, self.tolerance, self.spread = kind, period, tolerance, spread
+        self.kind, self.period, self.tolerance, self.start_spread = kind, period, tolerance, start_spread
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
-        return goals_of(self.name, system, self.channels, self.low, self.high, self.tolerance, spread=self.spread)
+        return goals_of(
+            self.name, system, self.channels, self.low, self.high, self.tolerance, start_spread=self.start_spread
+        )
 
     def references(self, rng: np.random.Generator) -> Array:
         dt = self.system.dt
@@ -123,7 +134,7 @@ def _random_walk(samples: int, period: float, rng: np.random.Generator) -> Array
     return np.asarray(1.0 - np.abs(walk % 2.0 - 1.0))
 
 
-class Upright(Following):
+class Upright(TrackingTask):
     """What `SwingUp` and `Balance` share: one periodic state, by default the first, and its ``target``.
 
     The target is by default half a period from neutral: upright, where neutral is hanging.
@@ -136,7 +147,7 @@ class Upright(Following):
         self.channel, self.target = channel, target
         self.tolerance, self.still, self.spread = tolerance, still, spread
 
-    end = math.inf
+    abort_error = math.inf
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
         name = self.channel or next((state.name for state in system.states if state.period), "")
@@ -150,7 +161,7 @@ class Upright(Following):
         state = system.states[place]
         usual = state.neutral + 0.5 * (state.period or 0.0)
         target = usual if self.target is None else self.target
-        return (Goal(state, place, target, target, self.tolerance, self.still, self.spread, self.end),)
+        return (Goal(state, place, target, target, self.tolerance, self.still, self.spread, self.abort_error),)
 
     def references(self, rng: np.random.Generator) -> Array:
         return np.array([[goal.low for goal in self.goals]])
@@ -161,8 +172,8 @@ class SwingUp(Upright):
     """Bring an angle from rest to the top and keep it there.
 
     ``channel`` is a periodic state (default: the first), ``target`` its value at the top (half a period from neutral).
-    Trials begin at rest, ``spread`` rad off at most. See `Following` for the score with ``tolerance`` (rad) and
-    ``still`` (rad/s: who spins through the top gains little), the observations and ``effort``.
+    Trials begin at rest, ``start_spread`` rad off at most. See `TrackingTask` for the score with ``tolerance`` (rad)
+    and ``rate_tolerance`` (rad/s: who spins through the top gains little), the observations and ``effort``.
     """
 
     name: ClassVar[str] = "swing_up"
@@ -173,19 +184,20 @@ class SwingUp(Upright):
         channel: str = "",
         target: float | None = None,
         tolerance: float = 0.5,
-        still: float = 3.0,
-        spread: float = 0.2,
+        rate_tolerance: float = 3.0,
+        start_spread: float = 0.2,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
-        super().__init__(channel, target, tolerance, still, spread, effort=effort, horizon=horizon)
+        super().__init__(channel, target, tolerance, rate_tolerance, start_spread, effort=effort, horizon=horizon)
 
 
 @register_task("balance")
 class Balance(Upright):
-    """Keep an angle at the top, from ``spread`` rad off at most; a trial is over once it is ``end`` rad off.
+    """Keep an angle at the top, from ``start_spread`` rad off at most; a trial is over once it is ``abort_error`` rad
+    off.
 
-    ``channel``, ``target``, ``tolerance``, ``still`` and ``effort`` are as for `SwingUp`.
+    ``channel``, ``target``, ``tolerance``, ``rate_tolerance`` and ``effort`` are as for `SwingUp`.
     """
 
     name: ClassVar[str] = "balance"
@@ -197,11 +209,11 @@ class Balance(Upright):
         channel: str = "",
         target: float | None = None,
         tolerance: float = 0.1,
-        still: float = math.inf,
-        spread: float = 0.1,
-        end: float = 0.8,
+        rate_tolerance: float = math.inf,
+        start_spread: float = 0.1,
+        abort_error: float = 0.8,
         effort: float = 0.0,
         horizon: int = 300,
     ) -> None:
-        super().__init__(channel, target, tolerance, still, spread, effort=effort, horizon=horizon)
-        self.end = end
+        super().__init__(channel, target, tolerance, rate_tolerance, start_spread, effort=effort, horizon=horizon)
+        self.abort_error = abort_error

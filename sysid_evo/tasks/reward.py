@@ -11,7 +11,7 @@ from typing import Any, Self, TypeAlias, TypeVar, cast
 import numpy as np
 
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
-from sysid_evo.kernels import LANES, KernelSource, Layout, Picked, Source, TaskKernel, view
+from sysid_evo.kernels import LANES, KernelSource, Layout, ScalarFunction, Source, TaskKernel, view
 from sysid_evo.randomness import TASK_STREAM, generator
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
@@ -19,7 +19,7 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.tasks.tracking import HEAD, OBSERVING, formulas_of_states, numbers_of, observations, shown
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
-Worth: TypeAlias = Callable[[Array, Array], Array]
+RewardFunction: TypeAlias = Callable[[Array, Array], Array]
 """From states (B, nx) and the controls given in them (B, nu) to rewards (B,)."""
 
 
@@ -31,13 +31,13 @@ class RewardState(TaskState):
 
 
 class Reward(Task):
-    """Fitness is the mean of ``worth(state, control)`` over the horizon, for states in which the controls are given.
+    """Fitness is the mean of ``reward(state, control)`` over the horizon, for states in which the controls are given.
 
-    A reward below ``lowest``, or one that is not a number, counts as ``lowest``. ``ended`` says of the states that
+    A reward below ``lowest``, or one that is not a number, counts as ``lowest``. ``terminated`` says of the states that
     are reached (B, nx) which trials are over (B,); they get nothing from then on. ``start`` draws the state (nx,) in
     which a trial begins, default at rest. ``states`` names what the function needs, in no order. ``scalar`` is
-    ``worth`` for one state and control, in plain numbers as kernels are written: with it, and without ``ended``, the
-    task has a compiled form. The observations are a bias and every state, as for `set_point`.
+    ``reward`` for one state and control, in plain numbers as kernels are written: with it, and without ``terminated``,
+    the task has a compiled form. The observations are a bias and every state, as for `set_point`.
 
     It has no name on the command line: `register_reward` gives one to a function of single numbers, or register a
     function that returns such a task.
@@ -47,19 +47,19 @@ class Reward(Task):
 
     def __init__(
         self,
-        worth: Worth,
+        reward: RewardFunction,
         *,
         lowest: float = 0.0,
         horizon: int = 300,
         scalar: Callable[[Any, Any], Any] | None = None,
-        ended: Callable[[Array], BoolArray] | None = None,
+        terminated: Callable[[Array], BoolArray] | None = None,
         start: Callable[[np.random.Generator], Array] | None = None,
         states: tuple[str, ...] = (),
         unit: str = "reward a step",
     ) -> None:
         if horizon < 1 or not np.isfinite(lowest):
             raise InvalidArgument(f"reward: expected horizon >= 1 and a finite lowest, got {horizon} and {lowest}")
-        self.worth, self.scalar, self.ended, self.start, self.states = worth, scalar, ended, start, states
+        self.reward, self.scalar, self.terminated, self.start, self.states = reward, scalar, terminated, start, states
         self.lowest, self.horizon, self.fitness_unit = lowest, horizon, unit
         self.worst = min(0.0, lowest)
 
@@ -97,7 +97,7 @@ class Reward(Task):
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
         here = cast("RewardState", task_state)
-        rewards = check_shape("rewards", self.worth(before, control), (len(before),))
+        rewards = check_shape("rewards", self.reward(before, control), (len(before),))
         rewards = np.where(rewards >= self.lowest, rewards, self.lowest)
         over = self.over_after(control, after)
         advanced = replace(
@@ -110,13 +110,13 @@ class Reward(Task):
 
     def over_after(self, control: Array, after: Array) -> BoolArray:
         """Return which trials are over (B,) in the states ``after`` (B, nx), to which ``control`` (B, nu) led."""
-        return np.zeros(len(after), dtype=bool) if self.ended is None else self.ended(after)
+        return np.zeros(len(after), dtype=bool) if self.terminated is None else self.terminated(after)
 
     def fitness(self, task_state: TaskState) -> Array:
         return np.maximum(cast("RewardState", task_state).score, self.worst)  # a sum of so many shares is rounded
 
     def kernel(self) -> TaskKernel[Any] | None:
-        if self.scalar is None or self.ended is not None:
+        if self.scalar is None or self.terminated is not None:
             return None
         return reward_kernel(self.system, self.scalar, self.lowest, self.horizon)
 
@@ -128,11 +128,11 @@ RESERVED = "horizon"
 class NamedReward(Reward):
     """The mean over the horizon of a ``function`` of states and controls, whose arguments are called as these are.
 
-    Arguments that ``constants`` names get those numbers. ``ended`` is a function of the same kind of the state that is
-    reached, and of the control that led there. ``start`` holds, by the names of states, between which two values a
-    trial begins; other states begin at rest. With ``compiled`` both functions are compiled: they must be written in
-    plain numbers and `math`, as kernels are. See `Reward` for ``lowest``. `bind` raises `IncompatibleTask` for
-    an argument that is no state, control or constant.
+    Arguments that ``constants`` names get those numbers. ``terminated`` is a function of the same kind of the state
+    that is reached, and of the control that led there. ``start`` holds, by the names of states, between which two
+    values a trial begins; other states begin at rest. With ``compiled`` both functions are compiled: they must be
+    written in plain numbers and `math`, as kernels are. See `Reward` for ``min_reward``. `bind` raises
+    `IncompatibleTask` for an argument that is no state, control or constant.
     """
 
     def __init__(
@@ -140,16 +140,16 @@ class NamedReward(Reward):
         name: str,
         function: Callable[..., Any],
         *,
-        lowest: float,
+        min_reward: float,
         constants: Mapping[str, float],
-        ended: Callable[..., Any] | None = None,
+        terminated: Callable[..., Any] | None = None,
         start: Mapping[str, tuple[float, float]] | None = None,
         horizon: int = 300,
         compiled: bool = True,
         unit: str = "reward a step",
     ) -> None:
-        super().__init__(self._worth, lowest=lowest, horizon=horizon, unit=unit)
-        self.name, self.function, self.over, self.compiled = name, function, ended, compiled
+        super().__init__(self._worth, lowest=min_reward, horizon=horizon, unit=unit)
+        self.name, self.function, self.over, self.compiled = name, function, terminated, compiled
         self.constants, self.begins = dict(constants), dict(start or {})
         for constant, value in self.constants.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -168,8 +168,8 @@ class NamedReward(Reward):
 
     def bind(self, system: System) -> Self:
         bound = super().bind(system)
-        bound.worth = bound._worth
-        bound.ended = None
+        bound.reward = bound._worth
+        bound.terminated = None
         bound.start = bound._drawn if self.begins else None
         return bound
 
@@ -196,11 +196,11 @@ class NamedReward(Reward):
         except (ArithmeticError, ValueError):
             return math.nan
 
-    def _picked(self, function: Callable[..., Any]) -> Picked:
+    def _picked(self, function: Callable[..., Any]) -> ScalarFunction:
         places = {name: f"x[{i}]" for i, name in enumerate(self.system.state_names)}
         places |= {name: f"u[{i}]" for i, name in enumerate(self.system.control_names)}
         places |= {name: f"_real({float(value)!r})" for name, value in self.constants.items()}
-        return Picked(function, tuple(places[name] for name in arguments_of(function)))
+        return ScalarFunction(function, tuple(places[name] for name in arguments_of(function)))
 
     def _drawn(self, rng: np.random.Generator) -> Array:
         state = self.system.neutral_state.copy()
@@ -217,9 +217,9 @@ def arguments_of(function: Callable[..., Any]) -> tuple[str, ...]:
 def register_reward(
     name: str,
     *,
-    lowest: float,
+    min_reward: float,
     horizon: int = 300,
-    ended: Callable[..., Any] | None = None,
+    terminated: Callable[..., Any] | None = None,
     start: Mapping[str, tuple[float, float]] | None = None,
     compiled: bool = True,
     unit: str = "reward a step",
@@ -244,9 +244,9 @@ def register_reward(
             return NamedReward(
                 name,
                 function,
-                lowest=lowest,
+                min_reward=min_reward,
                 constants={**defaults, **constants},
-                ended=ended,
+                terminated=terminated,
                 start=start,
                 horizon=horizon,
                 compiled=compiled,

@@ -48,7 +48,7 @@ class TaskState:
             self, **{item.name: getattr(self, item.name)[one] for item in fields(self) if item.name not in self.shared}
         )
 
-    def keep(self, advanced: Self, going: BoolArray) -> Self:
+    def updated_where(self, advanced: Self, going: BoolArray) -> Self:
         """Return ``advanced`` for the trials in ``going`` (B,), and this state for all others."""
         changed = {}
         for item in fields(self):
@@ -61,16 +61,17 @@ class TaskState:
 class Task(ABC):
     """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``.
 
-    ``most`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by default.
-    ``rest_is_zero`` says that controls at rest are known to bring nothing, so that they need not be tried.
+    ``max_fitness`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by
+    default. ``rest_is_zero`` says that controls at rest are known to bring nothing, so that they need not be tried.
     """
 
-    usual_noise: ClassVar[str] = ""
-    """What candidates meet in models at this task where no noise is named, see `RadicalEnvelope`; empty for none."""
+    default_noise: ClassVar[str] = ""
+    """What candidates meet in models at this task where no noise is named, see `DomainRandomisation`; empty for
+    none."""
 
     horizon: int
     worst: float = 0.0
-    most: float = np.inf
+    max_fitness: float = np.inf
     rest_is_zero: bool = False
     fitness_unit: str = ""
     observations: tuple[Channel, ...]
@@ -120,21 +121,21 @@ class Task(ABC):
     def fitness(self, task_state: Any) -> Array:
         """Return the fitness (B,) so far."""
 
-    def foreseen(self, task_state: TaskState) -> TaskState:
+    def hide_future(self, task_state: TaskState) -> TaskState:
         """Return the trials with only what may be known of their future, for controllers that look ahead.
 
         By default nothing is hidden. A task that reveals its goals one after the other hides the later ones.
         """
         return task_state
 
-    def promise(self, task_state: TaskState, state: Array) -> Array:
+    def potential(self, task_state: TaskState, state: Array) -> Array:
         """Return how near more fitness is in state (B, nx), in units of fitness and below 1, (B,); 0 by default.
 
         It tells a controller that looks ahead only a few steps which way to go.
         """
         return np.zeros(len(state))
 
-    def doubts(self, farthest: Array) -> tuple[str, ...]:
+    def feasibility_warnings(self, farthest: Array) -> tuple[str, ...]:
         """Return in sentences why the bound task cannot be done well by this robot; none by default.
 
         ``farthest`` (nx,) is the largest absolute value that each state was seen to reach.

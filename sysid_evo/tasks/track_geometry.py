@@ -24,15 +24,15 @@ from sysid_evo.types import Array
 HARMONICS = (2, 3, 4, 5)
 NUMBERS = 5 + 2 * len(HARMONICS)
 """Of a track: centre x and y (m), R (m), a_k and b_k in turn, least and greatest curvature of the centre line (1/m)."""
-WALK = 16
+MAX_RAY_STEPS = 16
 """Steps that are taken along a ray, at most."""
-STILL = 5e-3
+LAST_STEP = 5e-3
 """A step (m) so short that it is the last: by the order of convergence it ends within about 0.1 mm of the wall."""
-NOWHERE = 1e-9
+TINY = 1e-9
 """How near zero (m) nothing is divided by."""
-DRAWN = 181
+WALL_POINTS = 181
 """Points of a wall that is drawn."""
-SAMPLED = 96
+CURVATURE_POINTS = 96
 """Directions in which the curvature of a centre line is looked at."""
 
 
@@ -94,7 +94,7 @@ def draw_track(rng: np.random.Generator, radius: float, bends: float) -> Array:
 def place_of(track: Array, x: Array, y: Array) -> Place:
     """Return where the points ``x``, ``y`` (B,) lie on the tracks (B, NUMBERS)."""
     dx, dy = x - track[:, 0], y - track[:, 1]
-    distance = np.sqrt(dx * dx + dy * dy) + NOWHERE
+    distance = np.sqrt(dx * dx + dy * dy) + TINY
     cosine, sine = dx / distance, dy / distance
     middle, slope, bend = _centre_line(track, cosine, sine)
     per_radian = np.sqrt(middle * middle + slope * slope)
@@ -118,7 +118,7 @@ def _centre_line(track: Array, cosine: Array, sine: Array) -> tuple[Array, Array
 
 def _curvatures(track: Array) -> tuple[float, float]:
     """Return the least and the greatest curvature (1/m) of the centre line of one track (NUMBERS,)."""
-    angle = np.linspace(0.0, TURN, SAMPLED, endpoint=False)
+    angle = np.linspace(0.0, TURN, CURVATURE_POINTS, endpoint=False)
     middle, slope, bend = _centre_line(track[None], np.cos(angle), np.sin(angle))
     curvature = (middle**2 + 2.0 * slope**2 - middle * bend) / (middle**2 + slope**2) ** 1.5
     return float(curvature.min()), float(curvature.max())
@@ -127,15 +127,15 @@ def _curvatures(track: Array) -> tuple[float, float]:
 def distance_to_wall(track: Array, x: Array, y: Array, angle: Array, half: float, reach: float) -> Array:
     """Return how far (m) the wall lies from points (B,) in direction ``angle`` (rad), at most ``reach``; 0 behind it.
 
-    It is found by walking along the ray, see `step_to_wall`, until a step is no longer than ``STILL``.
+    It is found by walking along the ray, see `step_to_wall`, until a step is no longer than ``LAST_STEP``.
     """
     way_x, way_y = np.cos(angle), np.sin(angle)
     gone, moving = np.zeros_like(x), np.ones(len(x), dtype=bool)
-    for _ in range(WALK):
+    for _ in range(MAX_RAY_STEPS):
         place = place_of(track, x + gone * way_x, y + gone * way_y)
         step = step_to_wall(place.offset, place.rise(way_x, way_y), half, *track[:, -2:].T)
         further = np.where(moving, np.clip(gone + step, 0.0, reach), gone)
-        gone, moving = further, np.abs(further - gone) > STILL
+        gone, moving = further, np.abs(further - gone) > LAST_STEP
         if not moving.any():
             break
     return gone
@@ -155,10 +155,10 @@ def step_to_wall(offset: Array, rise: Array, half: float, least: Array, greatest
     """
     outer, inner = half - offset, half + offset
     lead, room = (1.0 + greatest * offset) * rise, outer * (2.0 + greatest * inner)
-    out = room / np.maximum(lead + np.sqrt(np.maximum(lead * lead + greatest * room, 0.0)), NOWHERE)
+    out = room / np.maximum(lead + np.sqrt(np.maximum(lead * lead + greatest * room, 0.0)), TINY)
     lead, room = (1.0 + least * offset) * rise, inner * (2.0 - least * outer)
     root = lead * lead - least * room
-    within = room / np.maximum(np.where(root >= 0.0, np.sqrt(np.maximum(root, 0.0)) - lead, 0.0), NOWHERE)
+    within = room / np.maximum(np.where(root >= 0.0, np.sqrt(np.maximum(root, 0.0)) - lead, 0.0), TINY)
     return np.minimum(out, within)
 
 
@@ -170,7 +170,7 @@ def at_offset(track: Array, place: Place, offset: Array) -> tuple[Array, Array]:
 
 def wall(track: Array, offset: float) -> Array:
     """Return the line (DRAWN, 2) m at an offset from the centre line of one track (NUMBERS,)."""
-    angle = np.linspace(0.0, TURN, DRAWN)
-    tracks = np.tile(track, (DRAWN, 1))
+    angle = np.linspace(0.0, TURN, WALL_POINTS)
+    tracks = np.tile(track, (WALL_POINTS, 1))
     place = place_of(tracks, track[0] + np.cos(angle), track[1] + np.sin(angle))
-    return np.stack(at_offset(tracks, place, np.full(DRAWN, offset)), axis=1)
+    return np.stack(at_offset(tracks, place, np.full(WALL_POINTS, offset)), axis=1)

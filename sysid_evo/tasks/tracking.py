@@ -19,21 +19,21 @@ from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Target, Task, TaskState
 from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 
-SETTLED = 0.9
+SETTLED_SHARE = 0.9
 """A state has settled if it stays within its tolerance from this share of the trial on."""
-SHOWN = 10.0
+OBSERVED_TOLERANCES = 10.0
 """An error of so many tolerances is observed as 1."""
 
 
 @dataclass(frozen=True)
-class FollowingState(TaskState):
+class TrackingState(TaskState):
     """Where B trials stand that are led along a reference of m channels.
 
     ``reference`` (E, K, m) holds the targets of each of E trials, K = 1 where they do not change, else one for each
-    sample; ``step`` (B,) is the number of steps so far. ``score`` (B,) is the fitness so far; ``squared`` (B,)
-    the sum of square errors in tolerances; ``late`` (B,) the last step at which an error exceeded its tolerance;
-    ``reached`` (B,) whether none ever did so; ``beyond`` (B,) how far the states went past their targets after
-    that, in shares of the ``first`` error (B, m).
+    sample; ``step`` (B,) is the number of steps so far. ``score`` (B,) is the fitness so far; ``squared_error`` (B,)
+    the sum of square errors in tolerances; ``last_violation`` (B,) the last step at which an error exceeded its
+    tolerance; ``reached`` (B,) whether none ever did so; ``overshoot`` (B,) how far the states went past their targets
+    after that, in shares of the ``first_error`` error (B, m).
     """
 
     shared: ClassVar[frozenset[str]] = frozenset({"reference", "goals"})
@@ -43,11 +43,11 @@ class FollowingState(TaskState):
     trial: IntArray
     step: IntArray
     score: Array
-    squared: Array
-    late: IntArray
+    squared_error: Array
+    last_violation: IntArray
     reached: BoolArray
-    beyond: Array
-    first: Array
+    overshoot: Array
+    first_error: Array
 
     @property
     def target(self) -> Array:
@@ -55,7 +55,7 @@ class FollowingState(TaskState):
         return self.reference[self.trial, np.minimum(self.step, self.reference.shape[1] - 1)]
 
 
-class Following(Task):
+class TrackingTask(Task):
     """Fitness is the mean over the horizon, in per cent, of what each step scores.
 
     A step scores ``c = 1 / (1 + sum (error / tolerance)^2 + (change per second / still)^2)`` over all channels:
@@ -70,7 +70,7 @@ class Following(Task):
     one as sine and cosine; and the error of every target in tens of tolerances, a periodic one as sine and cosine.
     """
 
-    usual_noise: ClassVar[str] = "envelope(process=0.02)"
+    default_noise: ClassVar[str] = "domain_randomisation(process=0.02)"
     """A model without noise never leaves the target that it rests on: nothing shows what would bring it back."""
     fitness_unit = "% of full score"
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
@@ -98,11 +98,15 @@ class Following(Task):
 
     def check_system(self, system: System) -> None:
         for goal in self.goals_on(system):
-            if not (min(goal.tolerance, goal.still, goal.end) > 0.0 and goal.low <= goal.high and goal.spread >= 0.0):
+            if not (
+                min(goal.tolerance, goal.rate_tolerance, goal.abort_error) > 0.0
+                and goal.low <= goal.high
+                and goal.spread >= 0.0
+            ):
                 raise InvalidArgument(
-                    f"{self.name}: {goal.channel.name}: expected low <= high, tolerance, still and end > 0, "
-                    f"spread >= 0, got {goal.low:g}, {goal.high:g}; {goal.tolerance:g}, {goal.still:g}, "
-                    f"{goal.end:g}; {goal.spread:g}"
+                    f"{self.name}: {goal.channel.name}: expected low <= high, tolerance, rate_tolerance and "
+                    f"abort_error > 0, start_spread >= 0, got {goal.low:g}, {goal.high:g}; {goal.tolerance:g}, "
+                    f"{goal.rate_tolerance:g}, {goal.abort_error:g}; {goal.spread:g}"
                 )
 
     def bind(self, system: System) -> Self:
@@ -125,7 +129,7 @@ class Following(Task):
     numbers: Array
     """What `show` and `follow` read of a bound task."""
 
-    def begin(self, seeds: Seeds) -> FollowingState:
+    def begin(self, seeds: Seeds) -> TrackingState:
         trials, system, goals = len(seeds), self.system, self.goals
         spread = np.array([goal.spread for goal in goals])
         generators = [generator(seed, TASK_STREAM) for seed in seeds]
@@ -135,7 +139,7 @@ class Following(Task):
         at = [goal.place for goal in goals]
         start = reference[:, 0] if self.starts_at_target else state[:, at]
         state[:, at] = start + off
-        return FollowingState(
+        return TrackingState(
             state=state,
             pose=np.zeros((trials, system.n_pose)),
             alive=np.ones(trials, dtype=bool),
@@ -144,28 +148,30 @@ class Following(Task):
             trial=np.arange(trials),
             step=np.zeros(trials, dtype=np.int64),
             score=np.zeros(trials),
-            squared=np.zeros(trials),
-            late=np.zeros(trials, dtype=np.int64),
+            squared_error=np.zeros(trials),
+            last_violation=np.zeros(trials, dtype=np.int64),
             reached=np.zeros(trials, dtype=bool),
-            beyond=np.zeros(trials),
-            first=self._errors(reference[:, 0], state),
+            overshoot=np.zeros(trials),
+            first_error=self._errors(reference[:, 0], state),
         )
 
     def observe(self, task_state: TaskState, state: Array) -> Array:
-        here = cast("FollowingState", task_state)
+        here = cast("TrackingState", task_state)
         return shown(self.numbers, _rows(here), state, len(self.observations))
 
     def formulas(self) -> Mapping[str, str]:
         found = formulas_of_states(self.system)
         for goal in self.goals:
             name = goal.channel.name
-            found |= _formula(goal.channel, f"{name}_error", f"target - {name}", 0.0, 1.0 / (SHOWN * goal.tolerance))
+            found |= _formula(
+                goal.channel, f"{name}_error", f"target - {name}", 0.0, 1.0 / (OBSERVED_TOLERANCES * goal.tolerance)
+            )
         return found
 
     def advance(
         self, task_state: TaskState, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
-        here = cast("FollowingState", task_state)
+        here = cast("TrackingState", task_state)
         moved = replace(
             here,
             step=here.step + 1,
@@ -176,24 +182,24 @@ class Following(Task):
         return _state(moved, np.array(rows)), after
 
     def fitness(self, task_state: TaskState) -> Array:
-        return cast("FollowingState", task_state).score
+        return cast("TrackingState", task_state).score
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return how well the targets were met: settling and overshoot, or the error where targets change."""
-        here = cast("FollowingState", task_state)
+        here = cast("TrackingState", task_state)
         if here.reference.shape[1] > 1:
             steps = np.maximum(1, here.step) * len(here.goals)
-            return {"error (tolerances, rms)": np.sqrt(here.squared / steps)}
-        settled = here.alive & (here.late <= SETTLED * here.step)
+            return {"error (tolerances, rms)": np.sqrt(here.squared_error / steps)}
+        settled = here.alive & (here.last_violation <= SETTLED_SHARE * here.step)
         return {
             "settled (% of trials)": 100.0 * settled,
-            "settling time (s)": np.where(settled, here.late * self.system.dt, np.nan),
-            "overshoot (%)": np.where(here.reached, 100.0 * here.beyond, np.nan),
+            "settling time (s)": np.where(settled, here.last_violation * self.system.dt, np.nan),
+            "overshoot (%)": np.where(here.reached, 100.0 * here.overshoot, np.nan),
         }
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
         """Return the targets of one trial at every sample, by the names of their channels."""
-        here = cast("FollowingState", task_state)
+        here = cast("TrackingState", task_state)
         values = here.reference[here.trial[trial]]
         return Scene(
             targets=tuple(
@@ -230,7 +236,7 @@ class Following(Task):
 
 
 def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]:
-    """Return what a controller of `Following` is shown."""
+    """Return what a controller of `TrackingTask` is shown."""
     shown = [(channel, channel.name) for channel in system.states]
     shown += [(goal.channel, f"{goal.channel.name}_error") for goal in goals]
     found = [Channel("bias", neutral=1.0)]
@@ -291,8 +297,8 @@ class Goal:
     """One state that is to be led: its ``channel`` and its ``place`` among the states of the system.
 
     All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance``, or a change of
-    ``still`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over once
-    the error exceeds ``end``.
+    ``rate_tolerance`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over
+    once the error exceeds ``abort_error``.
     """
 
     channel: Channel
@@ -300,9 +306,9 @@ class Goal:
     low: float
     high: float
     tolerance: float
-    still: float = math.inf
+    rate_tolerance: float = math.inf
     spread: float = 0.0
-    end: float = math.inf
+    abort_error: float = math.inf
 
     @property
     def period(self) -> float:
@@ -318,9 +324,9 @@ def goals_of(
     high: Numbers,
     tolerance: Numbers,
     *,
-    still: Numbers = math.inf,
-    spread: Numbers = 0.0,
-    end: Numbers = math.inf,
+    rate_tolerance: Numbers = math.inf,
+    start_spread: Numbers = 0.0,
+    abort_error: Numbers = math.inf,
 ) -> tuple[Goal, ...]:
     """Return the goals for ``channels`` (default: the first state), with the usual values where none are given."""
     found = places(task, listed(channels) or system.state_names[:1], system)
@@ -330,9 +336,9 @@ def goals_of(
     highs = numbers(f"{task}: high", high, count, [ends[1] for ends in middle])
     widths = [b - a if b > a else ends[1] - ends[0] for a, b, ends in zip(lows, highs, middle, strict=True)]
     tolerances = numbers(f"{task}: tolerance", tolerance, count, [width / TOLERANCES for width in widths])
-    stills = numbers(f"{task}: still", still, count, [math.inf] * count)
-    spreads = numbers(f"{task}: spread", spread, count, [0.0] * count)
-    ends = numbers(f"{task}: end", end, count, [math.inf] * count)
+    stills = numbers(f"{task}: rate_tolerance", rate_tolerance, count, [math.inf] * count)
+    spreads = numbers(f"{task}: start_spread", start_spread, count, [0.0] * count)
+    ends = numbers(f"{task}: abort_error", abort_error, count, [math.inf] * count)
     chosen = zip(states, found, lows, highs, tolerances, stills, spreads, ends, strict=True)
     return tuple(Goal(*values) for values in chosen)
 
@@ -431,29 +437,29 @@ def _of_goal(goal: Goal) -> Array:
         place=goal.place,
         period=goal.period,
         per_tolerance=1.0 / goal.tolerance,
-        per_still=1.0 / goal.still,
+        per_still=1.0 / goal.rate_tolerance,
         turn=TURN / goal.period if goal.period else 0.0,
-        scale=1.0 / (SHOWN * goal.tolerance),
-        end=min(goal.end, NEVER),
+        scale=1.0 / (OBSERVED_TOLERANCES * goal.tolerance),
+        end=min(goal.abort_error, NEVER),
     )
 
 
-def _rows(here: FollowingState) -> Array:
-    numbers = [here.score, here.alive, here.step, here.squared, here.late, here.reached, here.beyond]
-    rows = [*numbers, *here.pose.T, *here.target.T, *here.first.T]
+def _rows(here: TrackingState) -> Array:
+    numbers = [here.score, here.alive, here.step, here.squared_error, here.last_violation, here.reached, here.overshoot]
+    rows = [*numbers, *here.pose.T, *here.target.T, *here.first_error.T]
     return np.stack([np.asarray(row, dtype=np.float64) for row in rows])
 
 
-def _state(here: FollowingState, rows: Array) -> TaskState:
+def _state(here: TrackingState, rows: Array) -> TaskState:
     return replace(
         here,
         score=rows[ROWS.score],
         alive=rows[ROWS.alive] > 0,
         step=rows[ROWS.step].astype(np.int64),
-        squared=rows[ROWS.squared],
-        late=rows[ROWS.late].astype(np.int64),
+        squared_error=rows[ROWS.squared],
+        last_violation=rows[ROWS.late].astype(np.int64),
         reached=rows[ROWS.reached] > 0,
-        beyond=rows[ROWS.beyond],
+        overshoot=rows[ROWS.beyond],
         pose=rows[ROWS.pose : ROWS.pose + here.pose.shape[1]].T.copy(),
     )
 
@@ -504,7 +510,7 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 
 
 def follow(task, before, after, control, parameters):
-    """Score how near the state is to the target, see `Following`; the law of both forms, see `sysid_evo.laws`."""
+    """Score how near the state is to the target, see `TrackingTask`; the law of both forms, see `sysid_evo.laws`."""
     goals, nu = int(parameters[HEAD.goals]), int(parameters[HEAD.nu])
     targets = ROWS.pose + int(parameters[HEAD.n_pose])
     squares, moving, off = splat(0.0), splat(0.0), splat(0.0)

@@ -16,10 +16,10 @@ from sysid_evo.registry.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.tasks.track_geometry import (
-    NOWHERE,
+    LAST_STEP,
+    MAX_RAY_STEPS,
     NUMBERS,
-    STILL,
-    WALK,
+    TINY,
     at_offset,
     distance_to_wall,
     place_of,
@@ -30,12 +30,12 @@ from sysid_evo.types import Array, IntArray, Seeds
 
 COLLISIONS = ("slow", "end")
 
-AHEAD = 0.1
+POTENTIAL = 0.1
 """What a body that stands well promises, in m."""
 
-KEPT = 0.5
+SPEED_KEPT_AT_WALL = 0.5
 """Share of its speed that a body keeps in each step at a wall."""
-PRESSED = 1e-6
+TOUCH_MARGIN = 1e-6
 """How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
 
 
@@ -159,7 +159,7 @@ class WalledTrack(Task):
         )
         progress = here.progress + turned * place.per_radian
         room = here.half - self.body
-        touching = np.abs(place.offset) > room + PRESSED
+        touching = np.abs(place.offset) > room + TOUCH_MARGIN
         advanced = replace(
             here,
             progress=progress,
@@ -176,24 +176,25 @@ class WalledTrack(Task):
         stopped = np.where(touching[:, None], np.stack([x, y, moved[:, 2]], axis=1), moved)
         slowed = after.copy()
         for row in self.speeds:
-            slowed[:, row] *= np.where(touching, KEPT, 1.0)
+            slowed[:, row] *= np.where(touching, SPEED_KEPT_AT_WALL, 1.0)
         return replace(advanced, pose=stopped), slowed
 
     def fitness(self, task_state: TaskState) -> Array:
         return cast("WalledTrackState", task_state).furthest
 
-    def foreseen(self, task_state: TaskState) -> WalledTrackState:
+    def hide_future(self, task_state: TaskState) -> WalledTrackState:
         """Return the trials as they stand, the track known; what was driven before does not count."""
         here = cast("WalledTrackState", task_state)
         return replace(here, furthest=here.progress)
 
-    def promise(self, task_state: TaskState, state: Array) -> Array:
-        """Return up to ``AHEAD`` (m): all of it in the middle of the track and along it, 0 at a wall or backwards."""
+    def potential(self, task_state: TaskState, state: Array) -> Array:
+        """Return up to ``POTENTIAL`` (m): all of it in the middle of the track and along it, 0 at a wall or
+        backwards."""
         here = cast("WalledTrackState", task_state)
         x, y, heading = here.pose.T
         place = place_of(here.track, x, y)
         along = np.cos(heading - np.arctan2(place.sine, place.cosine) - np.arctan2(place.middle, place.slope))
-        return AHEAD * 0.5 * (1.0 + along) * np.maximum(0.0, 1.0 - (place.offset / here.half) ** 2)
+        return POTENTIAL * 0.5 * (1.0 + along) * np.maximum(0.0, 1.0 - (place.offset / here.half) ** 2)
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
         """Return the laps driven and the steps spent at a wall."""
@@ -300,8 +301,8 @@ def observe_lanes(task, state, observation, parameters):
             rise = rises_x[lane] * way_x + rises_y[lane] * way_y
             step = step_to_wall(offsets[lane], rise, half, least[lane], greatest[lane])
             gone[lane] = min(max(step, 0.0), reach)
-            moving[lane] = 1.0 if gone[lane] > STILL else 0.0
-        for _ in range(WALK - 1):
+            moving[lane] = 1.0 if gone[lane] > LAST_STEP else 0.0
+        for _ in range(MAX_RAY_STEPS - 1):
             still_moving = 0
             for lane in range(LANES):
                 still_moving += 1 if moving[lane] > 0.0 else 0
@@ -313,7 +314,7 @@ def observe_lanes(task, state, observation, parameters):
                 rise = rise_x * way_x + rise_y * way_y
                 step = step_to_wall(offset, rise, half, least[lane], greatest[lane])
                 gone[lane] = min(max(far + step, 0.0), reach) if moving[lane] > 0.0 else far
-                moving[lane] = 1.0 if abs(gone[lane] - far) > STILL else 0.0
+                moving[lane] = 1.0 if abs(gone[lane] - far) > LAST_STEP else 0.0
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
@@ -331,7 +332,7 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
     for lane in range(LANES):
         dx, dy, x, y = first_x[lane], first_y[lane], xs[lane] - track[lane], ys[lane] - track[LANES + lane]
         turned = math.atan2(dx * y - dy * x, dx * x + dy * y)
-        distance = math.sqrt(x * x + y * y) + NOWHERE
+        distance = math.sqrt(x * x + y * y) + TINY
         cosine, sine = x / distance, y / distance
         middle, slope, _ = centre_line(track, lane, cosine, sine)
         per_radian = math.sqrt(middle * middle + slope * slope)
@@ -340,14 +341,14 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
         task[ROWS.progress * LANES + lane] = progress
         task[ROWS.turned * LANES + lane] += turned
         task[lane] = max(task[lane], progress)
-        touching = 1.0 if abs(offset) > room + PRESSED else 0.0
+        touching = 1.0 if abs(offset) > room + TOUCH_MARGIN else 0.0
         task[ROWS.touches * LANES + lane] += touching
         task[LANES + lane] = 0.0 if touching * ends > 0.0 else task[LANES + lane]
         stopped = touching * (1.0 - ends)
         stop = middle + min(max(offset, -room), room) * per_radian / middle
         xs[lane] = track[lane] + stop * cosine if stopped > 0.0 else xs[lane]
         ys[lane] = track[LANES + lane] + stop * sine if stopped > 0.0 else ys[lane]
-        kept = KEPT if stopped > 0.0 else 1.0
+        kept = SPEED_KEPT_AT_WALL if stopped > 0.0 else 1.0
         forward[lane] *= kept
         sideways[lane] *= kept if lateral >= 0 else 1.0
 
@@ -355,7 +356,7 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 def level(track, lane, x, y):
     """Return the offset of one point, and how fast it grows along x and along y, as `Place`."""
     dx, dy = x - track[lane], y - track[LANES + lane]
-    square = dx * dx + dy * dy + NOWHERE * NOWHERE
+    square = dx * dx + dy * dy + TINY * TINY
     inverse = 1.0 / math.sqrt(square)
     distance, cosine, sine = square * inverse, dx * inverse, dy * inverse
     middle, slope, bend = centre_line(track, lane, cosine, sine)
@@ -386,9 +387,9 @@ def step_to_wall(offset, rise, half, least, greatest):
     """`sysid_evo.tasks.track_geometry.step_to_wall` of one point."""
     outer, inner = half - offset, half + offset
     lead, room = (1.0 + greatest * offset) * rise, outer * (2.0 + greatest * inner)
-    out = max(lead + math.sqrt(max(lead * lead + greatest * room, 0.0)), NOWHERE)
+    out = max(lead + math.sqrt(max(lead * lead + greatest * room, 0.0)), TINY)
     lead_in, room_in = (1.0 + least * offset) * rise, inner * (2.0 - least * outer)
     root = lead_in * lead_in - least * room_in
-    within = max(math.sqrt(max(root, 0.0)) - lead_in if root >= 0.0 else 0.0, NOWHERE)
+    within = max(math.sqrt(max(root, 0.0)) - lead_in if root >= 0.0 else 0.0, TINY)
     sooner = room * within < room_in * out  # one division instead of two
     return (room if sooner else room_in) / (out if sooner else within)

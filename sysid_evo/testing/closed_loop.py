@@ -20,12 +20,12 @@ from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.task import Task, TaskState, make_task
 from sysid_evo.testing.contract import (
     Contract,
-    DoesNotApply,
+    NotApplicable,
     expect,
     expect_kernel,
     expect_numbers,
+    expect_pure,
     same,
-    twice,
 )
 from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_car, example_systems
 from sysid_evo.types import Array, Seeds
@@ -93,7 +93,7 @@ def binding_gives_a_controller_of_that_size(given: ControllerExample) -> None:
     try:
         other = given.made.bind_to(given.task.bind(wider))
     except IncompatibleTask as error:  # it was made for this one system
-        raise DoesNotApply from error
+        raise NotApplicable from error
     raw, _ = other.act(
         np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
     )
@@ -128,7 +128,7 @@ def outputs_stay_within_their_limits(given: ControllerExample) -> None:
 def an_action_is_pure(given: ControllerExample) -> None:
     """act changes neither its arguments nor its own later results: what it remembers stands in its memory"""
     view, memory = given.view(2), given.memory(2)
-    first = twice("action", given.bound.act, given.parameters, memory, view)
+    first = expect_pure("action", given.bound.act, given.parameters, memory, view)
     for moment in range(3):
         given.bound.act(given.parameters, given.memory(moment), given.view(moment))
     again = given.bound.act(given.parameters, memory, view)
@@ -159,7 +159,7 @@ def the_form_for_other_languages_acts_as_act_does(given: ControllerExample) -> N
     for p in range(CANDIDATES):
         program = given.bound.program(given.parameters[p])
         if program is None:
-            raise DoesNotApply
+            raise NotApplicable
         remembered, memory = program.begin(), given.memory(0)
         for moment in range(4):
             view = given.view(moment)
@@ -300,12 +300,12 @@ def an_observation_has_the_right_shape_and_type(given: TaskExample) -> None:
 def observing_is_pure(given: TaskExample) -> None:
     """observe changes neither its arguments nor its own later results"""
     task_state, before, *_ = given.moment()
-    twice("observation", given.task.observe, task_state, before)
+    expect_pure("observation", given.task.observe, task_state, before)
 
 
 def advancing_is_pure(given: TaskExample) -> None:
     """advance changes neither its arguments nor its own later results"""
-    twice("advance", given.advance, *given.moment())
+    expect_pure("advance", given.advance, *given.moment())
 
 
 def advancing_keeps_shapes(given: TaskExample) -> None:
@@ -321,7 +321,7 @@ def advancing_keeps_shapes(given: TaskExample) -> None:
 def a_tracked_pose_is_believed(given: TaskExample) -> None:
     """advance takes the pose that a tracker saw, if it is given one"""
     if given.system.n_pose == 0:
-        raise DoesNotApply
+        raise NotApplicable
     task_state, before, after, control = given.moment()
     seen = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
     advanced, _ = given.task.advance(task_state, before, after, control=control, pose=seen)
@@ -343,7 +343,7 @@ def a_trial_that_is_over_keeps_its_fitness(given: TaskExample) -> None:
     task_state, *step = given.moment()
     going = np.arange(TRIALS) % 2 == 0
     advanced, _ = given.advance(task_state, *step)
-    kept = given.task.fitness(task_state.keep(advanced, going))
+    kept = given.task.fitness(task_state.updated_where(advanced, going))
     expected = np.where(going, given.task.fitness(advanced), given.task.fitness(task_state))
     expect(same(kept, expected), "the fitness of a trial that is held changes with the others")
 

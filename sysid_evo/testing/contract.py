@@ -32,7 +32,7 @@ class CheckResult:
     idle: str = ""
 
 
-class DoesNotApply(Exception):
+class NotApplicable(Exception):
     """Raised by a check that does not apply to its subject; the message gives the reason."""
 
 
@@ -67,7 +67,7 @@ class Contract:
             return
         yield CheckResult(MADE, None)
         for check in self.checks:
-            with suppress(DoesNotApply):
+            with suppress(NotApplicable):
                 yield (result := verdict(check, subject))
                 if check is self.decisive and result.failure is not None:
                     return
@@ -87,11 +87,11 @@ def sentence_of(check: Check) -> str:
 
 
 def verdict(check: Check, subject: tuple[Any, ...]) -> CheckResult:
-    """Run one check on ``subject`` and return its result, whatever it raises but `DoesNotApply` without a reason."""
+    """Run one check on ``subject`` and return its result, whatever it raises but `NotApplicable` without a reason."""
     sentence = sentence_of(check)
     try:
         check(*subject)
-    except DoesNotApply as error:
+    except NotApplicable as error:
         if not error.args:
             raise
         return CheckResult(sentence, None, idle=str(error))
@@ -127,11 +127,11 @@ Kernel = TypeVar("Kernel")
 
 
 def expect_kernel(kernel: Kernel | None) -> Kernel:
-    """Return the ``kernel``. Raises `DoesNotApply` if it is None, or if `SYSID_EVO_ENGINE` names the reference."""
+    """Return the ``kernel``. Raises `NotApplicable` if it is None, or if `SYSID_EVO_ENGINE` names the reference."""
     if kernel is None:
-        raise DoesNotApply("it has none, so that Python computes every step")
+        raise NotApplicable("it has none, so that Python computes every step")
     if resolve() == "reference":
-        raise DoesNotApply(f"{ENGINE_VARIABLE} is reference, so that nothing is compiled")
+        raise NotApplicable(f"{ENGINE_VARIABLE} is reference, so that nothing is compiled")
     return kernel
 
 
@@ -145,7 +145,7 @@ def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:
         raise ContractViolation(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
 
 
-def twice(name: str, function: Callable[..., Result], *arguments: Any) -> Result:
+def expect_pure(name: str, function: Callable[..., Result], *arguments: Any) -> Result:
     """Call ``function`` twice and return the result; ``name`` is what a reason calls it.
 
     Raises `ContractViolation` if it changes its arguments or gives another result the second time.
@@ -185,7 +185,7 @@ def copied(value: Any) -> Any:
     return value
 
 
-def rows_off(found: Array, expected: Array, tolerance: float) -> BoolArray:
+def mismatched_rows(found: Array, expected: Array, tolerance: float) -> BoolArray:
     """Return which rows of (B, n) differ by more than ``tolerance`` times the number plus its column's largest."""
     size = np.abs(expected)
     return (np.abs(found - expected) > tolerance * (size + size.max(axis=0, initial=0.0))).any(axis=1)

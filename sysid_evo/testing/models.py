@@ -27,15 +27,15 @@ from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import models
 from sysid_evo.testing.contract import (
     Contract,
-    DoesNotApply,
+    NotApplicable,
     copied,
     expect,
     expect_error,
     expect_kernel,
+    expect_pure,
+    mismatched_rows,
     normal,
-    rows_off,
     same,
-    twice,
 )
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.types import Array, IntArray
@@ -129,7 +129,7 @@ def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
 
 def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
     """A step changes neither its arguments nor its own later results"""
-    expect_pure(model, _some_inputs(model, dataset))
+    expect_pure_step(model, _some_inputs(model, dataset))
 
 
 def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
@@ -142,8 +142,8 @@ def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> Non
     carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows), rng))
     for k in range(5):
         carry = model.step(carry, windows.controls[:, k], normal(model.n_noise, len(windows), rng))
-        if model.envelope is not None:
-            state = np.clip(carry[:, : dataset.system.nx], *model.envelope)
+        if model.state_bounds is not None:
+            state = np.clip(carry[:, : dataset.system.nx], *model.state_bounds)
             carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
         if not np.isfinite(carry).all():
             return  # another sentence says so
@@ -158,16 +158,16 @@ def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) ->
 
 
 def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Dataset) -> None:
-    """Of a recording longer than most_steps a part is learned from, and a warning and fit_note report how much"""
-    if "most_steps" not in model.get_params(deep=False):
+    """Of a recording longer than max_steps a part is learned from, and a warning and fit_note report how much"""
+    if "max_steps" not in model.get_params(deep=False):
         return
-    short = clone(model).set_params(most_steps=dataset.n_steps // 2)
+    short = clone(model).set_params(max_steps=dataset.n_steps // 2)
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
         short.fit(dataset, rng=np.random.default_rng(1))
     part = f"of {dataset.n_steps:,} steps"
     told = part in short.fit_note and any(part in str(one.message) for one in given)
-    expect(told, f"fit_note is {short.fit_note!r} after a fit with most_steps={short.most_steps}")
+    expect(told, f"fit_note is {short.fit_note!r} after a fit with max_steps={short.max_steps}")
 
 
 def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
@@ -199,14 +199,14 @@ def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset)
     """The compiled form steps as step does"""
     resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
     idle = np.tile(dataset.system.neutral_control, (2, 1))
-    expect_compiled_alike(model, _some_inputs(model, dataset).followed_by(resting, idle))
+    expect_same_compiled(model, _some_inputs(model, dataset).followed_by(resting, idle))
 
 
 def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> None:
-    """A model at rest with neutral control stays at rest, where rest_hold is on"""
-    band = model.rest_band
+    """A model at rest with neutral control stays at rest, where dead_band is on"""
+    band = model.dead_band_size
     if band is None:
-        raise DoesNotApply("rest_hold is off")
+        raise NotApplicable("dead_band is off")
     system = dataset.system
     carry = _at_rest(model, 2)
     carry[1, : system.nx] += 0.9 * band
@@ -217,14 +217,14 @@ def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> Non
 
 
 def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: Dataset) -> None:
-    """A body at rest answers to a pulse that ended before it acts, where rest_hold is on"""
+    """A body at rest answers to a pulse that ended before it acts, where dead_band is on"""
     carry, noise = _after_a_pulse(model), normal(model.n_noise, 1)
-    if not model.rest_hold:
-        raise DoesNotApply("rest_hold is off")
+    if not model.dead_band:
+        raise NotApplicable("dead_band is off")
     if np.array_equal(carry, _at_rest(model, 1)):
         return
     idle = dataset.system.neutral_control[None]
-    free = copy.copy(model).set_params(rest_hold=False)
+    free = copy.copy(model).set_params(dead_band=False)
     stepped, expected = model.step(carry, idle, noise), free.step(carry, idle, noise)
     expect(same(stepped, expected), "it is held although an earlier control in its carry is not neutral")
 
@@ -311,24 +311,25 @@ def expect_independent_rows(dynamics: Dynamics, inputs: StepInputs) -> None:
     expect(alike, "a row's result changes with the other rows of its batch")
 
 
-def expect_pure(dynamics: Dynamics, inputs: StepInputs) -> None:
+def expect_pure_step(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` if a step changes its arguments or its own later results."""
-    twice("step", dynamics.step, inputs.carry, inputs.control, inputs.noise)
+    expect_pure("step", dynamics.step, inputs.carry, inputs.control, inputs.noise)
 
 
-def expect_compiled_alike(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if the compiled form steps otherwise than `step`; `DoesNotApply` as `expect_kernel`."""
+def expect_same_compiled(dynamics: Dynamics, inputs: StepInputs) -> None:
+    """Raise `ContractViolation` if the compiled form steps otherwise than `step`; `NotApplicable` as
+    `expect_kernel`."""
     kernel = expect_kernel(dynamics.kernel())
     carry, control, noise = inputs.carry, inputs.control, inputs.noise
     stepped = step(dynamics, inputs)
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")
-    off = rows_off(compiled, stepped, COMPILED_TOLERANCE["float64"])
+    off = mismatched_rows(compiled, stepped, COMPILED_TOLERANCE["float64"])
     expect(not off.any(), f"{off.sum()} of {len(off)} rows differ after one step in float64")
     compiled = stepped = carry
     for _ in range(CHAINED_STEPS):
         compiled = kernel_step(kernel, compiled, control, noise, precision=kernel.precision)
-        compiled, _ = clip_state(compiled, dynamics.envelope)
-        stepped, _ = clip_state(dynamics.step(stepped, control, noise), dynamics.envelope)
-    off = rows_off(compiled, stepped, COMPILED_TOLERANCE[kernel.precision])
+        compiled, _ = clip_state(compiled, dynamics.state_bounds)
+        stepped, _ = clip_state(dynamics.step(stepped, control, noise), dynamics.state_bounds)
+    off = mismatched_rows(compiled, stepped, COMPILED_TOLERANCE[kernel.precision])
     few = off.mean() <= 0.1  # may differ: two neighbours as near as each other
     expect(few, f"{off.sum()} of {len(off)} rows differ after {CHAINED_STEPS} steps in {kernel.precision}")

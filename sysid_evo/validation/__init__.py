@@ -8,19 +8,42 @@ from sysid_evo.validation.estimates import CONFIDENCE, Draws, Estimate, across, 
 from sysid_evo.validation.folds import (
     ConditionFold,
     EpisodeFold,
-    folds_of,
-    time_blocks,
-    unseen_parts,
-    unseen_recordings,
+    make_folds,
+    recording_folds,
+    recording_or_time_folds,
+    time_fold,
 )  # fmt: skip
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, lag_candidates
 from sysid_evo.validation.intervals import conformal_scale, horizon_scales
 from sysid_evo.validation.measures import error_std, fit_percent, mean_over_channels, nrmse, relative_percent, rmse
-from sysid_evo.validation.simulation_error import HeldOutTest, Judge, Simulator, judging_windows, relative_error
+from sysid_evo.validation.simulation_error import HeldOutTest, Scorer, Simulator, error_windows, relative_error
 
 __all__ = [
-    "CONFIDENCE", "ConditionFold", "Draws", "EpisodeFold", "Estimate", "HeldOut", "HeldOutTest", "Judge",
-    "Simulator", "across", "best", "conformal_scale", "error_std", "fit_percent", "folds_of", "horizon_scales",
-    "judging_windows", "lag_candidates", "mean_over_channels", "nrmse", "paired", "relative_error",
-    "relative_percent", "rmse", "time_blocks", "unseen_parts", "unseen_recordings",
+    "CONFIDENCE",
+    "ConditionFold",
+    "Draws",
+    "EpisodeFold",
+    "Estimate",
+    "HeldOutError",
+    "HeldOutTest",
+    "Scorer",
+    "Simulator",
+    "across",
+    "best_candidate",
+    "conformal_scale",
+    "error_std",
+    "error_windows",
+    "fit_percent",
+    "horizon_scales",
+    "lag_candidates",
+    "make_folds",
+    "mean_over_channels",
+    "nrmse",
+    "paired",
+    "recording_folds",
+    "recording_or_time_folds",
+    "relative_error",
+    "relative_percent",
+    "rmse",
+    "time_fold",
 ]  # fmt: skip

@@ -36,7 +36,7 @@ and a correction, or the mean of another fit and a correction."""
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldOutErrors:
     """The errors (B, H, nx) of free runs over a block that was held back, and the second in which each begins (B,)."""
 
     errors: Array
@@ -47,13 +47,13 @@ class Held:
         mean = np.mean(self.errors**2, axis=(1, 2))
         return {int(second): float(mean[self.second == second].mean()) for second in np.unique(self.second)}
 
-    def share_of(self, before: Held) -> float:
+    def share_of(self, before: HeldOutErrors) -> float:
         """Return the error as a share of that ``before``."""
         return error_of(self.errors) / max(error_of(before.errors), LEAST)
 
 
 @dataclass(frozen=True)
-class Trial:
+class AcceptanceResult:
     """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
 
     The blocks are fewer where it was given up before the last, since it had `failed` in one. ``sure`` says whether it
@@ -83,7 +83,9 @@ class Trial:
         return max(self.each) <= 1.0 - IN_EACH
 
 
-def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Kind = "alone") -> Trial:
+def judged(
+    name: str, plain: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors], kind: Kind = "alone"
+) -> AcceptanceResult:
     """Return a trial from what the blocks show without and with a correction, which may know the first ones only."""
     pairs = list(zip(plain, corrected, strict=False))
     each = tuple(after.share_of(before) for before, after in pairs)
@@ -97,10 +99,10 @@ def judged(name: str, plain: Sequence[Held], corrected: Sequence[Held], kind: Ki
     if kind in ("further", "mean"):
         asked, tried = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), AMOUNTS
     sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains), figures=tried))
-    return Trial(name, whole / max(before, LEAST), each, sure, kind, float(asked))
+    return AcceptanceResult(name, whole / max(before, LEAST), each, sure, kind, float(asked))
 
 
-def failed(plain: Sequence[Held], corrected: Sequence[Held]) -> bool:
+def failed(plain: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors]) -> bool:
     """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
     return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(plain, corrected, strict=False))
 

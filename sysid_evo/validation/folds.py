@@ -26,14 +26,14 @@ FOLDS = 3
 LEAST_SHARE = 0.5
 """Of the steps that would be left if all recordings were as long: so many must be where some are held out."""
 
-MOST_GROUPS = 4
+MAX_GROUPS = 4
 """Groups of recordings that are held out in turn."""
 
 HELD_BACK = 3
 """Blocks of time of one recording that are held back in turn, see `blocks_of`."""
 
 
-def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
+def time_fold(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
     """Return what is learned from and what is held out: every ``folds``-th block of time of each episode.
 
     An episode is cut into 6 blocks, fewer if they were shorter than 30 steps; one too short to be
@@ -58,7 +58,7 @@ def time_blocks(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Da
     return dataset.with_episodes(learned), dataset.with_episodes(held)
 
 
-def folds_of(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
+def make_folds(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
     """Return up to ``count`` pairs of what is learned from and what is held out.
 
     Whole recordings are held out, in groups of about the same length where there are more than ``count``; pieces of one
@@ -90,23 +90,23 @@ def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[l
     return sorted(groups, key=lambda group: min(names.index(one) for one in group))
 
 
-def unseen_recordings(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+def recording_folds(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
     """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
     recordings = len({recording(name) for name in dataset.names})
     if recordings < 2:
         return []
-    folds = EpisodeFold(min(MOST_GROUPS, recordings)).split(dataset)
+    folds = EpisodeFold(min(MAX_GROUPS, recordings)).split(dataset)
     return [(dataset[list(seen)], dataset[list(held)]) for seen, held in folds]
 
 
-def unseen_parts(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
-    """Return what `unseen_recordings` does, or for one recording alone its held-out blocks of time in turn."""
-    return unseen_recordings(dataset) or _blocks_in_turn(dataset, FOLDS)
+def recording_or_time_folds(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
+    """Return what `recording_folds` does, or for one recording alone its held-out blocks of time in turn."""
+    return recording_folds(dataset) or _blocks_in_turn(dataset, FOLDS)
 
 
 def _blocks_in_turn(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
-    """Return up to ``count`` pairs of `time_blocks`; one pair of the whole data set if no block can be held out."""
-    pairs = [time_blocks(dataset, fold, max(count, 2)) for fold in range(count)]
+    """Return up to ``count`` pairs of `time_fold`; one pair of the whole data set if no block can be held out."""
+    pairs = [time_fold(dataset, fold, max(count, 2)) for fold in range(count)]
     return [pair for pair in pairs if pair[0] is not pair[1]] or pairs[:1]
 
 
@@ -152,7 +152,8 @@ class EpisodeFold:
 
 @dataclass(frozen=True)
 class ConditionFold:
-    """Holds out all recordings of one condition in turn (`Dataset.labelled`): how a model does on another day."""
+    """Holds out all recordings of one condition in turn (`Dataset.label_conditions`): how a model does on another
+    day."""
 
     def get_n_splits(
         self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None

@@ -11,8 +11,8 @@ import numpy as np
 
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.types import Array
-from sysid_evo.validation.folds import FOLDS, time_blocks
-from sysid_evo.validation.simulation_error import STRIDE, Simulator, judging_windows, relative_error
+from sysid_evo.validation.folds import FOLDS, time_fold
+from sysid_evo.validation.simulation_error import STRIDE, Simulator, error_windows, relative_error
 
 DIVERGED = 1e6
 """What a fold counts in which a free run diverges."""
@@ -27,11 +27,11 @@ Choice = TypeVar("Choice")
 class ClippedSimulator(Simulator, Protocol):
     """A fitted model whose simulations end at limits that its training data set."""
 
-    envelope_: Array
+    state_bounds_: Array
 
 
 @dataclass(frozen=True)
-class HeldOut:
+class HeldOutError:
     """Pairs of what is learned from and what is held out, by which settings are judged."""
 
     dataset: Dataset
@@ -40,7 +40,7 @@ class HeldOut:
     @classmethod
     def of(cls, dataset: Dataset, folds: int = FOLDS) -> Self:
         """Hold out the first ``folds`` of three folds of blocks of time."""
-        return cls(dataset, tuple(time_blocks(dataset, fold) for fold in range(folds)))
+        return cls(dataset, tuple(time_fold(dataset, fold) for fold in range(folds)))
 
     @cached_property
     def far(self) -> Array:
@@ -64,7 +64,7 @@ class HeldOut:
         total = 0.0
         for learned, held in self.folds:
             model = learn(learned)
-            windows = judging_windows(held, model.n_lags, stride=stride)
+            windows = error_windows(held, model.n_lags, stride=stride)
             simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
             total += max(GOOD, relative_error(model.system, simulated, windows))
             total += DIVERGED if self.diverges(model, simulated) else 0.0
@@ -73,12 +73,12 @@ class HeldOut:
 
     def diverges(self, model: ClippedSimulator, simulated: Array) -> bool:
         """Whether a free run reaches twice the largest training value of a state, or the model's own clip."""
-        low, high = model.envelope_
+        low, high = model.state_bounds_
         far = np.where(np.isfinite(high), self.far, np.inf)  # a periodic state cannot get far
         return bool(((np.abs(simulated) >= far) | (simulated <= low) | (simulated >= high)).any())
 
 
-def best(
+def best_candidate(
     candidates: Sequence[Choice], error: Callable[[Choice], float], *, size: Callable[[Choice], float] | None = None
 ) -> Choice:
     """Return the candidate with the lowest error, the first among equals; one alone is taken untried.
@@ -94,8 +94,8 @@ def best(
     return candidates[int(np.argmin(np.where(errors <= (1.0 + AS_GOOD) * errors.min(), sizes, np.inf)))]
 
 
-def trials(candidates: Sequence[Choice]) -> int:
-    """Return how many candidates `best` tries."""
+def count_fits(candidates: Sequence[Choice]) -> int:
+    """Return how many candidates `best_candidate` tries."""
     return len(candidates) if len(candidates) > 1 else 0
 
 

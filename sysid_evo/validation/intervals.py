@@ -20,15 +20,15 @@ from sysid_evo.carry import clip_state, recent
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import Windows, evenly_spaced
 from sysid_evo.types import Array, BoolArray
-from sysid_evo.validation.folds import time_blocks, unseen_recordings
-from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, judging_windows
+from sysid_evo.validation.folds import recording_folds, time_fold
+from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, error_windows
 
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
 SHARE = 0.9
 """Of the truths, to lie within an interval."""
 
-MOST_WINDOWS, FEWEST = 120, 20
+MAX_WINDOWS, FEWEST = 120, 20
 """Windows of all cases together, and how many there must be of a horizon, or it is left out."""
 
 SAMPLES, ROUNDS = 16, 2
@@ -47,7 +47,7 @@ APART = 10
 class NoisySteps(Fitted, Protocol):
     """A fitted model whose steps can be disturbed."""
 
-    def lagged(self, states: Array, controls: Array) -> Array:
+    def initial_carry(self, states: Array, controls: Array) -> Array:
         """Return the carry after a history."""
         ...
 
@@ -104,7 +104,7 @@ def step_spread(
     errors, numbers, begin = [], [], 0
     for model, part in cases:
         windows = part.windows(1, history=model.n_lags)
-        carry = model.lagged(windows.past_states, windows.past_controls)
+        carry = model.initial_carry(windows.past_states, windows.past_controls)
         after = step(model, carry, windows.controls[:, 0])
         errors.append(part.system.difference(windows.states[:, 0], after[:, : part.system.nx]))
         longest = max(len(episode) for episode in part) + APART
@@ -189,7 +189,7 @@ class _Run:
 
     def __init__(self, case: Case, persistent: Array, seed: tuple[int, int]) -> None:
         windows = case.windows
-        carry = case.model.lagged(*recent(windows.past_states, windows.past_controls, case.model.n_lags))
+        carry = case.model.initial_carry(*recent(windows.past_states, windows.past_controls, case.model.n_lags))
         self.case, self.horizon, self.seed = case, windows.controls.shape[1], seed
         self.centre = self._alone(carry)
         self.carry, self.count = np.tile(carry, (SAMPLES, 1)), len(carry)
@@ -197,7 +197,7 @@ class _Run:
         self.held = np.random.default_rng(seed).standard_normal((len(self.carry), windows.states.shape[2]))
 
     def _next(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        return clip_state(self.case.model.disturbed(carry, control, disturbance), self.case.model.envelope)[0]
+        return clip_state(self.case.model.disturbed(carry, control, disturbance), self.case.model.state_bounds)[0]
 
     def _alone(self, carry: Array) -> Array:
         """Return the states (N, H, nx) of the run without noise."""
@@ -316,7 +316,7 @@ BLOCK_FOLDS = 2
 
 def rough_fits(dataset: Dataset) -> int:
     """Number of times that `growth_on_unseen_recordings` fits."""
-    groups = len(unseen_recordings(dataset))
+    groups = len(recording_folds(dataset))
     return groups + BLOCK_FOLDS if groups else 0
 
 
@@ -331,10 +331,10 @@ def growth_on_unseen_recordings(
     a recording differs from others by the battery, the tyres or the floor, which blocks of the same
     recording share. The factor is the geometric mean over the recordings held out in turn, at least 1.
     """
-    groups = unseen_recordings(dataset)
+    groups = recording_folds(dataset)
     if not groups:
         return np.ones(dataset.system.nx) if steps is None else np.ones((len(steps), dataset.system.nx))
-    inside = [(fit(seen), held) for seen, held in (time_blocks(dataset, k) for k in range(BLOCK_FOLDS))]
+    inside = [(fit(seen), held) for seen, held in (time_fold(dataset, k) for k in range(BLOCK_FOLDS))]
     outside = [(fit(seen), held) for seen, held in groups]
     factors: list[Array] = []
     for step in [None] if steps is None else steps:
@@ -353,7 +353,7 @@ def growth_on_unseen_recordings(
 def _last_errors(model: Simulator, held: Dataset, step: int | None) -> Array:
     """Return the absolute errors (N, nx) after so many steps; None is one second."""
     if step is None:
-        windows = judging_windows(held, model.n_lags)
+        windows = error_windows(held, model.n_lags)
     else:
         windows = held.windows(step, stride=STRIDE, history=model.n_lags, moving=True)
         if not len(windows):

@@ -33,14 +33,15 @@ MOST_WINDOWS = 10_000
 
 
 class Fitted(Protocol):
-    """A fitted model of ``system`` that starts from ``n_lags`` samples of history and clips states to ``envelope``."""
+    """A fitted model of ``system`` that starts from ``n_lags`` samples of history and clips states to
+    ``state_bounds``."""
 
     @property
     def system(self) -> System: ...
     @property
     def n_lags(self) -> int: ...
     @property
-    def envelope(self) -> Array | None: ...
+    def state_bounds(self) -> Array | None: ...
 
 
 class Simulator(Fitted, Protocol):
@@ -51,7 +52,7 @@ class Simulator(Fitted, Protocol):
         ...
 
 
-def judging_windows(
+def error_windows(
     dataset: Dataset, history: int, *, stride: int = STRIDE, seconds: float = SECOND, fewest: int = FEWEST_STEPS
 ) -> Windows:
     """Return windows of one second and at least ten steps, or the longest the data have, wherever the body moves.
@@ -108,9 +109,9 @@ class HeldOutTest:
     def of(cls, held: Dataset, horizons: Sequence[int], history: int) -> Self:
         """Cut windows of what is held out, wherever the body moves; all of them where it never does for so long."""
         longest = max(horizons)
-        places = held.window_places(longest, stride=TEST_STRIDE, history=history, moving=True)
+        places = held.find_windows(longest, stride=TEST_STRIDE, history=history, moving=True)
         if not len(places):
-            places = held.window_places(longest, stride=1)
+            places = held.find_windows(longest, stride=1)
         return cls(places[evenly_spaced(len(places), MOST_TESTED)], tuple(horizons))
 
     @property
@@ -135,8 +136,8 @@ class HeldOutTest:
     def diverged(self, model: Simulator, simulated: Array) -> float:
         """Return the share of the runs (N, H, nx) that reach the envelope of ``model`` or are no numbers."""
         off = ~np.isfinite(simulated)
-        if model.envelope is not None:
-            off |= (simulated <= model.envelope[0]) | (simulated >= model.envelope[1])
+        if model.state_bounds is not None:
+            off |= (simulated <= model.state_bounds[0]) | (simulated >= model.state_bounds[1])
         return float(off.any(axis=(1, 2)).mean())
 
 
@@ -175,7 +176,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Judge:
+class Scorer:
     """The tests of all folds, and the ``spread`` (nx,) of the states by which errors are divided."""
 
     system: System

@@ -56,7 +56,7 @@ def line(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
         f"{100 * np.mean(held.inside):3.0f} ({', '.join(f'{100 * one:.0f}' for one in held.inside)})"
         for held in scores.coverage
     )
-    return f"  {label:20s} {figures}  N {' '.join(f'{score.n:.3f}' for score in scores.at)}"
+    return f"  {label:20s} {figures}  N {' '.join(f'{score.n:.3f}' for score in scores.scores)}"
 
 
 def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> None:

@@ -30,7 +30,7 @@ from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.evolution.champion import load_champion
-from sysid_evo.kernels import DynamicsKernel, Lifted
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
 from sysid_evo.models import Dynamics
 from sysid_evo.registry import Spec
 from sysid_evo.system import System
@@ -82,7 +82,7 @@ class Equations(Dynamics):
         return np.array([self.function(x, u, ()) for x, u in zip(carry.tolist(), control.tolist(), strict=True)])
 
     def kernel(self) -> DynamicsKernel:
-        return DynamicsKernel(Lifted(self.function, n_carry=self.n_carry, nu=self.system.nu))
+        return DynamicsKernel(ScalarStep(self.function, n_carry=self.n_carry, nu=self.system.nu))
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name in given.ids.split(","):
         robot = GymnasiumRobot(id=name)
         made = compared(name, given.out / f"{name}-{given.seed}", given.seed)
-        rest = Champion.hand_written("constant", made.champion.task, robot.system)
+        rest = Champion.baseline("constant", made.champion.task, robot.system)
         other = one_search(made.champion, name, robot.system, given.seed)
         figures = (f"{achieved(one, robot, given.trials):.1f}" for one in (made.champion, other, rest))
         table.add_row(name, *figures, f"{made.processor:.0f}", f"{made.clock:.0f}")

@@ -5,7 +5,7 @@ A small comparison is run to its end once. Then the same command is killed (SIGK
 with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
 Then a local Dask cluster of two workers computes it, of which one is killed at each moment, another taking its place;
 then the scheduler is, and the command goes on with another one. No finished cell may be computed twice.
-A long evolution by the recommended recipe is killed likewise; it goes on within its generations, to the same
+A long evolution by the recommended procedure is killed likewise; it goes on within its generations, to the same
 controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
 and exits 1 if anything differs.
 
@@ -40,19 +40,19 @@ from tests.fixtures.dask_cluster import Processes
 MODELS = "linear,nearest_neighbour,near2=nearest_neighbour(state_lags=2)"
 EXPERIMENT = (
     *("--models", MODELS, "--ensembles", "linear+near2", "--robot", "emulated_car"),
-    *("--generations", "30", "--trials", "4", "--runs", "1", "--task", "point_to_point(horizon=200)"),
+    *("--generations", "30", "--trials", "4", "--repeats", "1", "--task", "point_to_point(horizon=200)"),
 )
 EVOLUTION = (
     *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
-    *("--generations", "200", "--trials", "4", "--runs", "1"),
+    *("--generations", "200", "--trials", "4", "--repeats", "1"),
 )
 NICHES = (
     *("--against", "linear", "--task", "point_to_point(horizon=200)"),
-    *("--generations", "400", "--trials", "4", "--runs", "1", "--recipe", "plain", "--strategy", "niches"),
+    *("--generations", "400", "--trials", "4", "--repeats", "1", "--procedure", "plain", "--strategy", "niches"),
 )
 POLISH = (
     *("--against", "linear,nearest_neighbour", "--task", "point_to_point(horizon=200)"),
-    *("--generations", "200", "--trials", "4", "--runs", "1", "--recipe", "recommended"),
+    *("--generations", "200", "--trials", "4", "--repeats", "1", "--procedure", "recommended"),
 )
 FIT = ("--models", "mlp_ensemble(members=2, hidden=[16], state_lags=1, one_step_updates=400, updates=150, horizon=8)")
 LIMIT = 600.0  # s, for one command

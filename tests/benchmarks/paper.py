@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from evaluation import compare
-from evaluation.report import Report
+from evaluation.report import ComparisonResults
 from evaluation.transfer import TransferMatrix
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, behaviour_names
@@ -41,10 +41,10 @@ class Claim:
     """A sentence of the paper, and what a comparison says to it: whether it holds, and the numbers."""
 
     sentence: str
-    test: Callable[[Report], tuple[bool, str]]
+    test: Callable[[ComparisonResults], tuple[bool, str]]
 
 
-def matrix_of(report: Report) -> TransferMatrix:
+def matrix_of(report: ComparisonResults) -> TransferMatrix:
     assert report.matrix is not None
     assert report.matrix.robot is not None
     return report.matrix
@@ -92,12 +92,12 @@ def tabled(values: Iterable[tuple[str, float]], digits: int = 1) -> str:
     return ", ".join(f"{name} {value:.{digits}f}" for name, value in values)
 
 
-def evolves(report: Report) -> tuple[bool, str]:
+def evolves(report: ComparisonResults) -> tuple[bool, str]:
     claims = [(one.name, own(matrix_of(report), one)) for one in singles(matrix_of(report))]
     return min(value for _, value in claims) >= COMPLETED, tabled(claims)
 
 
-def best_at_home(report: Report) -> tuple[bool, str]:
+def best_at_home(report: ComparisonResults) -> tuple[bool, str]:
     matrix = matrix_of(report)
     best = {
         model: max(singles(matrix), key=lambda one: matrix.cell(one.name, model).mean).against[0]
@@ -108,39 +108,39 @@ def best_at_home(report: Report) -> tuple[bool, str]:
     return not away, f"{len(best) - len(away)} of {len(best)}" + (f"; {told}" if told else "")
 
 
-def exploitable(report: Report) -> tuple[bool, str]:
+def exploitable(report: ComparisonResults) -> tuple[bool, str]:
     matrix = matrix_of(report)
     kept = [(one.name, achieved(matrix, one) / own(matrix, one)) for one in singles(matrix)]
     return min(kept, key=lambda pair: pair[1])[0] == "evolved3", tabled(kept, 2)
 
 
-def consistent(report: Report) -> tuple[bool, str]:
+def consistent(report: ComparisonResults) -> tuple[bool, str]:
     matrix = matrix_of(report)
     shares = [(one.name, worst_share(matrix, one)) for one in matrix.champions]
     best = max(shares, key=lambda pair: pair[1])[0]
     return best in [one.name for one in ensembles(matrix)], tabled(shares, 2)
 
 
-def robust(report: Report) -> tuple[bool, str]:
+def robust(report: ComparisonResults) -> tuple[bool, str]:
     matrix = matrix_of(report)
     ends = [(one.name, achieved(matrix, one)) for one in (*singles(matrix), *ensembles(matrix))]
     alone = np.mean([achieved(matrix, one) for one in singles(matrix)])
     return min(achieved(matrix, one) for one in ensembles(matrix)) > float(alone), tabled(ends)
 
 
-def best_single(report: Report) -> tuple[bool, str]:
+def best_single(report: ComparisonResults) -> tuple[bool, str]:
     matrix = matrix_of(report)
     alone, together = (max(achieved(matrix, one) for one in group) for group in (singles(matrix), ensembles(matrix)))
     return alone > together, f"{alone:.1f} against {together:.1f}"
 
 
-def drives_backwards(report: Report) -> tuple[bool, str]:
+def drives_backwards(report: ComparisonResults) -> tuple[bool, str]:
     shares = [(one.name, backwards(one)) for one in matrix_of(report).champions]
     most = np.mean([share > BACKWARDS for _, share in shares])
     return bool(most > BACKWARDS), tabled(shares, 2)
 
 
-def table_1(report: Report) -> tuple[bool, str]:
+def table_1(report: ComparisonResults) -> tuple[bool, str]:
     assert report.prediction is not None
     errors = {}
     for model in models_of(matrix_of(report)):
@@ -152,7 +152,7 @@ def table_1(report: Report) -> tuple[bool, str]:
     return holds, tabled(((model, error[2]) for model, error in errors.items()), 2) + " rad/s"
 
 
-def error_tells_nothing(report: Report) -> tuple[bool, str]:
+def error_tells_nothing(report: ComparisonResults) -> tuple[bool, str]:
     assert report.prediction is not None
     matrix = matrix_of(report)
     errors = [report.prediction.model(one.name).score(None) for one in singles(matrix)]
@@ -179,7 +179,7 @@ def verdict(held: list[bool]) -> str:
     return "reproduced" if all(held) else "partly" if any(held) else "not"
 
 
-def table(reports: list[Report]) -> Table:
+def table(reports: list[ComparisonResults]) -> Table:
     """Return a row for each claim."""
     made = Table(title=f"the paper's claims on {ROBOT}, {len(reports)} seeds", show_lines=True)
     for name in ("claim", "verdict", "held", "numbers, seed by seed"):

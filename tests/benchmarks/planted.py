@@ -32,7 +32,7 @@ from evaluation.exploitability import (
     search_exploit,
     training_support,
 )
-from evaluation.exploitability.slopes import DataLaws
+from evaluation.exploitability.slopes import SlopeComparison
 from evaluation.transfer import transfer
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.engine import DynamicsRunner
@@ -75,7 +75,7 @@ class Shown:
             for limit in probe_limits(Steps.moving(self.training))
             if ProbeResult(limit.name, "", "", None, limit.share(visited), limit.share(held_out), None).exploited
         }
-        laws = DataLaws(self.training, training_support(self.training))
+        laws = SlopeComparison(self.training, training_support(self.training))
         return found | {fact.state for fact in laws.facts(tuple(runs))}
 
     def looked_at(self, champion: Champion, dynamics: Mapping[str, Dynamics]) -> ModelExploitability:
@@ -87,7 +87,7 @@ class Shown:
 
 def names(found: ModelExploitability) -> set[str]:
     """Return the probes that found something, and the states of which a fact of the data is broken."""
-    return {probe.name for probe in found.exploits} | {fact.state for fact in found.facts}
+    return {probe.name for probe in found.exploits} | {fact.state for fact in found.slope_differences}
 
 
 def told(wanted: set[str], found: ModelExploitability) -> str:

@@ -31,7 +31,7 @@ from sysid_evo import (
 )
 from sysid_evo.controllers import Controller, Pursuit, View
 from sysid_evo.engine import rollout
-from sysid_evo.engine.imagined import Engine, Imagination
+from sysid_evo.engine.imagined import Engine, ImaginedTrials
 from sysid_evo.models import Dynamics
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
@@ -66,7 +66,7 @@ def milliseconds(controller: Predictive, car: Dynamics, engine: Engine) -> list[
     """Return the ms of processor time of each decision in one trial, the first left out."""
     task = make_task("point_to_point", horizon=DECISIONS)
     bound = controller.bind_to(task.bind(car.system))
-    bound.imagined = tuple(Imagination(one.dynamics, one.task, engine=engine) for one in bound.imagined)
+    bound.imagined = tuple(ImaginedTrials(one.dynamics, one.task, engine=engine) for one in bound.imagined)
     timed = Timed(bound)
     rollout(car, timed, np.zeros((1, timed.n_parameters)), task, trial_seeds(0, 1), engine="reference")
     return timed.spent[1:]
@@ -83,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     console = Console()
     names = options.models.split(",")
-    compare(out=options.out, models=names, minutes=options.minutes, only="fit")
+    compare(out=options.out, models=names, minutes=options.minutes, stop_after="fit")
     files = {name: next((options.out / "models").glob(f"{name}-*.json")) for name in names}
     car, task, seeds = make_robot("emulated_car").dynamics, make_task("point_to_point"), trial_seeds(5, options.trials)
 

@@ -61,9 +61,9 @@ def write_forever(path: Path, counter: Path) -> None:
 def tell(recorder: Recorder, number: int) -> None:
     """Tell the recorder of event ``number``: every tenth a command, the others frames."""
     if number % 10 == 0:
-        recorder.commanded(Command(number, 0.0, 0.0, np.zeros(2)))
+        recorder.on_command(Command(number, 0.0, 0.0, np.zeros(2)))
     else:
-        recorder.measured(Measurement(0.0, 0.0, number, "car", True, np.zeros(3)))
+        recorder.on_measurement(Measurement(0.0, 0.0, number, "car", True, np.zeros(3)))
 
 
 def kill_once(path: Path, *, delay: float) -> Trial:

@@ -16,10 +16,10 @@ from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
 
-from evaluation.transfer import Figures, TransferMatrix, transfer
+from evaluation.transfer import MatrixEstimates, TransferMatrix, transfer
 from hardware.robot import Robot, find_robot
 from sysid_evo.engine import DynamicsRunner
-from sysid_evo.environments import champion_of, make_vector_env
+from sysid_evo.environments import champion_from_policy, make_vector_env
 from sysid_evo.environments.stable_baselines import StableBaselinesEnv
 from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.models import Dynamics
@@ -52,7 +52,9 @@ def learned(name: str, members: Mapping[str, Dynamics], task: str, *, steps: int
     algorithm = ALGORITHMS[name]("MlpPolicy", StableBaselinesEnv(env), seed=seed, device="cpu", **SETTINGS[name])
     algorithm.learn(steps)
     seconds = time.process_time() - began
-    return Entry(champion_of(algorithm, env.trials, name=name, task=task, seed=seed), seconds, algorithm.num_timesteps)
+    return Entry(
+        champion_from_policy(algorithm, env.trials, name=name, task=task, seed=seed), seconds, algorithm.num_timesteps
+    )
 
 
 def evolved(members: Mapping[str, Dynamics], task: str, *, generations: int, trials: int, seed: int) -> Entry:
@@ -113,7 +115,7 @@ def main(arguments: list[str] | None = None) -> None:
     matrix = compared(entries, members, robot, trials=given.judged)
     table = Table("", "claimed", "achieved", "processor s", "samples", box=None)
     for entry in entries:
-        claim = Figures(matrix).on(entry.champion, tuple(members))
+        claim = MatrixEstimates(matrix).on(entry.champion, tuple(members))
         claimed = float("nan") if claim is None else claim.value
         achieved = matrix.cell(entry.champion.name, robot.name).mean
         figures = (f"{claimed:.1f}", f"{achieved:.1f}", f"{entry.seconds:.1f}", f"{entry.samples:,}")

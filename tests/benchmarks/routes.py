@@ -60,7 +60,7 @@ def compare_one(folder: Path) -> Callable[[], object]:
     """Return a call that compares one model by its prediction of the emulated car."""
     import evaluation
 
-    return lambda: evaluation.compare(only="prediction", models=["linear"], out=folder / "run", jobs=1)
+    return lambda: evaluation.compare(stop_after="prediction", models=["linear"], out=folder / "run", jobs=1)
 
 
 def first_rollout(folder: Path) -> Callable[[], object]:
@@ -83,7 +83,7 @@ def first_rollout(folder: Path) -> Callable[[], object]:
 
 ROUTES: dict[str, Callable[[Path], Callable[[], object]]] = {
     "Dataset.read of one CSV": read_csv,
-    'compare(only="prediction", models=["linear"])': compare_one,
+    'compare(stop_after="prediction", models=["linear"])': compare_one,
     "a first compiled rollout": first_rollout,
 }
 

@@ -25,7 +25,7 @@ from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
-from sysid_evo.plan.store import Record, Store
+from sysid_evo.plan.store import CellRecord, Store
 
 END, ASIDE = "advise", "exploit"
 """The kinds of the last cells of a comparison; of the same one the second needs nothing that the first does not."""
@@ -53,7 +53,7 @@ def recorded(run: Path) -> list[Recorded]:
         raise ValueError(f"{run}: expected a run folder with records in {run / 'cells'}, found none")
     placed: dict[str, Recorded] = {}
 
-    def place(record: Record) -> None:
+    def place(record: CellRecord) -> None:
         if record.digest in placed:
             return
         needs = tuple(dict.fromkeys(digest for digest in record.needs if digest in records))

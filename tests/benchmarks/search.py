@@ -2,8 +2,8 @@
 
 Controllers are evolved on emulated cars themselves, from random starts, by several strategies on the same number
 of rollouts (that of ``--generations`` generations of 100 candidates in 10 trials). What a run is worth is the mean
-fitness of its champion in 300 trials that it never met. The yardstick of a car is the best of all runs on it, or
-``--yardstick`` if that is higher. Prints a table: mean, best, share of runs that reach 95 % of the yardstick,
+fitness of its champion in 300 trials that it never met. The reference of a car is the best of all runs on it, or
+``--reference`` if that is higher. Prints a table: mean, best, share of runs that reach 95 % of the reference,
 processor seconds, and the share of these that asking and telling took. ``--json FILE`` keeps every run, and a run
 that stands there already is not made again.
 """
@@ -101,7 +101,7 @@ def run(strategy: str, car: int, seed: int, generations: int) -> Run:
 def table(runs: list[Run], yardsticks: dict[int, float]) -> Table:
     """Return a row for each strategy on each car."""
     found = Table(title="achieved on the car itself, waypoints")
-    for name in ("strategy", "car", "runs", "mean", "best", "yardstick", "reached", "s a run", "ask, tell"):
+    for name in ("strategy", "car", "runs", "mean", "best", "reference", "reached", "s a run", "ask, tell"):
         found.add_column(name, justify="left" if name == "strategy" else "right")
     for strategy in STRATEGIES:
         for car in sorted(yardsticks):
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--generations", type=int, default=1200)
     parser.add_argument("--strategies", default=",".join(STRATEGIES).replace(", ", "; "))
-    parser.add_argument("--yardstick", type=float, default=0.0)
+    parser.add_argument("--reference", type=float, default=0.0)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args(arguments)
     names = [name.replace("; ", ", ") for name in given.strategies.split(",")]
@@ -143,7 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
                     console.print(f"{strategy}, car {car}, seed {seed}: {runs[-1].achieved:.2f} ({runs[-1].niche})")
                     if given.json:
                         given.json.write_text(json.dumps([asdict(one) for one in runs], indent=1))
-    best = {car: max([given.yardstick, *(one.achieved for one in runs if one.car == car)]) for car in cars}
+    best = {car: max([given.reference, *(one.achieved for one in runs if one.car == car)]) for car in cars}
     console.print(table(runs, best))
     return 0
 

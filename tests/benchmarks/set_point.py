@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--generations", type=int, default=60)
     options = parser.parse_args(arguments)
-    compare(out=options.out, robot=options.robot, models=["linear"], only="fit")
+    compare(out=options.out, robot=options.robot, models=["linear"], stop_after="fit")
     file = next((options.out / "models").glob("linear-*.json"))
     robot, model = make_robot(options.robot), load_model(file)
     task, runner, seeds = make_task(TASK), DynamicsRunner(robot.dynamics), trial_seeds(9, options.trials)

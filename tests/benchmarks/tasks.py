@@ -16,19 +16,19 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from evaluation import Report, compare
+from evaluation import ComparisonResults, compare
 
 CASES = "pendulum/swing_up,cart_pole/balance,thermal/set_point"
 COLUMNS = ("robot", "task", "seed", "recommended", "achieved", "search on the robot", "processor time, s")
 WORDS = 4
 
 
-def row_of(report: Report, robot: str, task: str, seed: int, seconds: float) -> tuple[str, ...]:
+def row_of(report: ComparisonResults, robot: str, task: str, seed: int, seconds: float) -> tuple[str, ...]:
     """Return one row of the table; achieved by both are means over trials, ± standard errors."""
     assert report.transfer is not None
     controllers = report.transfer.controllers
     pick = next(c for c in controllers if c.name == report.transfer.pick)
-    reference = next(c for c in controllers if c.on_robot)
+    reference = next(c for c in controllers if c.evolved_on_robot)
     assert pick.achieved is not None
     assert reference.achieved is not None
     shown = (f"{value.value:.1f} ± {value.standard_error:.1f}" for value in (pick.achieved, reference.achieved))
@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
                 seed=seed,
                 minutes=options.minutes,
                 generations=options.generations,
-                yardstick=True,
+                reference=True,
             )
             row = row_of(report, robot, task, seed, time.process_time() - began)
             console.print(*row)

@@ -21,7 +21,7 @@ from sysid_evo.controllers import Controller
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.champion import save_champion
-from sysid_evo.export import c_text, law_of, onnx_bytes, python_text
+from sysid_evo.export import c_text, exported_controller, onnx_bytes, python_text
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
@@ -121,7 +121,7 @@ def commands(spec):
 def test_the_file_gives_the_commands_of_the_product_over_thousands_of_samples(spec, language, tmp_path):
     seen, expected = wandering(max(SAMPLES.values())), commands(spec)
     assert len(np.unique(expected, axis=0)) > 2
-    step, samples = STEP[language](law_of(champion_of(spec)), "double", tmp_path), SAMPLES[language]
+    step, samples = STEP[language](exported_controller(champion_of(spec)), "double", tmp_path), SAMPLES[language]
     np.testing.assert_array_equal(stepped(step, seen[:samples]), expected[:samples])
 
 
@@ -139,12 +139,12 @@ def test_continuous_controls_are_scaled_as_the_product_does_but_for_rounding(lan
     for number, spec in enumerate(specs):  # a library is loaded once by its path
         champion, folder = champion_of(spec, continuous_car()), tmp_path / str(number)
         folder.mkdir()
-        found = stepped(STEP[language](law_of(champion), real, folder), seen)
+        found = stepped(STEP[language](exported_controller(champion), real, folder), seen)
         np.testing.assert_allclose(found, decided(champion, seen), atol=off, err_msg=spec)
 
 
 def test_reset_forgets_what_was_seen():
-    controller = loaded(python_text(law_of(champion_of("recurrent", continuous_car()))))["Controller"]()
+    controller = loaded(python_text(exported_controller(champion_of("recurrent", continuous_car()))))["Controller"]()
     first = stepped(controller.step, wandering(5))
     assert not np.array_equal(stepped(controller.step, wandering(5)), first)
     controller.reset()
@@ -169,13 +169,13 @@ class Compiled(Controller):
             held = [np.ascontiguousarray(array[place]) for array in (after, view.observation, controls)]
             self.step(*(row.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for row in held))
             after[place], controls[place] = held[0], held[2]
-        return self.law.system.raw_of(controls), after
+        return self.law.system.raw_output(controls), after
 
 
 def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_path):
     robot = make_robot("emulated_car")
     champion = champion_of("recurrent", robot.system)
-    law = law_of(champion)
+    law = exported_controller(champion)
     step = getattr(library(law, "double", tmp_path), f"{law.name}_step")
     task = PointToPoint(horizon=80)
     ours, in_c = (
@@ -192,7 +192,7 @@ def test_the_c_file_drives_the_emulated_car_in_the_loop_as_the_product_does(tmp_
 
 
 def test_the_python_file_checks_itself_without_this_package(tmp_path):
-    text = python_text(law_of(champion_of("pid")))
+    text = python_text(exported_controller(champion_of("pid")))
     assert "sysid_evo" not in text
     for source, code, said in ((text, 0, "ok: 20 samples\n"), (text.replace("raw = np", "raw = -np"), 1, "")):
         file = write(source, tmp_path / "law.py")
@@ -202,7 +202,7 @@ def test_the_python_file_checks_itself_without_this_package(tmp_path):
 
 @pytest.mark.parametrize("real", REAL)
 def test_the_c_file_checks_itself(real, tmp_path):
-    law = law_of(champion_of("recurrent"))
+    law = exported_controller(champion_of("recurrent"))
     text = c_text(law, real, "law.c")
     assert f"cc -std=c99 -DTEST_{law.name.upper()} law.c -lm -o check && ./check" in text
     for source, code in ((text, 0), (text.replace("? ", "? -", 1), 1)):
@@ -214,13 +214,13 @@ def test_the_c_file_checks_itself(real, tmp_path):
 
 def test_the_c_file_allocates_nothing():
     for spec in SPECS:
-        text = c_text(law_of(champion_of(spec)))
+        text = c_text(exported_controller(champion_of(spec)))
         assert "alloc" not in text.replace("no allocation", "")
         assert text.count("#include") == 3  # math.h, stddef.h, and stdio.h of its test
 
 
 def test_the_python_file_names_what_it_takes_and_gives_with_units():
-    text = python_text(law_of(champion_of("recurrent")))
+    text = python_text(exported_controller(champion_of("recurrent")))
     module = loaded(text)
     assert module["OBSERVATIONS"] == ("bias", "forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
     assert module["CONTROLS"] == ("drive", "steer")
@@ -233,7 +233,7 @@ def test_the_python_file_names_what_it_takes_and_gives_with_units():
 def test_the_onnx_model_says_how_often_it_is_called_and_what_it_is_given():
     from onnx import load_from_string
 
-    model = load_from_string(onnx_bytes(law_of(champion_of("linear"))))
+    model = load_from_string(onnx_bytes(exported_controller(champion_of("linear"))))
     described = {item.key: item.value for item in model.metadata_props}
     assert described["dt"] == "0.05"
     assert json.loads(described["observations"])[3].startswith("3  waypoint_angle     rad")
@@ -242,11 +242,11 @@ def test_the_onnx_model_says_how_often_it_is_called_and_what_it_is_given():
 def test_without_the_library_onnx_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MissingExtra, match="export --to onnx needs the package 'onnx'"):
-        onnx_bytes(law_of(champion_of("linear")))
+        onnx_bytes(exported_controller(champion_of("linear")))
 
 
 def test_a_name_that_would_end_the_remark_does_not():
-    law = law_of(champion_of("linear", name='a"""\\ */ b'))
+    law = exported_controller(champion_of("linear", name='a"""\\ */ b'))
     assert law.name == "a_b" or law.name.isidentifier()
     assert "Controller" in loaded(python_text(law))
 
@@ -255,7 +255,7 @@ def test_units_and_names_end_no_comment_and_add_no_line_of_code():
     hostile = '*/ #error out */\nraise SystemExit("out")\r\x0craise SystemExit\x1b[2J"""'
     system = switched_car()
     channels = tuple(replace(channel, unit=hostile) for channel in system.controls)
-    law = law_of(champion_of("linear", replace(system, controls=channels), name=hostile))
+    law = exported_controller(champion_of("linear", replace(system, controls=channels), name=hostile))
     assert "Controller" in loaded(python_text(law))
     assert "#error" not in re.sub(r"/\*.*?\*/", "", c_text(law), flags=re.DOTALL)
     assert "#error" in c_text(law)
@@ -299,7 +299,7 @@ def test_the_formulas_stand_in_the_head_of_the_file():
     champion = Champion(
         "warm", np.ones(n), ("a",), "min", 0, np.zeros((1, 3)), task=task, controller="linear", system=system
     )
-    text = python_text(law_of(champion))
+    text = python_text(exported_controller(champion))
     assert "1  temperature        (temperature - 50 degC) / (50 degC)\n" in text
     assert "2  temperature_error  (target - temperature) / (10 degC)\n" in text
     assert "0  heater  -, 0 to 1\n" in text
@@ -320,12 +320,12 @@ class Bare(Controller):
 def test_what_has_no_program_is_refused_with_what_to_do_instead(register, car_data, tmp_path):
     register(controllers, "bare", Bare)
     with pytest.raises(InvalidArgument, match=r"'bare' cannot be written as a file .* feed_forward, constant"):
-        law_of(champion_of("bare"))
+        exported_controller(champion_of("bare"))
     file = save_model(make_model("linear").fit(car_data), tmp_path / "body")
     with pytest.raises(InvalidArgument, match=r"'predictive' cannot be written .* Evolve a network in that model"):
-        law_of(champion_of(f"predictive(model={str(file)!r}, horizon=3)"))
+        exported_controller(champion_of(f"predictive(model={str(file)!r}, horizon=3)"))
     with pytest.raises(InvalidArgument, match="is somebody who drives by hand"):
-        law_of(replace(champion_of("recurrent"), system=None))
+        exported_controller(replace(champion_of("recurrent"), system=None))
 
 
 @pytest.fixture

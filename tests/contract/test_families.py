@@ -16,7 +16,7 @@ from sysid_evo.registry import models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL, example_dataset
 from sysid_evo.testing.models import rows_are_independent
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 from tests.fixtures.families import SMALL, hurry, small
 from tests.fixtures.systems import SMALL_SYSTEMS
 
@@ -64,7 +64,7 @@ def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(family, reco
     """Where a family can hold a body at rest, it does so on the car with switches."""
     dataset = request.getfixturevalue(recording)
     dataset = dataset[[0]] if family in SLOW else dataset
-    results = list(MODEL.run(family, dataset, **SMALL.get(family, {}), rest_hold=recording == "car_data"))
+    results = list(MODEL.run(family, dataset, **SMALL.get(family, {}), dead_band=recording == "car_data"))
     assert not broken(results)
     assert len(results) == 1 + len(MODEL.checks)
 
@@ -120,7 +120,7 @@ def test_a_car_without_controls_is_refused_in_a_sentence(family):
     ],
 )
 def test_lags_asked_for_keep_the_contract(family, options, throttle_car_data):
-    assert not broken(MODEL.run(family, throttle_car_data, rest_hold=True, **options))
+    assert not broken(MODEL.run(family, throttle_car_data, dead_band=True, **options))
     assert make_model(family, **options).lags == (options.get("state_lags", 0), options["control_lags"])
 
 
@@ -150,7 +150,7 @@ def test_a_fit_that_takes_long_tells_often_how_far_it_is(family):
 
 @pytest.mark.parametrize("family", ["k_neighbours", "narx", "sindy", "sindy_discrete", "neural_ode"])
 def test_a_control_moves_a_body_that_is_held_at_rest(family):
-    model = learned(family)[0].variant(rest_hold=True)
+    model = learned(family)[0].variant(dead_band=True)
     rest = model.start(np.zeros((1, model.n_lags + 1, 3)), np.zeros((1, model.n_lags, 2)))
     assert np.array_equal(model.step(rest, np.zeros((1, 2)))[:, :3], np.zeros((1, 3)))
     assert not np.array_equal(model.step(rest, np.ones((1, 2)))[:, :3], np.zeros((1, 3)))
@@ -158,7 +158,7 @@ def test_a_control_moves_a_body_that_is_held_at_rest(family):
 
 def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car(car_data):
     """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
-    model = make_model("parametrised", generations=3, control_lags=2, rest_hold=True)
+    model = make_model("parametrised", generations=3, control_lags=2, dead_band=True)
     model.fit(car_data, rng=np.random.default_rng(0))
     model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
     carry, speeds = np.zeros((1, model.n_carry)), []
@@ -173,7 +173,7 @@ def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car(car_data):
 def test_a_family_of_the_paper_beats_persistence_at_one_second(family):
     train, held = example_dataset(episodes=4, steps=500).split(["episode-2"])
     model = make_model(family, **{**quick(family), **SMALL.get(family, {})}).fit(train, rng=np.random.default_rng(3))
-    windows = judging_windows(held, 0)
+    windows = error_windows(held, 0)
     truth = windows.states[:, -1]
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)[:, -1]
     ours, persistence = (
@@ -185,12 +185,12 @@ def test_a_family_of_the_paper_beats_persistence_at_one_second(family):
 
 def test_only_families_that_take_little_time_for_a_million_steps_learn_from_all_of_them():
     """`linear` 3 s, `nearest_neighbour` 2 s, `parametrised` 16 s and `evolved3` 40 s."""
-    everything = {name for name in models.names() if "most_steps" not in make_model(name).get_params()}
+    everything = {name for name in models.names() if "max_steps" not in make_model(name).get_params()}
     assert everything == {"linear", "nearest_neighbour", "parametrised", "evolved3", "adapted"}
 
 
 def test_every_family_can_hold_a_body_at_rest():
-    assert not [name for name in models.names() if "rest_hold" not in make_model(name).get_params()]
+    assert not [name for name in models.names() if "dead_band" not in make_model(name).get_params()]
 
 
 def test_every_optional_package_that_a_family_imports_is_among_those_it_requires():

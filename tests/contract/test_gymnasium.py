@@ -7,7 +7,7 @@ import pytest
 
 from hardware.preflight import check_recording
 from hardware.robot import find_robot
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from hardware.simulators.gymnasium_robot import GymnasiumRobot, parse_angles
 from hardware.simulators.gymnasium_task import RULES, EnvironmentTask
 from hardware.testing import check_robot
@@ -223,12 +223,12 @@ def test_a_recording_that_is_too_short_is_refused_and_says_how_long_it_must_be()
 
 def test_a_stop_ends_the_recording_and_keeps_what_there_is():
     robot = GymnasiumRobot(id="Pendulum-v1")
-    with Stops() as stops:
-        made = robot.record(seed=0, duration=60.0, stops=stops, progress=lambda *_: stops.request(Reason.SIGINT))
-    assert made.report.reason is Reason.SIGINT
+    with StopRequest() as stops:
+        made = robot.record(seed=0, duration=60.0, stop=stops, progress=lambda *_: stops.request(StopReason.SIGINT))
+    assert made.report.reason is StopReason.SIGINT
     assert len(made.dataset) == 1
     with pytest.raises(LinkLost, match="Pendulum-v1: interrupted; nothing was recorded"):
-        robot.record(seed=0, duration=60.0, stops=stops)
+        robot.record(seed=0, duration=60.0, stop=stops)
 
 
 @dataclass(frozen=True)
@@ -403,7 +403,7 @@ def test_rewards_of_an_unknown_environment_are_asked_of_it_where_it_begins_and_e
 
 
 def test_what_is_below_the_least_counts_as_the_least():
-    task = EnvironmentTask(id=SLIDER, least=-2.0, horizon=5).bind(GymnasiumRobot(id=SLIDER).system)
+    task = EnvironmentTask(id=SLIDER, lowest=-2.0, horizon=5).bind(GymnasiumRobot(id=SLIDER).system)
     before, control = np.array([[50.0, 0.0], [0.0, 0.0]]), np.zeros((2, 1))
     trial, _ = task.advance(task.begin(trial_seeds(1, 2)), before, before, control=control)
     np.testing.assert_allclose(task.fitness(trial), [-2.0, 1.0])

@@ -11,7 +11,7 @@ from distributed import KilledWorker
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.plan import Plan, Store, dask_executor, execute
-from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, Cluster, address_of, connected
+from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, DaskExecutor, address_of, connected
 from sysid_evo.plan.run_cell import CellEnd, CellLost
 from sysid_evo.processors import resolve
 from tests.fixtures.cells import number
@@ -165,7 +165,7 @@ class Here:
         self.store, self.client, self.told = Store(folder), MadeUpCluster(), []
         execute(Plan.of([ONE]), self.store)
         self.plan = Plan.of([ONE, TOP, AFTER])
-        self.cluster = Cluster(self.store, self.plan.cells, self.client, self.told.append)
+        self.cluster = DaskExecutor(self.store, self.plan.cells, self.client, self.told.append)
 
     def look(self):
         self.cluster._looked = 0.0

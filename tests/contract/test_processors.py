@@ -72,7 +72,7 @@ def test_a_model_is_the_same_for_any_number_of_threads(family, recording, tmp_pa
 
 def test_a_champion_is_the_same_for_any_number_of_threads(recording):
     settings = ControllerEvolution(
-        generations=24, trials=2, runs=1, selection_trials=3, strategy="cma_es", task="point_to_point(horizon=50)",
+        generations=24, trials=2, repeats=1, selection_trials=3, strategy="cma_es", task="point_to_point(horizon=50)",
         controller="recurrent(hidden=15)",  # 330 parameters; C of fewer than 240 came out the same on four threads
     )  # fmt: skip
     model = make_model("linear").fit(recording, rng=0)

@@ -73,13 +73,13 @@ def test_the_page_is_self_contained_and_names_every_model_and_controller(runs):
 
 
 def test_a_comparison_advises_on_the_model_that_predicts_best_and_documents_its_errors(tmp_path):
-    experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "only": "prediction"})
+    experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "stop_after": "prediction"})
     comparison = plan_comparison(experiment, dataset=drive(Fault(late=6)))
     store = Store(tmp_path)
     execute(comparison.plan, store)
     made = gather_results(comparison, store)
     assert made.advice.model == made.prediction.ranking(20)[0].name == "late"
-    assert made.advice.judged_on == "the test part"
+    assert made.advice.evaluated_on == "the test part"
     assert made.advice.remarks[0].topic == "late controls"
     document = to_json(made)["prediction"]["models"][1]
     assert document["residuals"]["channels"]["speed"]["controls"]["push"]["p"] < 0.05

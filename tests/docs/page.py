@@ -192,7 +192,7 @@ def _run(line: str, folder: Path, options: Mapping[str, tuple[str, ...]]) -> Ite
         subprocess.run([program, *words], cwd=folder, check=True)
         return
     assert program == "sysid-evo", line
-    more = () if "--only" in words else options.get(words[0], ())  # no controller is evolved there
+    more = () if "--stop-after" in words else options.get(words[0], ())  # no controller is evolved there
     done = run_here(*words, *more, cwd=folder)
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     yield Printed(line, done.stdout)

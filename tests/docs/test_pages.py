@@ -19,11 +19,11 @@ import pytest
 
 from hardware.connection import GateLimits
 from hardware.control_loop import ControlLoop
-from hardware.estimator import NewestPose
+from hardware.estimator import NewestPoseEstimator
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.recording.record import ManoeuvrePilot
 from hardware.robot import find_robot
-from hardware.run_report import Reason
+from hardware.run_report import StopReason
 from hardware.trackers.udp import FrameMessage
 from sysid_evo.cli.app import loaded
 from sysid_evo.data import Dataset, load_columns
@@ -46,7 +46,7 @@ RUN = [page for name, page in PAGES.items() if page.blocks("python") and not nam
 """Pages whose Python is a program; the others are visited as a whole, see test_tutorials."""
 SMALL_TASK = 'task="point_to_point(horizon=40)"'
 SMALL = f'generations=1, trials=2, selection_trials=2, {SMALL_TASK}, strategy="mu_plus_lambda(parents=2, children=2)"'
-COMPARISON = f"polish=1, transfer_trials=2, traces=0, yardstick=False, {SMALL}"
+COMPARISON = f"polish_generations=1, transfer_trials=2, traces=0, reference=False, {SMALL}"
 KERNELS = ("damped", "damped_lifted", "damped_block")
 """The families of the page on kernels."""
 BUDGETS = {
@@ -71,7 +71,7 @@ BUDGETS = {
         'generations=8, trials=4, controller="recurrent(hidden=10)", strategy="niches"': (
             f"generations=2, trials=2, {SMALL_TASK}, strategy='niches'"
         ),
-        "generations=12, trials=4, runs=2": f"{SMALL}, runs=2",
+        "generations=12, trials=4, repeats=2": f"{SMALL}, repeats=2",
         "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
         "generations=20)": "generations=2)",
     },
@@ -398,11 +398,11 @@ def test_the_boat_of_the_page_on_the_network_is_driven_by_the_loop_and_left_in_n
         robot.check()
         with Harbour(port, tracker) as harbour, robot.connect() as connection:
             assert connection.gate_limits.speed == 3.0
-            loop = ControlLoop(connection, robot.system, estimator=NewestPose(robot.system))
+            loop = ControlLoop(connection, robot.system, estimator=NewestPoseEstimator(robot.system))
             report = loop.run(ManoeuvrePilot(Manoeuvre("ahead", np.tile([1.0, 0.5], (8, 1)))))
             connection.close()
             time.sleep(0.05)
-    assert report.reason is Reason.PILOT, report.sentence
+    assert report.reason is StopReason.PILOT, report.sentence
     driven = [word["control"] for word in harbour.heard]
     assert driven.count([1.0, 0.5]) == 8
     assert driven[-1] == [0.0, 0.0]

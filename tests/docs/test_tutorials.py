@@ -10,7 +10,7 @@ import pytest
 from hardware.robot import find_robot
 from sysid_evo import Champion, load_plugin, make_controller, make_task, trial_seeds
 from sysid_evo.data import Dataset
-from sysid_evo.export.exported_controller import law_of
+from sysid_evo.export.exported_controller import exported_controller
 from sysid_evo.export.python_file import python_text
 from tests.docs.page import PAGES, QUICK, importable, picture, words_of
 from tests.fixtures.commands import forgetting
@@ -85,7 +85,7 @@ def test_the_loop_of_the_pendulum_earns_what_the_controller_earns_as_a_robot(tmp
         task=f'environment(id="{name}")',
         system=robot.system,
     )
-    (tmp_path / "recommended.py").write_text(python_text(law_of(champion)))
+    (tmp_path / "recommended.py").write_text(python_text(exported_controller(champion)))
     with importable(tmp_path):
         exec(PAGES["tutorials/pendulum.md"].blocks("python")[-1].text, {})
     earned = robot.runner().bind(controller, task)(weights[None], np.zeros(1, dtype=np.uint64)).fitness

@@ -108,7 +108,7 @@ def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored
     assert "too few to compare models; record more" in fitted.stderr
     tested = call("fit", stored_data, "--models", "linear", "--test", "episode-2", "--json", "--out", "tested")
     (row,) = json.loads(tested.stdout)
-    assert (row["judged_on"], row["steps"]) == ("the test part", 20)
+    assert (row["evaluated_on"], row["steps"]) == ("the test part", 20)
     assert row["error"] > 0.0
 
 
@@ -164,7 +164,7 @@ def floors(tmp_path_factory):
 
 
 def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(floors, call, monkeypatch):
-    monkeypatch.setattr("model_zoo.polynomial.narx.Narx.trained_further", lambda self, data, updates, *, rng: self)
+    monkeypatch.setattr("model_zoo.polynomial.narx.Narx.fine_tuned", lambda self, data, updates, *, rng: self)
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "other", "--out", "there")
     done = call.works(*command)
@@ -208,7 +208,7 @@ def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(call, stored
 def study(folder, *, models='"linear", "nearest_neighbour"', robots='"emulated_car"', seeds="[0, 1]", more=""):
     """Write a study without controllers, and return its file."""
     file = folder / "tiny.toml"
-    experiment = f'models = [{models}]\nminutes = 0.3\nonly = "prediction"\n'
+    experiment = f'models = [{models}]\nminutes = 0.3\nstop_after = "prediction"\n'
     grid = f"robot = [{robots}]\nseed = {seeds}\n{more}"
     file.write_text(f'title = "Tiny"\n[experiment]\n{experiment}[grid]\n{grid}')
     return file
@@ -239,12 +239,12 @@ def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(tmp_path):
     planned = plan_study(Study.read(study(tmp_path)))
     fits = [cell for cell in planned.plan if cell.kind == "fit"]
     tried = {cell.digest: None for cell in planned.plan}
-    tried[fits[0].digest] = SimpleNamespace(status="done", seconds=3.0 * fits[0].seconds)
+    tried[fits[0].digest] = SimpleNamespace(status="done", seconds=3.0 * fits[0].expected_seconds)
     tried[fits[1].digest] = SimpleNamespace(status="failed", seconds=1000.0)
     about = seconds_about(planned, tried)
-    assert about[fits[2].digest] == pytest.approx(3.0 * fits[2].seconds)
+    assert about[fits[2].digest] == pytest.approx(3.0 * fits[2].expected_seconds)
     others = [cell for cell in planned.plan if cell.kind == "predict"]
-    assert [about[cell.digest] for cell in others] == [cell.seconds for cell in others]
+    assert [about[cell.digest] for cell in others] == [cell.expected_seconds for cell in others]
 
 
 def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):

@@ -9,7 +9,7 @@ import pytest
 
 from evaluation.cells.assessment import Run
 from evaluation.experiment import Experiment, meaningful
-from evaluation.planning import comparison_again
+from evaluation.planning import comparison_in
 from evaluation.report import brief, save_report, to_json
 from evaluation.run_folder import unneeded_files
 from evaluation.running import compare, gather_results, report_of
@@ -28,7 +28,7 @@ from sysid_evo.testing.examples import switched_car
 from tests.fixtures.systems import FloorCar, drive
 
 SHORT = {
-    "generations": 1, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 0, "held_back": 0.3,
+    "generations": 1, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 0, "held_out": 0.3,
     "ensembles": (), "task": "point_to_point(horizon=40)", "strategy": "mu_plus_lambda(parents=2, children=2)",
 }  # fmt: skip
 NARX = "narx=narx(degree=1, terms=6, state_lags=0, control_lags=0)"
@@ -96,7 +96,7 @@ def run_in(folder, *names, observer=None, **changes):
 
 def planned_in(run, **changes):
     """Return the comparison in the folder of a run, with ``changes``."""
-    return comparison_again(Experiment.of(meaningful(Experiment.read(run), changes)), run)[0]
+    return comparison_in(Experiment.of(meaningful(Experiment.read(run), changes)), run)[0]
 
 
 def without_timings(report):
@@ -135,7 +135,7 @@ def test_a_run_goes_on_where_it_was_and_a_report_is_made_of_plan_and_store_alone
 def test_a_result_that_disappears_is_computed_again_and_the_report_is_the_same(run_copy, found):
     comparison, watching = planned_in(run_copy), Watching()
     (champion,) = (cell for cell in comparison.plan if cell.title == "evolve linear")
-    file = Path(f"{Store(run_copy).where(champion)}.safetensors")
+    file = Path(f"{Store(run_copy).result_path(champion)}.safetensors")
     file.unlink()  # its content is that of the session's run, too
     file.write_bytes(b"damaged")
     next((run_copy / "results").glob("prediction-linear-*")).unlink()
@@ -183,7 +183,7 @@ def test_the_robot_is_the_last_column_and_a_controller_written_by_hand_the_last_
 
 
 def test_prediction_alone_evolves_nothing(finished_run):
-    alone = planned_in(finished_run, only="prediction", ensembles=(), by_hand=(), robot=None)
+    alone = planned_in(finished_run, stop_after="prediction", ensembles=(), baselines=(), robot=None)
     assert alone.plan.of_kind("evolve") == ()
     report = gather_results(alone, Store(finished_run))
     assert report.matrix is None
@@ -225,7 +225,7 @@ def test_a_family_that_fails_is_a_row_with_its_reason_and_the_rest_goes_on_witho
     assert {failure.what for failure in report.failures} == {"fit fails_in_fit"}  # what needed it is not told again
     assert report.matrix.rows == ("linear", "ridged", "polished")
     assert report.matrix.champions[-1].against == ("linear", "ridged"), "polished on those that could be fitted"
-    assert all(champion.judges == () for champion in report.matrix.champions)
+    assert all(champion.scoring_models == () for champion in report.matrix.champions)
     assert not report.matrix.cell("linear", "linear").failed
     assert report.matrix.cell("linear", "fails_in_fit").reason == "needs fit fails_in_fit, which failed"
 
@@ -236,8 +236,8 @@ def test_no_model_at_all_is_an_error_that_gives_the_reasons(tmp_path):
 
 
 LABELLED = {
-    "robot": "car-3=made_up_robot", "yardstick": True, "recipe": "plain", "traces": 2,
-    "by_hand": [
+    "robot": "car-3=made_up_robot", "reference": True, "procedure": "plain", "traces": 2,
+    "baselines": [
         "ahead=predictive(model=made_up_robot, horizon=3)", "one=predictive(model=linear, horizon=3)",
         "two=predictive(model=[linear, made_up_robot], horizon=3)",
     ],
@@ -267,7 +267,7 @@ def test_the_yardstick_is_a_controller_evolved_on_the_robot_itself(labelled):
     assert report.matrix.champions[2].against == ("car-3",)
     assert not report.matrix.cell("car-3", "linear").failed
     summary = summarise(report.matrix).controller("car-3")
-    assert summary.on_robot
+    assert summary.evolved_on_robot
     assert summary.claimed == summary.achieved
     assert not report.failures
     assert "car-3" in (folder / "report.html").read_text()
@@ -292,7 +292,7 @@ def test_a_model_of_the_comparison_stands_inside_a_controller_by_its_label(label
 
 
 def test_claims_are_measured_with_the_delay_of_evolution(run_copy):
-    late = planned_in(run_copy, estimator_delay=0.2, recipe="plain", ensembles=(), by_hand=(), robot=None)
+    late = planned_in(run_copy, estimator_delay=0.2, procedure="plain", ensembles=(), baselines=(), robot=None)
     run = next(run for run in late.matrix.runs if run.title == "run near on near")
     assert run.settings.delay == 0.2
     prompt, store = replace(run.settings, delay=0.0).cell(), Store(run_copy)
@@ -307,7 +307,7 @@ def test_a_condition_left_out_is_predicted_worse_and_another_name_of_it_makes_ot
         for seed, (car, condition) in enumerate(cars)
     ]
     floors = Dataset(FloorCar().system, tuple(pieces))
-    settings = {"models": ["linear"], "only": "prediction", "leave_out": "condition", "jobs": 1}
+    settings = {"models": ["linear"], "stop_after": "prediction", "leave_out": "condition", "jobs": 1}
     report = compare(floors, out=tmp_path, **settings)
     grip, ice = report.conditions["linear"]
     assert (grip.condition, ice.condition, grip.horizon) == ("grip", "ice", 20)

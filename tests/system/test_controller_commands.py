@@ -17,7 +17,7 @@ SEARCH = ("--generations", "2", *STRATEGY, "--task", TASK, "--controller", "recu
 def test_a_controller_evolves_against_an_ensemble_and_inspect_says_where_it_goes(call, run_copy, stored_data):
     evolved = call.works(
         "evolve", "--run", "out", "--against", "linear,near", "--aggregate", "min", *SMALL,
-        "--noise", "envelope(sensor=0.1, latency=1)", "--caution", "doubt(outside=2)",
+        "--noise", "domain_randomisation(sensor=0.1, latency=1)", "--penalty", "uncertainty(outside=2)",
     )  # fmt: skip
     assert "linear:" in evolved.stdout
     assert " fresh trials, whose standard deviation is " in evolved.stdout
@@ -39,7 +39,7 @@ def test_a_controller_evolves_on_the_emulated_car_without_any_model(call):
 
 
 def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(call, stored_data):
-    robot = ("--robot", "emulated_car", "--yardstick", *SMALL, "--recipe", "plain")
+    robot = ("--robot", "emulated_car", "--reference", *SMALL, "--procedure", "plain")
     done = call.works("compare", "--data", stored_data, "--models", "linear", *robot, "--out", "out")
     assert "evolve emulated_car" in done.stderr
     report = json.loads((call.folder / "out" / "report.json").read_text())
@@ -50,13 +50,13 @@ def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(call, stored_data)
 def runs(tmp_path_factory, stored_data):
     """A folder with three models and two controllers in ``one``, another of the same name in ``two``."""
     folder = tmp_path_factory.mktemp("evolved")
-    evolve = ("evolve", *SEARCH, "--recipe", "plain", "--against")
+    evolve = ("evolve", *SEARCH, "--procedure", "plain", "--against")
     for command in (
         ("fit", stored_data, "--models", "linear,nearest_neighbour,k_neighbours", "--out", "one"),
-        (*evolve, "linear", "--run", "one", "--runs", "2"),
-        (*evolve, "nearest_neighbour", "--run", "one", "--runs", "1"),
+        (*evolve, "linear", "--run", "one", "--repeats", "2"),
+        (*evolve, "nearest_neighbour", "--run", "one", "--repeats", "1"),
         ("fit", stored_data, "--models", "linear", "--out", "two"),
-        (*evolve, "linear", "--run", "two", "--runs", "1"),
+        (*evolve, "linear", "--run", "two", "--repeats", "1"),
     ):
         done = run_here(*command, cwd=folder)
         assert done.returncode == 0, done.stderr
@@ -111,7 +111,7 @@ def test_every_controller_of_a_run_is_run_on_every_model_with_intervals(there):
     assert all(len(cell["interval"]) == 2 for cell in told["transfer"]["cells"])
     first, second = told["controllers"]["controllers"]
     assert first["against"] == ["linear"]
-    assert set(first["judges"]) == {"nearest_neighbour", "k_neighbours"}
+    assert set(first["scoring_models"]) == {"nearest_neighbour", "k_neighbours"}
     assert first["claimed"]["value"] is not None
     assert [len(one["seed_fitness"]) for one in (first, second)] == [2, 1]
 

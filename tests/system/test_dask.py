@@ -18,7 +18,7 @@ from distributed import Client
 
 from evaluation.running import compare
 from evaluation.study import Study
-from evaluation.transfer import Cell, MeasuredResult, person, save_measured
+from evaluation.transfer import Cell, MeasuredResult, human_driver, save_measured
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.models import save_model
 from sysid_evo.models.base import make_model
@@ -416,11 +416,13 @@ def test_plugins_and_what_persons_drove_go_along(tmp_path, cluster, monkeypatch)
     monkeypatch.setenv("PLUGIN_DIARY", str(tmp_path / "plugins"))
     (tmp_path / "own.py").write_text(PLUGIN)
     settings = {
-        "models": ("mine",), "ensembles": (), "generations": 1, "trials": 2, "runs": 1, "transfer_trials": 3,
-        "recipe": "plain", "traces": 0, "task": "point_to_point(horizon=40)", "plugins": (str(tmp_path / "own.py"),),
-        "strategy": "mu_plus_lambda(parents=2, children=2)", "held_back": 0.3,
+        "models": ("mine",), "ensembles": (), "generations": 1, "trials": 2, "repeats": 1, "transfer_trials": 3,
+        "procedure": "plain", "traces": 0, "task": "point_to_point(horizon=40)", "plugins": (str(tmp_path / "own.py"),),
+        "strategy": "mu_plus_lambda(parents=2, children=2)", "held_out": 0.3,
     }  # fmt: skip
-    human = MeasuredResult(person("anna"), Cell("anna", "mine", np.array([5.0]), unit="waypoints"), on_robot=False)
+    human = MeasuredResult(
+        human_driver("anna"), Cell("anna", "mine", np.array([5.0]), unit="waypoints"), on_robot=False
+    )
     for name, scheduler in (("here", None), ("there", str(cluster.file))):
         (tmp_path / name / "cells").mkdir(parents=True)
         save_measured(tmp_path / name, human)

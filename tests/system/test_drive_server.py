@@ -20,15 +20,15 @@ from websockets.sync.client import connect
 from evaluation.transfer import load_measured
 from hardware.connection import GateLimits
 from hardware.driving import server
-from hardware.driving.hand_driving import HandDriving, HandTrial, Instruments
-from hardware.driving.keyboard import HOLD, Keyboard, key_life
+from hardware.driving.hand_driving import HandDriving, HandPanel, HandTrial
+from hardware.driving.keyboard import HOLD, Keyboard, key_validity
 from hardware.driving.page_messages import FORWARD, LEFT, Phase
 from hardware.driving.server import PageServer, check_page
 from hardware.emulation.simulated_robot import in_real_time
-from hardware.emulation.tracked_robots import ModelledRobot
+from hardware.emulation.tracked_robots import ModelRobot
 from hardware.recording.journal import read_journal
-from hardware.run_report import LoopReport, Reason, Stops
-from sysid_evo.cli.robots import Driven, add_row
+from hardware.run_report import LoopReport, StopReason, StopRequest
+from sysid_evo.cli.robots import DriveTarget, add_row
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.registry import make_robot
@@ -46,10 +46,12 @@ class Desk:
     def __init__(self):
         self.robot = in_real_time(make_robot("emulated_car"))
         self.task = PointToPoint(horizon=200).bind(self.robot.system)
-        self.keyboard = Keyboard(life=key_life(self.robot.system))
-        self.instruments = Instruments(self.robot, self.task, self.keyboard)
+        self.keyboard = Keyboard(life=key_validity(self.robot.system))
+        self.instruments = HandPanel(self.robot, self.task, self.keyboard)
         self.deaths = []
-        self.page = PageServer(self.instruments, self.keyboard, host="127.0.0.1", port=0, died=self.deaths.append)
+        self.page = PageServer(
+            self.instruments, self.keyboard, host="127.0.0.1", port=0, on_server_end=self.deaths.append
+        )
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +204,7 @@ def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk):
 def test_a_port_that_is_taken_is_told_in_a_sentence(desk):
     port = urlsplit(desk.page.url).port
     with pytest.raises(InvalidArgument, match=f"port {port}"):
-        PageServer(desk.instruments, desk.keyboard, host="127.0.0.1", port=port or 0, died=desk.deaths.append)
+        PageServer(desk.instruments, desk.keyboard, host="127.0.0.1", port=port or 0, on_server_end=desk.deaths.append)
 
 
 def test_losing_the_server_releases_the_keys_and_is_reported():
@@ -240,7 +242,7 @@ class Typist:
                         break
                 time.sleep(EVERY)
             time.sleep(0.6)
-            self.stops.request(Reason.SIGTERM)
+            self.stops.request(StopReason.SIGTERM)
 
 
 @pytest.mark.parametrize(
@@ -249,12 +251,12 @@ class Typist:
     ids=["the connection breaks", "the page is closed", "the page is silent", "the key is released"],
 )
 def test_losing_the_page_means_neutral_within_150_ms(desk, lose):
-    stops, diary = Stops(), Diary()
+    stops, diary = StopRequest(), Diary()
     typist = Typist(desk, stops, lose)
     thread = threading.Thread(target=typist.type)
     driving = HandDriving(
         desk.robot, desk.task, desk.keyboard, desk.instruments,
-        seed_of=lambda index: index, stops=stops, recorder=lambda *_: diary,
+        seed_of=lambda index: index, stop=stops, recorder=lambda *_: diary,
     )  # fmt: skip
     thread.start()
     trials = list(driving.trials())
@@ -312,7 +314,7 @@ def pages(monkeypatch):
 def test_what_is_driven_becomes_a_data_set_that_inspect_reads(call, pages):
     pages(lambda seconds: seconds > SECONDS, interrupt=True)
     done = call("drive", "--out", "mine", "--open")
-    assert done.code == Reason.SIGINT.exit_code, done.stderr
+    assert done.code == StopReason.SIGINT.exit_code, done.stderr
     assert done.stdout.startswith("Drive emulated_car at http://127.0.0.1:")
     assert "data set stored in mine" in done.stdout
     dataset = Dataset.read(call.folder / "mine")
@@ -328,7 +330,7 @@ def test_what_is_driven_becomes_a_data_set_that_inspect_reads(call, pages):
 def test_a_model_is_recorded_in_the_same_way(call, run_copy, pages):
     pages(lambda seconds: seconds > 0.5, interrupt=True)
     done = call("drive", "--model", "linear", "--run", "out", "--out", "felt", "--open")
-    assert done.code == Reason.SIGINT.exit_code, done.stderr
+    assert done.code == StopReason.SIGINT.exit_code, done.stderr
     assert done.stdout.startswith("Drive linear at http://127.0.0.1:")
     episode = Dataset.read(call.folder / "felt").episodes[0]
     assert {tuple(control) for control in episode.controls} >= {(1.0, 1.0)}
@@ -371,13 +373,13 @@ def trial(number, fitness):
     task = PointToPoint().bind(system)
     state = task.begin(np.array([number], dtype=np.uint64))
     trajectory = Trajectory(np.zeros((3, 3)), np.zeros((2, 2)), system.dt, np.zeros((3, 3)), f"trial-{number}")
-    report = LoopReport(Reason.PILOT, "", np.zeros(2), np.zeros(1))
+    report = LoopReport(StopReason.PILOT, "", np.zeros(2), np.zeros(1))
     return HandTrial(number, f"trial-{number}", number, fitness, trajectory, state, report, GateLimits())
 
 
 def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path):
-    robot = ModelledRobot("linear", make_robot("emulated_car").dynamics)
-    driven = Driven(robot, "linear", tmp_path, on_robot=False)
+    robot = ModelRobot("linear", make_robot("emulated_car").dynamics)
+    driven = DriveTarget(robot, "linear", tmp_path, on_robot=False)
     add_row(driven, tmp_path, "humFc", [trial(1, None)])
     assert load_measured(tmp_path) == ((), ())
     add_row(driven, tmp_path, "humFc", [trial(1, 7.0), trial(2, None), trial(3, 9.0)])

@@ -218,7 +218,7 @@ def test_an_interrupted_evolution_is_kept_and_the_same_command_goes_on_to_the_sa
             return super().ask()
 
     register(strategies, "stopped", Stopped)
-    budget = (*SMALL, "--generations", "6", "--strategy", "stopped", "--recipe", "plain")
+    budget = (*SMALL, "--generations", "6", "--strategy", "stopped", "--procedure", "plain")
     assert call("fit", stored_data, "--models", "linear", "--out", "out").code == 0
     diary.pressed_in = 3
     stopped = call("evolve", "--run", "out", "--against", "linear", *budget)

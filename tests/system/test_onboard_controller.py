@@ -13,7 +13,7 @@ from hardware.link.messages import Buttons, State
 from hardware.link.serial_robot import buttons_of
 from hardware.link.session import HostSession
 from sysid_evo.errors import InvalidArgument, LinkLost
-from sysid_evo.export import c_text, law_of
+from sysid_evo.export import c_text, exported_controller
 from tests.fixtures.exports import champion_of, decided, wandering
 from tests.system.rig.build import FOLDER, WARNINGS, build_c, compiler
 
@@ -77,7 +77,7 @@ def board_with(tmp_path_factory):
         if (spec, real) not in libraries:
             folder = tmp_path_factory.mktemp("board")
             controller, library = folder / "controller.c", folder / "board.so"
-            controller.write_text(c_text(law_of(champion_of(spec, name="controller")), real))
+            controller.write_text(c_text(exported_controller(champion_of(spec, name="controller")), real))
             try:
                 command = [compiler(), *WARNINGS, "-Werror", "-O2", "-shared", "-fPIC", f"-DONBOARD_REAL={real}"]
             except InvalidArgument as error:
@@ -156,7 +156,7 @@ def built(out, *arguments):
 
 def test_the_board_s_own_program_is_built_with_the_controller(tmp_path):
     controller = tmp_path / "controller.c"
-    controller.write_text(c_text(law_of(champion_of("recurrent", name="controller")), "float"))
+    controller.write_text(c_text(exported_controller(champion_of("recurrent", name="controller")), "float"))
     text, data, bss = built(tmp_path, f"CONTROLLER={controller}", f"OBSERVE={RIG / 'observed.c'}")
     assert text + data < 32_000
     assert data + bss < 2048 - 512, "the rest of the memory is the stack's"

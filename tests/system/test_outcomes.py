@@ -17,7 +17,7 @@ from tests.fixtures.commands import SMALL, Caller
 pytestmark = pytest.mark.usefixtures("blank_figures")
 AGAIN = ("compare", "--config", "out", "--out", "out")
 BOTH = "linear,near=nearest_neighbour"
-PREDICTION = ("--only", "prediction")
+PREDICTION = ("--stop-after", "prediction")
 REASON = 'ArithmeticError: deep inside (mine.py, line 14: raise ArithmeticError("deep inside"))'
 """What is said of a family that fails: error, file and line of its own code."""
 
@@ -71,7 +71,7 @@ def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):
         return float(evolve)
 
     assert seconds("--preset", "standard") == pytest.approx(1200 / 900 * seconds(), rel=0.05)
-    assert seconds("--preset", "standard", "--runs", "3") == pytest.approx(4.0 * seconds(), rel=0.05)
+    assert seconds("--preset", "standard", "--repeats", "3") == pytest.approx(4.0 * seconds(), rel=0.05)
 
 
 def test_a_dry_run_prints_cells_and_seconds_and_writes_nothing(call, run_copy, stored_data):
@@ -83,7 +83,9 @@ def test_a_dry_run_prints_cells_and_seconds_and_writes_nothing(call, run_copy, s
     new = call("compare", "--data", stored_data, "--models", "linear", "--out", "new", "--dry-run", "--json")
     assert json.loads(new.stdout)["seconds"] > 0
     assert not any(cells_of(new).values())
-    evolve = call("evolve", "--run", "out", "--against", "linear", *SMALL, "--recipe", "plain", "--dry-run", "--json")
+    evolve = call(
+        "evolve", "--run", "out", "--against", "linear", *SMALL, "--procedure", "plain", "--dry-run", "--json"
+    )
     first, second, *others = cells_of(evolve)
     assert (first, second) == ("fit linear", "evolve linear")
     assert {"run linear on linear", "run linear on near"} <= set(others)
@@ -141,7 +143,7 @@ def test_runs_are_listed_shown_and_compared(call, run_copy, stored_data):
     assert [record["title"] for record in shown][:2] == ["prepare made-up car", "fit linear"]
     assert "fit linear" in call("runs", "show", "out").stdout
     difference = call.told("runs", "diff", "out", "second", "--json")
-    assert {"models", "only", "generations"} <= set(difference["settings"])
+    assert {"models", "stop_after", "generations"} <= set(difference["settings"])
     assert not {"seed", "test", "preset"} & set(difference["settings"])
     news = {"fit k_neighbours", "predict with k_neighbours", "advise on the models"}
     assert set(difference["only_second"]) == news
@@ -231,7 +233,7 @@ def test_clean_removes_what_no_finished_cell_needs_and_nothing_else(call, run_co
 
 
 def test_a_comparison_of_a_data_set_given_in_python_is_reported_in_other_forms_and_its_settings_ask_for_data(call):
-    compare(example_dataset(), models=["linear"], only="prediction", out=call.folder / "given")
+    compare(example_dataset(), models=["linear"], stop_after="prediction", out=call.folder / "given")
     assert "report.md" in call.works("report", "given", "--format", "markdown").stderr
     assert (call.folder / "given" / "report.md").read_text().startswith("# ")
     assert list((call.folder / "given" / "figures").glob("*.svg"))

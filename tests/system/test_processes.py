@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from evaluation.experiment import Experiment, meaningful
-from evaluation.planning import comparison_again, comparison_of, plan_comparison
+from evaluation.planning import comparison_in, comparison_of, plan_comparison
 from evaluation.running import compare
-from sysid_evo.plan import Plan, Record, Store, execute, stored
+from sysid_evo.plan import CellRecord, Plan, Store, execute, stored
 from sysid_evo.processors import usable_processors
 from sysid_evo.registry import make_robot
 from sysid_evo.testing import example_dataset
@@ -245,7 +245,7 @@ def test_the_yardstick_of_a_recorded_run_is_planned_again():
     asked = {"models": ("linear",), "robot": "emulated_car", "minutes": 0.5, "generations": 5}  # short in NumPy too
     first = plan_comparison(Experiment.of(asked))
     data = first.data
-    record = Record(
+    record = CellRecord(
         digest=data.digest, kind=data.kind, title=data.title, name=data.name, status="done", needs=[],
         inputs=data.settings.inputs(), artefact="data/there", versions={}, timings={},
     )  # fmt: skip
@@ -266,5 +266,5 @@ def test_a_recorded_comparison_with_a_yardstick_is_the_same_for_any_number_of_jo
         compare(out=tmp_path / str(jobs), jobs=jobs, observer=watching, **settings)
     assert written(tmp_path / "1") == written(tmp_path / "2")
     assert watching.remarks == []
-    again, _ = comparison_again(Experiment.of(Experiment.read(tmp_path / "2")), tmp_path / "2")
+    again, _ = comparison_in(Experiment.of(Experiment.read(tmp_path / "2")), tmp_path / "2")
     assert "emulated_car" in [champion.name for champion in again.matrix.champions]

@@ -15,9 +15,9 @@ import pytest
 
 from hardware.connection import Connection
 from hardware.control_loop import ControlLoop, before_others
-from hardware.emulation.simulated_robot import PacedRobot, in_real_time
+from hardware.emulation.simulated_robot import RealTimeRobot, in_real_time
 from hardware.emulation.tracked_robots import TRACKER_DELAY
-from hardware.run_report import ROBOT, SIGNALS, Reason, Stops
+from hardware.run_report import ROBOT, SIGNALS, StopReason, StopRequest
 from sysid_evo.cli import console
 from sysid_evo.errors import LinkLost
 from tests.fixtures.loop import Script
@@ -46,7 +46,7 @@ def test_whoever_calls_late_finds_every_frame_of_the_time_in_between(emulated):
 
 
 def test_a_command_is_in_force_no_longer_than_it_is_valid_however_late_the_next_call(emulated):
-    paced, simulated = (robot.connect(seed=3) for robot in (PacedRobot(emulated), emulated))
+    paced, simulated = (robot.connect(seed=3) for robot in (RealTimeRobot(emulated), emulated))
     with paced, simulated:
         forward = np.array([1.0, 0.0])
         first = paced.measure(1.0)
@@ -134,7 +134,7 @@ def run_until(emulated, stops, act):
     with Paced(emulated.connect(seed=1)) as link:
         thread = threading.Thread(target=later, name="another")
         thread.start()
-        report = ControlLoop(link, emulated.system, stops=stops).run(Script(lambda tick: FORWARD), samples=40)
+        report = ControlLoop(link, emulated.system, stop=stops).run(Script(lambda tick: FORWARD), samples=40)
         thread.join()
         return report, link.closed - acted[0]
 
@@ -142,7 +142,7 @@ def run_until(emulated, stops, act):
 @pytest.mark.parametrize("number", list(SIGNALS))
 def test_signal_closes_the_connection_within_50_ms_and_is_the_reason(emulated, number):
     before = signal.getsignal(number)
-    with Stops() as stops:
+    with StopRequest() as stops:
         report, took = run_until(emulated, stops, lambda: os.kill(os.getpid(), number))
     assert report.reason is SIGNALS[number]
     assert report.reason.exit_code == 128 + number
@@ -156,13 +156,13 @@ def test_dying_thread_closes_the_connection_and_is_named(emulated):
     hook = threading.excepthook
     threading.excepthook = lambda arguments: told.append(arguments.exc_type.__name__)
     try:
-        with Stops() as stops:
+        with StopRequest() as stops:
 
             def die():
                 raise ZeroDivisionError("no more")
 
             report, took = run_until(emulated, stops, die)
-        assert report.reason is Reason.THREAD_DIED
+        assert report.reason is StopReason.THREAD_DIED
         assert report.sentence == "a thread died: another: ZeroDivisionError: no more"
         assert took < PROMPT
         assert told == ["ZeroDivisionError"], "who looked after dying threads before still does"
@@ -171,11 +171,11 @@ def test_dying_thread_closes_the_connection_and_is_named(emulated):
 
 
 def test_request_of_another_thread_ends_the_run_and_the_first_one_counts(emulated):
-    stops = Stops()
+    stops = StopRequest()
 
     def ask():
-        stops.request(Reason.LINK_LOST, "unplugged")
-        stops.request(Reason.SIGTERM)
+        stops.request(StopReason.LINK_LOST, "unplugged")
+        stops.request(StopReason.SIGTERM)
 
     report, took = run_until(emulated, stops, ask)
     assert report.sentence == "the link to the robot or its tracker was lost: unplugged"
@@ -183,19 +183,19 @@ def test_request_of_another_thread_ends_the_run_and_the_first_one_counts(emulate
 
 
 def test_second_signal_interrupts_whatever_runs():
-    with Stops() as stops:
+    with StopRequest() as stops:
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGTERM)
-        assert stops.reason is Reason.SIGTERM
+        assert stops.reason is StopReason.SIGTERM
 
 
 def test_stop_that_came_before_the_run_lets_nothing_drive(emulated):
-    stops = Stops()
-    stops.request(Reason.SIGINT)
+    stops = StopRequest()
+    stops.request(StopReason.SIGINT)
     script = Script(lambda tick: FORWARD)
-    report = ControlLoop(emulated.connect(seed=1), emulated.system, stops=stops).run(script, samples=5)
-    assert report.reason is Reason.SIGINT
+    report = ControlLoop(emulated.connect(seed=1), emulated.system, stop=stops).run(script, samples=5)
+    assert report.reason is StopReason.SIGINT
     assert script.ticks == []
 
 
@@ -204,7 +204,7 @@ def test_loop_keeps_time_in_real_time(emulated):
     with Paced(emulated.connect(seed=1)) as link:
         report = ControlLoop(link, emulated.system).run(Script(lambda tick: FORWARD), samples=20)
         driven = [at for at, control in link.sent if control.any()]
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert (report.ticks + report.skipped, driven[-1] - driven[0]) == (20, pytest.approx(0.95, abs=0.2))
     assert (report.lateness >= 0.0).all()
     assert np.median(report.lateness) < 0.02
@@ -235,17 +235,17 @@ def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in
 def test_the_page_on_hardware_lists_the_exit_code_of_every_reason():
     page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (\d+) \| (.+) \|$", page[page.index("| code | why |") :], re.MULTILINE)
-    listed = {reason: [int(code) for code, why in rows if reason.sentence in why] for reason in Reason}
-    assert listed == {reason: [reason.exit_code] for reason in Reason}
-    assert {int(code) for code, _ in rows} == {reason.exit_code for reason in Reason} | {console.WRONG_INPUT}
-    assert Reason.LINK_LOST.exit_code == ROBOT == console.ROBOT
+    listed = {reason: [int(code) for code, why in rows if reason.sentence in why] for reason in StopReason}
+    assert listed == {reason: [reason.exit_code] for reason in StopReason}
+    assert {int(code) for code, _ in rows} == {reason.exit_code for reason in StopReason} | {console.WRONG_INPUT}
+    assert StopReason.LINK_LOST.exit_code == ROBOT == console.ROBOT
     assert all(f"{code} " in console.EXIT_CODES for code in {int(code) for code, _ in rows} - {129, 143})
-    assert {reason for reason in Reason if not reason.is_fault} == {Reason.SAMPLES, Reason.PILOT}
+    assert {reason for reason in StopReason if not reason.is_fault} == {StopReason.SAMPLES, StopReason.PILOT}
 
 
 @pytest.mark.parametrize("catches", [0, 1])
 def test_a_call_that_does_not_come_back_ends_after_its_patience(catches):
-    with Stops(patience=0.2) as stops:
+    with StopRequest(patience=0.2) as stops:
 
         def call():
             for _ in range(catches):  # a robot's own loop may catch it, and go on
@@ -260,13 +260,13 @@ def test_a_call_that_does_not_come_back_ends_after_its_patience(catches):
         time.sleep(0.4)  # one that has answered is not waited for any more
     assert stops.reason is None
     assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
-    with Stops().answer("the arm"):  # where nobody looks after signals nothing is raised
+    with StopRequest().answer("the arm"):  # where nobody looks after signals nothing is raised
         assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def test_a_signal_ends_a_call_that_may_wait_for_ever():
-    with Stops() as stops:
+    with StopRequest() as stops:
         threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGTERM)).start()
         with pytest.raises(LinkLost, match="no answer within 1 s of the signal"), stops.answer("the arm", math.inf):
             time.sleep(30.0)
-    assert stops.reason is Reason.SIGTERM
+    assert stops.reason is StopReason.SIGTERM

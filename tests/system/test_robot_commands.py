@@ -291,7 +291,7 @@ def test_without_a_task_the_environments_own_is_evolved_for_and_driven(call_cart
 def test_a_comparison_on_the_recording_has_the_environment_as_its_last_column(call_cart, cart):
     done = call_cart.works(
         "compare", "--data", "data", "--robot", CART, "--models", "linear", "--task", CART_TASK, *SHORT,
-        "--recipe", "plain", "--out", "run", "--json",
+        "--procedure", "plain", "--out", "run", "--json",
     )  # fmt: skip
     assert json.loads(done.stdout)["transfer"]["columns"][-1] == "gymnasium"
     assert (cart / "run" / "report.html").stat().st_size > 10_000

@@ -57,8 +57,8 @@ from evaluation.planning import plan_comparison
 from sysid_evo.data import Dataset
 from sysid_evo.plan import Store, execute
 settings = dict(models=("linear", "nearest_neighbour"), ensembles=(), generations=1, trials=1, selection_trials=1,
-                transfer_trials=1, held_back=0.3, task="point_to_point(horizon=20)",
-                strategy="mu_plus_lambda(children=4)", recipe="plain")
+                transfer_trials=1, held_out=0.3, task="point_to_point(horizon=20)",
+                strategy="mu_plus_lambda(children=4)", procedure="plain")
 comparison = plan_comparison(Experiment.of(settings), dataset=Dataset.load(sys.argv[2]))
 ended = execute(comparison.plan, Store(sys.argv[1]))
 assert not any(outcome.failed for outcome in ended.values())

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from evaluation.running import run_study, write_study
-from evaluation.study import Study, controller_figures, gather, plan_study
+from evaluation.study import Study, controller_figures, gather_study, plan_study
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Observer, Store, execute
 from tests.fixtures.commands import COMMAND, run_here
@@ -38,7 +38,7 @@ def planned():
 
 
 def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_folder, planned):
-    results = gather(planned, study_folder)
+    results = gather_study(planned, study_folder)
     assert len(results.finished) == 4
     for point in results.points:
         own = [row for row in results.controllers if row.point == point.name]
@@ -50,10 +50,10 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_
 
 
 def test_errors_of_models_are_those_that_were_measured(study_folder, planned):
-    results, store, (point, comparison) = gather(planned, study_folder), Store(study_folder), planned.points[1]
+    results, store, (point, comparison) = gather_study(planned, study_folder), Store(study_folder), planned.points[1]
     rows = {row.model: row for row in results.models if row.point == point.name}
     for name in rows:
-        found = store.load(comparison.predictions[name]).at
+        found = store.load(comparison.predictions[name]).scores
         measured = [(one.horizon, one.n, *one.estimate.interval) for one in found]
         assert [(error.horizon, error.n, error.low, error.high) for error in rows[name].errors] == measured
         assert rows[name].seconds
@@ -66,11 +66,11 @@ def test_errors_of_models_are_those_that_were_measured(study_folder, planned):
 
 
 def test_the_yardstick_of_a_robot_is_the_best_over_all_its_points(study_folder, planned):
-    results = gather(planned, study_folder)
+    results = gather_study(planned, study_folder)
     for where in {point.where for point in results.points}:
         names = {point.name for point in results.points if point.where == where}
         own = [row for row in results.controllers if row.point in names]
-        assert {row.yardstick for row in own} == {max(row.achieved or 0.0 for row in own)}
+        assert {row.best_known for row in own} == {max(row.achieved or 0.0 for row in own)}
 
 
 def test_a_finished_study_computes_nothing_again(study_folder, tmp_path):
@@ -105,7 +105,7 @@ def test_a_study_that_is_half_done_shows_what_is_there(study_folder, planned, tm
     for cell in last:
         if cell.kind in ("run", "exploit", "advise"):
             (tmp_path / "half" / "cells" / f"{cell.digest}.json").unlink()
-    results = gather(planned, tmp_path / "half")
+    results = gather_study(planned, tmp_path / "half")
     assert [point.finished for point in results.points] == [True, True, True, False]
     assert not any(row.chosen for row in results.controllers if row.point == results.points[-1].name)
 
@@ -122,7 +122,11 @@ def test_a_cell_is_named_by_what_the_points_that_need_it_share():
 
 
 def test_failing_cells_are_rows_with_reasons(tmp_path):
-    settings = {"models": ["linear", "bad=nearest_neighbour(state_lags=2000)"], "minutes": 0.3, "only": "prediction"}
+    settings = {
+        "models": ["linear", "bad=nearest_neighbour(state_lags=2000)"],
+        "minutes": 0.3,
+        "stop_after": "prediction",
+    }
     results = run_study({"experiment": settings, "grid": {"seed": [0, 1]}}, out=tmp_path / "failing", jobs=1)
     failed = [row for row in results.models if row.reason]
     assert [row.model for row in failed] == ["bad", "bad"]
@@ -136,7 +140,7 @@ def test_failing_cells_are_rows_with_reasons(tmp_path):
 
 
 def test_parquet_holds_every_row_with_the_meaning_of_its_columns(study_folder, planned):
-    results = gather(planned, study_folder)
+    results = gather_study(planned, study_folder)
     rows = {
         "points": results.points,
         "models": results.models,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation import Cell, Experiment, MeasuredResult, Study, comparison_of, load_measured, plan_study, run_study
-from evaluation.transfer.matrix import person
+from evaluation.transfer.matrix import human_driver
 from sysid_evo import load_plugin
 from sysid_evo.cli.experiments import add_measured
 from sysid_evo.errors import PluginError
@@ -30,7 +30,7 @@ class Stand(PointToPoint):
     """Like point to point."""
 '''
 STAND = (
-    *SMALL, "--models", "linear", "--task", "stand(horizon=20)", "--recipe", "plain",
+    *SMALL, "--models", "linear", "--task", "stand(horizon=20)", "--procedure", "plain",
     "--controller", "linear",
 )  # fmt: skip
 PLANNED = ("compare", "--config", "run", "--dry-run")
@@ -47,7 +47,7 @@ def made(stored_data, tmp_path_factory):
         done = run_here("compare", "--data", stored_data, "--plugin", "stand.py", *STAND, "--out", "run", cwd=folder)
     assert done.returncode == 0, done.stderr
     (folder / "own.toml").write_text(f'plugins = ["stand.py"]\ntask = "stand"\ndata = ["{stored_data}"]\n')
-    study = '[experiment]\nplugins = ["stand.py"]\nmodels = ["linear"]\nminutes = 0.5\nonly = "prediction"\n'
+    study = '[experiment]\nplugins = ["stand.py"]\nmodels = ["linear"]\nminutes = 0.5\nstop_after = "prediction"\n'
     (folder / "study.toml").write_text(f"{study}[grid]\nseed = [0, 1]\n")
     return folder
 
@@ -151,7 +151,7 @@ def test_a_command_that_needs_the_task_of_a_plugin_names_the_option_and_takes_it
 
 def test_what_was_driven_is_kept_in_a_run_whose_plugins_do_not_run(there, theirs, capsys):
     driven = Cell("anna", "linear", np.array([5.0]), unit="waypoints")
-    add_measured(theirs / "run", MeasuredResult(person("anna"), driven, on_robot=False))
+    add_measured(theirs / "run", MeasuredResult(human_driver("anna"), driven, on_robot=False))
     assert "its report is not updated" in " ".join(capsys.readouterr().err.split())
     assert len(load_measured(theirs / "run")[0]) == 1
     assert not (theirs / "ran").exists()
@@ -183,6 +183,8 @@ def test_where_nothing_can_be_remembered_a_plugin_is_given_every_time(there, mon
 def test_no_module_of_the_current_folder_is_imported(there, theirs):
     """Nor by processes of a command, see test_interruption."""
     (theirs / "evil.py").write_text((theirs / "stand.py").read_text())
-    (theirs / "evil.toml").write_text('robot = "gymnasium(id=\'evil:Car-v0\')"\nonly = "fit"\nmodels = ["linear"]\n')
+    (theirs / "evil.toml").write_text(
+        'robot = "gymnasium(id=\'evil:Car-v0\')"\nstop_after = "fit"\nmodels = ["linear"]\n'
+    )
     assert there("compare", "--config", "evil.toml").says("No module named 'evil'")
     assert not (theirs / "ran").exists()

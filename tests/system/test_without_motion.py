@@ -12,14 +12,14 @@ from evaluation.report import save_report, to_json
 from evaluation.report.render.svg import drawn
 from evaluation.report.sections.controllers import drive_command
 from evaluation.report.sections.replay import traces_picture
-from evaluation.report.sections.transfer import measure_sheet
+from evaluation.report.sections.transfer import further_measures_table
 from evaluation.running import report_of
 from sysid_evo.plan import Store, execute
 
 SHORT = {
     "models": ("linear", "narx"), "minutes": 0.5, "generations": 1, "trials": 2, "selection_trials": 2,
     "transfer_trials": 3, "traces": 1, "ensembles": (), "strategy": "mu_plus_lambda(parents=2, children=2)",
-    "yardstick": False, "recipe": "plain",
+    "reference": False, "procedure": "plain",
 }  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def test_every_part_of_the_report_is_there(report):
 
 def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report):
     found, _ = report
-    picture, sheet = traces_picture(found.matrix), measure_sheet(found.matrix)
+    picture, sheet = traces_picture(found.matrix), further_measures_table(found.matrix)
     assert len(picture.panels) == 5  # two by the controller evolved in each, one at rest
     assert found.data.system.states[0].name in drawn(picture.panels[0]).wide
     assert sheet.columns[2:] == ("settled\n(%\nof\ntrials)", "settling\ntime\n(s)", "overshoot\n(%)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from evaluation.plot_style import style_sheet
-from evaluation.report.elements import Cards, Picture, Replay, Story
+from evaluation.report.elements import Cards, FigureElement, Page, ReplayElement
 from evaluation.report.render.svg import drawn
 
 TEMPLATE = "page.html.j2"
@@ -13,7 +13,7 @@ JOINT = re.compile(r"(?<=\w)([_+/@])(?=\w)")
 """Where a long name may break."""
 
 
-def page_of(story: Story) -> str:
+def page_of(story: Page) -> str:
     """Return the page that tells a story; it holds no link and no source outside itself."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup, escape
@@ -28,9 +28,9 @@ def page_of(story: Story) -> str:
     environment.filters["drawn"] = drawn
     environment.filters["joints"] = lambda text: Markup(JOINT.sub(r"\1<wbr>", str(escape(text))))
     environment.filters["raw"] = Markup
-    environment.tests["picture"] = lambda item: isinstance(item, Picture)
+    environment.tests["picture"] = lambda item: isinstance(item, FigureElement)
     environment.tests["cards"] = lambda item: isinstance(item, Cards)
-    environment.tests["replay"] = lambda item: isinstance(item, Replay)
+    environment.tests["replay"] = lambda item: isinstance(item, ReplayElement)
     page: str = environment.get_template(TEMPLATE).render(
         story=story,
         colours=Markup(style_sheet()),

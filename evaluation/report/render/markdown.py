@@ -5,18 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from evaluation.report.elements import Cards, Picture, Section, Sheet, Story
+from evaluation.report.elements import Cards, FigureElement, Page, Section, TableElement
 from sysid_evo.errors import printable
 
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>|#])")
 
 
-def story_to_markdown(story: Story, *, figures: str = "") -> str:
+def story_to_markdown(story: Page, *, figures: str = "") -> str:
     """Return a story as Markdown; ``figures`` is the folder of the SVG files, empty to leave them out."""
     return "\n\n".join(_parts(story, figures)) + "\n"
 
 
-def sheet_to_markdown(sheet: Sheet) -> str:
+def sheet_to_markdown(sheet: TableElement) -> str:
     """Return one table; the lines of a cell stand below each other, as far as Markdown allows."""
     code = _code if sheet.code else _cell
     heads = [_cell(head, " ") for head in sheet.columns]
@@ -25,7 +25,7 @@ def sheet_to_markdown(sheet: Sheet) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rule, *rows))
 
 
-def _parts(story: Story, figures: str) -> Iterator[str]:
+def _parts(story: Page, figures: str) -> Iterator[str]:
     yield f"# {_text(story.title)}"
     for one in story.headlines:
         yield f"**{_text(one.question)}** {_text(one.answer)}. {_text(one.sentence)}"
@@ -44,7 +44,7 @@ def _section(section: Section, figures: str) -> Iterator[str]:
     yield f"## {_text(section.title)}"
     yield from (_text(paragraph) for paragraph in (*section.paragraphs, *section.absent))
     for item in section.items:
-        if isinstance(item, Sheet):
+        if isinstance(item, TableElement):
             yield from _sheet(item, "###")
         elif isinstance(item, Cards):
             yield f"### {_text(item.title)}"
@@ -52,7 +52,7 @@ def _section(section: Section, figures: str) -> Iterator[str]:
                 yield f"**{_text(card.title)}** {_text(card.verdict)}"
                 if card.sentences:
                     yield "\n".join(f"- {_text(sentence)}" for sentence in card.sentences)
-        elif isinstance(item, Picture) and figures:
+        elif isinstance(item, FigureElement) and figures:
             yield f"### {_text(item.title)}"
             yield "\n".join(
                 f"![{_text(panel.title or item.title)}]({figures}/{panel.wide.key}.svg)" for panel in item.panels
@@ -60,7 +60,7 @@ def _section(section: Section, figures: str) -> Iterator[str]:
             yield _text(item.caption)
 
 
-def _sheet(sheet: Sheet, level: str) -> Iterator[str]:
+def _sheet(sheet: TableElement, level: str) -> Iterator[str]:
     yield f"{level} {_text(sheet.title)}"
     yield sheet_to_markdown(sheet)
     if sheet.note:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Key:
+class LegendEntry:
     """One entry of a legend: a line in ``colour`` (CSS) with ``dashes`` (SVG), or a ``dot``, filled or a ring."""
 
     label: str
@@ -47,7 +47,7 @@ class DrawnPair:
 
     wide: str
     narrow: str
-    legend: tuple[Key, ...]
+    legend: tuple[LegendEntry, ...]
     chart: str
 
 
@@ -59,7 +59,7 @@ def drawn(pair: DrawingPair) -> DrawnPair:
         _element(pair.wide, wide),
         "" if narrow is None or pair.for_phone is None else _element(pair.for_phone, narrow),
         legend_of(wide) if pair.wide.keyed else (),
-        chart_document(wide, narrow) if names_of(wide) else "",  # after both are drawn, and so laid out
+        readable_values(wide, narrow) if names_of(wide) else "",  # after both are drawn, and so laid out
     )
 
 
@@ -109,7 +109,7 @@ class Series:
     value: Array
     low: Array | None
     high: Array | None
-    key: Key
+    key: LegendEntry
     artists: tuple[Artist, ...] = field(repr=False)
 
 
@@ -134,7 +134,7 @@ def mark_series(figure: Figure) -> None:
                 artist.set_gid(f"{MARK}{names.index(series.name)}")
 
 
-def legend_of(figure: Figure) -> tuple[Key, ...]:
+def legend_of(figure: Figure) -> tuple[LegendEntry, ...]:
     """Return an entry for each series of a figure."""
     keys = {series.name: series.key for ax in figure.axes for series in series_of(ax)}
     return tuple(keys[name] for name in names_of(figure))
@@ -149,7 +149,7 @@ def _error_bars(ax: Axes) -> list[ErrorbarContainer]:
 
 def _of_line(line: Line2D, band: Band | None) -> Series:
     at, value = (np.asarray(values, dtype=float) for values in line.get_data())
-    key = Key(str(line.get_label()), _variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
+    key = LegendEntry(str(line.get_label()), _variable(line.get_color()), DASHES.get(str(line.get_linestyle()), ""))
     artists = (line,) if band is None else (line, band.shape)
     low, high = (None, None) if band is None else (band.low, band.high)
     return Series(key.label, at, value, low, high, key, artists)
@@ -161,7 +161,9 @@ def _of_bars(container: ErrorbarContainer) -> Series:
     value, at = (np.asarray(values, dtype=float) for values in points.get_data())
     ends = np.array([segment[:, 0] for segment in bars[0].get_segments()])
     filled = str(points.get_markerfacecolor()) != "none"
-    key = Key(str(container.get_label()), _variable(points.get_markeredgecolor()), dot="filled" if filled else "ring")
+    key = LegendEntry(
+        str(container.get_label()), _variable(points.get_markeredgecolor()), dot="filled" if filled else "ring"
+    )
     return Series(key.label, np.round(at), value, ends[:, 0], ends[:, 1], key, (points, *caps, *bars))
 
 
@@ -177,7 +179,7 @@ DIGITS = 4
 """Digits of a value that a reader can point at."""
 
 
-def chart_document(figure: Figure, narrow: Figure | None) -> str:
+def readable_values(figure: Figure, narrow: Figure | None) -> str:
     """Return what the page's script needs to read values off a figure, as JSON for a script element.
 
     ``narrow`` is the same figure for a phone. Both must have been drawn, so that they are laid out.

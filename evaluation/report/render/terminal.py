@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.formatting import folded
-from evaluation.report.elements import Finding, Sheet
+from evaluation.report.elements import Finding, TableElement
 
 WIDTH = 80
 GAP = 2
@@ -20,7 +20,7 @@ DIVIDED = 20
 """And the width in a table that is divided all the same."""
 
 
-def to_rich(sheet: Sheet) -> list[RenderableType]:
+def table_lines(sheet: TableElement) -> list[RenderableType]:
     """Return ``sheet`` as one table, or as several with the same rows where it is wider than 80 columns."""
     parts: list[RenderableType] = []
     names, groups = _layout(sheet)
@@ -68,7 +68,7 @@ def indented(text: str) -> Padding:
     return Padding(Text(text), (0, 0, 0, 2))
 
 
-def _layout(sheet: Sheet) -> tuple[int, list[list[int]]]:
+def _layout(sheet: TableElement) -> tuple[int, list[list[int]]]:
     """Return the width of the names, and the other columns in groups that fit beside them: one, if possible."""
     for names in NAMES:
         groups = _column_groups(sheet, names)
@@ -77,7 +77,7 @@ def _layout(sheet: Sheet) -> tuple[int, list[list[int]]]:
     return DIVIDED, _column_groups(sheet, DIVIDED)
 
 
-def _column_groups(sheet: Sheet, names: int) -> list[list[int]]:
+def _column_groups(sheet: TableElement, names: int) -> list[list[int]]:
     head = _width(sheet, 0, names) + GAP
     groups: list[list[int]] = [[]]
     used = head
@@ -91,6 +91,6 @@ def _column_groups(sheet: Sheet, names: int) -> list[list[int]]:
     return groups
 
 
-def _width(sheet: Sheet, column: int, names: int) -> int:
+def _width(sheet: TableElement, column: int, names: int) -> int:
     rows = [folded(row[0], names) if column == 0 else row[column] for row in sheet.rows]
     return max(len(line) for cell in (sheet.columns[column], *rows) for line in cell.split("\n"))

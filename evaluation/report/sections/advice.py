@@ -10,25 +10,25 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluation.advice.evidence import ModelAdvice, Remark
-from evaluation.report.elements import Section, Sheet
-from evaluation.results import Report
+from evaluation.report.elements import Section, TableElement
+from evaluation.results import ComparisonResults
 
 
-def section(report: Report) -> Section | None:
+def section(report: ComparisonResults) -> Section | None:
     """Return the advice; None without any."""
     if report.advice is None or not report.advice.remarks:
         return None
     return Section("Advice", [advice_sheet(report.advice)], background=True)
 
 
-def advice_sheet(advice: ModelAdvice) -> Sheet:
+def advice_sheet(advice: ModelAdvice) -> TableElement:
     """What limits the best model, and what to record next."""
     rows = tuple((remark.topic, remark.sentence) for remark in advice.remarks)
-    return Sheet(
+    return TableElement(
         f"What limits {advice.model}",
         ("topic", "what was found, and what to do"),
         rows,
-        note=f"The most important first. Judged on {advice.judged_on}.",
+        note=f"The most important first. Judged on {advice.evaluated_on}.",
         prose=True,
     )
 
@@ -38,8 +38,8 @@ def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
     if not advice.model:
         return []
     if not advice.remarks:
-        return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.judged_on}.")]
-    judged = Padding(Text(f"Judged on {advice.judged_on}.", style="dim"), (0, 0, 0, 1))
+        return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.evaluated_on}.")]
+    judged = Padding(Text(f"Judged on {advice.evaluated_on}.", style="dim"), (0, 0, 0, 1))
     return [*remark_lines(limits_question(advice), advice.remarks), judged]
 
 

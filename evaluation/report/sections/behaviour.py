@@ -6,34 +6,36 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from evaluation.behaviour import Manner, described, unit_of
+from evaluation.behaviour import DrivingSummary, driving_sentences, unit_of
 from evaluation.formatting import folded, lines, number, percent
-from evaluation.report.elements import Section, Sheet, present
-from evaluation.results import Report
+from evaluation.report.elements import Section, TableElement, present
+from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import TransferMatrix
 
 
-def section(report: Report) -> Section | None:
+def section(report: ComparisonResults) -> Section | None:
     """Return what controllers do, in sentences and numbers; None if no trial of one was recorded."""
     if not report.manners or report.matrix is None:
         return None
     robot = report.matrix.robot
-    return Section("Behaviour", present(manner_sheet(report.manners, robot), behaviour_sheet(report.manners, robot)))
+    return Section(
+        "Behaviour", present(driving_table(report.manners, robot), measured_behaviour_table(report.manners, robot))
+    )
 
 
 SHOWN = ("speed", "backwards", "missed at first", "orbiting", "within tolerance", "settling time")
 """The measures that a table holds, in order, with the switching of every control; the rest stands in the JSON."""
 
 
-def manner_sheet(manners: Sequence[Manner], robot: str | None) -> Sheet | None:
+def driving_table(manners: Sequence[DrivingSummary], robot: str | None) -> TableElement | None:
     """A row for each controller: what it does, in sentences; None if no trial was recorded."""
-    found = described(manners, robot)
+    found = driving_sentences(manners, robot)
     if not found:
         return None
-    return Sheet("What controllers do", ("controller", "in words"), tuple(found.items()), prose=True)
+    return TableElement("What controllers do", ("controller", "in words"), tuple(found.items()), prose=True)
 
 
-def behaviour_sheet(manners: Sequence[Manner], robot: str | None) -> Sheet | None:
+def measured_behaviour_table(manners: Sequence[DrivingSummary], robot: str | None) -> TableElement | None:
     """The numbers behind it, on the robot and where each controller was evolved; None if no trial was recorded."""
     names = dict.fromkeys(name for manner in manners for name in manner.measures)
     shown = [name for name in SHOWN if name in names] + [name for name in names if name.endswith("switches per second")]
@@ -49,7 +51,7 @@ def behaviour_sheet(manners: Sequence[Manner], robot: str | None) -> Sheet | Non
     ]
     trials = sorted({manner.trials for manner in manners})
     count = f"{trials[0]}" if len(trials) == 1 else f"{trials[0]} to {trials[-1]}"
-    return Sheet(
+    return TableElement(
         title="Behaviour, measured",
         columns=("controller", "on", *(_head(name) for name in shown)),
         rows=tuple(rows),
@@ -72,13 +74,13 @@ def _head(name: str) -> str:
     return lines(folded(name.removesuffix(" at first"), 9), unit)
 
 
-def _cell(manner: Manner, name: str) -> str:
+def _cell(manner: DrivingSummary, name: str) -> str:
     return number(manner.value(name), 2 if name == "speed" else 1) if unit_of(name) else percent(manner.value(name))
 
 
-def behaviour_to_json(found: Sequence[Manner], matrix: TransferMatrix) -> list[dict[str, Any]]:
+def behaviour_to_json(found: Sequence[DrivingSummary], matrix: TransferMatrix) -> list[dict[str, Any]]:
     """Return the numbers of every controller on every system where it was recorded, and the sentences on it."""
-    sentences = described(found, matrix.robot)
+    sentences = driving_sentences(found, matrix.robot)
     rows = []
     for manner in found:
         measures = {name: {**asdict(one), "unit": unit_of(name)} for name, one in manner.measures.items()}

@@ -31,25 +31,25 @@ from evaluation.report.elements import (
     WIDE,
     Drawing,
     DrawingPair,
+    FigureElement,
     Headline,
-    Picture,
     Section,
-    Sheet,
+    TableElement,
     Tone,
     present,
 )
 from evaluation.report.sections.prediction import N_IN_WORDS
-from evaluation.results import Report
+from evaluation.results import ComparisonResults
 from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, guessed_share, none_beats_rest
-from evaluation.transfer.forecast import RULE, Forecast, ModelForecast
+from evaluation.transfer.forecast import FORECAST_RULE, Forecast, ModelForecast
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, TransferSummary
 from sysid_evo.validation.estimates import CONFIDENCE, Estimate
 
 
-def section(report: Report) -> Section | None:
+def section(report: ComparisonResults) -> Section | None:
     """Return the forecasts of controllers and models; None where no controller has one."""
-    items = present(forecast_sheet(report), model_forecast_sheet(report))
+    items = present(forecast_sheet(report), model_weight_table(report))
     return Section("Forecast", items) if items else None
 
 
@@ -60,7 +60,7 @@ EXPLAINED = (
 )
 
 
-def forecast_sheet(report: Report) -> Sheet | None:
+def forecast_sheet(report: ComparisonResults) -> TableElement | None:
     """What is expected of every controller on the robot, beside what was claimed and achieved; None for nobody."""
     if report.transfer is None or report.matrix is None or not report.forecasts:
         return None
@@ -73,11 +73,11 @@ def forecast_sheet(report: Report) -> Sheet | None:
         name = lines(one.name, "(chosen)" if one.name == report.transfer.pick else "")
         row = [name, plus_minus(one.claimed), forecast_text(found)]
         if with_robot:
-            inside = "–" if one.achieved is None else ("yes" if found.holds(one.achieved) else "no")
+            inside = "–" if one.achieved is None else ("yes" if found.covers(one.achieved) else "no")
             row += [plus_minus(one.achieved), inside]
         rows.append(tuple(row))
     heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
-    judged = [report.forecasts[one.name].holds(one.achieved) for one in known if one.achieved is not None]
+    judged = [report.forecasts[one.name].covers(one.achieved) for one in known if one.achieved is not None]
     held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
     guesses = [
         f"{one.name} ({percent(share)})"
@@ -85,7 +85,7 @@ def forecast_sheet(report: Report) -> Sheet | None:
         if (share := guessed_share(report.exploitability, one.name)) is not None
     ]
     held += f" Guesses, as so much of its time lies outside the data: {few(guesses)}." if guesses else ""
-    return Sheet(
+    return TableElement(
         title=f"Forecast for the robot ({report.matrix.unit or 'fitness'})",
         columns=heads,
         rows=tuple(rows),
@@ -98,7 +98,7 @@ def forecast_text(found: Forecast | ModelForecast) -> str:
     return with_interval(found.value, found.low, found.high)
 
 
-def model_forecast_sheet(report: Report) -> Sheet | None:
+def model_weight_table(report: ComparisonResults) -> TableElement | None:
     """What is expected of the controllers evolved in each model; None where no model has any."""
     if not report.model_forecasts:
         return None
@@ -116,7 +116,7 @@ def model_forecast_sheet(report: Report) -> Sheet | None:
                 "–" if weight is None else percent(weight),
             )
         )
-    return Sheet(
+    return TableElement(
         title="Forecast for models: what becomes of a claim made in them",
         columns=("model", "claimed", "forecast", "share of\nthe claim", "own\nweight"),
         rows=tuple(rows),
@@ -124,7 +124,7 @@ def model_forecast_sheet(report: Report) -> Sheet | None:
     )
 
 
-def overview_sheet(report: Report) -> Sheet | None:
+def overview_sheet(report: ComparisonResults) -> TableElement | None:
     """One row for each model and each controller; None if there is neither.
 
     A controller shares the row of the one model that it was evolved against, if both have the same name.
@@ -163,10 +163,10 @@ def overview_sheet(report: Report) -> Sheet | None:
         notes.append(f"N: {N_IN_WORDS} (0 is perfect).")
     if controllers:
         notes += _claims_note(report, list(controllers.values()))
-    return Sheet("In short", tuple(heads), tuple(rows), note=" ".join(notes))
+    return TableElement("In short", tuple(heads), tuple(rows), note=" ".join(notes))
 
 
-def _controllers(report: Report) -> dict[str, ControllerSummary]:
+def _controllers(report: ComparisonResults) -> dict[str, ControllerSummary]:
     """Return the controllers by the name of their row."""
     if report.transfer is None:
         return {}
@@ -189,7 +189,7 @@ def _n(prediction: Prediction, name: str) -> str:
 EXPLOITED = {True: "yes", False: "no", None: "–"}
 
 
-def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[str]:
+def _claims_note(report: ComparisonResults, controllers: list[ControllerSummary]) -> list[str]:
     assert report.matrix is not None
     unit = f", in {report.matrix.unit}" if report.matrix.unit else ""
     notes = [f"Claimed: fitness where it was evolved, ± standard error{unit}."]
@@ -199,7 +199,7 @@ def _claims_note(report: Report, controllers: list[ControllerSummary]) -> list[s
     return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth, and surely."]
 
 
-def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
+def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> FigureElement:
     """Claimed and achieved fitness of each controller."""
 
     def drawing(key: str, width: float, name_width: int) -> Drawing:
@@ -215,17 +215,17 @@ def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> Picture:
 
     several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
     ticks = " Ticks: the champion of each evolution run." if several else ""
-    return Picture(
+    return FigureElement(
         "Claimed and achieved",
         f"Bars are {percent(CONFIDENCE)} intervals over trials, those of the table below.{ticks}",
         (DrawingPair(drawing("claims", WIDE, 26), drawing("claims-narrow", NARROW, 13)),),
     )
 
 
-def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
+def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
     """Claimed, achieved, worst case and regret of each controller, with intervals."""
     robot = matrix.robot is not None
-    return Sheet(
+    return TableElement(
         title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, {percent(CONFIDENCE)} intervals)",
         columns=(
             "controller",
@@ -239,7 +239,7 @@ def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
             (
                 lines(one.name, "(chosen)" if one.name == summary.pick else ""),
                 within(one.claimed),
-                within(one.achieved if robot else one.others),
+                within(one.achieved if robot else one.other_models),
                 _share(one.kept),
                 lines(within(one.worst), folded(one.worst_on, 12)),
                 within(one.regret),
@@ -264,14 +264,14 @@ def _share(kept: Estimate | None) -> str:
     return f"{100 * kept.value:.0f}{error}"
 
 
-def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
+def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
     """Claimed and achieved fitness, and the gaps between them."""
     robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
     rows = [
         (
             lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
             lines(plus_minus(controller.claimed), of_each_run(controller)),
-            plus_minus(controller.others),
+            plus_minus(controller.other_models),
             plus_minus(controller.exploitation_gap),
             plus_minus(controller.other_families),
             *((plus_minus(controller.achieved), plus_minus(controller.reality_gap)) if robot else ()),
@@ -281,7 +281,7 @@ def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> Sheet:
     runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
     each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
     unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
-    return Sheet(
+    return TableElement(
         title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
         columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
         rows=tuple(rows),
@@ -301,7 +301,7 @@ def of_each_run(controller: ControllerSummary) -> str:
     return "\n".join(", ".join(found[i : i + 3]) for i in range(0, len(found), 3)) if len(found) > 1 else ""
 
 
-def drive_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+def drive_command(report: ComparisonResults, controller: str, *, folder: str | Path = "") -> str | None:
     """Return the command that runs a controller on the robot, None where its file is not known.
 
     Nor is there one for the recordings of a system without a motion: only an emulated robot or an environment can be
@@ -313,13 +313,13 @@ def drive_command(report: Report, controller: str, *, folder: str | Path = "") -
     return _command(report, "drive", "--controller", (Path(folder) / path).as_posix(), "--robot", str(robot or "ROBOT"))
 
 
-def export_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+def export_command(report: ComparisonResults, controller: str, *, folder: str | Path = "") -> str | None:
     """Return the command that makes C of a controller, None where its file is not known; ``folder`` as above."""
     path = report.controllers.get(controller)
     return None if path is None else _command(report, "export", (Path(folder) / path).as_posix(), "--to", "c")
 
 
-def use_command(report: Report, controller: str, *, folder: str | Path = "") -> str | None:
+def use_command(report: ComparisonResults, controller: str, *, folder: str | Path = "") -> str | None:
     """Return what to do with a controller first: drive the robot, export it where there is none.
 
     With one that is no better than controls at rest there is nothing to do.
@@ -330,12 +330,12 @@ def use_command(report: Report, controller: str, *, folder: str | Path = "") -> 
     return use(report, controller, folder=folder)
 
 
-def _command(report: Report, *words: str) -> str:
+def _command(report: ComparisonResults, *words: str) -> str:
     plugins = [word for plugin in report.settings.get("plugins", ()) for word in ("--plugin", str(plugin))]
     return shlex.join(["sysid-evo", *words, *plugins])
 
 
-def command_sheet(report: Report) -> Sheet | None:
+def command_sheet(report: ComparisonResults) -> TableElement | None:
     """The command that runs each controller on the robot, after the exports without one; None if no file is known."""
     robot, names = report.settings.get("robot"), report.controllers
     commands = [] if robot else [(name, export_command(report, name)) for name in names]
@@ -345,10 +345,12 @@ def command_sheet(report: Report) -> Sheet | None:
         return None
     driven = any("ROBOT" in command for _, command in rows)
     note = "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one." if driven else ""
-    return Sheet("Use a controller, in the folder of this report", ("controller", "command"), rows, note, code=True)
+    return TableElement(
+        "Use a controller, in the folder of this report", ("controller", "command"), rows, note, code=True
+    )
 
 
-def headline(report: Report) -> Headline:
+def headline(report: ComparisonResults) -> Headline:
     """Say at first sight which controller to take."""
     question, summary = "Which controller to take?", report.transfer
     if summary is None:
@@ -366,13 +368,13 @@ def headline(report: Report) -> Headline:
     claim += "" if found is None else f", forecast {forecast_text(found)}"
     if pick.achieved is not None:
         worth = f"{claim}, achieves {sized(pick.achieved)} on the robot.{_better(pick, report)}"
-    elif pick.others is not None:
-        worth = f"{claim}, reaches {sized(pick.others)} on the other models. Nothing was run on the robot."
+    elif pick.other_models is not None:
+        worth = f"{claim}, reaches {sized(pick.other_models)} on the other models. Nothing was run on the robot."
     else:
         worth = f"{claim}. Nothing was run on the robot."
     idle, guess = _idle(report.matrix, pick.name), guess_warning(report.exploitability, pick.name)
     said = " ".join(filter(None, (idle, worth, guess)))
-    kept = pick.achieved is not None and found is not None and found.holds(pick.achieved)
+    kept = pick.achieved is not None and found is not None and found.covers(pick.achieved)
     tone: Tone = "bad" if pick.exploited or idle else "open" if guess and not kept else "good"
     return Headline(question, pick.name, said, tone, command)
 
@@ -389,10 +391,10 @@ def _idle(matrix: TransferMatrix, name: str) -> str:
     return f"{name} is {worse} than controls at rest (difference {plus_minus(gain)}): do not use it."
 
 
-def _better(pick: ControllerSummary, report: Report) -> str:
+def _better(pick: ControllerSummary, report: ComparisonResults) -> str:
     """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
     assert report.transfer is not None
-    others = [c for c in report.transfer.controllers if c.against and not c.on_robot and c.name != pick.name]
+    others = [c for c in report.transfer.controllers if c.against and not c.evolved_on_robot and c.name != pick.name]
     reached = [(c.achieved, c.name) for c in others if c.achieved is not None]
     best = max(reached, key=lambda one: one[0].value, default=None)
     if best is None or pick.achieved is None or not best[0].low > pick.achieved.high:
@@ -406,7 +408,7 @@ LOST = 0.5
 """A claim is lost below this share of it."""
 
 
-def transferring(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
+def transfer_sentences(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
     """Answer which controllers transfer."""
     if summary is None:
         return ("No controller was evolved.",)
@@ -423,9 +425,9 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
     )
     if not tested:
         return ("No controller could be run on the robot.",)
-    moved = [c for c in tested if not c.on_robot]
+    moved = [c for c in tested if not c.evolved_on_robot]
     answers = [f"Most on the robot: {_achieved(moved[0], unit)}."] if moved else []
-    reference = next((c for c in tested if c.on_robot), None)
+    reference = next((c for c in tested if c.evolved_on_robot), None)
     if reference is not None:
         answers.append(
             f"One search on the robot itself, no longer than one in a model, reaches {_achieved(reference, unit)}."
@@ -436,7 +438,7 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         if pick is not None and share is not None:  # one search is no upper limit: 107 % would mislead
             told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no upper limit"
             answers.append(f"{pick.name} achieves {told}.")
-    shares = [(c.name, c.kept.value) for c in tested if not c.on_robot and c.kept is not None]
+    shares = [(c.name, c.kept.value) for c in tested if not c.evolved_on_robot and c.kept is not None]
     if shares:
         holding = [name for name, kept in shares if kept >= KEPT]
         answers.append(
@@ -447,14 +449,14 @@ def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
         failing = [f"{name} ({percent(kept)})" for name, kept in shares if kept < LOST]
         if failing:
             answers.append(f"Less than half of it: {', '.join(failing)}.")
-    floor = tested[0].floor
+    floor = tested[0].rest_fitness
     if floor is not None:
         answers.append(f"Shares are measured from controls at rest: {three_digits(floor)}{unit}.")
     return tuple(answers)
 
 
 def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
-    pairs = [(c.name, c.claimed, c.others) for c in summary.controllers if c.claimed and c.others]
+    pairs = [(c.name, c.claimed, c.other_models) for c in summary.controllers if c.claimed and c.other_models]
     if not pairs:
         return ("There is no robot and no other model to transfer to.",)
     holding = [name for name, claimed, others in pairs if others.value >= KEPT * claimed.value]
@@ -483,17 +485,17 @@ def sized(estimate: Estimate) -> str:
     return with_interval(estimate.value, estimate.low, estimate.high)
 
 
-def recommended(report: Report) -> tuple[str, ...]:
+def choice_sentences(report: ComparisonResults) -> tuple[str, ...]:
     """Answer what to use: first that it is of no use where it is not, then by what it was chosen."""
     matrix, summary = report.matrix, report.transfer
     assert matrix is not None
     assert summary is not None
-    why = why_chosen(report) or "No controller can be judged by models of other families; add a family to choose by."
+    why = choice_reason(report) or "No controller can be judged by models of other families; add a family to choose by."
     pick = summary.pick
     warnings = [] if pick is None else [_idle(matrix, pick), guess_warning(report.exploitability, pick)]
     answers = list(filter(None, (*warnings[:1], why, *warnings[1:])))
     if matrix.robot is not None:
-        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.on_robot]
+        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.evolved_on_robot]
         best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
         if best is not None and best.achieved is not None and best.name != summary.pick:
             answers.append(f"Chosen with the robot: {best.name}, {value_of(best.achieved)} on it.")
@@ -506,7 +508,7 @@ def recommended(report: Report) -> tuple[str, ...]:
     return tuple(answers)
 
 
-def why_chosen(report: Report) -> str | None:
+def choice_reason(report: ComparisonResults) -> str | None:
     """Say by what the controller to drive was chosen, and what was achieved; None where no forecast chose it."""
     summary = report.transfer
     found = None if summary is None or summary.pick is None else report.forecasts.get(summary.pick)
@@ -519,7 +521,7 @@ def why_chosen(report: Report) -> str | None:
     said = f"Chosen without the robot: {found.controller}, {rivals}: {forecast_text(found)}{unit} are expected of it"
     if picked.achieved is None:
         return f"{said}."
-    inside = "as forecast" if found.holds(picked.achieved) else "outside the interval"
+    inside = "as forecast" if found.covers(picked.achieved) else "outside the interval"
     return f"{said}; it achieves {value_of(picked.achieved)} on the robot, {inside}."
 
 
@@ -530,7 +532,7 @@ POLISHED = (
 )
 
 
-def unknown(summary: TransferSummary) -> tuple[str, ...]:
+def open_questions(summary: TransferSummary) -> tuple[str, ...]:
     """Say what the claims leave open."""
     claiming = [c for c in summary.controllers if c.claimed is not None]
     answers = [said] if (said := seeds_unknown(summary)) else []
@@ -558,16 +560,16 @@ def summary_to_json(summary: TransferSummary) -> dict[str, Any]:
     }
 
 
-def forecast_to_json(report: Report) -> dict[str, Any]:
+def forecast_to_json(report: ComparisonResults) -> dict[str, Any]:
     """Return what the document holds under ``forecast``."""
     achieved = {one.name: one.achieved for one in (report.transfer.controllers if report.transfer else ())}
     return {
-        "rule": asdict(RULE),
+        "rule": asdict(FORECAST_RULE),
         "controllers": [
             {
                 **asdict(one),
                 "achieved": None if (real := achieved.get(one.controller)) is None else real.value,
-                "held": None if real is None else one.holds(real),
+                "held": None if real is None else one.covers(real),
             }
             for one in report.forecasts.values()
         ],

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from evaluation.formatting import listed, number, percent
-from evaluation.report.elements import Section, Sheet
-from evaluation.results import Report
+from evaluation.report.elements import Section, TableElement
+from evaluation.results import ComparisonResults
 
 
-def section(report: Report) -> Section:
+def section(report: ComparisonResults) -> Section:
     """Return episodes, channels and notes."""
     data = report.data
     seconds = [sum(episode.duration for episode in part) for part in (data.training, data.test)]
@@ -23,17 +23,17 @@ def section(report: Report) -> Section:
 SHOWN_EPISODES = 40
 
 
-def episode_sheet(report: Report) -> Sheet:
+def episode_sheet(report: ComparisonResults) -> TableElement:
     """The episodes of the data set."""
     rows = [
         (e.name, part, f"{e.duration:.1f}", str(e.steps), percent(e.moving))
         for part, episodes in (("training", report.data.training), ("test", report.data.test))
         for e in episodes[:SHOWN_EPISODES]
     ]
-    return Sheet("Episodes", ("episode", "used for", "seconds", "steps", "moving"), tuple(rows), details=True)
+    return TableElement("Episodes", ("episode", "used for", "seconds", "steps", "moving"), tuple(rows), details=True)
 
 
-def channel_list(report: Report) -> Sheet:
+def channel_list(report: ComparisonResults) -> TableElement:
     """The channels of the system."""
     system = report.data.system
     rows = [
@@ -48,7 +48,7 @@ def channel_list(report: Report) -> Sheet:
         for kind, channels in (("state", system.states), ("control", system.controls))
         for channel in channels
     ]
-    return Sheet(
+    return TableElement(
         f"Channels, sampled every {system.dt:g} s",
         ("channel", "kind", "unit", "lowest", "highest", "levels"),
         tuple(rows),

@@ -11,11 +11,11 @@ from evaluation.formatting import horizon_name, lines, number, percent, three_di
 from evaluation.prediction.regions import worst_region
 from evaluation.prediction.residuals import AHEAD, LAGS, LEVEL, Residuals
 from evaluation.prediction.scores import EpisodeError, ModelPrediction, Prediction
-from evaluation.report.elements import Sheet
+from evaluation.report.elements import TableElement
 from sysid_evo.system import System
 
 
-def region_sheet(prediction: Prediction) -> Sheet | None:
+def region_sheet(prediction: Prediction) -> TableElement | None:
     """Where each model's error is clearly largest; None without scores."""
     steps, models = prediction.cases.near_horizon, [m for m in prediction.models if m.regions]
     if steps is None or not models:
@@ -28,7 +28,7 @@ def region_sheet(prediction: Prediction) -> Sheet | None:
             continue
         times = lines(f"{worst.ratio.value:.1f}", f"{worst.ratio.low:.1f}-{worst.ratio.high:.1f}")
         rows.append((model.name, worst.region.words, times, percent(worst.share)))
-    return Sheet(
+    return TableElement(
         "Where the error is largest",
         ("model", "windows that start at", "times N\nof all", "share"),
         tuple(rows),
@@ -39,13 +39,13 @@ def region_sheet(prediction: Prediction) -> Sheet | None:
     )
 
 
-def residual_sheet(prediction: Prediction) -> Sheet | None:
+def residual_sheet(prediction: Prediction) -> TableElement | None:
     """What one-step errors still hold: whether they are white, and which earlier controls show; None without any."""
     system, models = prediction.cases.system, [m for m in prediction.models if m.residuals is not None]
     if not models:
         return None
     rows = [(m.name, *(_left(m, prediction, channel) for channel in range(system.nx))) for m in models]
-    return Sheet(
+    return TableElement(
         "What is left one step ahead",
         ("model", *system.state_names),
         tuple(rows),
@@ -77,7 +77,7 @@ SHOWN_EPISODES = 40
 """Test episodes that a table lists; ``report.json`` has them all."""
 
 
-def episode_error_sheet(prediction: Prediction) -> Sheet | None:
+def episode_error_sheet(prediction: Prediction) -> TableElement | None:
     """N of every model in each test episode; None with fewer than two episodes."""
     horizon, models = prediction.cases.main_horizon, [m for m in prediction.models if m.episodes]
     if horizon is None or not models or len(models[0].episodes) < 2:
@@ -87,7 +87,7 @@ def episode_error_sheet(prediction: Prediction) -> Sheet | None:
         (episode.name, *(three_digits(model.episodes[row].n[place]) for model in models))
         for row, episode in enumerate(models[0].episodes[:SHOWN_EPISODES])
     ]
-    return Sheet(
+    return TableElement(
         f"N of each test episode, {horizon_name(horizon, prediction.cases.system.dt)}",
         ("episode", *(model.name for model in models)),
         tuple(rows),
@@ -96,13 +96,13 @@ def episode_error_sheet(prediction: Prediction) -> Sheet | None:
     )
 
 
-def fit_sheet(prediction: Prediction) -> Sheet | None:
+def fit_sheet(prediction: Prediction) -> TableElement | None:
     """Fit in free run as MATLAB's ``compare`` shows it; None without a free run."""
     fits = {m.name: np.array([e.fit for e in m.episodes if np.isfinite(e.fit).any()]) for m in prediction.models}
     fits = {name: values for name, values in fits.items() if len(values)}
     if not fits:
         return None
-    return Sheet(
+    return TableElement(
         "Fit in free run (%)",
         ("model", *prediction.cases.system.state_names),
         tuple((lines(name, _clipped(prediction.model(name))), *map(_fit, values.T)) for name, values in fits.items()),

@@ -8,15 +8,15 @@ import numpy as np
 
 from evaluation.formatting import lines, three_digits
 from evaluation.plots import plot_fitness
-from evaluation.report.elements import THIRD, Drawing, DrawingPair, Picture, Sheet
+from evaluation.report.elements import THIRD, Drawing, DrawingPair, FigureElement, TableElement
 from evaluation.transfer.matrix import TransferMatrix
-from sysid_evo.evolution import Champion, Finalist, worth
+from sysid_evo.evolution import Champion, Finalist, ranking_value
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def fitness_picture(matrix: TransferMatrix) -> Picture | None:
+def fitness_picture(matrix: TransferMatrix) -> FigureElement | None:
     """Fitness over generations, one panel for each champion; None if there is no history."""
     champions = [champion for champion in matrix.champions if len(champion.history)]
     if not champions:
@@ -33,7 +33,7 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
         label = f"fitness of {champion.name} over generations"
         drawing = Drawing(f"fitness-{place}", label, draw, THIRD, 2.1, keyed=True)
         panels.append(DrawingPair(drawing, title=champion.name))
-    return Picture(
+    return FigureElement(
         "Fitness over generations",
         "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
         "in the trials of that generation.",
@@ -42,28 +42,28 @@ def fitness_picture(matrix: TransferMatrix) -> Picture | None:
     )
 
 
-def finalist_sheet(matrix: TransferMatrix) -> Sheet | None:
+def behaviour_class_table(matrix: TransferMatrix) -> TableElement | None:
     """The best of each niche, what it claims, and what all models say together; None without niches."""
     rows = []
     for champion in matrix.champions:
         best: dict[str, Finalist] = {}
         for finalist in champion.finalists:
-            kind = finalist.niche.partition(" #")[0]
-            if kind not in best or worth(finalist) > worth(best[kind]):
+            kind = finalist.behaviour_class.partition(" #")[0]
+            if kind not in best or ranking_value(finalist) > ranking_value(best[kind]):
                 best[kind] = finalist
         for kind, finalist in best.items():
             chosen = np.array_equal(finalist.parameters, champion.parameters)
-            scores = (three_digits(finalist.fitness), three_digits(finalist.elsewhere))
+            scores = (three_digits(finalist.fitness), three_digits(finalist.forecast))
             rows.append((champion.name, lines(kind, "(chosen)" if chosen else ""), *scores))
     if not any(kind for _, kind, _, _ in rows):
         return None
-    return Sheet(
+    return TableElement(
         title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
-        columns=("controller", "niche", "claimed", "forecast"),
+        columns=("controller", "behaviour class", "claimed", "forecast"),
         rows=tuple(rows),
         note=(
-            "niche: the side of a channel on which a search was kept more than half of the time; the best of its "
-            "starts. forecast: what all models say of it together, by which it was chosen."
+            "behaviour class: the side of a channel on which a search was kept more than half of the time; the best of "
+            "its repeats. forecast: expected fitness on the robot from all models, by which it was chosen."
         ),
     )
 

@@ -12,13 +12,13 @@ from evaluation.formatting import few, horizon_name, lines, number, percent, thr
 from evaluation.plots import plot_free_run, plot_horizon_curve
 from evaluation.prediction.scores import (
     PERSISTENCE,
-    ConditionErrors,
+    ConditionError,
     Difference,
     ErrorScore,
     ModelPrediction,
     Prediction,
 )
-from evaluation.report.elements import Headline, Picture, Section, Sheet, present, wide_and_narrow
+from evaluation.report.elements import FigureElement, Headline, Section, TableElement, present, wide_and_narrow
 from evaluation.report.sections.error_analysis import (
     episode_error_sheet,
     episode_to_json,
@@ -27,7 +27,7 @@ from evaluation.report.sections.error_analysis import (
     residual_sheet,
     residuals_to_json,
 )
-from evaluation.results import Report
+from evaluation.results import ComparisonResults
 from evaluation.sufficiency import (
     USELESS,
     beats_mean,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 LOW_ERROR = "A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."
 
 
-def section(report: Report) -> Section:
+def section(report: ComparisonResults) -> Section:
     """Return errors, their curves, and where they are; without any, why."""
     prediction = report.prediction
     if prediction is None:
@@ -57,24 +57,24 @@ def section(report: Report) -> Section:
     return Section(
         "Prediction",
         present(
-            prediction_sheet(prediction),
-            coverage_sheet(prediction),
-            condition_sheet(report.conditions),
-            difference_sheet(prediction),
+            error_table(prediction),
+            coverage_table(prediction),
+            condition_table(report.conditions),
+            difference_table(prediction),
             horizon_picture(prediction) if prediction.cases.horizons else None,
             free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
             region_sheet(prediction),
             residual_sheet(prediction),
             episode_error_sheet(prediction),
             fit_sheet(prediction),
-            *(channel_sheet(prediction, horizon) for horizon in reversed(prediction.horizons)),
+            *(state_error_table(prediction, horizon) for horizon in reversed(prediction.horizons)),
         ),
         [LOW_ERROR] if report.matrix is not None else [],
         absent=_absent(report),
     )
 
 
-def _absent(report: Report) -> list[str]:
+def _absent(report: ComparisonResults) -> list[str]:
     """Say what is not known of prediction errors."""
     prediction = report.prediction
     if prediction is None:
@@ -92,7 +92,7 @@ def _absent(report: Report) -> list[str]:
 N_IN_WORDS = "the mean error in standard deviations"
 
 
-def prediction_sheet(prediction: Prediction) -> Sheet:
+def error_table(prediction: Prediction) -> TableElement:
     """N of every model at every horizon and in free run, with intervals."""
     horizons = prediction.horizons
     rows = [
@@ -100,7 +100,7 @@ def prediction_sheet(prediction: Prediction) -> Sheet:
         for model in prediction.models
     ]
     protocol = prediction.cases.protocol
-    return Sheet(
+    return TableElement(
         title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
         columns=("model", *_heads(prediction, horizons)),
         rows=tuple(rows),
@@ -141,7 +141,7 @@ def _divergence(model: ModelPrediction) -> str:
     return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
 
 
-def coverage_sheet(prediction: Prediction) -> Sheet | None:
+def coverage_table(prediction: Prediction) -> TableElement | None:
     """How much the intervals of every model with a spread hold; None if there is no such model."""
     horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
     if not models:
@@ -152,10 +152,10 @@ def coverage_sheet(prediction: Prediction) -> Sheet | None:
         row = [model.name]
         for held in map(found.get, horizons):
             each = "" if held is None else ", ".join(f"{100 * share:.0f}" for share in held.inside)
-            row.append("–" if held is None else lines(f"{'' if held.honest else '! '}{percent(held.mean)}", each))
+            row.append("–" if held is None else lines(f"{'' if held.calibrated else '! '}{percent(held.mean)}", each))
         rows.append(tuple(row))
     aim = percent(models[0].coverage[0].share)
-    return Sheet(
+    return TableElement(
         title=f"What {aim} intervals hold",
         columns=("model", *_heads(prediction, horizons)),
         rows=tuple(rows),
@@ -167,12 +167,12 @@ def coverage_sheet(prediction: Prediction) -> Sheet | None:
     )
 
 
-def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sheet | None:
+def condition_table(conditions: Mapping[str, tuple[ConditionError, ...]]) -> TableElement | None:
     """N within and across conditions, side by side; None if none was left out."""
     found = next(iter(conditions.values()), ())
     if not found:
         return None
-    return Sheet(
+    return TableElement(
         title="Error N within and across conditions",
         columns=("model", *(errors.condition or "no name" for errors in found)),
         rows=tuple(
@@ -186,7 +186,7 @@ def condition_sheet(conditions: Mapping[str, tuple[ConditionErrors, ...]]) -> Sh
     )
 
 
-def difference_sheet(prediction: Prediction) -> Sheet | None:
+def difference_table(prediction: Prediction) -> TableElement | None:
     """Each model against the best where models can be told apart, with intervals; None with fewer than two."""
     horizons = [horizon for horizon in prediction.horizons if tells_apart(prediction, horizon)]
     rankings = {horizon: prediction.ranking(horizon) for horizon in horizons}
@@ -199,7 +199,7 @@ def difference_sheet(prediction: Prediction) -> Sheet | None:
         (name, *(_against(compared[h].get(name), bool(rankings[h]) and rankings[h][0].name == name) for h in horizons))
         for name in names
     ]
-    return Sheet(
+    return TableElement(
         "N above the best",
         ("model", *_heads(prediction, horizons)),
         tuple(rows),
@@ -221,7 +221,7 @@ def _signed(value: float) -> str:
     return f"{'-' if value < 0.0 else '+'}{three_digits(abs(value))}"
 
 
-def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
+def state_error_table(prediction: Prediction, horizon: int | None) -> TableElement:
     """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
     system = prediction.cases.system
     heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
@@ -238,7 +238,7 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
     start = "from sample" if horizon is None else "from measured states,"
     protocol = prediction.cases.protocol
     begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
-    return Sheet(
+    return TableElement(
         title=f"Error per channel, {horizon_name(horizon, prediction.cases.system.dt)}",
         columns=("model", *heads),
         rows=tuple(rows),
@@ -250,13 +250,13 @@ def channel_sheet(prediction: Prediction, horizon: int | None) -> Sheet:
     )
 
 
-def horizon_picture(prediction: Prediction) -> Picture:
+def horizon_picture(prediction: Prediction) -> FigureElement:
     """N over the horizon."""
 
     def draw(figure: Figure) -> None:
         plot_horizon_curve(prediction, figure.add_subplot())
 
-    return Picture(
+    return FigureElement(
         "Error over the horizon",
         "N at every step of a free run under recorded controls from measured states "
         f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
@@ -269,7 +269,7 @@ SHOWN_MODELS = 5
 """Models whose free run is shown at once; a reader may switch on the others."""
 
 
-def free_run_picture(prediction: Prediction) -> Picture:
+def free_run_picture(prediction: Prediction) -> FigureElement:
     """Measured and predicted states in free run, one plot for each channel."""
     ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
     parts = ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
@@ -288,7 +288,7 @@ def free_run_picture(prediction: Prediction) -> Picture:
 
     label = "states in free run, measured and predicted"
     left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
-    return Picture(
+    return FigureElement(
         "Predicted and measured",
         f"Free run of {cases.free_runs[run].episode!r} from its sample {cases.protocol.first}, "
         f"under its recorded controls; at most 15 s from the first movement{left_out}.",
@@ -296,7 +296,7 @@ def free_run_picture(prediction: Prediction) -> Picture:
     )
 
 
-def headline(report: Report) -> Headline:
+def headline(report: ComparisonResults) -> Headline:
     """Say at first sight which models predict."""
     question, prediction = "Which models predict?", report.prediction
     if prediction is None:
@@ -328,7 +328,7 @@ def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction
     return tuple(model for model in prediction.ranking(horizon) if model.name != PERSISTENCE)
 
 
-def predicting(prediction: Prediction) -> tuple[str, ...]:
+def prediction_sentences(prediction: Prediction) -> tuple[str, ...]:
     """Answer which models predict."""
     if not prediction.horizons:
         return ("The test set is too short to say: no horizon and no free run fits into it.",)
@@ -361,16 +361,16 @@ def predicting(prediction: Prediction) -> tuple[str, ...]:
     ]
     if clipped:
         answers.append(f"Simulations reach their clip: {', '.join(clipped)}.")
-    answers += [sentence for model in models if (sentence := intervals_hold(prediction, model))]
+    answers += [sentence for model in models if (sentence := coverage_sentence(prediction, model))]
     return tuple(answers)
 
 
-def intervals_hold(prediction: Prediction, model: ModelPrediction) -> str:
+def coverage_sentence(prediction: Prediction, model: ModelPrediction) -> str:
     """Return in a sentence what a model's intervals hold; empty for a model without a spread."""
     if not model.coverage:
         return ""
     aim = percent(model.coverage[0].share)
-    wrong = [held for held in model.coverage if not held.honest]
+    wrong = [held for held in model.coverage if not held.calibrated]
     if not wrong:
         shares = sorted(held.mean for held in model.coverage)
         horizons = ", ".join(str(held.horizon) for held in model.coverage)
@@ -448,7 +448,7 @@ def _model_to_json(model: ModelPrediction, prediction: Prediction) -> dict[str, 
         "name": model.name,
         "family": model.family,
         "reason": model.reason or None,
-        "horizons": [_score_to_json(score, prediction) for score in model.at],
+        "horizons": [_score_to_json(score, prediction) for score in model.scores],
         "free_run": None if model.free_run is None else _score_to_json(model.free_run, prediction),
         "curve": model.curve,
         "curve_interval": band,
@@ -466,7 +466,7 @@ def _model_to_json(model: ModelPrediction, prediction: Prediction) -> dict[str, 
                 "samples": held.samples,
                 "aim": held.share,
                 "mean": held.mean,
-                "honest": held.honest,
+                "honest": held.calibrated,
                 "channels": dict(zip(system.state_names, held.inside, strict=True)),
             }
             for held in model.coverage

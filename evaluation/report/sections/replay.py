@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.plots import plot_state, plot_trace, plotted_places
+from evaluation.plots import plot_state, plot_trace, plotted_states
 from evaluation.report.elements import (
     QUARTER,
     THIRD,
     Drawing,
     DrawingPair,
-    Picture,
-    Replay,
+    FigureElement,
+    ReplayElement,
     Section,
     present,
     trial_name,
 )
-from evaluation.report.sections.exploitability import worst_trials
-from evaluation.results import Report
+from evaluation.report.sections.exploitability import trials_to_watch
+from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import Trace, TransferMatrix
 from sysid_evo.angles import wrap
 from sysid_evo.evolution import Champion
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def section(report: Report) -> Section | None:
+def section(report: ComparisonResults) -> Section | None:
     """Return the replay and the traces; None without controllers."""
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
         return None
-    shown = replay(matrix, first=summary.pick, watched=worst_trials(report.exploitability, matrix))
+    shown = replay(matrix, first=summary.pick, watched=trials_to_watch(report.exploitability, matrix))
     items = [] if shown is None else present(shown, traces_picture(matrix))
     return Section("Replay", items, absent=_absent(report, shown))
 
 
-def _absent(report: Report, shown: Replay | None) -> list[str]:
+def _absent(report: ComparisonResults, shown: ReplayElement | None) -> list[str]:
     """Say what cannot be watched."""
     if shown is None:
         return ["Nothing can be replayed: no trial of any controller was kept (traces in experiment.toml)."]
@@ -74,7 +74,7 @@ MOST_NUMBERS = 1_200_000
 
 def replay(
     matrix: TransferMatrix, *, first: str | None = None, watched: Mapping[str, int] | None = None
-) -> Replay | None:
+) -> ReplayElement | None:
     """Return the first trial of every cell that kept one; None if there is none.
 
     The controller ``first`` is the one shown at the start (default: the first row). Of the controllers that are
@@ -100,7 +100,7 @@ def replay(
                 continue
             numbers += _numbers(trace, paths=paths)
             other = None if on_robot else robot
-            apart = None if other is None else parting(trace, other, system, paths=paths)
+            apart = None if other is None else divergence_time(trace, other, system, paths=paths)
             told = {"row": row, "column": column, "own": own, "robot": on_robot}
             runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
             rows[row] = None
@@ -110,13 +110,13 @@ def replay(
         "paths": paths,
         "states": [channel.to_dict() for channel in system.states],
         "controls": [channel.to_dict() for channel in system.controls],
-        "shown": list(plotted_places(kept[0], system)),
+        "shown": list(plotted_states(kept[0], system)),
         "runs": runs,
     }
     text = json.dumps(document, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     fewer = f" {left_out} trials on other models are left out to keep the page small." if left_out else ""
     caption = (ON_A_PLANE if paths else OVER_TIME) + CONTROLS + fewer
-    return Replay(tuple(rows), text.replace("<", "\\u003c"), paths, caption)
+    return ReplayElement(tuple(rows), text.replace("<", "\\u003c"), paths, caption)
 
 
 def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
@@ -143,7 +143,7 @@ APART = 0.1
 """Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
 
 
-def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
+def divergence_time(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
     """Return the seconds after which a trial is apart from the one on the robot for the first time; None if never.
 
     Of bodies on a plane the positions are compared, of other systems the states that are drawn. Apart is a tenth of
@@ -157,7 +157,7 @@ def parting(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float
         extent = np.array([np.ptp(there, axis=0).max()])
         distance = np.hypot(*(here - there).T)[:, None]
     else:
-        places = list(plotted_places(robot, system))
+        places = list(plotted_states(robot, system))
         here, there = trace.trajectory.states[:steps, places], robot.trajectory.states[:steps, places]
         columns = zip((here - there).T, (system.states[place].period for place in places), strict=True)
         shorter = [column if period is None else wrap(column, period) for column, period in columns]
@@ -227,7 +227,7 @@ SQUARE = (0.19, 0.17, 0.79, 0.79)
 """Left, bottom, width and height of the axes of a trace, as shares of its drawing."""
 
 
-def traces_picture(matrix: TransferMatrix) -> Picture | None:
+def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
     """What each controller did in its own model and on the robot, in the first trial: its path, or its states."""
     found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
     if not found:
@@ -244,7 +244,7 @@ def traces_picture(matrix: TransferMatrix) -> Picture | None:
         walls = ", between the walls (grey)" if any(t.walls for _, _, t in found) else ""
         passed = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for *_, t in found) else ""
         drawn = f"Blue: forwards, orange: backwards; from the dot{walls}{passed}. Positions in metres"
-    return Picture(
+    return FigureElement(
         "Traces",
         f"{drawn}; the first trial, the same for all.{left_out}",
         tuple(panels),
@@ -281,7 +281,7 @@ def _path(number: int, label: str, trace: Trace) -> Drawing:
 def _over_time(number: int, label: str, trace: Trace, champion: Champion) -> Drawing:
     system = champion.system
     assert system is not None
-    places = plotted_places(trace, system)
+    places = plotted_states(trace, system)
 
     def draw(figure: Figure) -> None:
         for place, ax in zip(places, figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0], strict=True):

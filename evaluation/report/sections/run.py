@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from evaluation.formatting import listed
-from evaluation.report.elements import Section, Sheet
-from evaluation.results import Report
+from evaluation.report.elements import Section, TableElement
+from evaluation.results import ComparisonResults
 
 SHORTEST = 0.05
 """Seconds below which the time of a cell is left out."""
 
 
-def section(report: Report) -> Section | None:
+def section(report: ComparisonResults) -> Section | None:
     """Return models, settings, versions and times; None if none is known."""
     timings = {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
     named = (
@@ -24,35 +24,35 @@ def section(report: Report) -> Section | None:
     )
     sheets = [model_sheet(report)] if report.models else []
     sheets += [
-        Sheet(title, ("name", "value"), tuple(_flat(values)), details=True, prose=True)
+        TableElement(title, ("name", "value"), tuple(flat(values)), details=True, prose=True)
         for title, values in named
         if values
     ]
     return Section("Settings", sheets, background=True) if sheets else None
 
 
-def failures(report: Report) -> Section | None:
+def failures(report: ComparisonResults) -> Section | None:
     """Return what could not be computed, and why; None if nothing failed."""
     rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
-    return Section("Failures", [Sheet("Failed", ("what", "reason"), rows, prose=True)]) if rows else None
+    return Section("Failures", [TableElement("Failed", ("what", "reason"), rows, prose=True)]) if rows else None
 
 
-def model_sheet(report: Report) -> Sheet:
+def model_sheet(report: ComparisonResults) -> TableElement:
     """The models and their hyper-parameters."""
     rows = [
         (model.name, model.family, model.knowledge, listed([f"{k} = {v}" for k, v in model.parameters.items()]))
         for model in report.models
     ]
     heads = ("model", "family", "knowledge", "hyper-parameters")
-    return Sheet("Models", heads, tuple(rows), details=True, prose=True)
+    return TableElement("Models", heads, tuple(rows), details=True, prose=True)
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
     """Return keys and values; what is nested gets a dotted key."""
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
         if isinstance(value, Mapping):
-            rows += _flat(value, f"{prefix}{key}.")
+            rows += flat(value, f"{prefix}{key}.")
         else:
             text = value if isinstance(value, str) else json.dumps(value, default=str)
             rows.append((f"{prefix}{key}", text))

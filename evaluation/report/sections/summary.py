@@ -5,13 +5,14 @@ from __future__ import annotations
 from evaluation.report.elements import Finding, Headline
 from evaluation.report.sections import controllers, exploitability, prediction
 from evaluation.report.sections.advice import limits_question
-from evaluation.report.sections.controllers import LOOK_AT_THE_REWARD, recommended, transferring, unknown
-from evaluation.report.sections.prediction import predicting, scored
-from evaluation.results import Report
+from evaluation.report.sections.controllers import LOOK_AT_THE_REWARD, choice_sentences, transfer_sentences
+from evaluation.report.sections.controllers import open_questions as unknown
+from evaluation.report.sections.prediction import prediction_sentences, scored
+from evaluation.results import ComparisonResults
 from evaluation.sufficiency import none_beats_rest
 
 
-def headlines(report: Report) -> tuple[Headline, ...]:
+def headlines(report: ComparisonResults) -> tuple[Headline, ...]:
     """Return the three answers that the page begins with; that on controllers first, where none is of use."""
     found = prediction.headline(report), exploitability.headline(report), controllers.headline(report)
     useless = report.matrix is not None and none_beats_rest(report.matrix)
@@ -22,7 +23,7 @@ SAID = 2
 """Remarks of the advice that the verdict repeats."""
 
 
-def verdict(report: Report) -> tuple[Finding, ...]:
+def verdict(report: ComparisonResults) -> tuple[Finding, ...]:
     """Answer which models predict, which controllers transfer, what to use, and what stays open."""
     findings = []
     if tells_nothing(report):
@@ -33,11 +34,11 @@ def verdict(report: Report) -> tuple[Finding, ...]:
     if report.matrix is not None and none_beats_rest(report.matrix):
         findings.append(Finding("Is there anything to choose?", (LOOK_AT_THE_REWARD,)))
     if report.prediction is not None:
-        findings.append(Finding("Which models predict?", predicting(report.prediction)))
+        findings.append(Finding("Which models predict?", prediction_sentences(report.prediction)))
     if report.matrix is not None:
-        findings.append(Finding("Which controllers transfer?", transferring(report.matrix, report.transfer)))
+        findings.append(Finding("Which controllers transfer?", transfer_sentences(report.matrix, report.transfer)))
         if report.transfer is not None and not all(cell.failed for cell in report.matrix.cells.values()):
-            findings.append(Finding("What to use?", recommended(report)))
+            findings.append(Finding("What to use?", choice_sentences(report)))
             if open_questions := unknown(report.transfer):
                 findings.append(Finding("What is not known?", open_questions))
     if report.advice is not None and report.advice.remarks:
@@ -51,7 +52,7 @@ def verdict(report: Report) -> tuple[Finding, ...]:
     return tuple(findings)
 
 
-def tells_nothing(report: Report) -> bool:
+def tells_nothing(report: ComparisonResults) -> bool:
     """Whether no model has a score and no controller was run anywhere."""
     found, matrix = report.prediction, report.matrix
     has_score = found is not None and any(scored(found, horizon) for horizon in found.horizons)

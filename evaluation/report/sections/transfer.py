@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 
 from evaluation.formatting import by_error, folded, lines, number, percent, plus_minus, three_digits
-from evaluation.report.elements import Heat, Section, Sheet, present
+from evaluation.report.elements import Section, Shading, TableElement, present
 from evaluation.report.sections.controllers import (
     claims_picture,
     command_sheet,
     controller_sheet,
+    open_questions,
     standing_sheet,
-    unknown,
 )
-from evaluation.report.sections.evolution import finalist_sheet, fitness_picture
-from evaluation.results import Report
+from evaluation.report.sections.evolution import behaviour_class_table, fitness_picture
+from evaluation.results import ComparisonResults
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
-from evaluation.transfer.summary import Figures, judges_of
+from evaluation.transfer.summary import MatrixEstimates, other_family_models
 from sysid_evo.validation.estimates import CONFIDENCE
 
 
-def section(report: Report) -> Section:
+def section(report: ComparisonResults) -> Section:
     """Return the transfer matrix and what it says of each controller; without controllers, why."""
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
@@ -35,24 +35,24 @@ def section(report: Report) -> Section:
             claims_picture(matrix, summary),
             standing_sheet(matrix, summary),
             controller_sheet(matrix, summary),
-            measure_sheet(matrix),
-            finalist_sheet(matrix),
+            further_measures_table(matrix),
+            behaviour_class_table(matrix),
             command_sheet(report),
             fitness_picture(matrix),
         ),
         [
             "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere.",
-            *unknown(summary),
+            *open_questions(summary),
         ],
         absent=_absent(report),
     )
 
 
-def _absent(report: Report) -> list[str]:
+def _absent(report: ComparisonResults) -> list[str]:
     """Say what is not known of controllers."""
     matrix = report.matrix
     if matrix is None or report.transfer is None:
-        only = report.settings.get("only")
+        only = report.settings.get("stop_after")
         why = f", since only {only!r} was asked for: transfer" if only else ", so transfer"
         return [f"No controller was evolved{why} is not known."]
     if matrix.robot is None:
@@ -69,13 +69,13 @@ CONSENSUS = "other\nfamilies"
 """The heading of what models of other families say together."""
 
 
-def transfer_sheet(matrix: TransferMatrix) -> Sheet:
+def transfer_sheet(matrix: TransferMatrix) -> TableElement:
     """Mean fitness (standard deviation over trials) of every controller on every system, and on other families."""
     places = _with_consensus(matrix)
     columns = tuple(
         CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
     )
-    figures = Figures(matrix)
+    figures = MatrixEstimates(matrix)
     drawn = {champion.name: figures.consensus(champion) for champion in matrix.champions}
     medians = {name: None if found is None else found.estimate for name, found in drawn.items()}
     median = {name: np.nan if found is None else found.value for name, found in medians.items()}
@@ -106,7 +106,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
         if column in champion.against
     )
     models = sum(column is None or column in matrix.models for column in places)
-    return Sheet(
+    return TableElement(
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
         rows=tuple(rows),
@@ -115,7 +115,7 @@ def transfer_sheet(matrix: TransferMatrix) -> Sheet:
             "other families: median over the models of families that it was not evolved in. "
             "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
         ),
-        heat=Heat(shades, own, models if 0 < models < len(places) else None),
+        heat=Shading(shades, own, models if 0 < models < len(places) else None),
     )
 
 
@@ -146,7 +146,7 @@ def _trials(matrix: TransferMatrix) -> str:
     return f"{matrix.trials} fresh trials, the same in every cell."
 
 
-def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
+def further_measures_table(matrix: TransferMatrix) -> TableElement | None:
     """What the task tells beside the fitness, where each controller was evolved and on the robot; None if nothing."""
     rows, names = [], list(dict.fromkeys(name for cell in matrix.cells.values() for name in cell.measures))
     for champion in matrix.champions:
@@ -158,7 +158,7 @@ def measure_sheet(matrix: TransferMatrix) -> Sheet | None:
             rows.append((champion.name, folded(column), *shown))
     if not names:
         return None
-    return Sheet(
+    return TableElement(
         title="What else was measured",
         columns=("controller", "on", *(name.replace(" ", "\n") for name in names)),
         rows=tuple(rows),
@@ -180,7 +180,7 @@ CONTROLLERS = {
 HUMANS = "People in the paper: 8.33 waypoints forwards (humFc), 6.0 backwards (humBc)."
 
 
-def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
+def paper_sheet(matrix: TransferMatrix) -> TableElement | None:
     """The paper's Table 2 with these cells, its own numbers below; None unless its four single models are there.
 
     Several models of one family are not in it: the first counts.
@@ -202,7 +202,7 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
             rows.append(tuple(row))
     driven = [champion.name for champion in matrix.champions if champion.controller == BY_HAND]
     rows += [(name, *(number(matrix.cell(name, place).mean) for place in places)) for name in driven]
-    return Sheet(
+    return TableElement(
         title="Table 2 of the paper, here and there: fitness (standard deviation)",
         columns=("controller", *FAMILIES.values(), *([] if matrix.robot is None else ["real"])),
         rows=tuple(rows),
@@ -216,7 +216,7 @@ def paper_sheet(matrix: TransferMatrix) -> Sheet | None:
 
 def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     """Return what the document holds under ``transfer``."""
-    figures = Figures(matrix)
+    figures = MatrixEstimates(matrix)
     return {
         "unit": matrix.unit,
         "trials": matrix.trials,
@@ -230,7 +230,7 @@ def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
         "consensus": [
             {
                 "champion": champion.name,
-                "models": judges_of(champion, figures.matrix),
+                "models": other_family_models(champion, figures.matrix),
                 "median": None if median is None else median.value,
                 "interval": None if median is None else median.estimate.interval,
             }
@@ -240,7 +240,7 @@ def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
     }
 
 
-def _cell_to_json(cell: TransferResult, figures: Figures) -> dict[str, Any]:
+def _cell_to_json(cell: TransferResult, figures: MatrixEstimates) -> dict[str, Any]:
     figure = figures.singles.get((cell.champion, cell.column))
     return {
         "champion": cell.champion,

@@ -17,7 +17,7 @@ import numpy as np
 
 from sysid_evo.engine.compiled import loops
 from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
-from sysid_evo.engine.compiled.workspace import actuation_table, aligned, envelope_table, noise_table, together
+from sysid_evo.engine.compiled.workspace import actuation_table, aligned, bounds_table, noise_table, together
 from sysid_evo.kernels import (
     ADVANCE,
     CONTROLLER,
@@ -32,7 +32,7 @@ from sysid_evo.kernels import (
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
 
-SHARES = 2  # parts of the work for each thread
+PARTS_PER_THREAD = 2  # parts of the work for each thread
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class LoopTrials:
 class LoopResults:
     """What B = P E rollouts came to, candidate first, trial second; one that ``diverged`` ended there.
 
-    ``counts`` (B, d) are samples of the behaviour, ``doubt`` (B,) is as it was counted. The ``tape`` holds states
+    ``counts`` (B, d) are samples of the behaviour, ``penalty`` (B,) is as it was counted. The ``tape`` holds states
     (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat or not, if they were
     recorded.
     """
@@ -72,7 +72,7 @@ class LoopResults:
     clipped: IntArray
     diverged: BoolArray
     counts: Array
-    doubt: Array
+    penalty: Array
     tape: tuple[Array, Array, Array]
 
 
@@ -80,8 +80,8 @@ class LoopData:
     """A compiled closed loop and what it reads that is the same in all trials, in one precision.
 
     Controllers remember ``n_memory`` numbers and are shown ``n_observations``. From ``seen`` on stands the state that
-    is observed in the carry, at ``doubt_at`` the steps in doubt, if somebody counts them; states are clipped to the
-    ``envelope`` (2, nx).
+    is observed in the carry, at ``penalty_at`` the steps in penalty, if somebody counts them; states are clipped to the
+    ``state_bounds`` (2, nx).
     """
 
     def __init__(
@@ -92,8 +92,8 @@ class LoopData:
         n_memory: int,
         n_observations: int,
         seen: int = 0,
-        doubt_at: int | None = None,
-        envelope: Array | None = None,
+        penalty_at: int | None = None,
+        state_bounds: Array | None = None,
         precision: Precision = "float32",
     ) -> None:
         self.kernels, self.precision = kernels, precision
@@ -108,7 +108,7 @@ class LoopData:
             "dynamics_parameters": kernels.dynamics.parameters,
             "controller_parameters": kernels.controller.parameters,
             "task_parameters": kernels.task.parameters,
-            "envelope": envelope_table(envelope, system.nx, precision),
+            "state_bounds": bounds_table(state_bounds, system.nx, precision),
             "actuation": actuation_table(system, precision, before_tanh=kernels.controller.before_tanh),
             "centre": np.concatenate([system.neutral_state, system.neutral_control]),
         }
@@ -120,7 +120,7 @@ class LoopData:
             "pose_row": kernels.task.pose_row,
             "n_pose": kernels.task.n_pose,
             "seen": seen,
-            "doubt_at": -1 if doubt_at is None else doubt_at,
+            "penalty_at": -1 if penalty_at is None else penalty_at,
         }
         self.rows = {
             "control": system.nu,
@@ -166,7 +166,7 @@ class LoopData:
             "fitness": rollouts,
             "final_task": rollouts * n_task,
             "counts": rollouts * 2 * (nx + nu),
-            "doubts": rollouts,
+            "penalties": rollouts,
             "states": max(1, kept * (horizon + 1) * nx),
             "controls": max(1, kept * horizon * nu),
             "poses": max(1, kept * (horizon + 1) * n_pose),
@@ -190,33 +190,33 @@ class LoopData:
             }
             return lambda first, last: self.loop(*loops.CLOSED_LOOP.ordered(first=first, last=last, **arguments))
 
-        spread(prepare, -(-rollouts // LANES), threads)
+        run_in_threads(prepare, -(-rollouts // LANES), threads)
         found = LoopResults(
             fitness=results["fitness"].astype(np.float64),
             survived=outcomes["survived"],
             clipped=outcomes["clipped"],
             diverged=outcomes["diverged"] > 0,
             counts=results["counts"].reshape(rollouts, -1).astype(np.float64),
-            doubt=results["doubts"].astype(np.float64),
+            penalty=results["penalties"].astype(np.float64),
             tape=(results["states"], results["controls"], results["poses"]),
         )
         return found, results["final_task"].reshape(rollouts, n_task).T.astype(np.float64)
 
 
 @cache
-def pool(threads: int) -> ThreadPoolExecutor:
+def thread_pool(threads: int) -> ThreadPoolExecutor:
     """Return a pool of that many threads, kept for the life of the process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="rollout")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=pool.cache_clear)  # a forked process has none of its parent's threads
+    os.register_at_fork(after_in_child=thread_pool.cache_clear)  # a forked process has none of its parent's threads
 
 
 Work: TypeAlias = Callable[[int, int], None]
 
 
-def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
+def run_in_threads(prepare: Callable[[], Work], count: int, threads: int) -> None:
     """Do ``work(first, last)`` for all of ``range(count)``, on up to ``threads`` threads, this one among them.
 
     Every thread prepares its own work (buffers) and then takes the next few until none are left, so
@@ -226,7 +226,7 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
     if threads == 1:
         prepare()(0, count)
         return
-    size = max(1, count // (SHARES * threads))
+    size = max(1, count // (PARTS_PER_THREAD * threads))
     begins = iter(range(0, count, size))
 
     def take() -> None:
@@ -234,7 +234,7 @@ def spread(prepare: Callable[[], Work], count: int, threads: int) -> None:
         for first in begins:
             work(first, min(first + size, count))
 
-    others = [pool(threads - 1).submit(take) for _ in range(threads - 1)]
+    others = [thread_pool(threads - 1).submit(take) for _ in range(threads - 1)]
     take()
     for other in others:
         other.result()

@@ -25,7 +25,7 @@ from sysid_evo.kernels import KernelSource, Precision, Signature, Source
 FENCED = ("internals.py", "vectors.py")
 """The modules that import Numba and LLVM: what the words of a kernel mean. Generated files import them."""
 
-PATIENCE = 60.0
+LOCK_TIMEOUT = 60.0
 """Seconds to wait for another process that compiles the same file; most take two."""
 
 _IMPORTING = threading.RLock()
@@ -54,7 +54,7 @@ def compiled_loop(function: Callable[..., None], signature: Signature, precision
     return compile_kernel(KernelSource(function), signature, precision, pointer=False)
 
 
-def name_of(text: str) -> str:
+def module_name(text: str) -> str:
     """Return the name of the module of a generated file, which says all it depends on."""
     digest = hashlib.sha256((_fingerprint() + text).encode()).hexdigest()[:24]
     return f"sysid_evo_kernel_{digest}"
@@ -70,7 +70,7 @@ def _fingerprint() -> str:
 
 def imported(text: str) -> Any:
     """Return the module of a generated file, which is kept in the cache under its name."""
-    name = name_of(text)
+    name = module_name(text)
     with _IMPORTING:
         return sys.modules[name] if name in sys.modules else _load(name, text)
 
@@ -80,8 +80,8 @@ def _load(name: str, text: str) -> Any:
     path = cache_folder("kernels") / f"{name}.py"
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         write_atomically(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    with nullcontext() if name in _compiled_before(path.parent) else _alone(path.with_suffix(".lock")):
-        return _executed(name, path)
+    with nullcontext() if name in _compiled_before(path.parent) else locked(path.with_suffix(".lock")):
+        return load_module(name, path)
 
 
 @cache
@@ -92,20 +92,20 @@ def _compiled_before(folder: Path) -> frozenset[str]:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def locked(path: Path) -> Iterator[None]:
     """Wait until no other process holds the lock; without it where there are none, or where one holds it for long."""
     from filelock import FileLock
 
     lock = FileLock(path)
     with suppress(OSError, NotImplementedError):
-        lock.acquire(timeout=PATIENCE)
+        lock.acquire(timeout=LOCK_TIMEOUT)
     try:
         yield
     finally:
         lock.release()
 
 
-def _executed(name: str, path: Path) -> Any:
+def load_module(name: str, path: Path) -> Any:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
     assert spec.loader is not None

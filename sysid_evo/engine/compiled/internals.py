@@ -23,7 +23,7 @@ from numba.core.compiler_machinery import LoweringPass, register_pass
 from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic
 
-TRIED = ((0, 68),)
+CHECKED_VERSIONS = ((0, 68),)
 """Versions of Numba whose passes are known to be what this file takes them for."""
 
 
@@ -76,7 +76,7 @@ class _WithoutMachineCode(CompilerBase):
 
 def compiler_for(version: tuple[int, int]) -> type[CompilerBase]:
     """Return how functions within kernels are compiled by a version of Numba."""
-    chosen: type[CompilerBase] = _WithoutMachineCode if version in TRIED else Compiler
+    chosen: type[CompilerBase] = _WithoutMachineCode if version in CHECKED_VERSIONS else Compiler
     return chosen
 
 

@@ -12,11 +12,11 @@ from sysid_evo.kernels import (
     ADVANCE,
     CONTROLLER,
     DYNAMICS,
+    INTEGER,
+    INTEGERS,
     LANES,
-    NUMBER,
     OBSERVE,
     QUARTER,
-    WHOLES,
     Arrays,
     Layout,
     Signature,
@@ -39,18 +39,18 @@ sides."""
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
-    "pose_row", "n_pose", "seen", "doubt_at",
+    "pose_row", "n_pose", "seen", "penalty_at",
 )  # fmt: skip
 SHARED = Arrays(
     "noise_of", "dynamics_parameters", "controller_parameters", "task_parameters", "theta_of", "start", "task_start",
-    "trial_data", "envelope", "actuation", "centre",
+    "trial_data", "state_bounds", "actuation", "centre",
 )  # fmt: skip
 WORK = Arrays(
     "carry", "control", "noise", "memory", "observation", "raw", "before", "task", "theta", "kept", "tally", "turn",
     "scratch", "controller_scratch",
 )  # fmt: skip
-RESULTS = Arrays("fitness", "final_task", "counts", "doubts", "states", "controls", "poses")
-OUTCOMES = Arrays("survived", "clipped", "diverged", kind=WHOLES)
+RESULTS = Arrays("fitness", "final_task", "counts", "penalties", "states", "controls", "poses")
+OUTCOMES = Arrays("survived", "clipped", "diverged", kind=INTEGERS)
 
 
 def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, trials, results, outcomes, first, last):
@@ -102,13 +102,13 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                 copy_rows(work.carry, work.kept, n_carry)
                 copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
-            marked = suspicious(work.carry, shared.envelope, n_carry, nx)
+            marked = needs_care(work.carry, shared.state_bounds, n_carry, nx)
             if marked != 0:
-                diverging = not_finite(work.carry, shared.envelope, n_carry, nx)
+                diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
                 fresh, clipping = diverging & ~over, marked & ~diverging & ~over
                 over |= fresh
                 lost |= fresh
-                forget(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
+                clear_diverged(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
                 while fresh != 0:
                     lane = first_lane(fresh)
                     fresh &= fresh - 1
@@ -120,11 +120,11 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                     clipping &= clipping - 1
                     if lane < used:
                         outcomes.clipped[block * LANES + lane] += 1
-                clip(work.carry, shared.envelope, nx)
+                clip(work.carry, shared.state_bounds, nx)
             advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
             if over != 0:
-                restore(work.carry, work.kept, n_carry, over)
-                restore(work.task, view(work.kept, n_carry * LANES), n_task, over)
+                undo_ended(work.carry, work.kept, n_carry, over)
+                undo_ended(work.task, view(work.kept, n_carry * LANES), n_task, over)
             if sizes.record == 1:
                 for lane in range(used):
                     rollout = block * LANES + lane
@@ -151,8 +151,8 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                 results.final_task[rollout * n_task + row] = work.task[row * LANES + lane]
             for row in range(2 * (nx + nu)):
                 results.counts[rollout * 2 * (nx + nu) + row] = work.tally[row * LANES + lane]
-            if sizes.doubt_at >= 0:
-                results.doubts[rollout] = work.carry[sizes.doubt_at * LANES + lane]
+            if sizes.penalty_at >= 0:
+                results.penalties[rollout] = work.carry[sizes.penalty_at * LANES + lane]
             if (over >> lane) & 1 == 0:
                 outcomes.survived[rollout] = horizon
 
@@ -160,12 +160,12 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
 CLOSED_LOOP = Signature.of(
     closed_loop,
     dynamics=DYNAMICS, controller=CONTROLLER, observe=OBSERVE, advance=ADVANCE,
-    sizes=CLOSED, shared=SHARED, work=WORK, trials=WHOLES, results=RESULTS, outcomes=OUTCOMES,
-    first=NUMBER, last=NUMBER,
+    sizes=CLOSED, shared=SHARED, work=WORK, trials=INTEGERS, results=RESULTS, outcomes=OUTCOMES,
+    first=INTEGER, last=INTEGER,
 )  # fmt: skip
 IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 IMAGINED_SHARED = Arrays(
-    "dynamics_parameters", "task_parameters", "envelope", "start", "task_start", "trial_data", "controls"
+    "dynamics_parameters", "task_parameters", "state_bounds", "start", "task_start", "trial_data", "controls"
 )
 IMAGINED_WORK = Arrays("carry", "control", "noise", "before", "task", "kept", "scratch")
 
@@ -197,18 +197,18 @@ def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_t
                 copy_rows(work.carry, work.kept, n_carry)
                 copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
-            marked = suspicious(work.carry, shared.envelope, n_carry, nx)
+            marked = needs_care(work.carry, shared.state_bounds, n_carry, nx)
             if marked != 0:
-                diverging = not_finite(work.carry, shared.envelope, n_carry, nx)
+                diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
                 fresh = diverging & ~over
                 over |= fresh
                 lost |= fresh
-                forget(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
-                clip(work.carry, shared.envelope, nx)
+                clear_diverged(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
+                clip(work.carry, shared.state_bounds, nx)
             advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
             if over != 0:
-                restore(work.carry, work.kept, n_carry, over)
-                restore(work.task, view(work.kept, n_carry * LANES), n_task, over)
+                undo_ended(work.carry, work.kept, n_carry, over)
+                undo_ended(work.task, view(work.kept, n_carry * LANES), n_task, over)
             over |= ~lanes_differ(load(work.task, LANES), splat(0.0))
         for lane in range(min(LANES, rollouts - block * LANES)):
             rollout = block * LANES + lane
@@ -221,8 +221,8 @@ def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_t
 
 IMAGINE = Signature.of(
     imagine,
-    dynamics=DYNAMICS, advance=ADVANCE, sizes=IMAGINED, shared=IMAGINED_SHARED, work=IMAGINED_WORK, trials=WHOLES,
-    lost_of=WHOLES,
+    dynamics=DYNAMICS, advance=ADVANCE, sizes=IMAGINED, shared=IMAGINED_SHARED, work=IMAGINED_WORK, trials=INTEGERS,
+    lost_of=INTEGERS,
 )  # fmt: skip
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
@@ -262,15 +262,16 @@ def open_loop(dynamics, sizes, shared, work, first, last, error):
 
 
 OPEN_LOOP = Signature.of(
-    open_loop, dynamics=DYNAMICS, sizes=OPEN, shared=OPEN_SHARED, work=WINDOW, first=NUMBER, last=NUMBER
+    open_loop, dynamics=DYNAMICS, sizes=OPEN, shared=OPEN_SHARED, work=WINDOW, first=INTEGER, last=INTEGER
 )
-FREE_SHARED = Arrays("parameters_of", "start", "controls", "envelope")
+FREE_SHARED = Arrays("parameters_of", "start", "controls", "state_bounds")
 
 
 def free_runs(dynamics, sizes, shared, work, first, last, states):
     """Simulate every window for candidates ``first`` to ``last``, each from carries of its own, and keep all states.
 
-    ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the envelope.
+    ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the
+    state_bounds.
     """
     windows, steps, n_carry = sizes.windows, sizes.steps, sizes.n_carry
     nx, nu, n_parameters = sizes.nx, sizes.nu, sizes.n_parameters
@@ -289,7 +290,7 @@ def free_runs(dynamics, sizes, shared, work, first, last, states):
                     for row in range(nu):
                         work.control[row * LANES + lane] = shared.controls[(window * steps + k) * nu + row]
                 dynamics(work.carry, work.control, work.noise, work.parameters, work.scratch)
-                clip(work.carry, shared.envelope, nx)
+                clip(work.carry, shared.state_bounds, nx)
                 for lane in range(used):
                     at = ((candidate * windows + block * LANES + lane) * steps + k) * nx
                     for row in range(nx):
@@ -297,7 +298,7 @@ def free_runs(dynamics, sizes, shared, work, first, last, states):
 
 
 FREE_RUNS = Signature.of(
-    free_runs, dynamics=DYNAMICS, sizes=OPEN, shared=FREE_SHARED, work=WINDOW, first=NUMBER, last=NUMBER
+    free_runs, dynamics=DYNAMICS, sizes=OPEN, shared=FREE_SHARED, work=WINDOW, first=INTEGER, last=INTEGER
 )
 
 
@@ -350,32 +351,32 @@ def count_sides(values, alive, centre, rows, tally):
         store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
 
 
-def suspicious(carry, envelope, n_carry, nx):
-    """Return a bit for each lane that needs care: a state outside the envelope, or a number that is not finite."""
+def needs_care(carry, state_bounds, n_carry, nx):
+    """Return a bit for each lane that needs care: a state outside the state_bounds, or a number that is not finite."""
     fine = -1
     for row in range(nx):
         value = load(carry, row * LANES)
-        fine &= lanes_at_most(splat(envelope[row]), value) & lanes_at_most(value, splat(envelope[nx + row]))
+        fine &= lanes_at_most(splat(state_bounds[row]), value) & lanes_at_most(value, splat(state_bounds[nx + row]))
     for row in range(nx, n_carry):
-        fine &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+        fine &= lanes_at_most(abs(load(carry, row * LANES)), splat(state_bounds[2 * nx]))
     return ~fine
 
 
-def not_finite(carry, envelope, n_carry, nx):
+def not_finite(carry, state_bounds, n_carry, nx):
     """Return a bit for each lane with a number that is not finite."""
     finite = -1
     for row in range(n_carry):
-        finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(envelope[2 * nx]))
+        finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(state_bounds[2 * nx]))
     return ~finite
 
 
-def clip(carry, envelope, nx):
-    """Clip every state to the envelope: low, then high of each state, then the largest number there is."""
+def clip(carry, state_bounds, nx):
+    """Clip every state to the state_bounds: low, then high of each state, then the largest number there is."""
     for row in range(nx):
-        store(carry, row * LANES, min(max(load(carry, row * LANES), envelope[row]), envelope[nx + row]))
+        store(carry, row * LANES, min(max(load(carry, row * LANES), state_bounds[row]), state_bounds[nx + row]))
 
 
-def forget(carry, kept, n_carry, task, n_task, fresh, lost):
+def clear_diverged(carry, kept, n_carry, task, n_task, fresh, lost):
     """Put zeros into the carry of the lanes that are ``lost``; the ``fresh`` ones among them keep their task."""
     for row in range(n_carry):
         store(carry, row * LANES, where_bits(lost, splat(0.0), load(carry, row * LANES)))
@@ -385,7 +386,7 @@ def forget(carry, kept, n_carry, task, n_task, fresh, lost):
         store(kept, row * LANES, where_bits(fresh, here, load(kept, row * LANES)))
 
 
-def restore(array, kept, rows, over):
+def undo_ended(array, kept, rows, over):
     """Undo a step in the lanes whose trial is over."""
     for row in range(rows):
         store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.engine.compiled import loops
-from sysid_evo.engine.compiled.closed_loop import Work, spread
+from sysid_evo.engine.compiled.closed_loop import Work, run_in_threads
 from sysid_evo.engine.compiled.compiler import compiled, compiled_loop
 from sysid_evo.engine.compiled.workspace import aligned, empty_lines
 from sysid_evo.kernels import DYNAMICS, LANES, DynamicsKernel, Precision, Source
@@ -20,23 +20,23 @@ def free_runs(
     parameters: Array,
     start: Array,
     controls: Array,
-    envelope: Array,
+    state_bounds: Array,
     *,
     precision: Precision = "float64",
 ) -> Array:
     """Return the states (P, W, H, nx) of W windows under P parameter vectors (P, m) of the kernel ``source``.
 
     Every vector has carries of its own to start from, ``start`` (P, W, n_carry); ``controls`` are (W, H, nu). States
-    are clipped to the ``envelope`` (2, nx); one that is not a number stays so, or becomes a limit.
+    are clipped to the ``state_bounds`` (2, nx); one that is not a number stays so, or becomes a limit.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (len(parameters), windows, None))
-    nx, real = envelope.shape[1], np.dtype(precision)
+    nx, real = state_bounds.shape[1], np.dtype(precision)
     sizes = loops.OPEN.integers(
         windows=windows, steps=steps, n_carry=start.shape[2], nx=nx, nu=nu, n_parameters=parameters.shape[1]
     )
     states = np.zeros(len(parameters) * windows * steps * nx, real)
-    given = {"parameters_of": parameters, "start": start, "controls": controls, "envelope": envelope}
+    given = {"parameters_of": parameters, "start": start, "controls": controls, "state_bounds": state_bounds}
     compiled_loop(loops.free_runs, loops.FREE_RUNS, precision)(
         *loops.FREE_RUNS.ordered(
             dynamics=compiled(source, DYNAMICS, precision),
@@ -88,7 +88,7 @@ def final_errors(
         arguments = {"dynamics": kernel, "sizes": sizes, "shared": shared, "work": work, "error": error}
         return lambda first, last: loop(*loops.OPEN_LOOP.ordered(first=first, last=last, **arguments))
 
-    spread(prepare, len(parameters), threads)
+    run_in_threads(prepare, len(parameters), threads)
     return error.astype(np.float64)
 
 

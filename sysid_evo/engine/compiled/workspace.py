@@ -80,10 +80,10 @@ def actuation_table(system: System, precision: Precision, *, before_tanh: bool =
     return np.concatenate([[table.shape[1]], table.ravel()])
 
 
-def envelope_table(envelope: Array | None, nx: int, precision: Precision) -> Array:
+def bounds_table(state_bounds: Array | None, nx: int, precision: Precision) -> Array:
     """Return the lowest and the highest value of each state, none infinite, and the largest number of ``precision``."""
     most = np.finfo(precision).max
-    limits = np.full((2, nx), np.inf) * [[-1.0], [1.0]] if envelope is None else envelope
+    limits = np.full((2, nx), np.inf) * [[-1.0], [1.0]] if state_bounds is None else state_bounds
     return np.append(np.clip(limits, -most, most), most)
 
 

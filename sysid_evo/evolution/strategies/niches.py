@@ -57,15 +57,15 @@ class Island:
     behaviour: Array = field(default_factory=lambda: np.empty(0))
 
     @property
-    def promise(self) -> float:
+    def smoothed_quantile(self) -> float:
         """The 80 % quantile of the fitness of a generation, the mean of the last few; -inf before the first."""
         return float(np.mean(self.promises)) if self.promises else -np.inf
 
-    def over(self, patience: int) -> bool:
+    def stagnated(self, patience: int) -> bool:
         """Whether it has not risen for ``patience`` generations, so that another start is worth more."""
         return self.age - self.peak_age >= patience
 
-    def lean(self, names: Sequence[str]) -> float:
+    def bias(self, names: Sequence[str]) -> float:
         """Return how much longer its better half is above than below neutral in its channel, as a share of the time."""
         above, below = (self.behaviour[names.index(f"{self.channel} {side}")] for side in (ABOVE, BELOW))
         return float(above - below)
@@ -83,8 +83,8 @@ class Island:
         promise = float(np.quantile(reached, QUANTILE)) if some else -np.inf
         self.promises = [*self.promises, promise][-LAST:]
         self.age += 1
-        if self.promise > self.peak + RISE * abs(self.peak) or not np.isfinite(self.peak):
-            self.peak, self.peak_age = self.promise, self.age
+        if self.smoothed_quantile > self.peak + RISE * abs(self.peak) or not np.isfinite(self.peak):
+            self.peak, self.peak_age = self.smoothed_quantile, self.age
         self.behaviour = behaviour[order[: max(1, int(inside.sum()) // 2)]].mean(axis=0)
         self.strategy.tell(population, ranked)
 
@@ -130,20 +130,20 @@ class Niches(EvolutionStrategy):
         return self._made
 
     @property
-    def going(self) -> list[Island]:
+    def active(self) -> list[Island]:
         """The islands from which the champion may come: all starts of the kinds that were chosen."""
         return [island for island in self.islands if island.kind in self._chosen] if self._chosen else self.islands
 
     @property
     def elite(self) -> Array:
         """The best of the islands that go on, best first."""
-        found = np.concatenate([island.best for island in self.going])
-        scores = np.concatenate([island.scores for island in self.going])
+        found = np.concatenate([island.best for island in self.active])
+        scores = np.concatenate([island.scores for island in self.active])
         return found[np.argsort(-scores, kind="stable")]
 
     @property
     def finals(self) -> Mapping[str, Array]:
-        return {island.name: island.best for island in self.going if island.age}
+        return {island.name: island.best for island in self.active if island.age}
 
     def forget_fitness(self) -> None:
         for island in self.islands:
@@ -153,8 +153,8 @@ class Niches(EvolutionStrategy):
     @property
     def status(self) -> str:
         """What goes on, in a few words."""
-        best = max(self.going, key=lambda island: island.promise)
-        return f"{len(self.going)} niches, best {best.name}"
+        best = max(self.active, key=lambda island: island.smoothed_quantile)
+        return f"{len(self.active)} niches, best {best.name}"
 
     @property
     def state(self) -> StrategyState:
@@ -228,10 +228,11 @@ class Niches(EvolutionStrategy):
             self._running = list(self._chosen)
         elif self.generation == self._end:
             going = [i for i, island in enumerate(self.islands) if island.kind in self._chosen]
-            self._running = sorted(going, key=lambda i: -self.islands[i].promise)[: self.slots]
+            self._running = sorted(going, key=lambda i: -self.islands[i].smoothed_quantile)[: self.slots]
         elif self._survey < self.generation < self._end:
             self._running = [
-                self._start(self._hoped()) if self.islands[i].over(self._patience) else i for i in self._running
+                self._start(self._next_restart()) if self.islands[i].stagnated(self._patience) else i
+                for i in self._running
             ]
 
     @property
@@ -262,11 +263,13 @@ class Niches(EvolutionStrategy):
         self._made.append(self._island(len(self._made), first.channel, first.side, kind))
         return len(self._made) - 1
 
-    def _hoped(self) -> int:
+    def _next_restart(self) -> int:
         """Return the kind of which a further start promises most."""
         starts = {kind: [island for island in self.islands if island.kind == kind] for kind in self._chosen}
         open_ones = [
-            kind for kind in self._chosen if not _known([one.peak for one in starts[kind] if one.over(self._patience)])
+            kind
+            for kind in self._chosen
+            if not _converged([one.peak for one in starts[kind] if one.stagnated(self._patience)])
         ]
         return min(
             open_ones or self._chosen,
@@ -304,15 +307,15 @@ class Niches(EvolutionStrategy):
         sides = range(len(self._sides()))
         apart: dict[str, float] = dict.fromkeys((self.islands[i].channel for i in sides), 0.0)
         for island in (self.islands[i] for i in sides if self.islands[i].side):
-            apart[island.channel] += island.side * island.lean(self.behaviour_names)
+            apart[island.channel] += island.side * island.bias(self.behaviour_names)
 
         def first(i: int) -> tuple[bool, float, float]:
             island = self.islands[i]
-            return not np.isfinite(island.promise), -apart[island.channel], -island.promise
+            return not np.isfinite(island.smoothed_quantile), -apart[island.channel], -island.smoothed_quantile
 
         return sorted(sides, key=first)[: self.slots]
 
 
-def _known(reached: list[float]) -> bool:
+def _converged(reached: list[float]) -> bool:
     """Whether several starts that are over reached the same, so that another one would as well."""
     return len(reached) > 1 and max(reached) - min(reached) <= ALIKE * abs(max(reached))

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.progress import State
+from sysid_evo.progress import CheckpointState
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import strategies
 from sysid_evo.types import Array, check_shape
@@ -17,7 +17,7 @@ from sysid_evo.types import Array, check_shape
 ABOVE, BELOW = "above", "below"
 """How the two descriptors of a channel end, see `sysid_evo.engine.behaviour_names`."""
 
-StrategyState: TypeAlias = State
+StrategyState: TypeAlias = CheckpointState
 """All that changes in a strategy."""
 
 
@@ -33,7 +33,7 @@ class EvolutionStrategy(ABC):
     behaviour_names: tuple[str, ...] = ()
     control_names: tuple[str, ...] = ()
     generations: int | None = None
-    told: int = 0
+    updates: int = 0
     """Of how many generations it was told, counted before it learns from them."""
 
     def prepare(
@@ -107,7 +107,7 @@ class EvolutionStrategy(ABC):
             )
         described = (len(population), len(self.behaviour_names))
         given = np.empty((len(population), 0)) if behaviour is None or not self.behaviour_names else behaviour
-        self.told += 1
+        self.updates += 1
         self._update(population, fitness, check_shape("behaviour", given, described))
 
 

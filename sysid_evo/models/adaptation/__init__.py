@@ -1,28 +1,28 @@
 """A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
 
 from sysid_evo.models.adaptation.adapted import as_of
-from sysid_evo.models.adaptation.correction import Terms
+from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.adaptation.selection import (
     ANEW,
     NONE,
     REFIT,
     Adaptation,
-    Learned,
-    Verdict,
+    AdaptationDecision,
+    LearnedCorrection,
     adaptation,
     held_out_error,
 )
-from sysid_evo.validation.acceptance import Trial
+from sysid_evo.validation.acceptance import AcceptanceResult
 
 __all__ = [
     "ANEW",
     "NONE",
     "REFIT",
+    "AcceptanceResult",
     "Adaptation",
-    "Learned",
-    "Terms",
-    "Trial",
-    "Verdict",
+    "AdaptationDecision",
+    "CorrectionTerms",
+    "LearnedCorrection",
     "adaptation",
     "as_of",
     "held_out_error",

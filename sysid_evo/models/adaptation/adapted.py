@@ -10,24 +10,24 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.artefacts import is_stored
+from sysid_evo.artefacts import is_stored_dataset
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models.adaptation.correction import Terms
-from sysid_evo.models.adaptation.selection import ANEW, NONE, REFIT, Learned, adaptation
+from sysid_evo.models.adaptation.correction import CorrectionTerms
+from sysid_evo.models.adaptation.selection import ANEW, NONE, REFIT, LearnedCorrection, adaptation
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.kernels.correction import correction_kernel
 from sysid_evo.models.learned import Declared
-from sysid_evo.models.stochastic import Uncertain
+from sysid_evo.models.stochastic import StochasticModel
 from sysid_evo.models.storage import load_model
 from sysid_evo.progress import Progress
 from sysid_evo.registry.registry import register_model
 from sysid_evo.system import System
 from sysid_evo.types import Array
-from sysid_evo.validation.intervals import MOST_WINDOWS, Case, horizon_scales, step_spread, usable_horizon
+from sysid_evo.validation.intervals import MAX_WINDOWS, Case, horizon_scales, step_spread, usable_horizon
 
 
 @register_model("adapted")
@@ -50,7 +50,7 @@ class Adapted(DynamicsModel):
     periodic = True
 
     base: str | None = "linear"
-    rest_hold: bool = False
+    dead_band: bool = False
 
     def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
         """Take ``base`` to be adapted by the next `fit`, and the data it learned from, if a refit is to be tried."""
@@ -59,7 +59,7 @@ class Adapted(DynamicsModel):
         return self
 
     def check_system(self, system: System) -> None:
-        if self.base is not None and not is_stored(self.base, "model"):
+        if self.base is not None and not is_stored_dataset(self.base, "model"):
             make_model(self.base).check_system(system)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
@@ -67,7 +67,7 @@ class Adapted(DynamicsModel):
         if self.base is not None:
             self.base_ = (
                 load_model(Path(self.base))
-                if is_stored(self.base, "model")
+                if is_stored_dataset(self.base, "model")
                 else make_model(self.base).fit(dataset, rng=rng)
             )
         elif not hasattr(self, "base_"):
@@ -80,24 +80,24 @@ class Adapted(DynamicsModel):
         if found.learned.model is not self.inner:
             self.base_ = found.learned.model
         self._hold(found.learned)
-        self.verdict_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
-        self.gate_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
-        self.tried_ = [trial.name for trial in found.verdict.trials]
+        self.decision_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
+        self.test_errors_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
+        self.candidates_ = [trial.name for trial in found.verdict.trials]
         self._widen()
         base = self.base_
-        if isinstance(base, Uncertain) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
-            self.base_ = calibrated_elsewhere(base, found.apart, rng)
+        if isinstance(base, StochasticModel) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
+            self.base_ = calibrated_elsewhere(base, found.fold_results, rng)
         return self
 
     @classmethod
-    def holding(cls, learned: Learned) -> Self:
+    def holding(cls, learned: LearnedCorrection) -> Self:
         """Return a model with a correction of it, about which nothing was decided, as a fitted model."""
         one = cls(base=None).given(learned.model)
         one._hold(learned)
-        one.envelope_, one.pairs_ = learned.model.envelope_, learned.model.pairs_
+        one.state_bounds_, one.training_sample_ = learned.model.state_bounds_, learned.model.training_sample_
         return one
 
-    def _hold(self, learned: Learned) -> None:
+    def _hold(self, learned: LearnedCorrection) -> None:
         self.system_ = self.base_.system
         for name, array in learned.terms.arrays.items():
             setattr(self, f"{name}_", array)
@@ -112,27 +112,30 @@ class Adapted(DynamicsModel):
         }
 
     def _widen(self) -> None:
-        """Let envelope and pairs be those of both recordings; those of the base if that is all there is."""
+        """Let state_bounds and pairs be those of both recordings; those of the base if that is all there is."""
         if self.chosen_ == NONE:
-            self.envelope_, self.pairs_ = self.base_.envelope_.copy(), self.base_.pairs_.copy()
+            self.state_bounds_, self.training_sample_ = (
+                self.base_.state_bounds_.copy(),
+                self.base_.training_sample_.copy(),
+            )
             return
-        own, other = self.envelope_, self.base_.envelope_
-        self.envelope_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
-        pairs = np.concatenate([self.base_.pairs_, self.pairs_])
-        self.pairs_ = pairs[evenly_spaced(len(pairs), KEPT_PAIRS, nearest=True)]
+        own, other = self.state_bounds_, self.base_.state_bounds_
+        self.state_bounds_ = np.stack([np.minimum(own[0], other[0]), np.maximum(own[1], other[1])])
+        pairs = np.concatenate([self.base_.training_sample_, self.training_sample_])
+        self.training_sample_ = pairs[evenly_spaced(len(pairs), KEPT_PAIRS, nearest=True)]
 
     @functools.cached_property
     def inner(self) -> DynamicsModel:
         """The base, which holds a body at rest if this model is to."""
         base: DynamicsModel = self.base_
-        wanted = self.rest_hold and not base.rest_hold and "rest_hold" in base.get_params()
-        return base.variant(rest_hold=True) if wanted else base
+        wanted = self.dead_band and not base.dead_band and "dead_band" in base.get_params()
+        return base.variant(dead_band=True) if wanted else base
 
     @functools.cached_property
-    def terms(self) -> Terms:
+    def terms(self) -> CorrectionTerms:
         """What the correction is linear in."""
-        arrays = [getattr(self, f"{field.name}_") for field in fields(Terms) if field.name != "system"]
-        return Terms(self.system, *arrays)
+        arrays = [getattr(self, f"{field.name}_") for field in fields(CorrectionTerms) if field.name != "system"]
+        return CorrectionTerms(self.system, *arrays)
 
     @property
     def corrects(self) -> bool:
@@ -149,7 +152,7 @@ class Adapted(DynamicsModel):
 
     @property
     def fit_note(self) -> str:
-        return f"took {self.verdict_}" if hasattr(self, "verdict_") else super().fit_note
+        return f"took {self.decision_}" if hasattr(self, "decision_") else super().fit_note
 
     @property
     def lags(self) -> tuple[int, int]:
@@ -172,8 +175,8 @@ class Adapted(DynamicsModel):
         return self.inner.n_draws if hasattr(self, "base_") else 0
 
     @property
-    def rest_band(self) -> Array | None:
-        return self.inner.rest_band
+    def dead_band_size(self) -> Array | None:
+        return self.inner.dead_band_size
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         return self.inner.start(states, controls, draws)
@@ -209,8 +212,8 @@ class Adapted(DynamicsModel):
 class CorrectedSteps:
     """The disturbed steps of ``base`` with a correction, which sees what the disturbance makes of them."""
 
-    base: Uncertain
-    terms: Terms
+    base: StochasticModel
+    terms: CorrectionTerms
     coefficients: Array
 
     @property
@@ -222,18 +225,20 @@ class CorrectedSteps:
         return self.base.system
 
     @property
-    def envelope(self) -> Array | None:
-        return self.base.envelope
+    def state_bounds(self) -> Array | None:
+        return self.base.state_bounds
 
-    def lagged(self, states: Array, controls: Array) -> Array:
-        return self.base.lagged(states, controls)
+    def initial_carry(self, states: Array, controls: Array) -> Array:
+        return self.base.initial_carry(states, controls)
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
         after = self.base.disturbed(carry, control, disturbance)
         return self.terms.next_carry(carry, control, after, self.coefficients)
 
 
-def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.random.Generator) -> Uncertain:
+def calibrated_elsewhere(
+    base: StochasticModel, apart: Sequence[LearnedCorrection], rng: np.random.Generator
+) -> StochasticModel:
     """Return ``base`` with the spread that models have which were made ``apart``, each on what it was ``held`` from.
 
     The error of one step, its lasting share, and the scales of `horizon_scales`; beyond the longest free run that the
@@ -242,14 +247,14 @@ def calibrated_elsewhere(base: Uncertain, apart: Sequence[Learned], rng: np.rand
     pairs = [
         (CorrectedSteps(one.model.variant(), one.terms, one.coefficients), one.held)
         for one in apart
-        if isinstance(one.model, Uncertain) and one.held is not None
+        if isinstance(one.model, StochasticModel) and one.held is not None
     ]
     still = np.zeros(base.system.nx)
     residual, persistent = step_spread(pairs, lambda steps, carry, control: steps.disturbed(carry, control, still))
     horizon = usable_horizon([held for _, held in pairs], base.n_lags)
     for steps, _ in pairs:
         steps.base.residual_ = residual
-    cases = [Case.of(steps, held, horizon, MOST_WINDOWS // len(pairs)) for steps, held in pairs]
+    cases = [Case.of(steps, held, horizon, MAX_WINDOWS // len(pairs)) for steps, held in pairs]
     other = base.variant()
     other.keep_spread(residual, persistent, horizon_scales(cases, persistent, rng))
     return other

@@ -27,7 +27,7 @@ OF_PRODUCTS = 10.0
 
 
 @dataclass(frozen=True)
-class Terms:
+class CorrectionTerms:
     """The regressors 1, z, perhaps z_i z_k (i <= k), and perhaps a, of an acceleration that is added to a model's.
 
     z are state and control (sine and cosine of a periodic state), kept within ``low`` and ``high`` (n,), less their
@@ -65,7 +65,7 @@ class Terms:
         if model is not None:
             windows = dataset.windows(1, history=model.n_lags, moving=True)
             windows = windows if len(windows) else dataset.windows(1, history=model.n_lags)
-            pushes = foreseen(model, windows.past_states, windows.past_controls, windows.controls[:, 0])
+            pushes = predicted_acceleration(model, windows.past_states, windows.past_controls, windows.controls[:, 0])
         seen = regressors(system, states, controls)
         low, high, centre, spread = seen.min(axis=0), seen.max(axis=0), seen.mean(axis=0), seen.std(axis=0)
         scale = np.where(spread > 1e-9 * np.abs(seen).max(axis=0), spread, 1.0)
@@ -144,7 +144,10 @@ class Terms:
         if self.products:
             parts.append(np.clip(_products(z), self.least, self.most))
         if self.gains:
-            parts.append(np.clip(pushed(self.system, state, after), self.weakest, self.strongest) / self.strength)
+            parts.append(
+                np.clip(acceleration_from_coasting(self.system, state, after), self.weakest, self.strongest)
+                / self.strength
+            )
         return np.concatenate(parts, axis=-1)
 
     def shift(self, state: Array, control: Array, after: Array, coefficients: Array) -> Array:
@@ -185,12 +188,12 @@ def _products(z: Array) -> Array:
     return np.concatenate([z[..., i : i + 1] * z[..., i:] for i in range(z.shape[-1])], axis=-1)
 
 
-def pushed(system: System, before: Array, after: Array) -> Array:
+def acceleration_from_coasting(system: System, before: Array, after: Array) -> Array:
     """Return the way per s (..., nx) to ``after`` from where a body is that coasts from ``before``."""
     return system.difference(after, system.integrate(before, np.zeros_like(before))) / system.dt
 
 
-def foreseen(model: Dynamics, states: Array, past_controls: Array, control: Array) -> Array:
+def predicted_acceleration(model: Dynamics, states: Array, past_controls: Array, control: Array) -> Array:
     """Return by how much ``model`` moves a body that coasts, (N, nx) per s, without noise.
 
     ``states`` (N, L + 1, nx), ``past_controls`` (N, L, nu) before ``control`` (N, nu).
@@ -198,7 +201,7 @@ def foreseen(model: Dynamics, states: Array, past_controls: Array, control: Arra
     carry = model.start(states, past_controls, np.zeros((len(states), model.n_draws)))
     noise = np.zeros((len(states), model.n_noise)) if model.n_noise else None
     after = model.step(carry, control, noise)[:, : model.system.nx]
-    return pushed(model.system, carry[:, : model.system.nx], after)
+    return acceleration_from_coasting(model.system, carry[:, : model.system.nx], after)
 
 
 def state_scale(system: System, states: Array) -> Array:
@@ -216,11 +219,11 @@ ROWS = 2**14
 
 
 @dataclass(frozen=True)
-class Pieces:
+class AdaptationWindows:
     """B windows of H steps as a model starts and is judged.
 
     ``carry`` (B, n_carry) at the start, ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the sample at
-    which each starts, counted over all episodes; ``scale`` (nx,) is the spread of the states, ``envelope`` (2, nx)
+    which each starts, counted over all episodes; ``scale`` (nx,) is the spread of the states, ``state_bounds`` (2, nx)
     what a free run is clipped to.
     """
 
@@ -230,7 +233,7 @@ class Pieces:
     truth: Array
     first: IntArray
     scale: Array
-    envelope: Array | None
+    state_bounds: Array | None
 
     @classmethod
     def of(cls, model: Dynamics, dataset: Dataset, *, stride: int = STRIDE) -> Self:
@@ -252,12 +255,12 @@ class Pieces:
         states = states if len(states) else np.concatenate([episode.states for episode in dataset])
         scale = state_scale(system, states)
         first = windows.start + begins[windows.episode]
-        return cls(system, carry, windows.controls, windows.states, first, scale, model.envelope)
+        return cls(system, carry, windows.controls, windows.states, first, scale, model.state_bounds)
 
     def __len__(self) -> int:
         return len(self.first)
 
-    def __getitem__(self, rows: BoolArray | IntArray | slice) -> Pieces:
+    def __getitem__(self, rows: BoolArray | IntArray | slice) -> AdaptationWindows:
         return replace(
             self, carry=self.carry[rows], controls=self.controls[rows], truth=self.truth[rows], first=self.first[rows]
         )
@@ -273,14 +276,14 @@ class Pieces:
         return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
 
 
-def free_runs(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
+def free_runs(model: Dynamics, terms: CorrectionTerms, candidates: Array, pieces: AdaptationWindows) -> Array:
     """Return where ``model`` with each correction (P, size, nx) goes, (P, B, H, nx)."""
     at_once = max(1, ROWS // max(1, len(pieces)))
     parts = [_beside(model, terms, candidates[i : i + at_once], pieces) for i in range(0, len(candidates), at_once)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _beside(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) -> Array:
+def _beside(model: Dynamics, terms: CorrectionTerms, candidates: Array, pieces: AdaptationWindows) -> Array:
     """Return the free runs with all of the ``candidates`` at once."""
     count, (batch, horizon, nu), nx = len(candidates), pieces.controls.shape, terms.system.nx
     carry = np.tile(pieces.carry, (count, 1))
@@ -292,7 +295,7 @@ def _beside(model: Dynamics, terms: Terms, candidates: Array, pieces: Pieces) ->
             after = model.step(carry, control, noise)
             before, reached = (x[:, :nx].reshape(count, batch, nx) for x in (carry, after))
             moved = terms.corrected(before, control.reshape(count, batch, nu), reached, candidates[:, None])
-            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), pieces.envelope)
+            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), pieces.state_bounds)
             out[:, :, k] = carry[:, :nx].reshape(count, batch, nx)
     return out
 
@@ -305,7 +308,7 @@ TOLERATED = 1.5
 
 
 def corrections(
-    model: Dynamics, terms: Terms, pieces: Pieces, ridges: Sequence[float], seconds: float
+    model: Dynamics, terms: CorrectionTerms, pieces: AdaptationWindows, ridges: Sequence[float], seconds: float
 ) -> Iterator[Array]:
     """Yield the coefficients (size, nx) for each of ``ridges``, which begin with the strongest.
 
@@ -323,7 +326,7 @@ def corrections(
 
 
 def _improved(
-    model: Dynamics, terms: Terms, pieces: Pieces, start: Array, ridge: Array, seconds: float
+    model: Dynamics, terms: CorrectionTerms, pieces: AdaptationWindows, start: Array, ridge: Array, seconds: float
 ) -> tuple[Array, bool]:
     """Return better coefficients by one linearisation, and whether there are any."""
     size = start.size
@@ -355,7 +358,9 @@ STEEPEST = 1e6
 """Largest derivative that is believed: a run that diverges has larger ones."""
 
 
-def sensitivities(model: Dynamics, terms: Terms, coefficients: Array, pieces: Pieces) -> tuple[Array, Array]:
+def sensitivities(
+    model: Dynamics, terms: CorrectionTerms, coefficients: Array, pieces: AdaptationWindows
+) -> tuple[Array, Array]:
     """Return where free runs go, (B, H, nx), and their derivatives by ``coefficients``, (size * nx, B, H, nx).
 
     With S_k the derivatives of the carry, S_k+1 = (dg/dcarry) S_k + dg/dC, g being one step of ``model`` with the
@@ -376,7 +381,7 @@ def sensitivities(model: Dynamics, terms: Terms, coefficients: Array, pieces: Pi
             flat = beside.reshape(-1, beside.shape[2])
             reached = model.step(flat, control, np.zeros((len(flat), model.n_noise)) if model.n_noise else None)
             corrected = terms.corrected(flat[:, :nx], control, reached[:, :nx], coefficients)
-            after, _ = clip_state(np.concatenate([corrected, reached[:, nx:]], axis=1), pieces.envelope)
+            after, _ = clip_state(np.concatenate([corrected, reached[:, nx:]], axis=1), pieces.state_bounds)
             after = after.reshape(beside.shape)
             changes = ((after[1:] - after[0]) / steps[moved, None, None]).transpose(1, 2, 0)
             direct = _by_coefficients(terms, carry[:, :nx], control[:batch], reached[:batch, :nx])
@@ -390,7 +395,7 @@ def sensitivities(model: Dynamics, terms: Terms, coefficients: Array, pieces: Pi
     return runs, derivatives
 
 
-def _by_coefficients(terms: Terms, state: Array, control: Array, after: Array) -> Array:
+def _by_coefficients(terms: CorrectionTerms, state: Array, control: Array, after: Array) -> Array:
     """Return the derivatives (B, nx, size * nx) of the next state by the coefficients, which are the same for all."""
     pushes = np.diag(terms.unit)[:, None]
     coasting = terms.system.integrate(state, np.zeros_like(state))

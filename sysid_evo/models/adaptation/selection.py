@@ -2,7 +2,7 @@
 
 A model and some seconds of a new condition become a correction, more training, a refit, a mean of these, or nothing, as
 free runs over blocks of the recording decide that the candidate did not learn from. A model that is no farther off
-there than on what was held out from its own training is left alone (`times_home`).
+there than on what was held out from its own training is left alone (`error_ratio`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidData, PluginError, SysidEvoError
-from sysid_evo.models.adaptation.correction import Pieces, Terms, corrections, free_runs
+from sysid_evo.models.adaptation.correction import AdaptationWindows, CorrectionTerms, corrections, free_runs
 from sysid_evo.models.base import DynamicsModel
 from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.registry.registry import models
 from sysid_evo.types import Array
-from sysid_evo.validation.acceptance import AND, Held, Kind, Trial, failed, judged
+from sysid_evo.validation.acceptance import AND, AcceptanceResult, HeldOutErrors, Kind, failed, judged
 from sysid_evo.validation.folds import Block, blocks_of
 from sysid_evo.validation.simulation_error import error_of
 
@@ -45,27 +45,27 @@ Way: TypeAlias = Callable[[Dataset], DynamicsModel | None]
 
 
 @dataclass(frozen=True)
-class Learned:
+class LearnedCorrection:
     """A model, and a correction (size, nx) of it; ``held`` is what neither learned from, if there is any."""
 
     model: DynamicsModel
-    terms: Terms
+    terms: CorrectionTerms
     coefficients: Array
     held: Dataset | None = None
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AdaptationDecision:
     """What the gate saw and decided: the error without a correction, the trials, and the one that is taken.
 
-    ``chosen`` is the name of a trial, or "none". ``times_home`` is given where nothing was tried, as the model is in no
-    state more than so many times farther off than on what was held out from its training.
+    ``chosen`` is the name of a trial, or "none". ``error_ratio`` is given where nothing was tried, as the model is in
+    no state more than so many times farther off than on what was held out from its training.
     """
 
     seconds: float
     blocks: int
     plain: float
-    trials: tuple[Trial, ...]
+    trials: tuple[AcceptanceResult, ...]
     chosen: str
     times_home: float | None = None
 
@@ -94,11 +94,12 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Adaptation:
-    """What was ``learned`` of everything, why, and ``apart``, without each block of time in turn; empty for none."""
+    """What was ``learned`` of everything, why, and ``fold_results``, without each block of time in turn; empty for
+    none."""
 
-    learned: Learned
-    verdict: Verdict
-    apart: tuple[Learned, ...] = ()
+    learned: LearnedCorrection
+    verdict: AdaptationDecision
+    fold_results: tuple[LearnedCorrection, ...] = ()
 
 
 def adaptation(
@@ -121,7 +122,7 @@ def adaptation(
     tried of a model that knows how far off it was on what was held out from its training, and is not farther off here.
     Raises `InvalidData` if no window fits.
     """
-    pieces, seconds = Pieces.of(model, dataset), moving_seconds(dataset)
+    pieces, seconds = AdaptationWindows.of(model, dataset), moving_seconds(dataset)
     blocks = blocks_of(pieces.first, pieces.horizon)
     ways = _ways(model, training, rng)
     counter = Counter(progress, 1 + len(blocks) * (len(KINDS) * len(RIDGES) + len(ways)))
@@ -130,19 +131,19 @@ def adaptation(
     plain = [_run(nothing, part) for part in held]
     whole = np.concatenate([part.errors for part in plain]) if plain else np.empty(0)
     if plain and model.held_out_error_ is not None:
-        times = times_home(whole, pieces.scale, model.held_out_error_)
+        times = error_ratio(whole, pieces.scale, model.held_out_error_)
         if times <= AS_AT_HOME:
-            return Adaptation(nothing, Verdict(seconds, len(blocks), error_of(whole), (), NONE, times))
-    trials, apart = list[Trial](), dict[str, list[Learned]]()
+            return Adaptation(nothing, AdaptationDecision(seconds, len(blocks), error_of(whole), (), NONE, times))
+    trials, apart = list[AcceptanceResult](), dict[str, list[LearnedCorrection]]()
     for kind in KINDS if blocks else ():
-        errors: dict[str, list[Held]] = {_name(kind, ridge): [] for ridge in RIDGES}
+        errors: dict[str, list[HeldOutErrors]] = {_name(kind, ridge): [] for ridge in RIDGES}
         for block, part in zip(blocks, held, strict=True):
             terms = _terms(kind, model, block.rest(dataset))
             inside = pieces[block.learned(pieces.first)]
             share = len(inside) / len(pieces)
             found = corrections(model, terms, inside, RIDGES, share * seconds)
             for name, coefficients in zip(errors, found, strict=True):
-                learned = Learned(model, terms, coefficients, block.part(dataset))
+                learned = LearnedCorrection(model, terms, coefficients, block.part(dataset))
                 errors[name].append(_run(learned, part))
                 apart.setdefault(name, []).append(learned)
                 counter.advance()
@@ -158,7 +159,7 @@ def adaptation(
             if beside:
                 trials.append(judged(best + AND + name, plain, of_mean, mean))
     error = error_of(whole) if plain else float("nan")
-    verdict = Verdict(seconds, len(blocks), error, tuple(trials), decided(trials))
+    verdict = AdaptationDecision(seconds, len(blocks), error, tuple(trials), decided(trials))
     learned = _again(model, dataset, pieces, verdict, ways)
     return Adaptation(learned, verdict, tuple(apart.get(verdict.chosen, ())))
 
@@ -174,10 +175,10 @@ def refitted(model: DynamicsModel, training: Dataset | None, new: Dataset, rng: 
     ``new`` is repeated until it counts as much. Raises what the family raises where that is too short for it.
     """
     if training is None:
-        return model.unfitted().fit(new, rng=rng)
+        return model.clone_unfitted().fit(new, rng=rng)
     copies = max(1, round(training.n_steps / new.n_steps))
     again = [replace(e, name=f"new {copy} {e.name}") for copy in range(copies) for e in new]
-    return model.unfitted().fit(training.with_episodes([*training, *again]), rng=rng)
+    return model.clone_unfitted().fit(training.with_episodes([*training, *again]), rng=rng)
 
 
 def _ways(model: DynamicsModel, training: Dataset | None, rng: np.random.Generator) -> dict[str, Way]:
@@ -185,19 +186,23 @@ def _ways(model: DynamicsModel, training: Dataset | None, rng: np.random.Generat
     (own,) = rng.spawn(1)
 
     def further(updates: int) -> Way:
-        return lambda data: model.trained_further(data, updates, rng=own)
+        return lambda data: model.fine_tuned(data, updates, rng=own)
 
     def again(old: Dataset | None) -> Way:
         return lambda data: refitted(model, old, data, rng)
 
     ways = {name: further(updates) for name, updates in FURTHER.items()}
-    ways |= {} if model.uses() or model.chooses else {ANEW: again(None)}
+    ways |= {} if model.families_used() or model.chooses_families else {ANEW: again(None)}
     return ways | ({} if training is None else {REFIT: again(training)})
 
 
 def _again(
-    model: DynamicsModel, dataset: Dataset, pieces: Pieces, verdict: Verdict, ways: Mapping[str, Way]
-) -> Learned:
+    model: DynamicsModel,
+    dataset: Dataset,
+    pieces: AdaptationWindows,
+    verdict: AdaptationDecision,
+    ways: Mapping[str, Way],
+) -> LearnedCorrection:
     """Return what ``verdict`` chose, made of everything."""
     first, _, second = verdict.chosen.partition(AND)
     learned = _corrected(model, dataset, pieces, verdict.seconds, first)
@@ -208,18 +213,20 @@ def _again(
     return replace(_uncorrected(model, dataset), model=_mean(learned, again) if second else again)
 
 
-def _corrected(model: DynamicsModel, dataset: Dataset, pieces: Pieces, seconds: float, name: str) -> Learned:
+def _corrected(
+    model: DynamicsModel, dataset: Dataset, pieces: AdaptationWindows, seconds: float, name: str
+) -> LearnedCorrection:
     """Return the correction called ``name``, learned from everything; none if none is."""
     for kind in KINDS:
         for number, ridge in enumerate(RIDGES):
             if name == _name(kind, ridge):
                 terms = _terms(kind, model, dataset)
                 path = corrections(model, terms, pieces, RIDGES[: number + 1], seconds)
-                return Learned(model, terms, list(path)[-1])
+                return LearnedCorrection(model, terms, list(path)[-1])
     return _uncorrected(model, dataset)
 
 
-def _mean(corrected: Learned, other: DynamicsModel) -> DynamicsModel:
+def _mean(corrected: LearnedCorrection, other: DynamicsModel) -> DynamicsModel:
     """Return the mean of a corrected model and another one."""
     adapted: Any = models.get("adapted")
     average: Any = models.get("average")
@@ -227,58 +234,58 @@ def _mean(corrected: Learned, other: DynamicsModel) -> DynamicsModel:
     return found
 
 
-def _uncorrected(model: DynamicsModel, dataset: Dataset) -> Learned:
-    terms = Terms.of(dataset)
-    return Learned(model, terms, np.zeros(terms.shape))
+def _uncorrected(model: DynamicsModel, dataset: Dataset) -> LearnedCorrection:
+    terms = CorrectionTerms.of(dataset)
+    return LearnedCorrection(model, terms, np.zeros(terms.shape))
 
 
 def _shown(
     way: Way,
     dataset: Dataset,
     blocks: Sequence[Block],
-    plain: Sequence[Held],
-    beside: Sequence[Learned],
+    uncorrected: Sequence[HeldOutErrors],
+    averaged: Sequence[LearnedCorrection],
     told: Callable[[], None],
-) -> tuple[list[Learned], list[Held], list[Held]] | None:
-    """Return what is made of the rest of each block, its errors there, and those of its means with ``beside``.
+) -> tuple[list[LearnedCorrection], list[HeldOutErrors], list[HeldOutErrors]] | None:
+    """Return what is made of the rest of each block, its errors there, and those of its means with ``averaged``.
 
-    Without ``beside`` there are no means. The last block is one after which neither can be good any more, by the
-    errors without a correction, ``plain``. None if the rest of a block is too short, or a model cannot be made this
-    way. Its lags may be others than those of the model that is adapted.
+    Without ``averaged`` there are no means. The last block is one after which neither can be good any more, by the
+    errors without a correction, ``uncorrected``. None if the rest of a block is too short, or a model cannot be made
+    this way. Its lags may be others than those of the model that is adapted.
     """
-    made, of_way, of_mean = list[Learned](), list[Held](), list[Held]()
+    made, of_way, of_mean = list[LearnedCorrection](), list[HeldOutErrors](), list[HeldOutErrors]()
     for number, block in enumerate(blocks):
         try:
             again = way(block.rest(dataset))
             if again is None:
                 return None
             of_way.append(_seen(again, dataset, block))
-            if beside:
-                of_mean.append(_seen(_mean(beside[number], again), dataset, block))
+            if averaged:
+                of_mean.append(_seen(_mean(averaged[number], again), dataset, block))
         except (SysidEvoError, ValueError):
             return None
         made.append(replace(_uncorrected(again, dataset), held=block.part(dataset)))
         told()
-        if failed(plain, of_way) and (not beside or failed(plain, of_mean)):
+        if failed(uncorrected, of_way) and (not averaged or failed(uncorrected, of_mean)):
             break
     return made, of_way, of_mean
 
 
-def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> Held:
+def _seen(model: DynamicsModel, dataset: Dataset, block: Block) -> HeldOutErrors:
     """Return the errors in ``block`` of a model whose lags are its own."""
-    pieces = Pieces.of(model, dataset, stride=1)
+    pieces = AdaptationWindows.of(model, dataset, stride=1)
     return _run(_uncorrected(model, dataset), pieces[block.held(pieces.first)])
 
 
-def _run(learned: Learned, pieces: Pieces) -> Held:
+def _run(learned: LearnedCorrection, pieces: AdaptationWindows) -> HeldOutErrors:
     """Return the errors of the free runs over ``pieces``."""
     terms = learned.terms
     errors = pieces.errors(free_runs(learned.model, terms, learned.coefficients[None], pieces))[0]
-    return Held(errors, (pieces.first * terms.system.dt).astype(np.int64))
+    return HeldOutErrors(errors, (pieces.first * terms.system.dt).astype(np.int64))
 
 
-def _terms(kind: str, model: DynamicsModel, dataset: Dataset) -> Terms:
-    return Terms.of(dataset, products=kind == "products", model=None if kind == "linear" else model)
+def _terms(kind: str, model: DynamicsModel, dataset: Dataset) -> CorrectionTerms:
+    return CorrectionTerms.of(dataset, products=kind == "products", model=None if kind == "linear" else model)
 
 
 def _name(kind: str, ridge: float) -> str:
@@ -288,10 +295,10 @@ def _name(kind: str, ridge: float) -> str:
 AS_GOOD = 0.10
 """Share of the lowest error by which a simpler correction may be worse."""
 
-_NOTHING = Trial(NONE, 1.0, (1.0,), sure=False)
+_NOTHING = AcceptanceResult(NONE, 1.0, (1.0,), sure=False)
 
 
-def decided(trials: Sequence[Trial]) -> str:
+def decided(trials: Sequence[AcceptanceResult]) -> str:
     """Return the name of what is best; "none" if nothing is good.
 
     Of corrections and other fits the first, which is the simplest, of those about as good as the best stands for all.
@@ -324,26 +331,27 @@ def held_out_error(cases: Sequence[tuple[Dynamics, Dataset]]) -> Array | None:
     squares = []
     for model, held in cases:
         try:
-            pieces = Pieces.of(model, held)
+            pieces = AdaptationWindows.of(model, held)
         except InvalidData:
             return None
         pieces = pieces[evenly_spaced(len(pieces), MOST_PIECES, nearest=True)]
-        terms = Terms.of(held)
+        terms = CorrectionTerms.of(held)
         wrong = pieces.errors(free_runs(model, terms, np.zeros((1, *terms.shape)), pieces))[0]
         squares.append(((wrong * pieces.scale) ** 2).reshape(-1, held.system.nx))
     return np.asarray(np.sqrt(np.concatenate(squares).mean(axis=0)))
 
 
-def times_home(errors: Array, scale: Array, at_home: Array) -> float:
-    """Return how many times farther off ``errors`` (B, H, nx), in units of ``scale`` (nx,), are than ``at_home`` (nx,).
+def error_ratio(errors: Array, scale: Array, baseline_error: Array) -> float:
+    """Return how many times farther off ``errors`` (B, H, nx), in units of ``scale`` (nx,), are than ``baseline_error``
+    (nx,).
 
     What counts is the state for which these are the most: a floor that slips may show in one of them alone. Raises
-    `PluginError` if ``at_home`` is something else than a number for each state.
+    `PluginError` if ``baseline_error`` is something else than a number for each state.
     """
-    if np.shape(at_home) != scale.shape:
+    if np.shape(baseline_error) != scale.shape:
         raise PluginError(
-            f"held_out_error_: expected a number for each of {len(scale)} states, got the shape {np.shape(at_home)}; "
-            "sysid_evo.models.adaptation.held_out_error measures it"
+            f"held_out_error_: expected a number for each of {len(scale)} states, got the shape "
+            f"{np.shape(baseline_error)}; sysid_evo.models.adaptation.held_out_error measures it"
         )
     found = np.sqrt(np.mean(errors**2, axis=(0, 1))) * scale
-    return float(np.max(found / np.maximum(at_home, 1e-12 * scale)))
+    return float(np.max(found / np.maximum(baseline_error, 1e-12 * scale)))

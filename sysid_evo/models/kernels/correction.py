@@ -1,4 +1,4 @@
-"""A kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.Terms`."""
+"""A kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.CorrectionTerms`."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ def correction_kernel(
 ) -> DynamicsKernel | None:
     """Return the kernel of ``inner`` with ``coefficients`` (size, nx) of ``terms`` added to its accelerations.
 
-    ``terms`` are the arrays of `sysid_evo.models.adaptation.Terms` by name. None if the motion has no compiled form.
+    ``terms`` are the arrays of `sysid_evo.models.adaptation.CorrectionTerms` by name. None if the motion has no
+    compiled form.
     """
     motion = system.motion_kernel()
     if motion is None:

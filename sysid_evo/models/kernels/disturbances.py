@@ -28,17 +28,17 @@ HEAD = Layout(
 
 
 def disturbed_kernel(
-    inner: DynamicsKernel, system: System, *, free_controls: Array, envelope: Array | None, **head: float
+    inner: DynamicsKernel, system: System, *, free_controls: Array, state_bounds: Array | None, **head: float
 ) -> DynamicsKernel:
     """Return the kernel of ``inner`` with rows behind its carry; ``head`` are the numbers of `HEAD`.
 
     A command is at most ``latency`` samples late, where ``free_controls`` (nu,) is above 0; the state is observed
-    ``whole`` samples and a ``share`` of one late, for which ``kept`` states are remembered, and within ``envelope``
+    ``whole`` samples and a ``share`` of one late, for which ``kept`` states are remembered, and within ``state_bounds``
     (2, nx). The others are rows, -1 for what there
     is not: of the carry, where gains, what is observed and errors of sensors begin (``moved_at``, ``observed_at``,
     ``sensed_at``), and of the noise (``process_at``, ``sensor_at``).
     """
-    limits = np.repeat([-np.inf, np.inf], system.nx) if envelope is None else np.ravel(envelope)
+    limits = np.repeat([-np.inf, np.inf], system.nx) if state_bounds is None else np.ravel(state_bounds)
     numbers = padded(np.concatenate([limits, free_controls]))
     own = HEAD.size + len(numbers)
     parameters = HEAD.pack(numbers, inner.parameters, nx=system.nx, nu=system.nu, own=own, **head)

@@ -35,19 +35,20 @@ def mean_kernel(
     places: Sequence[int],
     noise_places: Sequence[int],
     weights: Array,
-    rest_band: Array | None = None,
+    dead_band_size: Array | None = None,
     watched: Sequence[int] = (),
 ) -> DynamicsKernel:
     """Return the kernel of a weighted mean of next states, which every member takes over.
 
-    The carry is the state and the members' carries at ``places``. With ``rest_band`` (nx,) a state that near neutral
-    stays there under neutral control, if the earlier controls, in the ``watched`` rows of the carry, are neutral too.
+    The carry is the state and the members' carries at ``places``. With ``dead_band_size`` (nx,) a state that near
+    neutral stays there under neutral control, if the earlier controls, in the ``watched`` rows of the carry, are
+    neutral too.
     """
     nx, chain = system.nx, chained(members, system.nx, places, noise_places)
-    rest, rows = np.empty(0), watched if rest_band is not None else ()
-    if rest_band is not None:
+    rest, rows = np.empty(0), watched if dead_band_size is not None else ()
+    if dead_band_size is not None:
         idle = system.neutral_control
-        rest = np.concatenate([rest_band, system.neutral_state, idle, rows, np.resize(idle, len(rows))])
+        rest = np.concatenate([dead_band_size, system.neutral_state, idle, rows, np.resize(idle, len(rows))])
     weights = check_shape("weights", weights, (len(members),))
     numbers, at_rest = padded(np.concatenate([weights, places])), padded(rest)
     parameters = MEAN.pack(
@@ -58,7 +59,7 @@ def mean_kernel(
         nu=system.nu,
         count=len(members),
         watched=len(rows),
-        held=rest_band is not None,
+        held=dead_band_size is not None,
         rest=MEAN.size + len(numbers),
         chain=MEAN.size + len(numbers) + len(at_rest),
     )

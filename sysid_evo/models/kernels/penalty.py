@@ -28,7 +28,7 @@ from sysid_evo.models.kernels.stepping import copy
 from sysid_evo.types import Array
 
 HEAD = Layout(
-    "nx", "nu", "doubt_at", "outside", "per_limit", "every", "disagreement", "others", "chain", "table", "own",
+    "nx", "nu", "penalty_at", "outside", "per_limit", "every", "disagreement", "others", "chain", "table", "own",
     align=CACHE_LINE,
 )  # fmt: skip
 
@@ -39,14 +39,14 @@ def penalised_kernel(
     places: Sequence[int],
     noise_places: Sequence[int],
     *,
-    doubt_at: int,
+    penalty_at: int,
     outside: float,
     support: Support | None,
     every: int,
     disagreement: float,
     limit: Array,
 ) -> DynamicsKernel:
-    """Return the kernel of the first of the ``members`` that adds to its doubt and counts down to the next look.
+    """Return the kernel of the first of the ``members`` that adds to its penalty and counts down to the next look.
 
     ``sizes`` are nx and nu; carry and noise of the members stand at the ``places``. Without ``support`` there is no
     look; the difference between models counts in units of ``limit`` (nx,).
@@ -65,7 +65,7 @@ def penalised_kernel(
         members[0].parameters,
         nx=nx,
         nu=nu,
-        doubt_at=doubt_at,
+        penalty_at=penalty_at,
         outside=outside * every,
         per_limit=0.0 if support is None else 1.0 / support.limit,
         every=0 if support is None else every,
@@ -84,12 +84,12 @@ def penalised_kernel(
 def penalised(carry, control, noise, parameters, scratch):
     """Look how far state and control lie from the data, step all members, and count how far apart their states are."""
     nx, others, every = int(parameters[HEAD.nx]), int(parameters[HEAD.others]), parameters[HEAD.every]
-    doubt, numbers = view(carry, int(parameters[HEAD.doubt_at]) * LANES), view(parameters, HEAD.size)
+    penalty, numbers = view(carry, int(parameters[HEAD.penalty_at]) * LANES), view(parameters, HEAD.size)
     if every > 0.0:
-        clock = load(doubt, LANES)
+        clock = load(penalty, LANES)
         if lanes_at_most(clock, splat(0.0)) != 0:
-            look(carry, control, doubt, parameters, scratch)
-        store(doubt, LANES, where_at_most(clock, 0.0, every, clock) - 1.0)
+            look(carry, control, penalty, parameters, scratch)
+        store(penalty, LANES, where_at_most(clock, 0.0, every, clock) - 1.0)
     step_all(carry, control, noise, view(parameters, int(parameters[HEAD.chain])), scratch)
     inner(carry, control, noise, view(parameters, int(parameters[HEAD.own])), scratch)
     if others > 0:
@@ -103,13 +103,13 @@ def penalised(carry, control, noise, parameters, scratch):
                 low, high = min(low, there), max(high, there)
             farthest = max(farthest, (high - low) * per_limit[row])
         beyond = min(max(farthest - 1.0, 0.0), 1.0)
-        store(doubt, 0, load(doubt, 0) + parameters[HEAD.disagreement] * beyond)
+        store(penalty, 0, load(penalty, 0) + parameters[HEAD.disagreement] * beyond)
         for member in range(others):
             copy(carry, view(carry, int(places[member]) * LANES), nx * LANES)
 
 
-def look(carry, control, doubt, parameters, scratch):
-    """Add to the doubt of the lanes that are due."""
+def look(carry, control, penalty, parameters, scratch):
+    """Add to the penalty of the lanes that are due."""
     nx, nu, scales = int(parameters[HEAD.nx]), int(parameters[HEAD.nu]), view(parameters, HEAD.size)
     here, commanded, found = scratch, view(scratch, nx * LANES), view(scratch, (nx + nu) * LANES)
     for row in range(nx):
@@ -123,10 +123,10 @@ def look(carry, control, doubt, parameters, scratch):
         off = load(here, row * LANES) - load(found, row * LANES)
         square = square + off * off
     beyond = min(max(math.sqrt(square) * parameters[HEAD.per_limit] - 1.0, 0.0), 1.0)
-    counted = where_at_most(load(doubt, LANES), 0.0, parameters[HEAD.outside] * beyond, 0.0)
-    store(doubt, 0, load(doubt, 0) + counted)
+    counted = where_at_most(load(penalty, LANES), 0.0, parameters[HEAD.outside] * beyond, 0.0)
+    store(penalty, 0, load(penalty, 0) + counted)
 
 
-def nothing_to_see(carry, control, doubt, parameters, scratch):
-    """Leave the doubt as it is."""
+def nothing_to_see(carry, control, penalty, parameters, scratch):
+    """Leave the penalty as it is."""
     return

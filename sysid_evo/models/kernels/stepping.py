@@ -72,7 +72,7 @@ def stepping_kernel(
     *,
     output: Literal["next_state"],
     lags: tuple[int, int] = (0, 0),
-    rest_band: Array | None = None,
+    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel: ...
 @overload
@@ -82,7 +82,7 @@ def stepping_kernel(
     *,
     output: Output,
     lags: tuple[int, int] = (0, 0),
-    rest_band: Array | None = None,
+    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel | None: ...
 def stepping_kernel(
@@ -91,14 +91,14 @@ def stepping_kernel(
     *,
     output: Output,
     lags: tuple[int, int] = (0, 0),
-    rest_band: Array | None = None,
+    dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel | None:
     """Return the kernel of a model whose predictor gives the next state or an acceleration.
 
     None if an acceleration is to be integrated and the system's motion has no compiled form.
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
-    ``rest_band`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
+    ``dead_band_size`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
     controls in the carry included. ``noise`` moves what is predicted. No state leaves the limits of its channel.
     """
     motion = REACHED if output == "next_state" else system.motion_kernel()
@@ -107,9 +107,9 @@ def stepping_kernel(
     nx, nu = system.nx, system.nu
     predictor.check(nx * (1 + lags[0]) + nu * lags[1], nu, nx)
     rest = np.empty(0)
-    if rest_band is not None:
-        rest_band = check_shape("rest_band", rest_band, (nx,))
-        rest = np.concatenate([rest_band, system.neutral_state, system.neutral_control])
+    if dead_band_size is not None:
+        dead_band_size = check_shape("dead_band_size", dead_band_size, (nx,))
+        rest = np.concatenate([dead_band_size, system.neutral_state, system.neutral_control])
     limits = np.ravel(system.limits) if system.limited else np.empty(0)
     spread = np.empty(0) if noise is None else noise.parameters
     parts = [padded(motion.parameters), padded(spread), padded(rest), padded(limits)]
@@ -122,7 +122,7 @@ def stepping_kernel(
         state_lags=lags[0],
         control_lags=lags[1],
         dt=system.dt,
-        held=rest_band is not None,
+        held=dead_band_size is not None,
         limited=system.limited,
         frame=places[0],
         noise=places[1],

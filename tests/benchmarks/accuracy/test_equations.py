@@ -1,4 +1,4 @@
-"""The yardstick of the benchmark has the equations of the environments."""
+"""The reference of the benchmark has the equations of the environments."""
 
 import numpy as np
 import pytest

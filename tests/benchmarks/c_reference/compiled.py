@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sysid_evo.models import Dynamics
-from sysid_evo.randomness import step_noise
+from sysid_evo.randomness import draw_for_steps
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array, Seeds
 from tests.benchmarks.c_reference.export import LANES, export
@@ -41,10 +41,10 @@ class Compiled:
             library = f"{folder}/{name}.so"
             subprocess.run([compiler, *FLAGS, *macros, str(HERE / f"{name}.c"), "-o", library, "-lm"], check=True)
             self.rollout = ctypes.CDLL(library).rollout
-        limits = np.full((2, 3), 1e30) * [[-1.0], [1.0]] if model.envelope is None else model.envelope
+        limits = np.full((2, 3), 1e30) * [[-1.0], [1.0]] if model.state_bounds is None else model.state_bounds
         drawn = np.zeros((task.horizon, model.n_noise, LANES), np.float32)
         if model.n_noise:
-            drawn[:, :, : len(seeds)] = step_noise(seeds, task.horizon, model.n_noise).transpose(1, 2, 0)
+            drawn[:, :, : len(seeds)] = draw_for_steps(seeds, task.horizon, model.n_noise).transpose(1, 2, 0)
         settings = [model.system.dt, task.waypoint_radius**2, *np.ravel(limits)]
         waypoints = task.bind(model.system).begin(seeds).waypoints
         self.arrays = [

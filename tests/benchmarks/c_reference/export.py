@@ -11,11 +11,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hardware.emulation.car_physics import BODY
-from model_zoo.control_grid import CommandCells
+from model_zoo.control_grid import ControlGrid
 from sysid_evo.models.kernels import networks
 from sysid_evo.models.kernels.neighbours import BUCKET, packed, split
 from sysid_evo.models.kernels.stepping import STEP
-from sysid_evo.randomness import trial_draws
+from sysid_evo.randomness import draw_for_trials
 from sysid_evo.types import Array, Seeds
 
 Exported: TypeAlias = tuple[list[Any], dict[str, int]]
@@ -59,7 +59,7 @@ def backprop27(model: Any, seeds: Seeds) -> Exported:
 
 
 def nearest_neighbour(model: Any, seeds: Seeds) -> Exported:
-    cells = CommandCells.of(model.system, model.levels)
+    cells = ControlGrid.of(model.system, model.levels)
     filled = np.unique(model.cell_)
     counts, blocks = np.zeros(LANES), []
     for command, cell in enumerate(cells.fallback(filled)):
@@ -94,7 +94,9 @@ def mlp_ensemble(model: Any, seeds: Seeds) -> Exported:
 
 def emulated_car(car: Any, seeds: Seeds) -> Exported:
     physics, trials = car.fine, len(seeds)
-    carry = car.start(np.zeros((trials, car.n_lags + 1, 3)), np.zeros((trials, car.n_lags, 2)), trial_draws(seeds, 3))
+    carry = car.start(
+        np.zeros((trials, car.n_lags + 1, 3)), np.zeros((trials, car.n_lags, 2)), draw_for_trials(seeds, 3)
+    )
     body = np.zeros((7, LANES))
     body[:, :trials] = carry[:, BODY:].T
     return [physics.coefficients, np.zeros(32 - len(physics.coefficients)), body], {}

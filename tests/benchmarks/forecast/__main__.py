@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation.study import Study
-from evaluation.transfer.forecast import RULE
+from evaluation.transfer.forecast import FORECAST_RULE
 from tests.benchmarks.forecast.judging import (
     Seen,
     asked_only,
@@ -93,10 +93,13 @@ def term_table(runs: Runs) -> Table:
 def cover_table(runs: Runs) -> Table:
     """Return a line for each car: which share of the intervals holds."""
     everyone = [one for found in runs.values() for one in found]
-    holds = np.array(held(everyone, RULE.share))
+    holds = np.array(held(everyone, FORECAST_RULE.share))
     cars = np.array([one.car for one in everyone])
     in_code = np.array(
-        [one.forecast + RULE.low * one.unit <= one.achieved <= one.forecast + RULE.high * one.unit for one in everyone]
+        [
+            one.forecast + FORECAST_RULE.low * one.unit <= one.achieved <= one.forecast + FORECAST_RULE.high * one.unit
+            for one in everyone
+        ]
     )
     made = Table("car", "controllers", "intervals that hold", "those of the code")
     for car in np.unique(cars):
@@ -112,7 +115,7 @@ def cover_table(runs: Runs) -> Table:
 def missed_table(runs: Runs) -> Table:
     """Return a line for each kind of controller: how many intervals hold, and by how much forecasts miss."""
     everyone = [one for found in runs.values() for one in found]
-    holds = np.array(held(everyone, RULE.share))
+    holds = np.array(held(everyone, FORECAST_RULE.share))
     made = Table("controller, or its search", "finalists", "intervals that hold", "achieved less forecast", "by car")
     for name in dict.fromkeys(one.name for one in everyone):
         own = np.array([one.name == name for one in everyone])
@@ -151,20 +154,22 @@ def main(arguments: list[str] | None = None) -> int:
             records = look_at(point, comparison, given.store, given.out)
             if given.models:
                 records = asked_only(records, given.models.split(","))
-            runs[car, point.name] = [seen(record, car, point.name, RULE) for record in records]
+            runs[car, point.name] = [seen(record, car, point.name, FORECAST_RULE) for record in records]
             console.print(f"{point.name}: {len(records)} controllers, {time.process_time():.0f} s", highlight=False)
     for run in given.runs:
         robot = json.loads((run / "report.json").read_text(encoding="utf-8"))["settings"]["robot"]
         car = number_of(robot)
         key = (car, str(run))
-        runs[key] = [seen(record, car, str(run), RULE) for record in look(run, given.out)]
+        runs[key] = [seen(record, car, str(run), FORECAST_RULE) for record in look(run, given.out)]
     everyone = [one for found in runs.values() for one in found]
     console.print(f"{len(everyone)} controllers in {len(runs)} runs of {len({car for car, _ in runs})} cars")
     terms = (term_table(runs),) if all(one.terms for one in everyone) else ()
     for table in (figure_table(runs), cover_table(runs), missed_table(runs), *terms):
         console.print(table)
-    low, high = calibrated(everyone, RULE.share)
-    console.print(f"of all cars: low={low:.1f}, high={high:.1f}; in the code: low={RULE.low}, high={RULE.high}")
+    low, high = calibrated(everyone, FORECAST_RULE.share)
+    console.print(
+        f"of all cars: low={low:.1f}, high={high:.1f}; in the code: low={FORECAST_RULE.low}, high={FORECAST_RULE.high}"
+    )
     return 0
 
 

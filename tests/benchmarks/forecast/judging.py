@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from evaluation.transfer import summary
-from evaluation.transfer.forecast import Rule, forecast_of
+from evaluation.transfer.forecast import ForecastRule, forecast_of
 from sysid_evo.types import Array
 from sysid_evo.validation.estimates import across
 from tests.benchmarks.forecast.looking import Record
@@ -22,8 +22,8 @@ RIDGE = 0.1
 class Seen:
     """One controller: what was achieved, its forecast without a calibrated interval, and what else could be told.
 
-    ``unit`` is that of the interval, see `Rule`. ``terms`` are in units of the fitness, none where they were not
-    looked at.
+    ``unit`` is that of the interval, see `ForecastRule`. ``terms`` are in units of the fitness, none where they were
+    not looked at.
     """
 
     car: int
@@ -47,7 +47,7 @@ def asked_only(records: Sequence[Record], labels: Collection[str]) -> list[Recor
     ]
 
 
-def seen(record: Record, car: int, run: str, rule: Rule) -> Seen:
+def seen(record: Record, car: int, run: str, rule: ForecastRule) -> Seen:
     """Return what a record says; a controller against several models claims the lowest of theirs."""
     columns = record["columns"]
     fitness = {label: np.array(column["fitness"]) for label, column in columns.items()}

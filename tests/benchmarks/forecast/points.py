@@ -10,7 +10,7 @@ from evaluation.cells.plants import runner_of
 from evaluation.planning import Comparison
 from evaluation.prediction.scores import error_of
 from evaluation.study import Point, Study, plan_study
-from sysid_evo.cli.progress import Bars
+from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.plan import Plan, Store, execute
@@ -21,7 +21,7 @@ from tests.benchmarks.forecast.looking import Material, Record, records_of
 def looked_for(comparison: Comparison) -> Plan:
     """Return the models, predictions and controllers of a comparison, and what they need: not the transfer matrix."""
     assert comparison.matrix is not None
-    wanted = (*comparison.fits.values(), *comparison.predictions.values(), *comparison.matrix.champions)
+    wanted = (*comparison.fits.values(), *comparison.predictions.values(), *comparison.matrix.controllers)
     return Plan.of(wanted)
 
 
@@ -29,7 +29,7 @@ def compute_points(study: Study, folder: Path, jobs: int) -> None:
     """Compute what `looked_for` of all points is not yet in the store in ``folder``."""
     planned = plan_study(study)
     wanted = [cell for _, comparison in planned.points for cell in looked_for(comparison).cells]
-    with Bars(f"--store {folder}", where=planned.where) as bars:
+    with PlanProgress(f"--store {folder}", where=planned.where) as bars:
         execute(Plan.of(wanted), Store(folder), observer=bars, jobs=jobs)
 
 
@@ -63,7 +63,7 @@ def look_at(point: Point, comparison: Comparison, folder: Path, out: Path) -> li
     )
     robot = comparison.matrix.robot
     car = runner_of(robot_spec(experiment.robot or "emulated_car"))
-    champions: list[Champion] = [store.outcome(cell).value for cell in comparison.matrix.champions]
+    champions: list[Champion] = [store.outcome(cell).value for cell in comparison.matrix.controllers]
     records: dict[str, Record] = {}
     for champion in champions:
         if champion is not None and champion.against and robot not in champion.against:

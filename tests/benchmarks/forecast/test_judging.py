@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evaluation.transfer.forecast import RULE
+from evaluation.transfer.forecast import FORECAST_RULE
 from tests.benchmarks.forecast.judging import (
     Seen,
     asked_only,
@@ -69,14 +69,14 @@ def test_what_is_seen_is_forecast_by_the_rule_and_nothing_of_the_robot_enters() 
     column = {"family": "a", "error": 0.1, "fitness": [9.0, 11.0], "outside": 0.1, "probed": 0.0}
     columns = {"a": column, "b": {**column, "family": "b", "fitness": [7.0, 9.0]}}
     record: Record = {"against": ["a"], "achieved": 5.0, "columns": columns, "optimism": 0.0}
-    one, other = (seen({**record, "achieved": achieved}, 0, "0", RULE) for achieved in (5.0, 50.0))
+    one, other = (seen({**record, "achieved": achieved}, 0, "0", FORECAST_RULE) for achieved in (5.0, 50.0))
     assert (one.forecast, one.unit, one.claimed, one.others) == (other.forecast, other.unit, 10.0, 8.0)
     assert 8.0 < one.forecast < 9.0
 
 
 def test_terms_that_were_not_looked_at_are_none() -> None:
     columns = {name: {"family": name, "error": 0.1, "fitness": [9.0, 11.0]} for name in ("a", "b")}
-    found = seen({"name": "c", "achieved": 9.5, "against": ["a"], "columns": columns}, 0, "", RULE)
+    found = seen({"name": "c", "achieved": 9.5, "against": ["a"], "columns": columns}, 0, "", FORECAST_RULE)
     assert (found.name, found.forecast, dict(found.terms)) == ("c", 10.0, {})
 
 

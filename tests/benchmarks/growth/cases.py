@@ -196,7 +196,7 @@ SHORT: dict[str, dict[str, object]] = {
 
 
 def _fits(quick: bool) -> Iterator[Growth]:
-    """The fit of every family with the preset quick, shortened; those with ``most_steps`` stop growing there."""
+    """The fit of every family with the preset quick, shortened; those with ``max_steps`` stop growing there."""
     from sysid_evo.registry import models
 
     for name in models.names():

@@ -14,17 +14,17 @@ from rich.table import Table
 
 from hardware.connection import Listener, Measurement
 from hardware.control_loop import ControlLoop, Pilot
-from hardware.emulation.tracked_robots import EmulatedConnection
+from hardware.emulation.tracked_robots import TrackedConnection
 from hardware.estimator import (
     LAG,
     WINDOW,
-    EstimateDelay,
+    EstimatorDelay,
     PoseEstimator,
     StateEstimate,
     estimator_delays,
     measure_delays,
 )
-from hardware.recording.manoeuvres import Manoeuvre, excitation
+from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
 
@@ -32,12 +32,12 @@ from sysid_evo.types import Array
 class Witness(Listener):
     """Writes down the true state at every frame."""
 
-    def __init__(self, connection: EmulatedConnection) -> None:
+    def __init__(self, connection: TrackedConnection) -> None:
         self.connection = connection
         self.times: list[float] = []
         self.states: list[Array] = []
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         self.times.append(self.connection.time)
         self.states.append(self.connection.state)
 
@@ -56,14 +56,16 @@ class Script(Pilot):
         return self.controls[tick]
 
 
-def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[EstimateDelay, ...]:
+def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[EstimatorDelay, ...]:
     """Return how late the estimates are on the emulated car."""
     robot = make_robot("emulated_car")
     system = robot.system
     truth: tuple[list[float], list[Array]] = ([], [])
     known: tuple[list[float], list[Array]] = ([], [])
     offset = 0.0
-    for number, manoeuvre in enumerate(excitation(system, duration=seconds, rng=np.random.default_rng(seed))):
+    for number, manoeuvre in enumerate(
+        excitation_manoeuvres(system, duration=seconds, rng=np.random.default_rng(seed))
+    ):
         with robot.connect(seed=seed + number) as connection:
             witness, script = Witness(connection), Script(manoeuvre)
             estimator = PoseEstimator(system, window=window, lag=lag)
@@ -76,7 +78,7 @@ def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[Es
     return measure_delays(system, *(np.array(part) for part in (*truth, *known)))
 
 
-def table(title: str, delays: tuple[EstimateDelay, ...]) -> Table:
+def table(title: str, delays: tuple[EstimatorDelay, ...]) -> Table:
     """Return the delays as a table."""
     shown = Table(title=title)
     for head in ("state", "delay", "correlation", "error, delay taken out", "error, as it is used"):

@@ -19,12 +19,12 @@ from hardware.control_loop import ControlLoop, Pilot
 from hardware.estimator import StateEstimate
 from hardware.link.serial_robot import SerialRobot
 from hardware.recording.journal import Recorder
-from hardware.run_report import LoopReport, Stops
+from hardware.run_report import LoopReport, StopRequest
 from hardware.toy_car import CAR
 from hardware.trackers.udp import UdpTracker
 from sysid_evo.errors import IncompatibleRobot, LinkLost
 from sysid_evo.types import Array
-from tests.system.rig.journal import JournalWriter
+from tests.system.rig.journal import RigLogWriter
 
 BODY = "car"
 REFUSED = 20  # exit code of a session that could not be opened
@@ -33,7 +33,7 @@ REFUSED = 20  # exit code of a session that could not be opened
 class Circles(Pilot):
     """Full speed ahead and left, every other sample straight on, so that each command differs from the last."""
 
-    def __init__(self, log: JournalWriter, *, exception_at: int | None) -> None:
+    def __init__(self, log: RigLogWriter, *, exception_at: int | None) -> None:
         self._log = log
         self._exception_at = exception_at
 
@@ -49,28 +49,28 @@ class Circles(Pilot):
 class Log(Listener):
     """Notes every frame that comes, at the time it was taken, and every command that is sent."""
 
-    def __init__(self, log: JournalWriter) -> None:
+    def __init__(self, log: RigLogWriter) -> None:
         self._log = log
 
-    def measured(self, measurement: Measurement) -> None:
+    def on_measurement(self, measurement: Measurement) -> None:
         self._log.note(measurement.source_time, "frame", measurement.valid)
 
-    def commanded(self, command: Command) -> None:
+    def on_command(self, command: Command) -> None:
         self._log.note(command.time, "sent", {"tick": command.tick, "control": command.control.tolist()})
 
 
-def drive(options: argparse.Namespace, log: JournalWriter) -> LoopReport:
+def drive(options: argparse.Namespace, log: RigLogWriter) -> LoopReport:
     """Drive until the samples are over or something ends the run."""
     robot = SerialRobot(port=options.port, tracker=UdpTracker(BODY, options.tracker, clock="host"))
-    with Stops() as stops, robot.connect() as connection:
+    with StopRequest() as stops, robot.connect() as connection:
         if options.thread_dies_after is not None:
             threading.Timer(options.thread_dies_after, _die, [log]).start()
         with Recorder(options.record, CAR, robot=robot.name, body=BODY) as recorder:
-            loop = ControlLoop(connection, CAR, listeners=[Log(log), recorder], stops=stops)
+            loop = ControlLoop(connection, CAR, listeners=[Log(log), recorder], stop=stops)
             return loop.run(Circles(log, exception_at=options.exception_at), samples=options.samples)
 
 
-def _die(log: JournalWriter) -> None:
+def _die(log: RigLogWriter) -> None:
     log.note(time.monotonic(), "fails")
     raise ArithmeticError("as asked for")
 
@@ -85,7 +85,7 @@ def main() -> int:
     parser.add_argument("--exception-at", type=int, help="sample at which the pilot fails")
     parser.add_argument("--thread-dies-after", type=float, help="s")
     options = parser.parse_args()
-    log = JournalWriter(options.log)
+    log = RigLogWriter(options.log)
     try:
         report = drive(options, log)
     except (IncompatibleRobot, LinkLost) as error:

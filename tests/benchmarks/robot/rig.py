@@ -15,7 +15,7 @@ from hardware.link.framing import FrameDecoder
 from hardware.link.messages import Message, unpack
 from hardware.recording.journal import SUFFIX
 from tests.system.rig.faults import Fault
-from tests.system.rig.journal import Entry, JournalReader, read_journal
+from tests.system.rig.journal import Entry, RigLogReader, read_journal
 from tests.system.rig.terminal_process import TerminalProcess
 
 TIME_TO_LIVE = 0.15  # s, of every command of the control loop
@@ -36,7 +36,7 @@ class Rig(Closeable):
         self._folder = folder
         self._hosts: list[subprocess.Popen[bytes]] = []
         journal = folder / "car.jsonl"
-        self._journal = JournalReader(journal)
+        self._journal = RigLogReader(journal)
         self.car = TerminalProcess(tracker=("127.0.0.1", self._tracker), seed=seed, faults=faults, journal=journal)
 
     def start_host(self, *options: str) -> Host:

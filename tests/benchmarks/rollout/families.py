@@ -16,11 +16,11 @@ from sklearn.neural_network import MLPRegressor
 
 from hardware.robot import Robot
 from model_zoo.car.parametrised import Parametrised
-from model_zoo.control_grid import CommandCells
+from model_zoo.control_grid import ControlGrid
 from model_zoo.neighbours import NearestNeighbour
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.kernels import DynamicsKernel
-from sysid_evo.models import Dynamics, training_envelope
+from sysid_evo.models import Dynamics, training_bounds
 from sysid_evo.models.kernels import (
     command_network_predictor,
     network_predictor,
@@ -52,12 +52,12 @@ class Fitted(Dynamics):
     def __init__(self, dataset: Dataset) -> None:
         self.system = dataset.system
         self.n_carry = self.system.nx
-        self.limits = training_envelope(np.concatenate([episode.states for episode in dataset.episodes]), 2.0)
+        self.limits = training_bounds(np.concatenate([episode.states for episode in dataset.episodes]), 2.0)
         data = dataset.transitions()
         self.fit(data.carry, data.control, data.after)
 
     @property
-    def envelope(self) -> Array:
+    def state_bounds(self) -> Array:
         return self.limits
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
@@ -103,7 +103,7 @@ class CommandNetworks(Fitted):
     """One network of ten hidden units for each command and next state: 27 networks 3-10-1."""
 
     def fit(self, state: Array, control: Array, after: Array) -> None:
-        self.cells = CommandCells.of(self.system, 3)
+        self.cells = ControlGrid.of(self.system, 3)
         cell, nx = self.cells.index(control), state.shape[1]
         count = self.cells.count
         self.first, self.first_bias = np.zeros((count, nx, nx * HIDDEN)), np.zeros((count, nx * HIDDEN))

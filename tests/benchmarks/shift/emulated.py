@@ -8,7 +8,7 @@ import numpy as np
 
 from hardware.emulation.car_physics import CarParameters
 from hardware.emulation.cars import REPEATS, ToyCarDynamics
-from hardware.emulation.tracked_robots import EmulatedRobot
+from hardware.emulation.tracked_robots import TrackedRobot
 from sysid_evo.data import Dataset
 from sysid_evo.models import Dynamics
 
@@ -17,7 +17,7 @@ HELD = (4, 16)
 """Fewest and most samples for which a command is held."""
 
 
-def cars() -> dict[str, EmulatedRobot]:
+def cars() -> dict[str, TrackedRobot]:
     """Return the nominal car, with half the tyre grip, with three quarters of the battery, and another of its kind."""
     nominal = CarParameters()
     conditions = {
@@ -30,7 +30,7 @@ def cars() -> dict[str, EmulatedRobot]:
         ),
         "another car": nominal.perturbed(1),
     }
-    return {name: EmulatedRobot(name, ToyCarDynamics(one), repeats=REPEATS) for name, one in conditions.items()}
+    return {name: TrackedRobot(name, ToyCarDynamics(one), repeats=REPEATS) for name, one in conditions.items()}
 
 
 def recorded(dynamics: Dynamics, *, seconds: float, seed: int) -> Dataset:

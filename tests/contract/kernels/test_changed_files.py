@@ -23,7 +23,7 @@ from sysid_evo.registry import models
 from tests.fixtures.families import SMALL
 
 MODELS = {
-    "linear, lags": ("linear", {"state_lags": 1, "control_lags": 2, "rest_hold": True}),
+    "linear, lags": ("linear", {"state_lags": 1, "control_lags": 2, "dead_band": True}),
     "linear, stochastic": ("linear", {"stochastic": True}),
     "average": ("average", {"families": ["linear(state_lags=1)", "linear(control_lags=1)"]}),
     "adapted": ("adapted", {"base": "linear"}),
@@ -134,8 +134,8 @@ def disagreement(model, dataset, compiled):
     """Return what is wrong with the steps of ``model``: an exception, another shape or, compiled, another result."""
     kernel, rng, system = model.kernel(), np.random.default_rng(0), model.system
     states = np.resize(dataset.transitions().state, (LANES, system.nx))
-    if model.envelope is not None:
-        states = np.clip(states, *np.clip(model.envelope, -1e30, 1e30))
+    if model.state_bounds is not None:
+        states = np.clip(states, *np.clip(model.state_bounds, -1e30, 1e30))
     carry = started(model, states, rng.standard_normal((LANES, model.n_draws)))
     control = system.actuate(rng.uniform(-1.0, 1.0, (LANES, system.nu)))
     noise = rng.standard_normal((LANES, model.n_noise))

@@ -112,14 +112,14 @@ def test_diverged_trials_leave_the_trajectories_of_the_others_alone(ladder, engi
 
 @EITHER
 def test_clipped_steps_are_counted_and_clipped_states_go_on(ladder, engine):
-    dynamics, task = CompiledClimber(ladder, envelope=np.array([[-1.0], [1.2]])), CompiledLadder(horizon=8)
+    dynamics, task = CompiledClimber(ladder, state_bounds=np.array([[-1.0], [1.2]])), CompiledLadder(horizon=8)
     fast, _ = compare(engine, dynamics, [[0.5], [0.1], [-1.0]], task, seeds_from(0, 1), record=True)
     assert fast.clipped.min() < fast.clipped.max()
 
 
 @EITHER
 def test_a_trial_that_is_over_is_clipped_no_more(ladder, engine):
-    dynamics, task = CompiledClimber(ladder, envelope=np.array([[-9.0], [3.0]])), CompiledLadder(horizon=8, top=1.7)
+    dynamics, task = CompiledClimber(ladder, state_bounds=np.array([[-9.0], [3.0]])), CompiledLadder(horizon=8, top=1.7)
     fast, _ = compare(engine, dynamics, [[0.5], [0.0]], task, seeds_from(0, 1))
     assert fast.survived.min() < 8
     np.testing.assert_array_equal(fast.clipped, 0)
@@ -274,7 +274,7 @@ class Slipping(Motion):
     def integrate(self, state, acceleration, dt, names):
         return state + 0.5 * acceleration * dt
 
-    def turning(self, state, names):
+    def frame_rotation(self, state, names):
         return np.zeros_like(state)
 
     def move(self, pose, before, after, dt, names):
@@ -323,7 +323,7 @@ def test_a_model_whose_motion_has_no_compiled_form_runs_in_numpy(ladder):
 
 @pytest.mark.parametrize("centre, precision", [(0.0, "float32"), (5e4, "float64"), (5e6, "float64")])
 def test_states_far_from_zero_for_how_much_they_change_take_the_precision_that_they_need(ladder, centre, precision):
-    dynamics = CompiledClimber(ladder, envelope=np.array([[centre - 2.0], [centre + 2.0]]))
+    dynamics = CompiledClimber(ladder, state_bounds=np.array([[centre - 2.0], [centre + 2.0]]))
     given = (
         dynamics,
         CompiledConstant(),
@@ -370,10 +370,10 @@ def test_after_three_seconds_far_from_zero_the_state_of_a_family_is_that_of_the_
 def test_only_what_moves_within_limits_far_from_zero_counts():
     far, near = [1e6 - 1.0, 1e6 + 1.0], [-1.0, 3.0]
     constant, turning = [12.0, 12.0], [-np.inf, np.inf]
-    envelope = np.array([near, constant, turning, far]).T
-    assert far_from_zero(envelope).tolist() == [3]
-    assert enough("float32", envelope) == "float64"
-    assert enough("float32", envelope[:, :3]) == "float32"
+    state_bounds = np.array([near, constant, turning, far]).T
+    assert far_from_zero(state_bounds).tolist() == [3]
+    assert enough("float32", state_bounds) == "float64"
+    assert enough("float32", state_bounds[:, :3]) == "float32"
     assert enough("float64", None) == "float64"
     assert enough("float32", None) == "float32"
     for centre in (0.0, 500.0):

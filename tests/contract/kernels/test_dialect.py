@@ -14,12 +14,12 @@ import pytest
 from filelock import FileLock
 from numba.core.compiler import Compiler
 
-from sysid_evo.engine.compiled.compiler import _compiled_before, compile_kernel, compiled_loop, imported, name_of
-from sysid_evo.engine.compiled.internals import TRIED, compiler_for
+from sysid_evo.engine.compiled.compiler import _compiled_before, compile_kernel, compiled_loop, imported, module_name
+from sysid_evo.engine.compiled.internals import CHECKED_VERSIONS, compiler_for
 from sysid_evo.engine.compiled.language import generate
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.files import cache_folder
-from sysid_evo.kernels import DYNAMICS, NUMBER, REALS, WHOLES, Arrays, KernelSource, Layout, Signature, padded
+from sysid_evo.kernels import DYNAMICS, INTEGER, INTEGERS, REALS, Arrays, KernelSource, Layout, Signature, padded
 from tests.fixtures import same_name
 from tests.fixtures.lanes import call_block
 
@@ -243,12 +243,12 @@ def test_what_another_process_compiles_is_waited_for(tmp_path, monkeypatch):
     waiting = threading.Thread(target=imported, args=(generated,))
     folder = cache_folder("kernels")
     folder.mkdir(parents=True)
-    with FileLock(folder / f"{name_of(generated)}.lock"):
+    with FileLock(folder / f"{module_name(generated)}.lock"):
         waiting.start()
         waiting.join(0.5)
         assert waiting.is_alive()
     waiting.join()
-    assert sys.modules.pop(name_of(generated)).entry == "waited for"
+    assert sys.modules.pop(module_name(generated)).entry == "waited for"
 
 
 def test_a_function_within_a_kernel_is_not_made_into_machine_code_of_its_own(tmp_path):
@@ -268,7 +268,7 @@ def test_a_function_within_a_kernel_is_not_made_into_machine_code_of_its_own(tmp
 
 def test_a_version_of_numba_that_was_not_tried_compiles_in_its_own_way():
     assert compiler_for((0, 61)) is Compiler
-    assert all(compiler_for(version) is not Compiler for version in TRIED)
+    assert all(compiler_for(version) is not Compiler for version in CHECKED_VERSIONS)
 
 
 def amplify(x, p):
@@ -280,7 +280,7 @@ def loop(dynamics, sizes, first, x):
     x[0] = 1.0
 
 
-SIZES, WORK, FOUND = Layout("rows", "unread"), Arrays("a", "b"), Arrays("count", kind=WHOLES)
+SIZES, WORK, FOUND = Layout("rows", "unread"), Arrays("a", "b"), Arrays("count", kind=INTEGERS)
 
 
 def adding(sizes, work, found, first):
@@ -290,7 +290,7 @@ def adding(sizes, work, found, first):
 
 
 def test_a_loop_reads_numbers_and_arrays_within_its_arguments_by_name():
-    signature = Signature.of(adding, sizes=SIZES, work=WORK, found=FOUND, first=NUMBER)
+    signature = Signature.of(adding, sizes=SIZES, work=WORK, found=FOUND, first=INTEGER)
     assert str(signature) == "types.void(I, types.UniTuple(R, 2), types.UniTuple(I, 1), types.int64)"
     sizes, found = SIZES.integers(unread=7, rows=3), {"count": np.zeros(1, np.int64)}
     arrays = {"b": np.ones(4), "a": np.arange(4.0)}
@@ -298,7 +298,7 @@ def test_a_loop_reads_numbers_and_arrays_within_its_arguments_by_name():
     np.testing.assert_array_equal(arrays["b"], [1.0, 2.0, 3.0, 1.0])
     assert found["count"] == 2
     with pytest.raises(InvalidArgument, match=r"uses .work\.b.: attributes of arrays"):
-        compiled_loop(adding, Signature.of(adding, sizes=SIZES, found=FOUND, first=NUMBER), "float64")
+        compiled_loop(adding, Signature.of(adding, sizes=SIZES, found=FOUND, first=INTEGER), "float64")
 
 
 def test_a_layout_packs_by_name_and_a_kernel_reads_by_name():
@@ -325,7 +325,7 @@ def test_what_is_padded_ends_on_a_whole_line():
 
 
 def test_a_signature_is_the_type_and_the_order_of_a_call():
-    signature = Signature.of(loop, dynamics=DYNAMICS, sizes=WHOLES, first=NUMBER)
+    signature = Signature.of(loop, dynamics=DYNAMICS, sizes=INTEGERS, first=INTEGER)
     inner = f"types.FunctionType(types.void({', '.join(['types.CPointer(R.dtype)'] * 5)}))"
     assert str(signature) == f"types.void({inner}, I, types.int64, R)"
     assert signature.ordered(x="d", first="c", sizes="b", dynamics="a") == ("a", "b", "c", "d")
@@ -333,11 +333,11 @@ def test_a_signature_is_the_type_and_the_order_of_a_call():
 
 def test_calls_that_do_not_fit_a_signature_are_refused():
     with pytest.raises(InvalidArgument, match="takes arrays alone, got first"):
-        str(Signature(kernel=Signature(x=REALS, first=NUMBER)))
+        str(Signature(kernel=Signature(x=REALS, first=INTEGER)))
     with pytest.raises(InvalidArgument, match="missing arguments: y; unknown ones: z"):
         SIGNATURE.ordered(x=1, z=2)
     with pytest.raises(InvalidArgument, match="signature of loop: no argument is called speed"):
-        Signature.of(loop, speed=NUMBER)
+        Signature.of(loop, speed=INTEGER)
     few = r"amplify: expected 5 arguments \(carry, control, noise, parameters, scratch\), got 2 \(x, p\)"
     with pytest.raises(InvalidArgument, match=few):
         compile_kernel(KernelSource(amplify), DYNAMICS, "float32")

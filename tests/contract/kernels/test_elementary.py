@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sysid_evo.kernels import NUMBER, REALS, Signature
+from sysid_evo.kernels import INTEGER, REALS, Signature
 from tests.fixtures.lanes import compile_for_python
 
 NAMES = ("tanh", "sin", "cos", "atan2")
@@ -23,7 +23,7 @@ def evaluate(name, a, b=None):
     """Return what the function ``name`` says of ``a``, and ``b``, as float64."""
     given = [np.array(a if one is None else one, dtype=np.float32) for one in (a, b)]
     found = np.full((len(NAMES), len(given[0])), np.nan, dtype=np.float32)
-    signature = Signature(n=NUMBER, a=REALS, b=REALS, y=REALS)
+    signature = Signature(n=INTEGER, a=REALS, b=REALS, y=REALS)
     compile_for_python(elementary, signature, "float32")(len(given[0]), *given, found.reshape(-1))
     return found[NAMES.index(name)].astype(np.float64)
 

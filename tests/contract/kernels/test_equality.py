@@ -9,11 +9,11 @@ from hardware.simulators.gymnasium_robot import GymnasiumRobot
 from sysid_evo import make_model, make_task, register_reward
 from sysid_evo.controllers import RecurrentNetwork, make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
-from sysid_evo.engine.imagined import Imagination
+from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.evolution import ControllerEvolution, evolve_controller
-from sysid_evo.kernels import DynamicsKernel, Lifted
-from sysid_evo.models import Disturbed, Doubt, Penalised, RadicalEnvelope
+from sysid_evo.kernels import DynamicsKernel, ScalarStep
+from sysid_evo.models import Disturbed, DomainRandomisation, Penalised, UncertaintyPenalty
 from sysid_evo.predictive_control import Predictive
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot, models, tasks
@@ -37,13 +37,13 @@ STATE_SPACE = {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 
 FAMILIES = {
     **{name: {} for name in models.names() if name not in ("adapted", "auto")},
     "linear": {"ridge": 200.0},
-    "linear with lags": {"state_lags": 2, "control_lags": 1, "rest_hold": True},
+    "linear with lags": {"state_lags": 2, "control_lags": 1, "dead_band": True},
     "nearest_neighbour": {"control_lags": 1},
     "k_neighbours": {"neighbours": 8, "state_lags": 0, "control_lags": 1},
     "narx": {"terms": 6, "state_lags": 0, "control_lags": 1},
     "sindy": {"degree": 2, "state_lags": 0, "control_lags": 0},
     "sindy_discrete": {"degree": 2, "state_lags": 0, "control_lags": 1},
-    "parametrised": {"generations": 5, "control_lags": 1, "rest_hold": True},
+    "parametrised": {"generations": 5, "control_lags": 1, "dead_band": True},
     "backprop27": {"epochs": 20},
     "evolved3": {"generations": 5},
     "mlp_ensemble": {**NETWORK, "members": 2},
@@ -99,7 +99,7 @@ def agree(given, engine="auto", *, share=1.0):
         for a, b in zip(fast.trajectories, exact.trajectories, strict=True)
     ]
     assert np.mean(alike) >= share
-    for name in ("fitness", "survived", "clipped", "doubt"):
+    for name in ("fitness", "survived", "clipped", "penalty"):
         found, expected = getattr(fast, name), getattr(exact, name)
         assert found.shape == expected.shape
         assert np.isclose(found, expected, rtol=tolerance, atol=tolerance).mean() >= share, name
@@ -171,7 +171,9 @@ def test_a_family_drives_and_steps_as_in_numpy(row, engine, learn, throttle_car_
 
 
 BASE = "linear with lags"
-NOISY = RadicalEnvelope(sensor=0.2, bias=0.1, latency=3, gain=0.2, process=0.05, base=["lateral_speed", "steer"])
+NOISY = DomainRandomisation(
+    sensor=0.2, bias=0.1, latency=3, gain=0.2, process=0.05, exact_channels=["lateral_speed", "steer"]
+)
 KINDS = [{}, {"sensor": 0.3}, {"bias": 0.2}, {"latency": 2}, {"gain": 0.2}, {"process": 0.1}]
 SPREAD = np.array([0.5, 0.1, 1.0])
 
@@ -180,11 +182,11 @@ class Late(ExampleDynamics):
     """Commands act a step late, so that the carry is longer than the state; so short that wrappers compile fast."""
 
     n_lags = 1
-    envelope = np.array([[-0.5, -0.4, -0.3], [0.5, 0.4, 0.3]])
+    state_bounds = np.array([[-0.5, -0.4, -0.3], [0.5, 0.4, 0.3]])
 
     def __init__(self, model, times=1.0):
         super().__init__(model.system)
-        self.n_carry, self.pairs_, self.push = 5, model.pairs_, times * self.push
+        self.n_carry, self.training_sample_, self.push = 5, model.training_sample_, times * self.push
 
     def start(self, states, controls, draws=None):
         return np.concatenate([states[:, -1], controls[:, -1]], axis=1)
@@ -193,7 +195,7 @@ class Late(ExampleDynamics):
         return np.concatenate([super().step(carry[:, :3], carry[:, 3:]), control], axis=1)
 
     def kernel(self):
-        return DynamicsKernel(Lifted(late, n_carry=5, nu=2), np.concatenate([self.offset, np.ravel(self.push)]))
+        return DynamicsKernel(ScalarStep(late, n_carry=5, nu=2), np.concatenate([self.offset, np.ravel(self.push)]))
 
 
 def late(x, u, p):
@@ -214,7 +216,7 @@ def two(request, learn):
 
 
 @FORMS
-@pytest.mark.parametrize("noise", [NOISY, *(RadicalEnvelope(**kind) for kind in KINDS)], ids=str)
+@pytest.mark.parametrize("noise", [NOISY, *(DomainRandomisation(**kind) for kind in KINDS)], ids=str)
 def test_every_kind_of_noise_steps_as_in_numpy(noise, engine, two, throttle_car_data):
     for delay in (0.0, 0.07):
         steps_agree(Disturbed(two[0], noise, delay=delay, spread=SPREAD), throttle_car_data, engine)
@@ -228,27 +230,34 @@ def test_every_delay_steps_as_in_numpy(delay, engine, two, throttle_car_data):
 
 @FORMS
 @pytest.mark.parametrize(
-    ("doubt", "every"), [(Doubt(1.0), 3), (Doubt(0.0, 1.0), 10), (Doubt(0.5, 2.0), 1)], ids=["outside", "apart", "both"]
+    ("penalty", "every"),
+    [(UncertaintyPenalty(1.0), 3), (UncertaintyPenalty(0.0, 1.0), 10), (UncertaintyPenalty(0.5, 2.0), 1)],
+    ids=["outside", "apart", "both"],
 )
-def test_a_doubt_is_counted_as_in_numpy_and_changes_no_score(doubt, every, engine, two, throttle_car_data):
+def test_a_penalty_is_counted_as_in_numpy_and_changes_no_score(penalty, every, engine, two, throttle_car_data):
     one, other = two
-    doubted = Penalised(one, doubt, [other], every=every)
+    doubted = Penalised(one, penalty, [other], every=every)
     steps_agree(doubted, throttle_car_data, engine)
     given = Given(doubted, RecurrentNetwork(), WAYPOINTS, scale=2.0)
     fast, exact = agree(given, engine)
-    assert exact.doubt.max() > 0.1
+    assert exact.penalty.max() > 0.1
     plain = Given(one, RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
     np.testing.assert_array_equal(fast.fitness, plain.fitness)
-    assert not plain.doubt.any()
+    assert not plain.penalty.any()
 
 
 @FORMS
 def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
     """Whatever the number of threads; without a delay every form scores as without the wrapper."""
     model = two[0]
-    given = Given(Disturbed(Penalised(model, Doubt(1.0)), NOISY, delay=0.07), RecurrentNetwork(), WAYPOINTS, scale=2.0)
+    given = Given(
+        Disturbed(Penalised(model, UncertaintyPenalty(1.0)), NOISY, delay=0.07),
+        RecurrentNetwork(),
+        WAYPOINTS,
+        scale=2.0,
+    )
     fast, exact = agree(given, engine)
-    assert exact.doubt.any()
+    assert exact.penalty.any()
     plain, late, at_once = (
         Given(one, RecurrentNetwork(), WAYPOINTS, scale=2.0).run(engine)
         for one in (model, Disturbed(model, delay=0.12), Disturbed(model))
@@ -263,7 +272,7 @@ def test_noise_and_a_delay_are_the_same_in_every_trial_and_matter(engine, two):
         for threads in (1, 2)
     )
     np.testing.assert_array_equal(one.fitness, two.fitness)
-    np.testing.assert_array_equal(one.doubt, two.doubt)
+    np.testing.assert_array_equal(one.penalty, two.penalty)
 
 
 ROBOTS = {
@@ -318,7 +327,7 @@ def spinning(angular_speed):
 def rewards():
     """Two rewards by the names of states and controls."""
     for name, function, options in (("upright", upright, {"ended": spinning, "start": WHERE}), ("braked", braked, {})):
-        register_reward(name, lowest=-2.0, horizon=40, **options)(function)
+        register_reward(name, min_reward=-2.0, horizon=40, **options)(function)
     yield
     for name in ("upright", "braked"):
         tasks.forget(name)
@@ -374,10 +383,10 @@ def test_the_reward_of_an_environment_scores_and_is_imagined_as_in_numpy(name, e
     past = np.zeros((64, 0, task.system.nu))
     sequences, known = (
         rng.uniform(-1.2, 1.2, (10, 64, 3, task.system.nu)),
-        task.foreseen(task.begin(trial_seeds(3, 64))),
+        task.hide_future(task.begin(trial_seeds(3, 64))),
     )
     compiled, reference = (
-        Imagination(body, task, engine=one).scores(states, past, sequences, known) for one in (engine, "reference")
+        ImaginedTrials(body, task, engine=one).scores(states, past, sequences, known) for one in (engine, "reference")
     )
     assert np.isclose(compiled, reference, rtol=1e-3, atol=1e-3).mean() > 0.99
     assert np.ptp(reference) > 0.01 or name == "MountainCar-v0"  # each step costs the same, the flag is far
@@ -391,20 +400,20 @@ def imagined(task, body, engine, *, steps=25, done=2):
         control = task.system.actuate(rng.uniform(-0.4, 0.4, (5, task.system.nu)))
         after = body.step(carry, control)
         advanced, state = task.advance(here, carry[:, : task.system.nx], after[:, : task.system.nx], control=control)
-        here = here.keep(advanced, here.alive)
+        here = here.updated_where(advanced, here.alive)
         carry = np.concatenate([state, after[:, task.system.nx :]], axis=1)
-    known, state = task.foreseen(here), carry[:, : task.system.nx]
+    known, state = task.hide_future(here), carry[:, : task.system.nx]
     sequences = np.random.default_rng(1).uniform(-1.2, 1.2, (30, 5, steps, task.system.nu))
-    forms = [Imagination(body, task, engine=one) for one in (engine, "reference")]
+    forms = [ImaginedTrials(body, task, engine=one) for one in (engine, "reference")]
     assert forms[0].compiled is not None
     assert forms[1].compiled is None
     return [form.scores(state[:, None], np.zeros((5, 0, task.system.nu)), sequences, known) for form in forms]
 
 
 class Jumping(ExampleDynamics):
-    """Its speed becomes ``peak`` under more than half of the torque; an envelope holds it within 3 rad/s."""
+    """Its speed becomes ``peak`` under more than half of the torque; an state_bounds holds it within 3 rad/s."""
 
-    envelope = np.array([[-np.inf, -3.0], [np.inf, 3.0]])
+    state_bounds = np.array([[-np.inf, -3.0], [np.inf, 3.0]])
 
     def __init__(self, peak):
         super().__init__(pendulum())
@@ -415,7 +424,7 @@ class Jumping(ExampleDynamics):
         return np.stack([carry[:, 0] + 0.1 * carry[:, 1], speed], axis=1)
 
     def kernel(self):
-        return DynamicsKernel(Lifted(jumping, n_carry=2, nu=1), np.array([self.peak]))
+        return DynamicsKernel(ScalarStep(jumping, n_carry=2, nu=1), np.array([self.peak]))
 
 
 def jumping(x, u, p):
@@ -440,7 +449,7 @@ def test_two_candidates_in_the_same_trials_are_imagined_apart(engine):
     known, body = task.begin(trial_seeds(3, 3)).tile(2), ExampleDynamics(pendulum())
     sequences = np.random.default_rng(1).uniform(-1.0, 1.0, (20, 6, 25, 1))
     compiled, reference = (
-        Imagination(body, task, engine=one).scores(known.state[:, None], np.zeros((6, 0, 1)), sequences, known)
+        ImaginedTrials(body, task, engine=one).scores(known.state[:, None], np.zeros((6, 0, 1)), sequences, known)
         for one in (engine, "reference")
     )
     np.testing.assert_allclose(compiled, reference, rtol=1e-4, atol=1e-4)
@@ -455,7 +464,7 @@ class Formed(Predictive):
 
     def bind_to(self, task):
         law = super().bind_to(task)
-        law.imagined = tuple(Imagination(one.dynamics, task, engine=self.engine) for one in law.imagined)
+        law.imagined = tuple(ImaginedTrials(one.dynamics, task, engine=self.engine) for one in law.imagined)
         return law
 
 
@@ -478,9 +487,9 @@ def test_a_fitted_model_inside_drives_as_its_numpy_form(row, engine, learn):
 def test_a_plan_longer_than_a_trial_is_made_in_numpy():
     """The data of a task are as long as its trials: nothing beyond them is read."""
     task = bound("point_to_point(horizon=3, waypoint_radius=0.2)", continuous_car())
-    body, known = ExampleDynamics(task.system), task.foreseen(task.begin(trial_seeds(0, 2)))
+    body, known = ExampleDynamics(task.system), task.hide_future(task.begin(trial_seeds(0, 2)))
     given = known.state[:, None], np.zeros((2, 0, 2)), np.ones((4, 2, 6, 2)), known
-    first, second = (Imagination(body, task, engine=engine).scores(*given) for engine in ("auto", "reference"))
+    first, second = (ImaginedTrials(body, task, engine=engine).scores(*given) for engine in ("auto", "reference"))
     np.testing.assert_array_equal(first, second)
 
 
@@ -512,7 +521,7 @@ def test_a_family_keeps_the_contract_compiled_in_both_precisions(family, recordi
     data = {"a car that rests": example_dataset(), "oscillator": oscillator_data}.get(recording)
     data = SMALL_SYSTEMS[recording].recording() if data is None else data
     options, resting = dict(SMALL_BUDGETS.get(family, {})), recording == "a car that rests"
-    options |= {"rest_hold": True} if resting and "rest_hold" in make_model(family).get_params() else {}
+    options |= {"dead_band": True} if resting and "dead_band" in make_model(family).get_params() else {}
     try:
         results = list(MODEL.run(family, data, **options))
     except IncompatibleSystem:

@@ -12,10 +12,10 @@ from sysid_evo.engine.compiled.compiler import compile_kernel
 from sysid_evo.engine.compiled.language import generate
 from sysid_evo.engine.compiled.workspace import CACHE_LINE, SMALL, aligned, empty_lines, together
 from sysid_evo.kernels import (
+    INTEGERS,
     LANES,
     QUARTER,
     REALS,
-    WHOLES,
     WORDS,
     KernelSource,
     Signature,
@@ -39,7 +39,7 @@ A, B = RNG.normal(size=LANES), RNG.normal(size=LANES)
 A[:4] = B[:4]  # equal ones
 A[4], B[5] = np.nan, np.nan
 A[6] = np.inf
-ROWS, BITS = Signature(a=REALS, b=REALS, y=REALS), Signature(a=REALS, b=REALS, y=WHOLES)
+ROWS, BITS = Signature(a=REALS, b=REALS, y=REALS), Signature(a=REALS, b=REALS, y=INTEGERS)
 
 
 def rows(a, b, y):

@@ -52,7 +52,7 @@ def test_a_rollout_and_a_simulation_integrate_by_the_motion_of_the_system(record
     np.testing.assert_allclose(again[0], run.states[1:], rtol=1e-12)
     before = run.states[:-1]
     expected = model.system.integrate(before, model.acceleration(before, run.controls))
-    np.testing.assert_allclose(run.states[1:], np.clip(expected, *model.envelope), rtol=1e-12)
+    np.testing.assert_allclose(run.states[1:], np.clip(expected, *model.state_bounds), rtol=1e-12)
     other = PlanarBody().integrate(before, model.acceleration(before, run.controls), 0.05, model.system.state_names)
     assert np.abs(expected - other).max() > 1e-3, "the two motions must differ here"
 
@@ -116,7 +116,7 @@ def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(late
     found = kernel_step(kernel, carry, np.zeros((12, 1)), precision="float64")
     after = motion.integrate(state, acceleration, dt, MIXED)
     np.testing.assert_allclose(found[:, nx : 2 * nx], after, atol=1e-7)
-    turned = acceleration + motion.turning(state, MIXED)
+    turned = acceleration + motion.frame_rotation(state, MIXED)
     np.testing.assert_allclose(found[:, 2 * nx : 3 * nx], turned, atol=1e-7)
     moved = found[:, 3 * nx :] - motion.move(pose, state, after, dt, MIXED)
     moved[:, 2] = wrap(moved[:, 2])

@@ -107,7 +107,7 @@ def test_one_state_and_one_control_are_enough(oscillator_data, rng):
 
 
 def test_the_compiled_body_rests_where_that_of_numpy_does(car_data, rng):
-    model = fitted(car_data, 8, (0, 1), rest_hold=True)
+    model = fitted(car_data, 8, (0, 1), dead_band=True)
     carry, control = queries(model, rng, 0.5)
     carry[::2], control[::2] = 0.0, 0.0
     assert (agree(model, carry, control)[::2] == 0.0).all()
@@ -115,7 +115,7 @@ def test_the_compiled_body_rests_where_that_of_numpy_does(car_data, rng):
 
 @pytest.mark.parametrize("family, precision", [("linear", "float32"), ("k_neighbours", "float64"),
                                                ("nearest_neighbour", "float32")])  # fmt: skip
-@pytest.mark.parametrize("change", [lambda model, data: model.set_params(rest_hold=True),
+@pytest.mark.parametrize("change", [lambda model, data: model.set_params(dead_band=True),
                                     lambda model, data: model.fit(data[0], rng=0)],
                          ids=["set_params", "fit"])  # fmt: skip
 def test_a_kernel_is_that_of_the_present_parameters_whatever_was_asked_before(

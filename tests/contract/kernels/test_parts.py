@@ -11,7 +11,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.engine.compiled.open_loop import final_errors, kernel_step
 from sysid_evo.evolution.model_evolution import final_error, kernel_error
 from sysid_evo.kernels import ADVANCE, CONTROLLER, LANES, OBSERVE
-from sysid_evo.models.adaptation.correction import Terms
+from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels import Predictor, stepping_kernel
 from sysid_evo.models.kernels.correction import correction_kernel
@@ -132,7 +132,7 @@ def test_a_candidate_that_diverges_has_the_largest_error(precision):
 def test_a_correction_corrects_as_its_terms_do(system, rng):
     model = ExampleDynamics(system)
     states, controls = rng.normal(0.0, 1.0, (81, system.nx)), rng.uniform(-1.0, 1.0, (80, system.nu))
-    terms = Terms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
+    terms = CorrectionTerms.of(Dataset.from_arrays(system, states, controls), products=True, model=model)
     before, control, coefficients = 2.0 * states[:70], controls[:70], rng.normal(size=terms.shape)
     kernel = correction_kernel(model.kernel(), system, terms.arrays, coefficients)
     compiled, after = kernel_step(kernel, before, control, precision="float32"), model.step(before, control)
@@ -164,7 +164,7 @@ def test_the_compiled_form_adds_the_change_of_a_sum_of_states_as_the_model_does(
 
 def test_a_pulse_shorter_than_the_dead_time_moves_a_resting_car():
     """One sample of drive, then neutral: the car moves two samples later, and rests until then."""
-    model = make_model("parametrised", generations=3, control_lags=2, rest_hold=True).fit(example_dataset(), rng=0)
+    model = make_model("parametrised", generations=3, control_lags=2, dead_band=True).fit(example_dataset(), rng=0)
     model.parameters_[[8, 9]] = 0.0  # no static friction: what is looked at is the hold
     carry, speeds = np.zeros((1, model.n_carry)), []
     for drive in (1.0, 0.0, 0.0, 0.0):

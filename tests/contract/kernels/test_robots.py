@@ -6,7 +6,7 @@ import pytest
 from hardware.emulation.car_physics import BODY, BUFFER, CarParameters
 from hardware.emulation.cars import AWKWARD, ToyCarDynamics
 from hardware.emulation.held_control import HeldControl
-from sysid_evo.kernels import LANES, DynamicsKernel, Lifted
+from sysid_evo.kernels import LANES, DynamicsKernel, ScalarStep
 from tests.fixtures.by_hand import Delayed
 from tests.fixtures.lanes import step_between_guards
 
@@ -70,7 +70,7 @@ class Compiled(Delayed):
     """It, with a scalar step of its own."""
 
     def kernel(self):
-        return DynamicsKernel(Lifted(delayed, n_carry=4, nu=1, n_noise=1), np.array([0.9]))
+        return DynamicsKernel(ScalarStep(delayed, n_carry=4, nu=1, n_noise=1), np.array([0.9]))
 
 
 def delayed(x, u, w, p):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sysid_evo.kernels import LANES, DynamicsKernel, Lifted
+from sysid_evo.kernels import LANES, DynamicsKernel, ScalarStep
 from sysid_evo.models.kernels import (
     Predictor,
     network_predictor,
@@ -179,7 +179,7 @@ def test_a_turning_frame_adds_how_the_motion_turns_and_draws_back_what_is_outsid
     rng = np.random.default_rng(5)
     x, u = 2.0 * rng.normal(size=(LANES, system.nx)), rng.uniform(-1, 1, (LANES, 2))
     rate = Predictor(leak, np.array([system.nx, 0.7]), 0)
-    learned, turning = u[:, :1] - 0.7 * x, system.turning(x)
+    learned, turning = u[:, :1] - 0.7 * x, system.frame_rotation(x)
     bounds = np.tile([[-1.0], [0.5], [5.0], [-0.9], [0.9]], system.nx)
     above, below = np.maximum(x - 0.5, 0.0), np.maximum(-1.0 - x, 0.0)
     total = np.clip(learned, -0.9, 0.9) + turning
@@ -204,10 +204,10 @@ def test_a_lifted_scalar_step_is_the_scalar_step_in_every_lane(precision):
     rng = np.random.default_rng(2)
     carry, control, noise = rng.normal(size=(LANES, 2)), rng.normal(size=(LANES, 1)), rng.normal(size=(LANES, 2))
     parameters = np.array([0.05, 9.81, 0.3])
-    kernel = DynamicsKernel(Lifted(noisy_pendulum, n_carry=2, nu=1, n_noise=2), parameters)
+    kernel = DynamicsKernel(ScalarStep(noisy_pendulum, n_carry=2, nu=1, n_noise=2), parameters)
     expected = [noisy_pendulum(x, u, w, parameters) for x, u, w in zip(carry, control, noise, strict=True)]
     agree(step_between_guards(kernel, carry, control, noise, precision=precision), expected, precision)
-    small = DynamicsKernel(Lifted(decay, n_carry=1, nu=0), np.array([3.0]))
+    small = DynamicsKernel(ScalarStep(decay, n_carry=1, nu=0), np.array([3.0]))
     after = step_between_guards(small, carry[:, :1], np.zeros((LANES, 0)), precision=precision)
     agree(after, carry[:, :1] * 0.5 + 3.0, precision)
 
@@ -217,6 +217,6 @@ def test_the_same_source_twice_is_the_same_key():
     kernels = [stepping_kernel(oscillator(system), system, output="next_state") for _ in range(2)]
     assert kernels[0].source == kernels[1].source
     assert hash(kernels[0].source) == hash(kernels[1].source)
-    lifted = Lifted(decay, 1, 0)
-    assert lifted == Lifted(decay, 1, 0)
+    lifted = ScalarStep(decay, 1, 0)
+    assert lifted == ScalarStep(decay, 1, 0)
     assert lifted != dataclasses.replace(lifted, nu=1)

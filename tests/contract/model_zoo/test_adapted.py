@@ -9,15 +9,15 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.models import load_model, save_model
-from sysid_evo.models.adaptation import NONE, REFIT, Learned, Terms
+from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection
 from sysid_evo.models.adaptation import adapted as module
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
-from sysid_evo.models.adaptation.selection import ANEW, FURTHER, Adaptation, Verdict
+from sysid_evo.models.adaptation.selection import ANEW, FURTHER, Adaptation, AdaptationDecision
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
 from sysid_evo.validation import intervals
 from sysid_evo.validation.acceptance import AND
-from sysid_evo.validation.intervals import LAGS, MOST_WINDOWS
+from sysid_evo.validation.intervals import LAGS, MAX_WINDOWS
 from tests.benchmarks.coverage import coverage
 from tests.fixtures.systems import FloorCar, drive
 
@@ -50,7 +50,7 @@ def test_where_nothing_has_changed_the_model_stays_what_it_is(base, training):
     windows = training.windows(20, stride=50, history=base.n_lags)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
     np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
-    np.testing.assert_array_equal(same.envelope_, base.envelope_)
+    np.testing.assert_array_equal(same.state_bounds_, base.state_bounds_)
     assert "no correction: the best" in same.fit_note
 
 
@@ -79,8 +79,8 @@ def test_a_stored_model_is_named_by_its_path(base, tmp_path):
 
 
 def test_with_the_training_data_a_refit_is_tried_as_well(base, adapted, training):
-    assert REFIT in base.adapt(drive(OTHER, seconds=8.0, seed=3), training=training).tried_
-    assert REFIT not in adapted.tried_
+    assert REFIT in base.adapt(drive(OTHER, seconds=8.0, seed=3), training=training).candidates_
+    assert REFIT not in adapted.candidates_
 
 
 def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_same_gate(training):
@@ -98,10 +98,10 @@ def test_the_envelope_covers_both_recordings(base, adapted):
     weak = make_model("linear").fit(drive(FloorCar(thrust=2.0), seconds=40.0, seed=1), rng=0)
     wide = weak.adapt(drive(FloorCar(), seconds=12.0, seed=3))
     assert wide.coefficients_.any()
-    assert wide.envelope_[1, 0] > weak.envelope_[1, 0]
-    assert (wide.envelope_[0] <= weak.envelope_[0]).all()
-    assert len(wide.pairs_) > len(weak.pairs_)
-    assert (adapted.envelope_[1] >= base.envelope_[1]).all()
+    assert wide.state_bounds_[1, 0] > weak.state_bounds_[1, 0]
+    assert (wide.state_bounds_[0] <= weak.state_bounds_[0]).all()
+    assert len(wide.training_sample_) > len(weak.training_sample_)
+    assert (adapted.state_bounds_[1] >= base.state_bounds_[1]).all()
 
 
 def test_data_of_another_robot_are_refused_and_of_other_limits_taken(base):
@@ -125,7 +125,7 @@ NETWORKS = {
 def test_a_network_goes_on_learning_where_it_ended(family, training):
     model = make_model(family, **NETWORKS[family], updates=20, horizon=10).fit(training, rng=0)
     there, rng = drive(OTHER, seconds=20.0, seed=3), np.random.default_rng(0)
-    hardly, further = (model.trained_further(there, updates, rng=rng) for updates in (1, 100))
+    hardly, further = (model.fine_tuned(there, updates, rng=rng) for updates in (1, 100))
     assert hardly is not None
     assert further is not None
     assert hardly.score(training) == pytest.approx(model.score(training), rel=0.05)
@@ -134,7 +134,7 @@ def test_a_network_goes_on_learning_where_it_ended(family, training):
 
 
 def test_a_family_without_updates_is_not_trained_further(base, training):
-    assert base.trained_further(training, 10, rng=np.random.default_rng(0)) is None
+    assert base.fine_tuned(training, 10, rng=np.random.default_rng(0)) is None
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +147,7 @@ def between(training):
 def test_a_mean_of_a_correction_and_another_way_is_judged_and_taken(between):
     assert between.chosen_.count(AND) == 1
     correction, way = between.chosen_.split(AND)
-    assert {correction, way} <= set(between.tried_)
+    assert {correction, way} <= set(between.candidates_)
     assert not between.corrects
     first, second = between.base_.members_
     assert first.corrects
@@ -173,9 +173,9 @@ def lines(training):
 
 def test_of_a_model_that_draws_noise_no_mean_is_tried(lines):
     _, noisy, plain = lines
-    means = [name for name in plain.tried_ if AND in name]
-    assert means == [name for name in plain.tried_ if name.endswith(AND + ANEW)]
-    assert noisy.tried_ == [name for name in plain.tried_ if name not in means]
+    means = [name for name in plain.candidates_ if AND in name]
+    assert means == [name for name in plain.candidates_ if name.endswith(AND + ANEW)]
+    assert noisy.candidates_ == [name for name in plain.candidates_ if name not in means]
 
 
 def test_the_spread_of_an_adapted_model_is_that_of_the_new_condition(lines):
@@ -223,8 +223,8 @@ def parts():
 
 
 def uncorrected(steady, held):
-    terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=3))
-    return Learned(steady, terms, np.zeros(terms.shape), held)
+    terms = CorrectionTerms.of(drive(FloorCar(), seconds=5.0, seed=3))
+    return LearnedCorrection(steady, terms, np.zeros(terms.shape), held)
 
 
 def kept(model):
@@ -264,13 +264,13 @@ def test_every_part_is_run_with_the_error_of_all_and_has_its_share_of_windows(st
         cases.extend(own)
         return np.ones((4, 3))
 
-    monkeypatch.setattr(module, "MOST_WINDOWS", 60)
+    monkeypatch.setattr(module, "MAX_WINDOWS", 60)
     monkeypatch.setattr(module, "horizon_scales", horizon_scales)
     apart = [*(uncorrected(steady, held) for held in parts), uncorrected(steady, None)]
     found = calibrated_elsewhere(steady, apart, np.random.default_rng(0))
     assert [len(case.windows) for case in cases] == [30, 30]
     assert all((case.model.base.residual_ == found.residual_).all() for case in cases)
-    assert MOST_WINDOWS > 60
+    assert MAX_WINDOWS > 60
 
 
 def test_a_correction_is_part_of_the_step(steady, parts):
@@ -288,7 +288,7 @@ def test_a_correction_is_part_of_the_step(steady, parts):
 )
 def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
     learned = uncorrected(steady, None)
-    found = Adaptation(learned, Verdict(10.0, 3, 0.5, (), chosen), (uncorrected(steady, parts[0]),))
+    found = Adaptation(learned, AdaptationDecision(10.0, 3, 0.5, (), chosen), (uncorrected(steady, parts[0]),))
     monkeypatch.setattr(module, "adaptation", lambda *_, **__: found)
     calibrated = steady.variant()
     monkeypatch.setattr(module, "calibrated_elsewhere", lambda *_: calibrated)
@@ -314,13 +314,13 @@ def test_a_way_is_given_up_after_a_block_in_which_neither_it_nor_its_mean_is_bet
 ):
     model, further, called = polynomial(3.0), polynomial(thrust), Counter()
 
-    def trained_further(self, dataset, updates, *, rng):
+    def fine_tuned(self, dataset, updates, *, rng):
         called[updates] += 1
         return further
 
-    monkeypatch.setattr(type(model), "trained_further", trained_further)
+    monkeypatch.setattr(type(model), "fine_tuned", fine_tuned)
     adapted = model.adapt(drive(FloorCar(thrust=1.7), seconds=12.0, seed=3, noise=0.0), rng=0)
-    shown = dict(zip(adapted.tried_, adapted.gate_, strict=True))
+    shown = dict(zip(adapted.candidates_, adapted.test_errors_, strict=True))
     for way in FURTHER:
         (mean,) = [name for name in shown if name.endswith(AND + way)]
         for name, better in ((way, of_way), (mean, of_mean)):

@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, named, offered
+from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candidates_for, candidates_named
 from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import PROCESSORS, SHARE, Auto
 from model_zoo.auto.selection import (
     REFINED,
     UNPROMISING,
     UNTRIED,
-    Choosing,
+    CandidateSelection,
     affordable,
     chosen,
     structure_of,
@@ -31,8 +31,8 @@ from sysid_evo.processors import use_processors
 from sysid_evo.registry import Spec, make_robot, models
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
-from sysid_evo.validation.folds import folds_of
-from sysid_evo.validation.simulation_error import HeldOutTest, Judge
+from sysid_evo.validation.folds import make_folds
+from sysid_evo.validation.simulation_error import HeldOutTest, Scorer
 from tests.fixtures.systems import FloorCar, drive
 
 pytestmark = pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")  # some recordings stand still
@@ -64,7 +64,7 @@ def mean_of(*specs, **settings):
 
 def test_the_mean_of_next_states_is_the_mean_of_accelerations():
     """Members with lags of their own and without any step from the same state, step after step."""
-    mean = mean_of("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear", rest_hold=True)
+    mean = mean_of("linear(state_lags=1, control_lags=2)", "linear(ridge=300.0)", "linear", dead_band=True)
     data = example_dataset(seed=5)
     system, windows = data.system, data.windows(6, stride=25, history=mean.n_lags)
     carry = mean.start(windows.past_states, windows.past_controls)
@@ -124,7 +124,7 @@ def test_a_class_of_structure_weighs_as_the_root_of_how_many_are_in_it_and_these
 
 
 @pytest.mark.parametrize(
-    ("spec", "structure"),
+    ("spec", "model_class"),
     [
         ("neural_ode(hidden=[2], one_step_updates=1, updates=1)", "network without lags"),
         ("neural_ode(hidden=[2], one_step_updates=1, updates=1, control_lags=1)", "network with lags"),
@@ -143,7 +143,7 @@ def test_every_model_has_a_class_of_structure(spec, structure):
 def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason():
     model = make_model("auto", candidates=[*FEW, "nearest_neighbour", "narx(state_lags=500, control_lags=0)"])
     model.fit(DATA, rng=0)
-    rows = {row["candidate"]: row for row in model.standing()}
+    rows = {row["candidate"]: row for row in model.candidate_ranking()}
     assert rows[FEW[0]]["weight"] == "1.00"
     assert rows["linear(state_lags=0)"]["remark"].endswith("x the best in the first of 3 turns")
     assert "of its free runs diverge" in rows["nearest_neighbour"]["remark"]
@@ -157,7 +157,7 @@ def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_t
     for gate, remark in ((1.25, "5.2 x the best in the first of 3 turns"), (5.0, "above")):
         model = make_model("auto", candidates=FEW, gate=gate)
         model.fit(DATA, rng=0)
-        row = next(row for row in model.standing() if row["candidate"] == "linear(state_lags=0)")
+        row = next(row for row in model.candidate_ranking() if row["candidate"] == "linear(state_lags=0)")
         assert row["remark"].startswith(remark)
     assert "do differ significantly" in model.fit_note
 
@@ -170,7 +170,7 @@ def test_what_may_be_behind_by_chance_is_judged_in_every_turn(steps, neighbour):
     near = "linear(state_lags=1, control_lags=2)"
     model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], gate=1.0)
     model.fit(example_dataset(seed=1, episodes=1, steps=steps), rng=0)
-    remarks = {row["candidate"]: row["remark"] for row in model.standing()}
+    remarks = {row["candidate"]: row["remark"] for row in model.candidate_ranking()}
     assert "turns" not in remarks[near]
     assert remarks["nearest_neighbour"].startswith(neighbour)
 
@@ -219,7 +219,7 @@ def test_a_plugin_that_declares_a_structure_is_a_candidate(register, data):
     class Zero(DynamicsModel):
         """The state stays as it is."""
 
-        structure = "nothing moves"
+        model_class = "nothing moves"
 
         def fit(self, dataset, *, rng, progress=None):
             return self
@@ -228,7 +228,7 @@ def test_a_plugin_that_declares_a_structure_is_a_candidate(register, data):
             return 0.0 * carry
 
     register(models, "made_up_zero", Zero)
-    assert offered(data.system)[0][0].spec.name == "made_up_zero"
+    assert candidates_for(data.system)[0][0].spec.name == "made_up_zero"
     model = make_model("auto", candidates=["made_up_zero"]).fit(data, rng=0)
     assert structure_of(model.members_[0]) == "nothing moves"
 
@@ -283,25 +283,25 @@ def test_the_model_is_the_same_for_any_number_of_processes(data):
             np.testing.assert_array_equal(mine, other)
 
 
-@pytest.mark.parametrize("chooses", [True, False])
+@pytest.mark.parametrize("chooses_families", [True, False])
 def test_what_chooses_among_families_does_not_choose_anew_for_an_adaptation(chooses, data):
     class Choosing(Linear):
         pass
 
-    Choosing.chooses = chooses
+    Choosing.chooses_families = chooses
     few = data.with_episodes([data.episodes[0][:200]])
     model = Choosing().fit(few, rng=0)
     tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).verdict.trials]
     assert tried
     assert (ANEW in tried) == (not chooses)
-    assert Auto.chooses
+    assert Auto.chooses_families
 
 
 def test_what_was_held_out_tells_how_far_off_it_is_at_home_and_there_nothing_is_adapted(tmp_path, data):
     """The mean of what learned without each fold runs free there, with the weights of the whole."""
     model = learned()
     means = []
-    for seen, held in folds_of(data, model.folds):
+    for seen, held in make_folds(data, model.folds):
         parts = [make_model(spec).fit(seen, rng=0) for spec in FEW]
         kept = [part for part, share in zip(parts, shares_of(model), strict=True) if share > 0.0]
         means.append((model.of(kept, weights_of([structure_of(part) for part in kept])), held))
@@ -323,7 +323,7 @@ def shares_of(model):
 
 def test_where_nothing_was_held_out_it_does_not_know_how_far_off_it_is(data):
     short = data.with_episodes([data.episodes[0][:40]])
-    assert folds_of(short, 3)[0][0] is short
+    assert make_folds(short, 3)[0][0] is short
     model = make_model("auto", candidates=["linear"], horizons=[5]).fit(short, rng=0)
     assert model.held_out_error_ is None
 
@@ -347,8 +347,8 @@ def test_it_predicts_the_mean_of_what_its_families_predict(average, data):
 def test_it_is_stored_with_its_members_and_names_what_it_uses(average, data, tmp_path):
     loaded = load_model(save_model(average, tmp_path / "average"))
     assert loaded.score(data) == average.score(data)
-    assert average.uses() == ("linear", "narx")
-    assert make_model("average").uses() == ("narx", "k_neighbours")
+    assert average.families_used() == ("linear", "narx")
+    assert make_model("average").families_used() == ("narx", "k_neighbours")
 
 
 def test_fitted_models_are_put_together_with_the_widest_envelope():
@@ -356,9 +356,9 @@ def test_fitted_models_are_put_together_with_the_widest_envelope():
         make_model("linear").fit(drive(FloorCar(thrust=thrust), seconds=20.0, seed=1), rng=0) for thrust in (1.0, 3.0)
     )
     made = Average.made_of([slow, fast])
-    np.testing.assert_array_equal(made.envelope_[0], np.minimum(slow.envelope_[0], fast.envelope_[0]))
-    np.testing.assert_array_equal(made.envelope_[1], np.maximum(slow.envelope_[1], fast.envelope_[1]))
-    assert made.envelope_[1, 0] > slow.envelope_[1, 0]
+    np.testing.assert_array_equal(made.state_bounds_[0], np.minimum(slow.state_bounds_[0], fast.state_bounds_[0]))
+    np.testing.assert_array_equal(made.state_bounds_[1], np.maximum(slow.state_bounds_[1], fast.state_bounds_[1]))
+    assert made.state_bounds_[1, 0] > slow.state_bounds_[1, 0]
     np.testing.assert_array_equal(made.weights_, [0.5, 0.5])
     assert made.system == slow.system
 
@@ -412,7 +412,7 @@ NARX = "narx(terms=12, state_lags=0, control_lags=2)"
 
 
 def test_all_that_is_shipped_is_offered_to_a_car():
-    found, left_out = offered(DATA.system)
+    found, left_out = candidates_for(DATA.system)
     assert [one.spec for one in found] == [one.spec for one in SHIPPED]
     assert not left_out
 
@@ -421,7 +421,7 @@ def test_all_that_is_shipped_is_offered_to_a_car():
 def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs, budget):
     names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
     system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
-    found, _ = offered(system)
+    found, _ = candidates_for(system)
     costs = {number: one.cost(system, 1500, 3) for number, one in enumerate(found)}
     tried = [found[number].spec.name for number in affordable(costs, PROCESSORS * SHARE * budget)]
     assert "nonlinear_state_space" in tried
@@ -456,10 +456,10 @@ def test_networks_are_expected_to_take_nearly_as_long_with_one_output_and_state_
 def choice_among(candidates, budget=100.0):
     """Return what becomes of these candidates, judged after ten steps."""
     data = DATA
-    pairs = folds_of(data, 3)
-    judge = Judge.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
+    pairs = make_folds(data, 3)
+    judge = Scorer.of(data, [HeldOutTest.of(held, [10], 3) for _, held in pairs])
     seeds = np.zeros((len(candidates), 4), dtype=np.int64)
-    choosing = Choosing(data, pairs, judge, candidates, seeds, budget, FitWork(None, budget))
+    choosing = CandidateSelection(data, pairs, judge, candidates, seeds, budget, FitWork(None, budget))
     return choosing.choice(1.25, Average.made_of)
 
 
@@ -505,19 +505,19 @@ def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes
         assert bool(reason) == bool(expected)
 
 
-@pytest.mark.parametrize(("gate", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
+@pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
 def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_without_a_fold(
     monkeypatch, gate, folds, data
 ):
     """Both are polynomials, so each weighs a half; the second is a committee."""
     tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, keep_fold_models=name == "b") for name in "ab"]
-    monkeypatch.setattr("model_zoo.auto.model.offered", lambda _: (tried, []))
+    monkeypatch.setattr("model_zoo.auto.model.candidates_for", lambda _: (tried, []))
     model = make_model("auto", gate=gate).fit(data, rng=0)
     assert isinstance(model, Auto)
     size = len(folds) + 1
     np.testing.assert_allclose(model.weights_, [0.5, *[0.5 / size] * size])
     assert [row["weight"] for row in model.standing()] == ["0.50", "0.50"]
-    windows, parts = data.windows(1, history=2), [data, data, *(folds_of(data, 3)[fold][0] for fold in folds)]
+    windows, parts = data.windows(1, history=2), [data, data, *(make_folds(data, 3)[fold][0] for fold in folds)]
     for member, part in zip(model.members_, parts, strict=True):
         again = make_model(PLAIN).fit(part, rng=0)
         now = [one.simulate(windows.past_states, windows.past_controls, windows.controls) for one in (member, again)]
@@ -526,13 +526,13 @@ def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_
 
 def test_what_is_named_is_tried_even_if_it_refines_another():
     assert any(one.successor_of for one in SHIPPED)
-    found = named(["nonlinear_state_space"])
+    found = candidates_named(["nonlinear_state_space"])
     assert len(found) == 2
     assert not any(one.successor_of for one in found)
 
 
 def test_an_average_that_is_named_alone_is_that_of_its_own_families():
-    (found,) = named(["average"])
+    (found,) = candidates_named(["average"])
     assert found.spec.parameters == {}
     assert any(one.spec.name == "average" and one.successor_of for one in SHIPPED)
 

@@ -11,13 +11,13 @@ import pytest
 from rich.console import Console
 
 from hardware.emulation.car_physics import CarParameters
-from hardware.recording.manoeuvres import measuring
+from hardware.recording.manoeuvres import measuring_manoeuvres
 from hardware.robot import find_robot
 from model_zoo.car.single_track import MAGIC, PARAMETERS, SingleTrack, magic, pacejka_rate, tanh_rate
-from model_zoo.grey_box import Hidden, Parameter
+from model_zoo.grey_box import HiddenState, Parameter
 from sysid_evo.cli.models import card_table, model_card
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import measured
+from sysid_evo.data.response import manoeuvre_results
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.laws import array_form
 from sysid_evo.models import load_model, save_model
@@ -116,7 +116,7 @@ def test_a_pressure_that_nobody_measures_is_found_with_its_parameters_and_from_a
 @pytest.mark.parametrize(
     ("family", "options", "dataset"),
     [
-        ("grey_pendulum", {"actuator_lag": True, "command_delay": True, "substeps": 2, "rest_hold": True}, pendulum),
+        ("grey_pendulum", {"actuator_lag": True, "command_delay": True, "substeps": 2, "dead_band": True}, pendulum),
         ("grey_cylinder", {"residual": True, "residual_points": 12}, cylinder),
     ],
 )
@@ -194,7 +194,7 @@ def half(state, control, p):
     [
         (
             Pendulum,
-            {"hidden": (Hidden("warmth", "K"),)},
+            {"hidden": (HiddenState("warmth", "K"),)},
             InvalidArgument,
             "rates from 3 states.*too many values to",
         ),
@@ -258,31 +258,31 @@ def several(gains=GAINS):
 
 
 def test_what_differs_from_recording_to_recording_is_told_and_the_common_value_predicts():
-    model = Pendulum(offsets=["gain", "friction"], **QUICK).fit(several(), rng=0)
+    model = Pendulum(random_effects=["gain", "friction"], **QUICK).fit(several(), rng=0)
     assert found(model)["gain"] == pytest.approx(2.0, abs=0.06)
-    rows = [row["offset"] for row in model.offsets_table() if row["parameter"] == "gain"]
+    rows = [row["offset"] for row in model.random_effects_table() if row["parameter"] == "gain"]
     np.testing.assert_allclose(rows, np.array(GAINS) - 2.0, atol=0.08)
     spreads = dict(zip(("gain", "friction"), model.offset_spreads_, strict=True))
     assert spreads["gain"] == pytest.approx(np.std(GAINS), rel=0.3)
     assert spreads["friction"] < 0.05
     assert "there differ gain by 0.2" in model.fit_note
-    assert all(row["unit"] for row in model.offsets_table())
+    assert all(row["unit"] for row in model.random_effects_table())
 
 
 def test_recordings_of_one_condition_share_their_offsets():
-    data = several().labelled({"cold": "day-[012]", "warm": "day-[345]"})
-    model = Pendulum(offsets=["gain"], starts=1, windows=60).fit(data, rng=0)
-    assert [row["recording"] for row in model.offsets_table()] == ["cold", "warm"]
+    data = several().label_conditions({"cold": "day-[012]", "warm": "day-[345]"})
+    model = Pendulum(random_effects=["gain"], starts=1, windows=60).fit(data, rng=0)
+    assert [row["recording"] for row in model.random_effects_table()] == ["cold", "warm"]
 
 
 def test_where_nothing_differs_offsets_shrink_to_nothing():
-    model = Pendulum(offsets=["gain"], **QUICK).fit(several((2.0,) * 6), rng=0)
+    model = Pendulum(random_effects=["gain"], **QUICK).fit(several((2.0,) * 6), rng=0)
     assert np.abs(model.offsets_).max() < 0.03
 
 
 def test_an_offset_of_what_is_no_parameter_is_refused():
     with pytest.raises(InvalidArgument, match="there is no parameter 'grip'; there are stiffness, friction, gain"):
-        Pendulum(offsets=["grip"])
+        Pendulum(random_effects=["grip"])
 
 
 def test_the_card_of_a_stored_grey_box_prints_its_parameters(heavy, tmp_path):
@@ -352,10 +352,10 @@ def test_manoeuvres_in_the_data_give_guesses_and_priors(car_data, monkeypatch):
     episodes = [
         episode
         for kind in ("step", "coast_down")
-        for episode in robot.record_manoeuvres(measuring(robot.system, kind), seed=0).dataset.episodes
+        for episode in robot.record_manoeuvres(measuring_manoeuvres(robot.system, kind), seed=0).dataset.episodes
     ]
     data = Dataset(robot.system, tuple(episodes))
-    guesses = SingleTrack().guesses_from({one.name: one for one in measured(data)})
+    guesses = SingleTrack().initial_guesses({one.name: one for one in manoeuvre_results(data)})
     assert set(guesses) == {"rolling_resistance", "drag_linear", "thrust_forward", "thrust_backward", "back_emf"}
     assert guesses["thrust_forward"][0] == pytest.approx(CarParameters().thrust_forward, rel=0.3)
     assert all(spread >= 0.2 * value for value, spread in guesses.values())

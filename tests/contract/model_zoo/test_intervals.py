@@ -12,7 +12,7 @@ from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import MODEL
 from sysid_evo.validation import intervals
-from sysid_evo.validation.folds import unseen_parts
+from sysid_evo.validation.folds import recording_or_time_folds
 from sysid_evo.validation.intervals import (
     HORIZONS,
     conformal_scale,
@@ -36,7 +36,7 @@ UNSEEN = {"a": 0.2, "b": 0.3, "c": 0.9}
 class Biased(DynamicsModel):
     """Drifts by a known amount in every step; x by the bias of the recordings it never saw, y always alike."""
 
-    envelope = None  # all states are zero: nothing to clip to
+    state_bounds = None  # all states are zero: nothing to clip to
 
     def fit(self, dataset, *, rng, progress=None):
         seen = {name.split("[")[0] for name in dataset.names}
@@ -66,16 +66,18 @@ def test_a_recording_alone_cannot_be_held_out():
     dataset = resting(["a[0:240]", "a[240:480]"])
     assert rough_fits(dataset) == 0
     np.testing.assert_array_equal(growth_on_unseen_recordings(roughly, dataset), [1.0, 1.0])
-    assert len(unseen_parts(dataset)) == 3
+    assert len(recording_or_time_folds(dataset)) == 3
     short = dataset.with_episodes([dataset.episodes[0][:40]])
-    assert len(unseen_parts(short)) == 1, "where nothing can be held out, the same fit is not made three times"
-    assert unseen_parts(short)[0][1] is short
+    assert len(recording_or_time_folds(short)) == 1, (
+        "where nothing can be held out, the same fit is not made three times"
+    )
+    assert recording_or_time_folds(short)[0][1] is short
 
 
 class Noisy(DynamicsModel):
     """A damped walk whose noise it underestimates; y pulls x along, so that the two scales depend on each other."""
 
-    envelope = None
+    state_bounds = None
 
     def __init__(self, *, stochastic: bool = False) -> None:
         self.stochastic = stochastic
@@ -166,9 +168,9 @@ def test_the_lasting_share_is_told_from_white_and_from_measurement_noise():
 class Still:
     """Never moves of itself."""
 
-    n_lags, system, envelope = 0, PAIR, None
+    n_lags, system, state_bounds = 0, PAIR, None
 
-    def lagged(self, states, controls):
+    def initial_carry(self, states, controls):
         return states[:, -1]
 
     def disturbed(self, carry, control, disturbance):
@@ -240,7 +242,7 @@ LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 class Shaken(DynamicsModel):
     """Stands still; with ``stochastic`` it walks at random."""
 
-    envelope = None
+    state_bounds = None
 
     def __init__(self, *, stochastic: bool = False) -> None:
         self.stochastic = stochastic

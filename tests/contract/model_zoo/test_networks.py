@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from model_zoo.backprop27 import Backprop27
-from model_zoo.car.hybrid_ode import CarPhysics, HybridOde
-from model_zoo.networks.backpropagation import StandardisedModel
-from model_zoo.networks.mlp_ensemble import LaggedMembers, MlpEnsemble
+from model_zoo.car.hybrid_ode import CarRateGradient, HybridOde
+from model_zoo.networks.backpropagation import DifferentiableSimulation
+from model_zoo.networks.mlp_ensemble import DifferenceNetworks, MlpEnsemble
 from model_zoo.networks.network import Layers, random_network
-from model_zoo.networks.neural_ode import Flow
+from model_zoo.networks.neural_ode import OdeSimulation
 from model_zoo.networks.training import (
     FLOOR,
     SHARPNESS,
     Batches,
-    Shots,
-    Trainings,
+    ResumableTrainings,
     TrainingSchedule,
+    TrainingWindows,
     step_weights,
     train,
 )
@@ -74,16 +74,16 @@ def test_a_folded_network_takes_raw_inputs():
 def members(dataset):
     mirror = Mirror.of(dataset.system, ["steer"])
     rng = np.random.default_rng(0)
-    return LaggedMembers(dataset, (1, 3), hidden=[7, 6], members=2, further=1, mirror=mirror, rng=rng)
+    return DifferenceNetworks(dataset, (1, 3), hidden=[7, 6], members=2, further=1, mirror=mirror, rng=rng)
 
 
 def flow(dataset):
-    return Flow(dataset, (2, 1), hidden=[7], rng=np.random.default_rng(0))
+    return OdeSimulation(dataset, (2, 1), hidden=[7], rng=np.random.default_rng(0))
 
 
 def hybrid(dataset):
-    model = Flow(dataset, (0, 2), hidden=[5], rng=np.random.default_rng(0))
-    model.know(CarPhysics((0, 1, 2, 0, 1)), HybridOde.initial)
+    model = OdeSimulation(dataset, (0, 2), hidden=[5], rng=np.random.default_rng(0))
+    model.know(CarRateGradient((0, 1, 2, 0, 1)), HybridOde.initial)
     return model
 
 
@@ -101,7 +101,7 @@ def test_the_gradient_of_a_free_run_is_its_derivative(make, record):
     dataset, rng = record(), np.random.default_rng(3)
     model = make(dataset)
     count, size = model.parameters.shape
-    shots = Shots.of(dataset, 6, model.layout.history)
+    shots = TrainingWindows.of(dataset, 6, model.layout.history)
     batch = Batches([shots] * count, model.layout.history).of(rng.integers(0, len(shots), (count, 9)), 6)
     batch = model.augmented(batch, rng)
     weights = rng.standard_normal((6, count, 9, dataset.system.nx)).astype(np.float32)
@@ -121,21 +121,21 @@ def test_the_gradient_of_a_free_run_is_its_derivative(make, record):
 def test_what_was_trained_is_what_steps(family, car_data, monkeypatch):
     """Its free runs over the held-out windows, in single precision, are those of the fitted model."""
     seen = []
-    learn = StandardisedModel.learn
+    learn = DifferentiableSimulation.learn
 
     def watched(self, *arguments):
         learned = learn(self, *arguments)
         seen.append((self, learned[0]))
         return learned
 
-    monkeypatch.setattr(StandardisedModel, "learn", watched)
+    monkeypatch.setattr(DifferentiableSimulation, "learn", watched)
     small = {"hidden": [8], "one_step_updates": 40, "updates": 20, "horizon": 4, "state_lags": 1, "control_lags": 2}
     model = make_model(family, **small, **({"members": 1} if family == "mlp_ensemble" else {}))
     model.fit(car_data, rng=0)
     trained, trained.parameters = seen[-1]
     trained.as_recorded()
     windows = car_data.windows(5, stride=20, history=2)
-    shots = Shots.at(car_data, windows.episode, windows.start, 5)
+    shots = TrainingWindows.at(car_data, windows.episode, windows.start, 5)
     found = trained.run(Batches([shots], 2).of([np.arange(len(shots))], 5))
     expected = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     np.testing.assert_allclose(np.moveaxis(found[:, 0], 0, 1), expected, atol=2e-4)
@@ -157,7 +157,7 @@ def test_the_former_name_is_the_family_with_lags_also_of_a_model_stored_under_it
 
 def test_the_rotation_of_the_frame_alone_keeps_the_speed(car):
     state = np.array([[1.0, 0.2, 3.0]])
-    after = rk4(car.turning, state, 0.05)
+    after = rk4(car.frame_rotation, state, 0.05)
     assert np.hypot(*after[0, :2]) == pytest.approx(np.hypot(1.0, 0.2), abs=1e-6)
 
 
@@ -243,11 +243,11 @@ def same(one, other):
 def test_every_parameter_learns_and_the_model_stays_what_it_was(family, training, there):
     model = make_model(family, **FAMILIES[family]).fit(training, rng=0)
     before = learned(model)
-    further = model.trained_further(there, 3, rng=np.random.default_rng(1))
+    further = model.fine_tuned(there, 3, rng=np.random.default_rng(1))
     assert type(further) is type(model)
     assert further is not model
     assert further.lags == model.lags
-    after, again = (learned(one) for one in (further, model.trained_further(there, 3, rng=np.random.default_rng(1))))
+    after, again = (learned(one) for one in (further, model.fine_tuned(there, 3, rng=np.random.default_rng(1))))
     assert not any(same(after[name], before[name]) for name in before)
     assert all(same(after[name], again[name]) for name in before)
     assert all(same(learned(model)[name], before[name]) for name in before)
@@ -259,7 +259,7 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
 ):
     plans, signs = [], []
     model = make_model(family, **FAMILIES[family]).fit(training, rng=0)
-    original = StandardisedModel.learn_further
+    original = DifferentiableSimulation.learn_further
 
     def remembered(self, dataset, plan, trainings):
         plans.append(plan)
@@ -267,8 +267,8 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
         assert dataset is there
         return original(self, dataset, plan, trainings)
 
-    monkeypatch.setattr(StandardisedModel, "learn_further", remembered)
-    model.trained_further(there, 7, rng=np.random.default_rng(1))
+    monkeypatch.setattr(DifferentiableSimulation, "learn_further", remembered)
+    model.fine_tuned(there, 7, rng=np.random.default_rng(1))
     (plan,) = plans
     assert (plan.one_step_updates, plan.updates, plan.horizon) == (5, 2, 5)
     assert plan.learning_rate == TrainingSchedule(1, 1, 1).learning_rate
@@ -283,9 +283,9 @@ def test_left_turns_teach_something_of_right_turns(family, training, monkeypatch
     controls = np.repeat(rng.uniform([0.3, 0.2], 1.0, (steps // 5, 2)), 5, axis=0)
     left = recorded(other, controls)
     right = recorded(other, controls * [1.0, -1.0])
-    seen_in_the_mirror = model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+    seen_in_the_mirror = model.fine_tuned(left, 200, rng=np.random.default_rng(0)).score(right)
     monkeypatch.setattr(Mirror, "of", lambda *_: None)
-    assert seen_in_the_mirror > 0.93 * model.trained_further(left, 200, rng=np.random.default_rng(0)).score(right)
+    assert seen_in_the_mirror > 0.93 * model.fine_tuned(left, 200, rng=np.random.default_rng(0)).score(right)
 
 
 def recorded(car, controls):
@@ -301,12 +301,12 @@ def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(trai
     network = make_model("mlp_ensemble", **FAMILIES["mlp_ensemble"]).fit(training, rng=rng)
     linear = make_model("auto", candidates=["linear"], folds=2).fit(training, rng=rng)
     mean = linear.of([network, linear.members_[0]], np.array([0.25, 0.75]))
-    further = mean.trained_further(there, 2, rng=rng)
+    further = mean.fine_tuned(there, 2, rng=rng)
     np.testing.assert_array_equal(further.weights_, [0.25, 0.75])
     assert further.members_[1] is linear.members_[0]
     assert further.members_[0] is not network
     assert (further.members_[0].weights_[0] != network.weights_[0]).any()
-    assert linear.trained_further(there, 2, rng=rng) is None
+    assert linear.fine_tuned(there, 2, rng=rng) is None
     assert mean.members_[0] is network
 
 
@@ -343,9 +343,9 @@ class Drifting:
 
 def test_training_follows_the_weights_of_the_steps():
     """The steps ask for p = 1 and p = 2; the first decides, though the second has the larger error."""
-    shots = Shots(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
+    shots = TrainingWindows(np.tile([[0.0], [1.0], [8.0]], (4, 1)), np.arange(0, 12, 3), 2)
     plan = TrainingSchedule(1, 300, 2, batch=4, learning_rate=0.05, weight_decay=0.0, input_noise=0.0, averaging=0.5)
     one = np.ones(1)
-    trainings = Trainings(np.random.default_rng(0))
+    trainings = ResumableTrainings(np.random.default_rng(0))
     found = train(Drifting(), [shots], plan, state_scale=one, change_scale=one, trainings=trainings)
     assert float(found[0, 0]) == pytest.approx(1.0, abs=0.1)

@@ -398,10 +398,10 @@ def test_a_cubic_equation_of_a_car_runs_free_for_a_whole_trial_without_diverging
     data = robot.record(seed=0, duration=duration).dataset
     model = make_model("sindy", degree=3, threshold=0.01, control_lags=0).fit(data)
     rng = np.random.default_rng(0)
-    start = model.pairs_[rng.integers(len(model.pairs_), size=100)][:, :3]
+    start = model.training_sample_[rng.integers(len(model.training_sample_), size=100)][:, :3]
     commands = model.system.actuate(rng.uniform(-1.0, 1.0, (100 * 50, 2))).reshape(100, 50, 2)
     runs = model.simulate(start[:, None], None, np.repeat(commands, 10, axis=1))
-    low, high = model.envelope_
+    low, high = model.state_bounds_
     assert ((runs > low) & (runs < high)).all()
     assert model.stability.escaped == 0.0
 

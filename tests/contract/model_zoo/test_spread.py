@@ -7,7 +7,7 @@ import pytest
 
 from evaluation.prediction import Coverage, PredictionProtocol, measured_cases, score_model
 from evaluation.prediction.scores import ModelPrediction
-from evaluation.report.sections.prediction import coverage_sheet, intervals_hold
+from evaluation.report.sections.prediction import coverage_sentence, coverage_table
 from evaluation.storage import load_result, save_result
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
@@ -20,7 +20,7 @@ SYSTEM = System((Channel("x"), Channel("y")), (Channel("u", low=-1.0, high=1.0),
 class Walk(DynamicsModel):
     """A random walk with steps of ``size``."""
 
-    envelope = None
+    state_bounds = None
 
     def __init__(self, *, size=1.0, stochastic=True):
         self.size = size
@@ -50,12 +50,12 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
     scores = {size: score_model("walk", model, cases, family="walk") for size, model in fitted.items()}
     assert [held.horizon for held in scores[1.0].coverage] == [1, 10, 20, 60]
     for held in scores[1.0].coverage:
-        assert held.honest
+        assert held.calibrated
         np.testing.assert_allclose(held.inside, 0.9, atol=0.07)
     assert all(held.mean < 0.6 for held in scores[0.4].coverage)
     quiet = score_model("walk", fitted[1.0].variant(stochastic=False), cases, family="walk")
     assert quiet.coverage == ()
-    assert [score.n for score in quiet.at] == [score.n for score in scores[1.0].at]
+    assert [score.n for score in quiet.scores] == [score.n for score in scores[1.0].scores]
     save_result(scores[1.0], tmp_path / "walk")
     loaded = load_result(ModelPrediction, tmp_path / "walk")
     assert [held.mean for held in loaded.coverage] == [held.mean for held in scores[1.0].coverage]
@@ -74,9 +74,9 @@ def test_intervals_that_do_not_hold_what_they_should_are_said_in_words(shares, s
     made_up = prediction({"persistence": 0.9, "linear": 0.3})
     held = tuple(Coverage(h, 100, 0.9, np.full(3, share)) for h, share in zip((1, 20), shares, strict=False))
     model = replace(made_up.model("linear"), coverage=held)
-    found = intervals_hold(made_up, model)
+    found = coverage_sentence(made_up, model)
     assert (said in found) if said else found == ""
-    sheet = coverage_sheet(replace(made_up, models=(made_up.models[0], model)))
+    sheet = coverage_table(replace(made_up, models=(made_up.models[0], model)))
     assert (sheet is None) is (not shares)
     if sheet is not None and shares[1] == 0.6:
         assert any(cell.startswith("! 60") for cell in sheet.rows[0])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from model_zoo.state_space import estimation
-from model_zoo.state_space.estimation import Lesson, observer, radius, stabilised
+from model_zoo.state_space.estimation import EstimationProblem, observer, radius, stabilised
 from model_zoo.state_space.nonlinear_state_space import networks
-from model_zoo.state_space.recordings import ScaledEpisode, Segments
-from model_zoo.state_space.shooting import FAR, Spaces, train
+from model_zoo.state_space.recordings import ScaledEpisode, ShootingWindows
+from model_zoo.state_space.shooting import FAR, StateSpaceBatch, train
 from model_zoo.state_space.subspace import flowing
 from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
 from sysid_evo.data import Dataset
@@ -20,7 +20,7 @@ from tests.fixtures.systems import OSCILLATOR, OUTPUT_ONLY, chain, one_output
 def spaces(*, flow=False):
     rng, kinds = np.random.default_rng(0), [[kind, UNITS.index("gate"), UNITS.index("smooth")] for kind in range(4)]
     outer, inner = 0.3 * rng.standard_normal((4, 2, 7)), rng.standard_normal((4, 3, 4))
-    return Spaces(outer, inner, np.array([0.3, 0.2]), np.array(kinds), flow)
+    return StateSpaceBatch(outer, inner, np.array([0.3, 0.2]), np.array(kinds), flow)
 
 
 FORMS = pytest.mark.parametrize("flow", [False, True], ids=["step by step", "differential equation"])
@@ -28,14 +28,14 @@ FORMS = pytest.mark.parametrize("flow", [False, True], ids=["step by step", "dif
 
 def linear_growth(rate):
     """Return a space of one state that grows by ``rate`` a step."""
-    return Spaces.linear(np.array([[[rate, 0.1, 0.0]]]), np.ones(1))
+    return StateSpaceBatch.linear(np.array([[[rate, 0.1, 0.0]]]), np.ones(1))
 
 
 @FORMS
 def test_derivatives_are_those_of_finite_differences(flow):
     """By every parameter and every initial state, of each kind of unit."""
     many, rng = spaces(flow=flow), np.random.default_rng(1)
-    segments = Segments(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
+    segments = ShootingWindows(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
     starts = rng.standard_normal((2, 2))
     flat, step = many.flat, 1e-6
     for s in range(len(many)):
@@ -55,7 +55,7 @@ def test_derivatives_are_those_of_finite_differences(flow):
 
 def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not():
     """A bound has no slope, and training would stop at it."""
-    growing, segments = linear_growth(0.5), Segments(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
+    growing, segments = linear_growth(0.5), ShootingWindows(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
     outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), segments)
     np.testing.assert_allclose(outputs[0, :, 0], 10.0 * 1.5 ** np.arange(7))
     np.testing.assert_allclose(derivatives[0, :, 0, -1], 1.5 ** np.arange(7))
@@ -78,10 +78,10 @@ def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference(
 
 def test_training_finds_the_space_that_made_the_data():
     rng, outer = np.random.default_rng(2), np.array([[[-0.5, 1.0, 0.3, 0.1], [-1.0, -0.5, 0.5, 0.0]]])
-    true = Spaces.linear(outer, np.array([0.3, 0.2]))
+    true = StateSpaceBatch.linear(outer, np.array([0.3, 0.2]))
     controls = rng.standard_normal((1, 200, 1))
     outputs = true.run(np.zeros((1, 1, 2)), controls)[0, :, :, :1]
-    segments = Segments.of([ScaledEpisode(outputs[0], controls[0])], 50)
+    segments = ShootingWindows.of([ScaledEpisode(outputs[0], controls[0])], 50)
     off = true.with_flat(true.flat + 0.05 * rng.standard_normal(true.flat.shape))
     starts = np.zeros((1, len(segments), 2))
     starts[..., 0] = segments.outputs[:, 0, 0]
@@ -92,7 +92,10 @@ def test_training_finds_the_space_that_made_the_data():
 def test_a_differential_equation_steps_as_the_linear_space_it_was_made_of():
     """To the error of the Runge-Kutta method, which is small for what changes little in a sample."""
     rates = np.array([[-0.02, 0.1, 0.05, 0.01], [-0.1, -0.05, 0.02, 0.0]])
-    steps, flows = Spaces.linear(rates[None], np.ones(2)), Spaces.linear(flowing(rates)[None], np.ones(2), flow=True)
+    steps, flows = (
+        StateSpaceBatch.linear(rates[None], np.ones(2)),
+        StateSpaceBatch.linear(flowing(rates)[None], np.ones(2), flow=True),
+    )
     rng = np.random.default_rng(0)
     starts, controls = rng.standard_normal((1, 2, 2)), rng.standard_normal((2, 50, 1))
     np.testing.assert_allclose(flows.run(starts, controls), steps.run(starts, controls), atol=1e-6)
@@ -100,20 +103,20 @@ def test_a_differential_equation_steps_as_the_linear_space_it_was_made_of():
 
 
 def test_a_mode_that_no_differential_equation_has_becomes_one_that_decays_fast():
-    flipping = Spaces.linear(flowing(np.array([[-1.8, 0.1, 0.0]]))[None], np.ones(1), flow=True)
+    flipping = StateSpaceBatch.linear(flowing(np.array([[-1.8, 0.1, 0.0]]))[None], np.ones(1), flow=True)
     assert radius(flipping) < 0.6
     fixed = flipping.run(np.zeros((1, 1, 1)), np.ones((1, 60, 1)))[0, 0, -1, 0]
     assert fixed == pytest.approx(0.1 / 1.8)
 
 
 def test_a_differential_equation_that_grows_is_brought_back():
-    growing = Spaces.linear(np.array([[[0.2, 1.0, 0.0, 0.0], [-1.0, 0.2, 0.1, 0.0]]]), np.ones(2), flow=True)
+    growing = StateSpaceBatch.linear(np.array([[[0.2, 1.0, 0.0, 0.0], [-1.0, 0.2, 0.1, 0.0]]]), np.ones(2), flow=True)
     assert radius(growing) > 1.15
     assert radius(stabilised(growing)) == pytest.approx(0.999, abs=0.01)
 
 
 def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit():
-    lesson = Lesson.of(one_output(0, bend=0.03), 100)
+    lesson = EstimationProblem.of(one_output(0, bend=0.03), 100)
     linear = lesson.linear_trained(2, 3, 3, lambda: None)
     begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
     trained = lesson.learned(begun, lesson.blank(lesson.short, begun), 3, lambda: None).spaces
@@ -126,7 +129,7 @@ def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit():
 
 def test_the_first_guess_of_the_states_does_not_depend_on_how_often_the_data_are_there():
     rng = np.random.default_rng(0)
-    space = Spaces.linear(np.array([[[0.9, 0.1, 0.1, 0.0], [0.0, 0.8, 0.2, 0.0]]]), np.ones(2))
+    space = StateSpaceBatch.linear(np.array([[[0.9, 0.1, 0.1, 0.0], [0.0, 0.8, 0.2, 0.0]]]), np.ones(2))
     parts = [ScaledEpisode(rng.standard_normal((61, 1)), rng.standard_normal((60, 1)))]
     runs = rng.standard_normal((20, 2))
     once, twice = (observer(space, np.tile(runs, (n, 1)), np.tile(runs[:, :1], (n, 1)), parts).first for n in (1, 2))
@@ -138,7 +141,7 @@ def test_a_sample_counts_once_whatever_the_segments():
         ScaledEpisode(np.arange(11.0)[:, None], np.zeros((10, 1))),
         ScaledEpisode(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
     ]
-    segments = Segments.of(parts, 4)
+    segments = ShootingWindows.of(parts, 4)
     assert segments.rows(segments.outputs)[:, 0].tolist() == [*range(11), *range(20, 25)]
     assert segments.rows(segments.outputs)[segments.begins, 0].tolist() == segments.outputs[:, 0, 0].tolist()
 
@@ -151,11 +154,11 @@ def test_an_unstable_space_is_found_and_brought_back():
 
 
 def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_does_not():
-    lesson = Lesson.of(one_output(0), 100)
+    lesson = EstimationProblem.of(one_output(0), 100)
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     growing = trained.spaces.outer.copy()
-    growing[0, 0, 0] += 0.5 / trained.spaces.pace[0]
-    both = Spaces.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.pace)
+    growing[0, 0, 0] += 0.5 / trained.spaces.rate_scale[0]
+    both = StateSpaceBatch.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.rate_scale)
     assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
 
 
@@ -181,7 +184,7 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
 
     Of a sharp unit, |s| / 2, and of s / 2 beside it a ramp is made.
     """
-    lesson, steep = Lesson.of(data, 100), 4.0
+    lesson, steep = EstimationProblem.of(data, 100), 4.0
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     observers = lesson.observers(trained) * 3
     three = networks(trained.spaces, [(SHARP,)] * 3, 1, np.random.default_rng(0))
@@ -197,17 +200,17 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
 
 
 def test_a_space_that_says_what_no_other_says_is_astray():
-    lesson = Lesson.of(one_output(0), 100)
+    lesson = EstimationProblem.of(one_output(0), 100)
     trained = lesson.linear_trained(2, 3, 3, lambda: None)
     outer = trained.spaces.outer.repeat(3, axis=0)
     outer[2, :, 2] *= 1.3
-    three = Spaces.linear(outer, trained.spaces.pace)
+    three = StateSpaceBatch.linear(outer, trained.spaces.rate_scale)
     assert lesson.escapes(three, lesson.observers(trained) * 3).tolist() == [False, False, True]
 
 
 def test_a_space_that_runs_away_is_trained_without_a_warning():
     steps = 700
-    segments = Segments(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
+    segments = ShootingWindows(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         train(linear_growth(1.0), segments, np.ones((1, 1, 1)), 2)
@@ -260,7 +263,7 @@ def test_samples_repeated_before_the_first_are_no_history(linear):
 
 
 def test_rest_is_left_by_a_control_and_kept_without(linear):
-    held = linear.variant(rest_hold=True)
+    held = linear.variant(dead_band=True)
     rest = held.start(np.zeros((1, held.n_lags + 1, 1)), np.zeros((1, held.n_lags, 1)))
     for control, moves in ((0.0, False), (1.0, True)):
         assert np.array_equal(held.step(rest, np.array([[control]])), rest) != moves

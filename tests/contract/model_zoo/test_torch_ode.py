@@ -11,10 +11,10 @@ from torchdiffeq import odeint
 
 from model_zoo.features import Features
 from model_zoo.networks.network import Layers, random_network
-from model_zoo.networks.neural_ode import Flow
+from model_zoo.networks.neural_ode import OdeSimulation
 from model_zoo.networks.torch_ode import TorchOde
 from model_zoo.networks.torch_training import Equation, Turning, seen
-from model_zoo.networks.training import Batches, Shots
+from model_zoo.networks.training import Batches, TrainingWindows
 from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument, ShapeError
 from sysid_evo.models import load_model, save_model
@@ -102,7 +102,7 @@ def test_numpy_torch_and_adaptive_steps_agree(data):
 
 def test_the_adjoint_equation_gives_the_gradients_of_the_steps(data):
     model = fitted(data)
-    shots = Shots.of(data, 4, 0)
+    shots = TrainingWindows.of(data, 4, 0)
     samples = np.moveaxis(Batches([shots], 0).of([np.arange(9)], 4)[:, 0], 0, 1).astype(np.float64)
     states, controls = torch.from_numpy(samples[..., :3]), torch.from_numpy(samples[..., 3:])
     found = []
@@ -159,8 +159,8 @@ def test_the_gradient_of_a_flow_by_hand_is_that_of_torch_through_torchdiffeq(dat
     """Through free runs of five steps. torchdiffeq's rk4 is the 3/8 rule, so dt is short."""
     system = data.system.with_dt(0.01)
     dataset = Dataset.from_arrays(system, [e.states for e in data], [e.controls for e in data])
-    flow = Flow(dataset, (0, 1), hidden=[5, 4], rng=np.random.default_rng(0))
-    shots = Shots.of(dataset, 5, 1)
+    flow = OdeSimulation(dataset, (0, 1), hidden=[5, 4], rng=np.random.default_rng(0))
+    shots = TrainingWindows.of(dataset, 5, 1)
     samples = Batches([shots], 1).of([np.arange(0, 70, 7)], 5)
     weights = np.random.default_rng(1).standard_normal((5, 1, 10, 3)).astype(np.float32)
     states = flow.run(samples)

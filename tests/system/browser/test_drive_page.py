@@ -12,12 +12,12 @@ from playwright.sync_api import Error, expect
 
 from hardware.connection import Listener
 from hardware.driving.controller_driving import ControllerPanel, readings
-from hardware.driving.hand_driving import HandDriving, Instruments
-from hardware.driving.keyboard import HOLD, Keyboard, key_life
+from hardware.driving.hand_driving import HandDriving, HandPanel
+from hardware.driving.keyboard import HOLD, Keyboard, key_validity
 from hardware.driving.page_messages import Phase, as_text, keys_message
 from hardware.driving.server import PageServer
 from hardware.emulation.simulated_robot import in_real_time
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from tests.fixtures.browser import seen, sideways
@@ -48,22 +48,22 @@ class Session(Listener):
     def __init__(self, horizon):
         self.robot = in_real_time(make_robot("emulated_car"))
         task = PointToPoint(horizon=horizon).bind(self.robot.system)
-        self.keyboard = keyboard = Heard(life=key_life(self.robot.system))
+        self.keyboard = keyboard = Heard(life=key_validity(self.robot.system))
         self.sent = []
         self.trials = []
-        self.stops = Stops()
-        instruments = Instruments(self.robot, task, keyboard)
-        self.page = PageServer(instruments, keyboard, host="127.0.0.1", port=0, died=lambda _: None)
+        self.stops = StopRequest()
+        instruments = HandPanel(self.robot, task, keyboard)
+        self.page = PageServer(instruments, keyboard, host="127.0.0.1", port=0, on_server_end=lambda _: None)
         options = {"seed_of": lambda index: index, "stops": self.stops, "recorder": lambda *_: self}
         self._driving = HandDriving(self.robot, task, keyboard, instruments, **options)
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
 
-    def commanded(self, command):
+    def on_command(self, command):
         self.sent.append(command)
 
     def end(self):
-        self.stops.request(Reason.SIGTERM)
+        self.stops.request(StopReason.SIGTERM)
         self._thread.join()
         self.page.close()
 
@@ -277,7 +277,7 @@ def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(visit
     panel = ControllerPanel(robot, task, "best")
     shown, scene = readings(task, SEEDS[:1], rollouts.trajectories[0], 1), task.scene(task.begin(SEEDS[:1]), 0)
     panel.show(shown[0], scene)
-    with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, died=print) as server:
+    with PageServer(panel, Keyboard(life=1.0), host="127.0.0.1", port=0, on_server_end=print) as server:
         page = visitor.open(server.url, width=size[0], height=size[1])
         expect(page.locator("#banner")).to_have_text("best drives")
         before = seen(page)
@@ -310,7 +310,7 @@ def test_a_wrong_message_ends_the_conversation_and_the_page_says_why(visitor, mo
     monkeypatch.setattr(f"hardware.driving.{where}", says)
     task, _ = simulated("swing_up(horizon=30)", "pendulum")
     panel, keyboard = ControllerPanel("pendulum", task, "best"), Keyboard(life=1.0)
-    with PageServer(panel, keyboard, host="127.0.0.1", port=0, died=print) as server:
+    with PageServer(panel, keyboard, host="127.0.0.1", port=0, on_server_end=print) as server:
         page = visitor.open(server.url)
         expect(page.locator("#banner")).to_have_text(sentence)
         expect(page.locator("#page")).to_have_text("not connected")

@@ -32,7 +32,7 @@ def pages(report_page, tmp_path_factory):
     """The page of a run, of one with a long name in it, and of a study."""
     folder = tmp_path_factory.mktemp("pages")
     long = chosen.make_report({LONG: fitted(Known()), "sliding": fitted(Sliding())})
-    study = save_study(made_up(recipe=["recommended", "plain"]), folder)
+    study = save_study(made_up(procedure=["recommended", "plain"]), folder)
     return {"run": report_page, "long": save_report(long, folder)[1], "study": study[-1]}
 
 

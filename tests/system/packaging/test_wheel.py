@@ -31,10 +31,10 @@ models = ["linear"]
 minutes = 0.5
 generations = 2
 trials = 2
-polish = 1
+polish_generations = 1
 transfer_trials = 5
 traces = 0
-yardstick = false
+reference = false
 task = "point_to_point(horizon=100)"
 
 [grid]
@@ -201,7 +201,17 @@ def test_a_plugin_that_is_installed_beside_the_wheel_is_found_by_its_entry_point
     listed = bare.python("-m", "sysid_evo", "models", "list")
     assert re.search(r"\bvisitor\b", listed.stdout), listed.stderr
     compared = bare.python(
-        "-m", "sysid_evo", "compare", "--models", "visitor", "--only", "prediction", "--minutes", "0.5", "--out", "seen"
+        "-m",
+        "sysid_evo",
+        "compare",
+        "--models",
+        "visitor",
+        "--stop-after",
+        "prediction",
+        "--minutes",
+        "0.5",
+        "--out",
+        "seen",
     )
     assert compared.returncode == 0, compared.stderr
     report = json.loads((bare.work / "seen" / "report.json").read_text(encoding="utf-8"))

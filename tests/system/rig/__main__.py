@@ -22,7 +22,7 @@ import numpy as np
 from hardware.emulation.cars import emulated_car
 from tests.system.rig.board import Board
 from tests.system.rig.faults import KINDS, Fault, FaultSchedule
-from tests.system.rig.journal import JournalWriter
+from tests.system.rig.journal import RigLogWriter
 from tests.system.rig.moving_car import MovingCar
 from tests.system.rig.pose_stream import PoseStream
 from tests.system.rig.pseudo_port import PseudoPort
@@ -40,7 +40,7 @@ def main() -> None:
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
     with tempfile.TemporaryDirectory(prefix="terminal-car-") as folder, contextlib.ExitStack() as open_things:
         port = PseudoPort(options.port or Path(folder) / "port")
-        journal = JournalWriter(options.journal)
+        journal = RigLogWriter(options.journal)
         open_things.callback(journal.close)
         start = time.monotonic()
         faults = FaultSchedule([Fault(**json.loads(entry)) for entry in options.fault], start)

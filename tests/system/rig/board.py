@@ -11,7 +11,7 @@ from hardware.link.framing import FrameDecoder, encode
 from hardware.link.messages import HelloAcknowledgement, unpack
 from tests.system.rig.core import FirmwareCore
 from tests.system.rig.faults import FaultSchedule
-from tests.system.rig.journal import JournalWriter
+from tests.system.rig.journal import RigLogWriter
 from tests.system.rig.pseudo_port import PseudoPort
 from tests.system.rig.wire import Wire
 
@@ -26,7 +26,7 @@ class Board:
     """
 
     def __init__(
-        self, port: PseudoPort, faults: FaultSchedule, journal: JournalWriter, rng: np.random.Generator
+        self, port: PseudoPort, faults: FaultSchedule, journal: RigLogWriter, rng: np.random.Generator
     ) -> None:
         self.buttons = 0
         self._port = port

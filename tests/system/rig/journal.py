@@ -21,7 +21,7 @@ class Entry:
     value: Any
 
 
-class JournalWriter:
+class RigLogWriter:
     """Appends one JSON line for each event, unbuffered, so that nothing written is lost with the process.
 
     Events are "start", "buttons" (an int, bits as in a command), "in" and "out" (bytes that have
@@ -42,7 +42,7 @@ class JournalWriter:
             self._file = -1
 
 
-class JournalReader:
+class RigLogReader:
     """Follows a journal that is still being written; ``entries`` are all that have been read."""
 
     def __init__(self, path: str | Path) -> None:
@@ -67,7 +67,7 @@ class JournalReader:
 
 def read_journal(path: str | Path) -> list[Entry]:
     """Return the entries of a journal."""
-    return JournalReader(path).update()
+    return RigLogReader(path).update()
 
 
 def buttons_at(entries: list[Entry], time: float) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from hardware.connection import Measurement
-from hardware.emulation.tracked_robots import EmulatedRobot
+from hardware.emulation.tracked_robots import TrackedRobot
 from sysid_evo.types import Array
 
 MOST_BEHIND = 1.0  # s: a process that was stopped for longer goes on from now, instead of catching up
@@ -20,7 +20,7 @@ class MovingCar:
     longest that a step has waited, in s.
     """
 
-    def __init__(self, car: EmulatedRobot, *, seed: int, start: float) -> None:
+    def __init__(self, car: TrackedRobot, *, seed: int, start: float) -> None:
         self._connection = car.connect(seed=seed)
         self._dt = car.physics.system.dt
         self._origin = start

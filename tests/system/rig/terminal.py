@@ -8,10 +8,10 @@ import select
 import time
 
 from hardware.link.messages import Buttons
-from hardware.link.serial_robot import control_of
+from hardware.link.serial_robot import control_of_buttons
 from tests.system.rig.board import Board
 from tests.system.rig.faults import Fault, FaultSchedule
-from tests.system.rig.journal import JournalWriter
+from tests.system.rig.journal import RigLogWriter
 from tests.system.rig.moving_car import MovingCar
 from tests.system.rig.pose_stream import PoseStream
 from tests.system.rig.pseudo_port import PseudoPort
@@ -30,7 +30,7 @@ class Terminal:
         car: MovingCar,
         poses: PoseStream,
         faults: FaultSchedule,
-        journal: JournalWriter,
+        journal: RigLogWriter,
     ) -> None:
         self._port, self._board, self._car, self._poses = port, board, car, poses
         self._faults, self._journal = faults, journal
@@ -50,7 +50,7 @@ class Terminal:
                 break
             self._board.switch(now)
             self._board.talk(now)
-            for frame in self._car.move(now, control_of(Buttons(self._board.buttons))):
+            for frame in self._car.move(now, control_of_buttons(Buttons(self._board.buttons))):
                 self._poses.add(frame)
             self._poses.send(now)
         figures = {"frames": self._car.frames, "given_up": self._car.given_up, "lateness": self._car.lateness}

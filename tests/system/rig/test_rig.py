@@ -15,7 +15,7 @@ from hardware.emulation.cars import emulated_car
 from hardware.trackers.udp import parse_message
 from sysid_evo.errors import InvalidArgument, InvalidData
 from tests.system.rig.faults import KINDS, Fault, FaultSchedule
-from tests.system.rig.journal import Entry, JournalReader, JournalWriter, buttons_at, opened_after, read_journal
+from tests.system.rig.journal import Entry, RigLogReader, RigLogWriter, buttons_at, opened_after, read_journal
 from tests.system.rig.moving_car import MOST_BEHIND, MovingCar
 from tests.system.rig.pose_stream import OTHER_BODY, OTHER_POSE, PoseStream
 from tests.system.rig.pseudo_port import PseudoPort
@@ -71,7 +71,7 @@ PRESSES = [Entry(1.0, "buttons", 1), Entry(2.0, "buttons", 5), Entry(3.0, "butto
 
 def test_a_journal_comes_back_in_order_and_a_reader_follows_it(tmp_path):
     path = tmp_path / "journal"
-    writer, reader = JournalWriter(path), JournalReader(path)
+    writer, reader = RigLogWriter(path), RigLogReader(path)
     for count, entry in enumerate(PRESSES):
         assert reader.update() == PRESSES[:count]
         writer.note(entry.time, entry.event, entry.value)

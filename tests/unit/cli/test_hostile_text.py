@@ -8,9 +8,9 @@ import pytest
 from evaluation import load_measured
 from sysid_evo.cli import console, progress
 from sysid_evo.cli.console import Printer
-from sysid_evo.cli.progress import Bars
+from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.errors import UNSEEN
-from sysid_evo.progress import shown
+from sysid_evo.progress import progress_bar
 from tests.fixtures.commands import run_here
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e[link=file:///]:boom:"
@@ -110,7 +110,7 @@ def test_bars_show_titles_and_remarks_as_text(monkeypatch, capsys):
     written = io.StringIO()
     for module in (console, progress):
         monkeypatch.setattr(module, "err", Printer(file=written, force_terminal=True, width=200))
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin(EVIL)
         bars.advance(1, 2, EVIL)
         bars._bars.refresh()
@@ -119,6 +119,6 @@ def test_bars_show_titles_and_remarks_as_text(monkeypatch, capsys):
     assert "]0;owned[2J31m[link=file:///]:boom:" in said
     for command in ("\x1b]", "\x07", "\x1b[2J\x9b", "\u202e"):
         assert command not in said
-    with shown(EVIL) as update:
+    with progress_bar(EVIL) as update:
         update(1, 2, EVIL)
     assert not unseen(capsys.readouterr().err)

@@ -18,12 +18,12 @@ ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": 
 NEEDED = {"tune": ["--data", "car"], "import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"],
           "record": ["--out", "new"], "evolve": ["--against", "linear"], "transfer": ["--on", "linear"],
           "export": ["--to", "c"]}  # fmt: skip
-VALUES = {"only": "prediction", "recipe": "plain", "to": "python"}
+VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python"}
 
-OF_CONTROLLERS = ("aggregate", "by-hand", "caution", "controller", "ensembles", "estimator-delay", "generations",
-                  "noise", "recipe", "runs", "schedule", "strategy", "task", "trials", "yardstick")  # fmt: skip
+OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
+                  "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference")  # fmt: skip
 TOGETHER = {
-    "compare": {("only", name) for name in OF_CONTROLLERS} | {("data", "minutes"), ("scheduler", "jobs")},
+    "compare": {("stop-after", name) for name in OF_CONTROLLERS} | {("data", "minutes"), ("scheduler", "jobs")},
     "fit": {("scheduler", "jobs")},
     "evolve": {("scheduler", "jobs")},
     "study": {("scheduler", "jobs"), ("render", "jobs"), ("render", "scheduler"), ("render", "dry-run")},
@@ -98,12 +98,12 @@ def test_an_option_that_needs_another_is_refused_without_it(command, option, nee
 @pytest.mark.parametrize(
     ("settings", "both"),
     [
-        ({"only": "prediction", "task": "point_to_point"}, ("task", "only = 'prediction'")),
-        ({"only": "fit", "held_back": 0.5}, ("held_back", "only = 'fit'")),
+        ({"stop_after": "prediction", "task": "point_to_point"}, ("task", "stop_after = 'prediction'")),
+        ({"stop_after": "fit", "held_out": 0.5}, ("held_out", "stop_after = 'fit'")),
         ({"minutes": 2.0}, ("minutes", "data")),
-        ({"only": "prediction", "robot": "emulated_car"}, ("robot", "data")),
-        ({"test": ("episode-2",), "held_back": 0.5}, ("held_back", "test")),
-        ({"recipe": "plain", "polish": 20}, ("polish", "recipe = 'plain'")),
+        ({"stop_after": "prediction", "robot": "emulated_car"}, ("robot", "data")),
+        ({"test": ("episode-2",), "held_out": 0.5}, ("held_out", "test")),
+        ({"procedure": "plain", "polish_generations": 20}, ("polish_generations", "procedure = 'plain'")),
     ],
 )
 def test_the_plan_refuses_settings_from_python_and_names_both(settings, both, tmp_path):
@@ -116,14 +116,16 @@ def test_the_plan_refuses_settings_from_python_and_names_both(settings, both, tm
 def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call, stored_data):
     (call.folder / "whole.toml").write_text('models = ["linear"]\ntask = "point_to_point(horizon=40)"\n')
     planned = call.works(
-        "compare", "--config", "whole.toml", "--data", stored_data, "--only", "prediction", "--dry-run"
+        "compare", "--config", "whole.toml", "--data", stored_data, "--stop-after", "prediction", "--dry-run"
     )
     assert "evolve" not in planned.stdout
-    (call.folder / "part.toml").write_text('only = "prediction"\n')
+    (call.folder / "part.toml").write_text('stop_after = "prediction"\n')
     ended = call.refused("compare", "--config", "part.toml", "--data", stored_data, "--task", "point_to_point")
-    assert ended.says("--task has no effect with --only prediction")
-    (call.folder / "both.toml").write_text('only = "prediction"\nminutes = 2\nruns = 3\n')
-    assert call("compare", "--config", "both.toml").says("both.toml: runs has no effect with only = 'prediction'")
+    assert ended.says("--task has no effect with --stop-after prediction")
+    (call.folder / "both.toml").write_text('stop_after = "prediction"\nminutes = 2\nrepeats = 3\n')
+    assert call("compare", "--config", "both.toml").says(
+        "both.toml: repeats has no effect with stop_after = 'prediction'"
+    )
 
 
 LOG = "time,angle,torque\n" + "".join(f"{0.05 * k:.2f},{(k % 7) / 7:.3f},{(k % 3) - 1}\n" for k in range(80))

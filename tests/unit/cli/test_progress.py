@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from sysid_evo.cli import console, progress
-from sysid_evo.cli.progress import Bars, duration
+from sysid_evo.cli.progress import PlanProgress, duration
 from tests.fixtures.cells import Number, number
 from tests.fixtures.robots import ManualClock
 
@@ -54,7 +54,7 @@ def finish(bars, *cells, reason=None):
 
 def test_on_a_terminal_of_80_columns_rate_time_left_and_remark_are_whole(shown, clock):
     written = shown(terminal=True)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin("evolve linear+nearest_neighbour+parametrised")
         bars.advance(1, 300, NOTE)
         clock.sleep(29.0)
@@ -70,7 +70,7 @@ def test_on_a_terminal_of_80_columns_rate_time_left_and_remark_are_whole(shown, 
 
 def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, clock):
     written = shown(terminal=True)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.plan(5, 0, 10.0)
         cells = [number(1, label="evolve linear+nearest_neighbour"), number(2, label="fit"), number(3, label="third")]
         for cell in cells:
@@ -96,7 +96,7 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, 
 
 def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown):
     written = shown(terminal=False)
-    with Bars("--out here") as bars:
+    with PlanProgress("--out here") as bars:
         cells = [resumable(1, label="a"), number(2, label="b"), number(3, label="c")]
         for cell in cells:
             bars.start(cell)
@@ -109,7 +109,7 @@ def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown):
 
 def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(shown):
     written = shown(terminal=False)
-    with Bars("--out here", elsewhere=True) as bars:
+    with PlanProgress("--out here", elsewhere=True) as bars:
         for i in range(6):
             bars.start(resumable(i, label=str(i)))
             bars.progress(resumable(i, label=str(i)), 3, 9)
@@ -121,7 +121,7 @@ def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(sho
 
 def test_without_a_terminal_a_line_now_and_then_says_the_same(shown, clock):
     written = shown(terminal=False)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin("evolve linear")
         for done, at in ((1, 0.0), (20, 9.9), (30, 10.1), (31, 12.0)):
             clock.now = at
@@ -139,7 +139,7 @@ def test_without_a_terminal_a_line_now_and_then_says_the_same(shown, clock):
 )
 def test_rate_and_time_left_are_those_since_the_first_step_that_was_told(first, done, seconds, said, shown, clock):
     written = shown(terminal=False)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.begin("fit linear")
         bars.advance(first, 300)
         clock.sleep(seconds)
@@ -154,7 +154,7 @@ def test_a_time_is_told_in_the_unit_that_fits(seconds, said):
 
 def test_the_time_left_of_all_cells_is_said_from_a_tenth_of_what_is_foreseen_on(shown):
     shown(terminal=True)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.plan(20, 0, 20.0)
         told = []
         for i in range(2):
@@ -170,7 +170,7 @@ def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
     cells = [
         Number(i, label=label).cell(group="" if label == "c" else f"count {label[0]}") for i, label in enumerate(labels)
     ]
-    with Bars(cells=cells) as bars:
+    with PlanProgress(cells=cells) as bars:
         bars.plan(6, 0, 6.0)
         for cell in cells[:-1]:
             bars.start(cell)
@@ -186,7 +186,7 @@ def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
 def test_cells_of_one_title_are_told_apart_by_where_they_are(shown):
     written = shown(terminal=False)
     cells = [number(1, label="a"), number(2, label="a")]
-    with Bars(where=lambda cell: f"car {cells.index(cell) + 1}: ") as bars:
+    with PlanProgress(where=lambda cell: f"car {cells.index(cell) + 1}: ") as bars:
         bars.plan(2, 0, 2.0)
         for cell in cells:
             bars.start(cell)
@@ -196,7 +196,7 @@ def test_cells_of_one_title_are_told_apart_by_where_they_are(shown):
 
 def test_many_cells_at_once_have_no_more_bars_than_a_terminal_has_lines(shown):
     shown(terminal=True)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         bars.plan(100, 0, 100.0)
         cells = [number(i) for i in range(20)]
         for cell in cells:
@@ -208,7 +208,7 @@ def test_many_cells_at_once_have_no_more_bars_than_a_terminal_has_lines(shown):
 
 def test_a_cell_that_begins_again_elsewhere_has_one_bar(shown):
     shown(terminal=True)
-    with Bars() as bars:
+    with PlanProgress() as bars:
         for _ in range(2):
             bars.start(number(1))
         assert len(bars._bars.tasks) == 1

@@ -151,7 +151,7 @@ def test_a_constant_controller_with_zeros_keeps_every_control_at_rest():
     controls = Channel("valve", low=0.0, high=4.0, neutral=1.0), Channel("side", levels=(-1.0, 0.0, 1.0))
     system = System((Channel("speed"),), controls, 0.1)
     law = make_controller("constant").bind_to(make_task("set_point(channels=speed)").bind(system))
-    assert law.hand_written
+    assert law.is_baseline
     raw = outputs(law, [0.0, 0.0], np.zeros((2, 3)))
     np.testing.assert_allclose(system.actuate(raw), [[1.0, 0.0]] * 2)
     np.testing.assert_allclose(system.actuate(outputs(law, [0.5, 9.0], np.zeros((1, 3)))), [[2.0, 1.0]])
@@ -161,7 +161,7 @@ def test_a_constant_controller_with_zeros_keeps_every_control_at_rest():
 def test_pursuit_drives_the_emulated_car_to_waypoints_as_it_was_made(backward):
     runner = DynamicsRunner(make_robot("emulated_car").dynamics)
     law = Pursuit(backward=backward)
-    assert law.hand_written
+    assert law.is_baseline
     fitness = runner.bind(law, make_task("point_to_point(horizon=200)"))(np.zeros((1, 4)), trial_seeds(5, 12)).fitness
     assert fitness.mean() > 3.8
 
@@ -177,10 +177,10 @@ def test_pursuit_leaves_other_controls_neutral():
 def test_outputs_made_from_controls_give_these_controls_or_the_nearest_legal_ones():
     legal = np.array([[-1.0, 0.0], [0.0, 1.0], [1.0, -1.0]])
     for system in (switched_car(), continuous_car()):
-        np.testing.assert_array_equal(system.actuate(system.raw_of(legal)), legal)
-    found = switched_car().raw_of(np.array([0.6, -7.0]))
+        np.testing.assert_array_equal(system.actuate(system.raw_output(legal)), legal)
+    found = switched_car().raw_output(np.array([0.6, -7.0]))
     np.testing.assert_array_equal(switched_car().actuate(found), [1.0, -1.0])
-    assert continuous_car().raw_of(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
+    assert continuous_car().raw_output(np.array([0.6, -7.0])) == pytest.approx([0.6, -1.0])
 
 
 @pytest.mark.parametrize("hidden, inputs, outputs", [(6, 5, 2), (1, 3, 1), (4, 1, 3)])

@@ -8,7 +8,7 @@ import pytest
 from sysid_evo import DynamicsRunner, make_controller, make_model
 from sysid_evo.controllers import View
 from sysid_evo.engine import rollout
-from sysid_evo.engine.imagined import Imagination
+from sysid_evo.engine.imagined import ImaginedTrials
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.models import Dynamics, save_model
 from sysid_evo.predictive_control import Predictive
@@ -70,14 +70,14 @@ def test_it_imagines_what_a_rollout_would_do():
     seeds = trial_seeds(3, 4)
     sequences = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 4, 25, 2))
     began = task.begin(seeds)
-    scores = Imagination(body, task).scores(began.state[:, None], np.zeros((4, 0, 2)), sequences, began)
+    scores = ImaginedTrials(body, task).scores(began.state[:, None], np.zeros((4, 0, 2)), sequences, began)
     for k in range(5):
         here, carry = began, began.state
         for step in range(25):
             after = body.step(carry, sequences[k, :, step])
             here, _ = task.advance(here, carry, after, control=sequences[k, :, step])
             carry = after
-        np.testing.assert_allclose(scores[k], task.fitness(here) + task.promise(here, carry))
+        np.testing.assert_allclose(scores[k], task.fitness(here) + task.potential(here, carry))
 
 
 class Exploding(Steered):
@@ -120,7 +120,7 @@ def test_it_does_not_know_the_waypoint_after_the_next():
     state = task.begin(trial_seeds(2, 3))
     moved = state.waypoints.copy()
     moved[:, 1:] += 1.0
-    known, other = task.foreseen(state), task.foreseen(replace(state, waypoints=moved))
+    known, other = task.hide_future(state), task.hide_future(replace(state, waypoints=moved))
     np.testing.assert_array_equal(known.waypoint, state.waypoint)
     np.testing.assert_array_equal(known.waypoints, other.waypoints)
     law = Predictive(model=Steered(system), samples=32).bind_to(task)
@@ -134,7 +134,7 @@ def test_a_sequence_on_which_the_model_diverges_is_the_worst():
     task = PointToPoint().bind(system)
     began = task.begin(trial_seeds(2, 1))
     sequences = np.stack([np.ones((1, 4, 2)), -np.ones((1, 4, 2))])
-    scores = Imagination(Exploding(system), task).scores(began.state[:, None], np.zeros((1, 0, 2)), sequences, began)
+    scores = ImaginedTrials(Exploding(system), task).scores(began.state[:, None], np.zeros((1, 0, 2)), sequences, began)
     assert scores[0, 0] == task.worst - 1.0 < scores[1, 0]
 
 

@@ -44,7 +44,7 @@ def test_a_model_says_whether_it_is_fitted_and_what_it_learned():
     assert repr(model).startswith("Linear(ridge=0.1), fitted: ")
     assert "forward_speed (m/s)" in repr(model)
     assert len(repr(model)) < MOST
-    assert model.unfitted().facts() == {}
+    assert model.clone_unfitted().facts() == {}
     assert "forward_speed[+1] = " in make_model("narx(terms=3)").fit(data)._repr_html_()
 
 

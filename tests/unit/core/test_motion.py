@@ -168,12 +168,12 @@ def test_the_gradient_form_is_the_derivative_of_integrate_and_turning(lateral, r
     state, acceleration, gradient = rng.standard_normal((3, 12, len(MIXED)))
     form, differences = motion.gradient_form(MIXED), CentralDifferences(motion, MIXED)
     for found, expected in zip(
-        form.integrated(state, acceleration, 0.05, gradient),
-        differences.integrated(state, acceleration, 0.05, gradient),
+        form.of_integrate(state, acceleration, 0.05, gradient),
+        differences.of_integrate(state, acceleration, 0.05, gradient),
         strict=True,
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-7)
-    turned = form.turned(state, gradient), differences.turned(state, gradient)
+    turned = form.of_frame_rotation(state, gradient), differences.of_frame_rotation(state, gradient)
     np.testing.assert_allclose(*turned, rtol=1e-6, atol=1e-7)
 
 
@@ -211,14 +211,16 @@ def test_the_continuous_form_is_the_limit_of_the_sampled_one(car, rng):
     state, dt = rng.standard_normal((6, 3)), 1e-7
     for system in (car, clockwise(car)):
         coasting = system.motion.integrate(state, np.zeros_like(state), dt, system.state_names)
-        np.testing.assert_allclose((coasting - state) / dt, system.turning(state), atol=1e-6)
+        np.testing.assert_allclose((coasting - state) / dt, system.frame_rotation(state), atol=1e-6)
 
 
 def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car):
     origin = np.array([1.0, 2.0, np.pi / 2])
-    np.testing.assert_allclose(car.seen_from(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12)
+    np.testing.assert_allclose(
+        car.relative_pose(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12
+    )
     with pytest.raises(IncompatibleSystem, match="clockwise does not say how one pose is seen from another"):
-        clockwise(car).seen_from(origin, origin)
+        clockwise(car).relative_pose(origin, origin)
 
 
 def test_velocities_undo_the_movement_of_the_pose(car):

@@ -41,19 +41,19 @@ def test_a_difference_across_pi_is_the_short_one():
     before, after = np.array([3.1, 1.0]), np.array([-3.1, 1.5])
     np.testing.assert_allclose(SWING.difference(after, before), [TURN - 6.2, 0.5])
     np.testing.assert_allclose(SWING.acceleration(before, after), [(TURN - 6.2) / 0.05, 10.0])
-    np.testing.assert_allclose(SWING.near(after, before), [TURN - 3.1, 1.5])
+    np.testing.assert_allclose(SWING.unwrap_towards(after, before), [TURN - 3.1, 1.5])
 
 
 def test_integration_inverts_differentiation_up_to_whole_turns():
     states = spin()
     again = SWING.integrate(states[:-1], SWING.acceleration(states[:-1], states[1:]))
-    np.testing.assert_allclose(SWING.wrapped(again), states[1:], atol=1e-12)
+    np.testing.assert_allclose(SWING.wrap(again), states[1:], atol=1e-12)
 
 
 def test_other_channels_and_other_systems_are_left_alone(car, rng):
     a, b = 10.0 * rng.standard_normal((2, 5, 3))
     np.testing.assert_array_equal(car.difference(a, b), a - b)
-    np.testing.assert_array_equal(car.wrapped(a), a)
+    np.testing.assert_array_equal(car.wrap(a), a)
     np.testing.assert_array_equal(car.regressors(a), a)
     assert car.regressor_names == car.state_names
 
@@ -77,18 +77,18 @@ def test_a_logged_angle_is_interpolated_the_short_way():
 def test_a_simulation_turns_over_and_is_never_clipped():
     data = Dataset.from_arrays(SWING, [spin(20)], [np.zeros((20, 1))])
     model = Spinning().fit(data, rng=np.random.default_rng(0))
-    assert model.envelope is not None
-    assert np.isinf(model.envelope[:, 0]).all()
+    assert model.state_bounds is not None
+    assert np.isinf(model.state_bounds[:, 0]).all()
     run = model.simulate(np.array([[[3.0, 3.0]]]), np.zeros((1, 0, 1)), np.zeros((1, 400, 1)))
     np.testing.assert_allclose(run[0, :, 0], 3.0 + 0.15 * np.arange(1, 401), atol=1e-9)
 
 
 def test_rest_of_a_periodic_state_is_a_share_of_its_period():
     model = Spinning()
-    model.rest_hold = True
+    model.dead_band = True
     model.fit(Dataset.from_arrays(SWING, [spin(20)], [np.zeros((20, 1))]), rng=np.random.default_rng(0))
-    assert model.rest_band is not None
-    assert model.rest_band[0] == pytest.approx(0.005 * TURN)
+    assert model.dead_band_size is not None
+    assert model.dead_band_size[0] == pytest.approx(0.005 * TURN)
 
 
 def test_regressors_are_the_same_after_a_whole_turn():

@@ -275,11 +275,11 @@ def test_what_a_thing_imports_late_is_looked_for_before_it_is_used(things, insta
         {"good_module": late.format("no_such_package"), "other_module": late.format("json").replace("good", "other")},
         requires,
     )
-    error = things.lacking("good")
+    error = things.missing_package("good")
     assert error is not None
     assert 'pip install "made-up[deep]"' in str(error)
     things.register("here")(type("Here", (), {"requires": ("json",)}))
-    assert things.lacking("here") is None
+    assert things.missing_package("here") is None
 
 
 def test_the_digest_of_a_plugin_changes_with_its_source_and_shipped_things_have_none(write):
@@ -316,4 +316,4 @@ def test_an_identity_is_strict_json_whatever_the_parameters_are(things):
 def test_every_registry_is_among_the_kinds():
     defined = {id(value) for value in vars(registry_module).values() if isinstance(value, Registry)}
     assert defined == {id(registry) for registry in KINDS.values()}
-    assert {"noise", "caution"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}
+    assert {"noise", "penalty"} <= {kind for kind, registry in KINDS.items() if entry_points(group=registry.group)}

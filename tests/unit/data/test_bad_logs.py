@@ -14,8 +14,8 @@ def refused(path, columns):
     return str(caught.value)
 
 
-def doubts(path, columns):
-    return read_recording(path, columns=columns).doubts
+def remarks(path, columns):
+    return read_recording(path, columns=columns).remarks
 
 
 def with_value(path, row, column, text):
@@ -40,8 +40,8 @@ class Log:
     def refused(self, *changes):
         return refused(self.write(self.table), self.columns(*changes))
 
-    def doubts(self, *changes):
-        return doubts(self.write(self.table), self.columns(*changes))
+    def remarks(self, *changes):
+        return remarks(self.write(self.table), self.columns(*changes))
 
 
 @pytest.fixture
@@ -93,30 +93,31 @@ def test_a_short_row(write_csv, table, columns_file):
 
 def test_a_state_beyond_its_limits_is_kept_and_doubted(write_csv, table, columns_file):
     columns = columns_file(('column = "u", unit = "m/s"', 'column = "u", unit = "m/s", low = 0.0, high = 1.4'))
-    (doubt,) = doubts(write_csv(table), columns)
+    (remark,) = remarks(write_csv(table), columns)
     first = int(np.flatnonzero(table["u"] > 1.4)[0]) + 2
-    assert f"log.csv, row {first}, column 'u': state 'forward_speed' is" in doubt
+    assert f"log.csv, row {first}, column 'u': state 'forward_speed' is" in remark
     with pytest.warns(DataWarning, match="outside 0 to 1.4"):
         dataset = Dataset.read(write_csv(table), columns=columns)
     assert dataset.episodes[0].states[:, 0].max() > 1.4
-    assert doubt in dataset.notes
+    assert remark in dataset.notes
 
 
 def test_a_control_that_is_constant_in_every_file(write_csv, table, columns_file):
     steady = {**table, "throttle": np.full(201, 0.25)}
-    (doubt,) = doubts(write_csv(steady), columns_file())
-    assert "log.csv, every row, column 'throttle': control 'drive' is constant at 0.25" in doubt
+    (remark,) = remarks(write_csv(steady), columns_file())
+    assert "log.csv, every row, column 'throttle': control 'drive' is constant at 0.25" in remark
     unlimited = columns_file((", low = -1.0, high = 1.0", ""))
     assert "control 'drive' (column 'throttle') is 0.25 in every row" in refused(write_csv(steady), unlimited)
     both = [write_csv(steady), write_csv(table, "second.csv")]
-    assert doubts(both, columns_file()) == ()
+    assert remarks(both, columns_file()) == ()
 
 
 def test_a_state_that_is_constant_in_one_file(write_csv, table, columns_file):
     dead = {**table, "r": np.full(201, 0.01)}
     both = [write_csv(table), write_csv(dead, "second.csv")]
     assert (
-        "second.csv, rows 2 to 202, column 'r': state 'yaw_rate' is constant at 0.01" in doubts(both, columns_file())[0]
+        "second.csv, rows 2 to 202, column 'r': state 'yaw_rate' is constant at 0.01"
+        in remarks(both, columns_file())[0]
     )
 
 
@@ -195,7 +196,7 @@ def test_a_log_of_wrong_names_units_or_signs_is_refused(log, spoilt, changes, co
 def test_degrees_that_are_declared_are_radians(log):
     on_the_spot(log.table)
     in_degrees(log.table)
-    assert log.doubts(AS_DEGREES) == ()
+    assert log.remarks(AS_DEGREES) == ()
     turned = log.table["r"].copy()
     in_degrees(log.table, "r")
     np.testing.assert_allclose(log.read(AS_DEGREES, RATE_AS_DEGREES).episodes[0].states[:, 1], turned)
@@ -204,23 +205,23 @@ def test_degrees_that_are_declared_are_radians(log):
 def test_a_heading_that_points_sideways(log):
     unwrapped(log.table)
     log.table["yaw"] -= np.radians(60.0)
-    (doubt,) = log.doubts()
-    assert "log.csv, rows 2 to 202, column 'yaw': the body moves 60 degrees to the left of its heading" in doubt
+    (remark,) = log.remarks()
+    assert "log.csv, rows 2 to 202, column 'yaw': the body moves 60 degrees to the left of its heading" in remark
 
 
 def test_a_heading_that_jumps(log):
     unwrapped(log.table)
     log.table["yaw"][100] += 2.5
-    doubt = log.doubts()[0]
-    assert "log.csv, row 102, column 'yaw': the heading jumps by 2.5" in doubt
-    assert "2 such rows" in doubt
+    remark = log.remarks()[0]
+    assert "log.csv, row 102, column 'yaw': the heading jumps by 2.5" in remark
+    assert "2 such rows" in remark
 
 
 def test_a_pose_that_freezes_and_jumps(log):
     for name in ("x", "y", "yaw"):
         log.table[name][60:70] = log.table[name][60]
-    (doubt,) = [doubt for doubt in log.doubts() if "stands still" in doubt]
-    assert "log.csv, rows 62 to 71: the pose stands still for 0.45 s and then jumps by" in doubt
+    (remark,) = [remark for remark in log.remarks() if "stands still" in remark]
+    assert "log.csv, rows 62 to 71: the pose stands still for 0.45 s and then jumps by" in remark
 
 
 def test_an_empty_file_and_a_header_alone(tmp_path, columns_file):
@@ -285,21 +286,21 @@ def test_commands_in_words_may_be_missing_too(write_csv, table, columns_file):
 def test_limits_in_the_unit_of_the_column_where_si_is_meant(write_csv, table, columns_file):
     table["throttle"] = 4000.0 * table["throttle"]  # mA
     wrong = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5000.0, high = 5000.0'))
-    (doubt,) = doubts(write_csv(table), wrong)
-    assert "log.csv, column 'throttle': 'drive' goes from -3.1999 to 3.2 A, 0.00064 of what its limits allow" in doubt
-    assert "-5000 to 5000 A: limits are in SI units. Are they in mA? Then give low = -5, high = 5" in doubt
+    (remark,) = remarks(write_csv(table), wrong)
+    assert "log.csv, column 'throttle': 'drive' goes from -3.1999 to 3.2 A, 0.00064 of what its limits allow" in remark
+    assert "-5000 to 5000 A: limits are in SI units. Are they in mA? Then give low = -5, high = 5" in remark
     right = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5.0, high = 5.0'))
-    assert doubts(write_csv(table), right) == ()
+    assert remarks(write_csv(table), right) == ()
     unknown = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -2000.0, high = 2000.0'))
-    assert doubts(write_csv(table), unknown)[0].endswith("limits are in SI units. Are they right?")
+    assert remarks(write_csv(table), unknown)[0].endswith("limits are in SI units. Are they right?")
     of_state = columns_file(
         ("low = -1.0, high = 1.0", 'unit = "mA", low = -5.0, high = 5.0'),
         ('unit = "rad/s" }', 'unit = "rad/s", low = -200.0, high = 200.0 }'),
     )
-    assert doubts(write_csv(table), of_state) == (), "limits of a state may be wide"
+    assert remarks(write_csv(table), of_state) == (), "limits of a state may be wide"
     table["r"] = np.degrees(table["r"])
     of_state.write_text(of_state.read_text().replace("rad/s", "deg/s").replace("200.0", "120.0"))
-    assert "Are they in deg/s? Then give low = -2.0944, high = 2.0944" in doubts(write_csv(table), of_state)[0]
+    assert "Are they in deg/s? Then give low = -2.0944, high = 2.0944" in remarks(write_csv(table), of_state)[0]
 
 
 PENDULUM = """
@@ -338,7 +339,7 @@ DEGREES = 180.0 / np.pi
 def test_a_rate_that_is_not_the_derivative_of_its_state(write_csv, tmp_path, rng, angle, rate, looks):
     path, columns = turning(write_csv, tmp_path, rng, angle, rate)
     if not looks:  # a factor of 9.5 is rpm, or a gear
-        assert not any("derivative" in doubt for doubt in doubts(path, columns))
+        assert not any("derivative" in remark for remark in remarks(path, columns))
         return
     message = refused(path, columns)
     assert (
@@ -346,7 +347,7 @@ def test_a_rate_that_is_not_the_derivative_of_its_state(write_csv, tmp_path, rng
     )
     assert looks in message
     columns.write_text(PENDULUM.replace('"rad/s"', '"[rad/s]"'))
-    assert not any("derivative" in doubt for doubt in doubts(path, columns)), "there is a way to have it so"
+    assert not any("derivative" in remark for remark in remarks(path, columns)), "there is a way to have it so"
 
 
 def test_radians_declared_as_degrees_in_states(write_csv, tmp_path, rng):
@@ -354,7 +355,7 @@ def test_radians_declared_as_degrees_in_states(write_csv, tmp_path, rng):
     assert "column 'angle' looks like rad, but deg is declared" in refused(
         *turning(write_csv, tmp_path, rng, text=declared)
     )
-    assert doubts(*turning(write_csv, tmp_path, rng)) == ()
+    assert remarks(*turning(write_csv, tmp_path, rng)) == ()
 
 
 def test_a_rate_of_another_joint_is_no_mistake(write_csv, tmp_path, rng):
@@ -364,21 +365,21 @@ def test_a_rate_of_another_joint_is_no_mistake(write_csv, tmp_path, rng):
     head, *rows = path.read_text().splitlines()
     geared = [f"{row},{57.0 * float(row.split(',')[1])}" for row in rows]
     path.write_text("\n".join([f"{head},motor", *geared]))
-    assert doubts(path, columns) == ()
+    assert remarks(path, columns) == ()
 
 
 def test_degrees_in_both_angle_and_rate_are_doubted(write_csv, tmp_path, rng):
-    (doubt,) = doubts(*turning(write_csv, tmp_path, rng, DEGREES, DEGREES))
-    assert "column 'angle': state 'theta' reaches 1" in doubt
-    assert "full turns. Are these degrees? Then give unit = 'deg'" in doubt
+    (remark,) = remarks(*turning(write_csv, tmp_path, rng, DEGREES, DEGREES))
+    assert "column 'angle': state 'theta' reaches 1" in remark
+    assert "full turns. Are these degrees? Then give unit = 'deg'" in remark
 
 
 def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(log):
     in_degrees(log.table, "r")
     text = log.columns().read_text()
-    (doubt,) = log.doubts((text[text.index("[pose]") :], ""))
-    assert "state 'yaw_rate' reaches" in doubt
-    assert "Then give unit = 'deg/s'" in doubt
+    (remark,) = log.remarks((text[text.index("[pose]") :], ""))
+    assert "state 'yaw_rate' reaches" in remark
+    assert "Then give unit = 'deg/s'" in remark
 
 
 @pytest.mark.parametrize("unit, factor", [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

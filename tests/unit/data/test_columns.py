@@ -8,7 +8,7 @@ import pytest
 
 from sysid_evo.data import Dataset, load_columns, read_recording
 from sysid_evo.data.columns import choose_columns, shipped_columns, shipped_names
-from sysid_evo.data.preparation import Prepared, said_once
+from sysid_evo.data.preparation import PreparedLog, said_once
 from sysid_evo.data.units import spelled, spelled_range, to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
 
@@ -143,7 +143,7 @@ def test_a_fast_log_that_carries_velocities_is_filtered_and_decimated(make_drive
     )
     recording = read_recording(path, columns=columns_file())
     (episode,) = Dataset.of_recording(recording)
-    assert len(recording.doubts) == 2
+    assert len(recording.remarks) == 2
     ticks = (4 + np.arange(len(episode) + 1)) * 0.05
     assert np.abs(episode.states - drive.velocity(ticks)[:, [0, 2]]).max() < 0.01
 
@@ -173,7 +173,7 @@ def test_what_is_true_of_all_logs_is_said_once(write_csv, table, columns_file):
 
 
 def test_what_is_true_of_some_logs_names_them():
-    prepared = [Prepared(f"run{i}", (), ("late", *(["early"] if i < 5 else []))) for i in range(6)]
+    prepared = [PreparedLog(f"run{i}", (), ("late", *(["early"] if i < 5 else []))) for i in range(6)]
     assert said_once(prepared) == ["all 6 logs: late", "run0, run1, run2, run3 and 1 more: early"]
     assert said_once(prepared[:1]) == ["run0: late", "run0: early"]
 

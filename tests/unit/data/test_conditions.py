@@ -23,7 +23,9 @@ def days():
 
 
 def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days):
-    known = days.with_episodes([days.episodes[0][0:10], *days.episodes[1:]]).labelled({"wet": "rain_*", "dry": "sun*"})
+    known = days.with_episodes([days.episodes[0][0:10], *days.episodes[1:]]).label_conditions(
+        {"wet": "rain_*", "dry": "sun*"}
+    )
     assert [episode.condition for episode in known] == ["wet", "dry", "wet", "dry", ""]
     assert known.conditions == ("wet", "dry", "")
     assert known.of_condition("wet", "").names == ("rain_1[0:10]", "rain_2", "hall")
@@ -31,14 +33,14 @@ def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days):
 
 
 def test_a_stored_data_set_keeps_its_conditions_and_its_fingerprint(days, tmp_path):
-    known = days.labelled({"wet": "rain_*"})
+    known = days.label_conditions({"wet": "rain_*"})
     loaded = Dataset.load(known.save(tmp_path / "data"))
     assert [episode.condition for episode in loaded] == ["wet", "", "wet", "", ""]
     assert loaded.fingerprint == days.fingerprint
 
 
 def test_every_condition_is_left_out_once_and_whole(days):
-    known = days.labelled({"wet": "rain_*", "dry": "sun_*"})
+    known = days.label_conditions({"wet": "rain_*", "dry": "sun_*"})
     folds = [(learned.tolist(), held.tolist()) for learned, held in ConditionFold().split(known)]
     assert folds == [([1, 3, 4], [0, 2]), ([0, 2, 4], [1, 3]), ([0, 1, 2, 3], [4])]
     assert ConditionFold().get_n_splits(known) == 3
@@ -48,9 +50,9 @@ def test_every_condition_is_left_out_once_and_whole(days):
 
 def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days):
     with pytest.raises(InvalidArgument, match=r"no episode fits 'snow\*'"):
-        days.labelled({"white": "snow*"})
+        days.label_conditions({"white": "snow*"})
     with pytest.raises(InvalidArgument, match="'rain_1' fits the pattern of 'wet' as well"):
-        days.labelled({"wet": "rain_*", "first": "*_1"})
+        days.label_conditions({"wet": "rain_*", "first": "*_1"})
     with pytest.raises(InvalidArgument, match="there are ''"):
         days.of_condition("wet")
     assert patterns_of(["wet=rain_*"]) == {"wet": "rain_*"}

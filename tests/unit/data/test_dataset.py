@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sysid_evo.data import Dataset, Trajectory
-from sysid_evo.data.dataset import thinned
+from sysid_evo.data.dataset import subsample
 from sysid_evo.data.trajectory import moving_rows
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, ShapeError
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
-from sysid_evo.validation.simulation_error import judging_windows
+from sysid_evo.validation.simulation_error import error_windows
 
 LINE = System((Channel("place", "m"),), (Channel("push"),), 0.1)
 
@@ -306,7 +306,7 @@ def test_windows_that_are_only_found_take_little_memory(car, rng):
     data = Dataset.from_arrays(car, rng.normal(size=(20_001, 3)), rng.integers(-1, 2, (20_000, 2)).astype(float))
     tracemalloc.start()
     try:
-        places = data.window_places(50, history=3)
+        places = data.find_windows(50, history=3)
         few = places[np.array([0, 5000, len(places) - 1])]
         peak = tracemalloc.get_traced_memory()[1]
     finally:
@@ -321,11 +321,11 @@ def test_windows_that_are_only_found_take_little_memory(car, rng):
 def test_a_model_is_judged_by_at_most_ten_thousand_windows_over_all_of_the_data(car, rng):
     states = rng.normal(size=(60_001, 3))
     data = Dataset.from_arrays(car, [states[:30_001], states[30_000:]], [np.zeros((30_000, 2))] * 2)
-    windows = judging_windows(data, 0)
+    windows = error_windows(data, 0)
     assert 9_000 < len(windows) <= 10_000
     assert set(windows.episode) == {0, 1}
     short = data[0].split(0.9)[0]
-    np.testing.assert_array_equal(np.diff(judging_windows(short, 0).start), 4)
+    np.testing.assert_array_equal(np.diff(error_windows(short, 0).start), 4)
 
 
 @pytest.fixture
@@ -338,19 +338,19 @@ def counted():
 
 def test_short_data_stay_as_they_are_and_no_random_number_is_used(counted):
     rng = np.random.default_rng(0)
-    assert thinned(counted, 25_000, rng) is counted
+    assert subsample(counted, 25_000, rng) is counted
     assert rng.random() == np.random.default_rng(0).random()
 
 
 @pytest.mark.parametrize("most", [100, 1500, 12_000, 24_999])
 def test_a_part_has_at_most_so_many_steps_and_nearly_as_many(counted, most):
-    few = thinned(counted, most, np.random.default_rng(0))
+    few = subsample(counted, most, np.random.default_rng(0))
     block = min(1000, max(100, most // 20))
     assert most - block <= few.n_steps <= most
 
 
 def test_blocks_are_runs_of_the_recording_and_no_step_comes_twice(counted):
-    few = thinned(counted, 12_000, np.random.default_rng(1))
+    few = subsample(counted, 12_000, np.random.default_rng(1))
     for episode in few:
         np.testing.assert_array_equal(np.diff(episode.states[:, 0]), 1.0)
         assert len(episode) >= 400
@@ -361,5 +361,5 @@ def test_blocks_are_runs_of_the_recording_and_no_step_comes_twice(counted):
 
 
 def test_another_seed_takes_other_blocks_and_the_same_seed_the_same(counted):
-    one, again, other = (thinned(counted, 5_000, np.random.default_rng(seed)) for seed in (0, 0, 1))
+    one, again, other = (subsample(counted, 5_000, np.random.default_rng(seed)) for seed in (0, 0, 1))
     assert one.fingerprint == again.fingerprint != other.fingerprint

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy
 
-from sysid_evo.data import Dataset, RawLog, prepare, take_rows
+from sysid_evo.data import Dataset, RawLog, prepare, rows_as_episodes
 from sysid_evo.data.preparation import CUTOFF, REACH, at_control_rate, low_pass
 from sysid_evo.errors import InvalidArgument, InvalidData, ShapeError
 from sysid_evo.motion import PlanarBody
@@ -207,7 +207,7 @@ def log_with(time, car, rng):
 
 def test_samples_are_the_rows_and_the_clock_is_the_system_s(car, rng):
     log = log_with(0.05 * np.arange(40) + rng.uniform(-0.004, 0.004, 40), car, rng)
-    (episode,) = take_rows(log, car).episodes
+    (episode,) = rows_as_episodes(log, car).episodes
     assert (episode.name, episode.dt, len(episode)) == ("log", 0.05, 39)
     np.testing.assert_array_equal(episode.states, np.stack([log.extra[name] for name in car.state_names], axis=1))
     np.testing.assert_array_equal(episode.controls, log.controls[:-1])
@@ -216,17 +216,17 @@ def test_samples_are_the_rows_and_the_clock_is_the_system_s(car, rng):
 
 def test_the_measured_steps_are_told(car, rng):
     steps = np.array([0.05, 0.047, 0.056, 0.05])
-    (note,) = take_rows(log_with(np.concatenate([[0.0], np.cumsum(steps)]), car, rng), car).notes
+    (note,) = rows_as_episodes(log_with(np.concatenate([[0.0], np.cumsum(steps)]), car, rng), car).notes
     assert "every 50 ms" in note
     assert "47.0 to 56.0 ms apart (mean 50.75 ms)" in note
-    (note,) = take_rows(log_with(0.05 * np.arange(20), car, rng), car).notes
+    (note,) = rows_as_episodes(log_with(0.05 * np.arange(20), car, rng), car).notes
     assert note == "rows taken as samples every 50 ms"
 
 
 def test_a_lost_row_splits_the_log_and_a_lone_row_is_left_out(car, rng):
     time = 0.05 * np.delete(np.arange(30), [10, 20, 22])
     log = log_with(time, car, rng)
-    prepared = take_rows(log, car)
+    prepared = rows_as_episodes(log, car)
     assert [episode.name for episode in prepared.episodes] == ["log[0:9]", "log[10:18]", "log[20:26]"]
     assert "3 steps outside 25 to 75 ms split it into 3 pieces; 1 single rows left out" in prepared.notes[1]
     for episode, first, last in zip(prepared.episodes, (0, 10, 20), (9, 18, 26), strict=True):
@@ -244,4 +244,4 @@ def test_rows_within_a_fifth_of_the_control_rate_are_samples(car, rng, step, tak
 def test_a_log_without_the_states_is_refused(car, rng):
     log = log_with(0.05 * np.arange(20), car, rng)
     with pytest.raises(InvalidData, match="forward_speed, lateral_speed, yaw_rate are not among the columns"):
-        take_rows(RawLog("pose", log.time, log.pose, log.controls), car)
+        rows_as_episodes(RawLog("pose", log.time, log.pose, log.controls), car)

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from sysid_evo.data import Dataset, Reader, Table
-from sysid_evo.data.readers import CsvReader, ParquetReader, reader_for
+from sysid_evo.data.readers import CsvReader, ParquetReader, find_reader
 from sysid_evo.data.reading import log_files
 from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.registry import readers
@@ -63,7 +63,7 @@ def test_a_parquet_file_that_declares_too_many_rows_is_refused_before_it_is_read
     pq.write_table(pa.table({"t": np.zeros(25_000_000, np.int8)}), path)
     assert path.stat().st_size < 100_000
     used = pa.default_memory_pool().max_memory()
-    for read in (ParquetReader().read, lambda path, names: ParquetReader().labels(path, *names)):
+    for read in (ParquetReader().read, lambda path, names: ParquetReader().texts(path, *names)):
         with pytest.raises(InvalidData, match=r"log.parquet: declares 25000000 rows, more than the 20000000 that are"):
             read(path, ["t"])
     assert pa.default_memory_pool().max_memory() == used
@@ -80,7 +80,7 @@ def test_a_parquet_file_with_damaged_pages_is_named(tmp_path, rng):
     content = bytearray(path.read_bytes())
     content[40:400] = bytes(255 for _ in range(360))
     path.write_bytes(content)
-    for read in (lambda: ParquetReader().read(path, ["t"]), lambda: ParquetReader().labels(path, "t")):
+    for read in (lambda: ParquetReader().read(path, ["t"]), lambda: ParquetReader().texts(path, "t")):
         with pytest.raises(InvalidData, match=r"log.parquet: not a readable Parquet file: "):
             read()
 
@@ -133,10 +133,10 @@ def test_a_plugin_reader_is_found_by_its_suffix(tmp_path):
             return Table(path, np.arange(2), {"t": np.arange(2.0)})
 
     with pytest.raises(InvalidData, match=r"log.made: expected a file of one of the kinds \.csv, \.parquet"):
-        reader_for(tmp_path / "log.made")
+        find_reader(tmp_path / "log.made")
     readers.register("made")(Made)
     try:
-        assert isinstance(reader_for(tmp_path / "log.made"), Made)
+        assert isinstance(find_reader(tmp_path / "log.made"), Made)
     finally:
         readers.forget("made")
 

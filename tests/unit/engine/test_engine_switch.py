@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from evaluation.cells.data import RecordedData, Split
+from evaluation.cells.data import HoldOut, RecordedData
 from model_zoo.grey_box import estimation
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.cli.console import code_of
@@ -21,7 +21,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.testing import example_dataset
-from sysid_evo.testing.contract import DoesNotApply, expect_kernel
+from sysid_evo.testing.contract import NotApplicable, expect_kernel
 from sysid_evo.testing.examples import ExampleDynamics, switched_car
 
 ROLLOUT = importlib.import_module("sysid_evo.engine.rollout")  # the package has a function of this name
@@ -39,7 +39,7 @@ class InNumPy(BaseException):
 
 
 def recorded():
-    return RecordedData(Spec("emulated_car"), 1, 0.5, Split()).cell()
+    return RecordedData(Spec("emulated_car"), 1, 0.5, HoldOut()).cell()
 
 
 class Uncompiled(ExampleDynamics):
@@ -57,7 +57,7 @@ def rolled_out(**engine):
 
 def imagined_trials(**engine):
     nothing = np.zeros((1, 0, CAR.nu))
-    imagination = imagined.Imagination(ExampleDynamics(CAR), TASK, **engine)
+    imagination = imagined.ImaginedTrials(ExampleDynamics(CAR), TASK, **engine)
     imagination.scores(np.zeros((1, 1, CAR.nx)), nothing, np.zeros((2, 1, 3, CAR.nu)), TASK.begin(SEEDS))
 
 
@@ -71,7 +71,7 @@ def grey_box_fitted():
 
 FORMS = {
     rolled_out: ((ROLLOUT, "LoopData"), (reference, "run")),
-    imagined_trials: ((imagined, "CompiledTrials"), (imagined.Imagination, "_run")),
+    imagined_trials: ((imagined, "CompiledImagined"), (imagined.ImaginedTrials, "_run")),
     parameters_evolved: ((model_evolution, "final_errors"), (model_evolution, "final_error")),
     grey_box_fitted: ((estimation, "free_runs"), (estimation.FitWindows, "_stepped")),
 }
@@ -194,9 +194,9 @@ def test_a_checkpoint_of_one_engine_is_refused_under_the_other(engine, evolved, 
 def test_the_kits_do_not_compile_where_the_reference_is_named(engine):
     kernel = ExampleDynamics(CAR).kernel()
     engine("reference")
-    with pytest.raises(DoesNotApply, match="SYSID_EVO_ENGINE is reference"):
+    with pytest.raises(NotApplicable, match="SYSID_EVO_ENGINE is reference"):
         expect_kernel(kernel)
     engine("auto")
     assert expect_kernel(kernel) is kernel
-    with pytest.raises(DoesNotApply, match="it has none"):
+    with pytest.raises(NotApplicable, match="it has none"):
         expect_kernel(None)

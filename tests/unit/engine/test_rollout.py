@@ -12,7 +12,7 @@ from sysid_evo.engine.compiled import loops
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError
 from sysid_evo.evolution import Champion
 from sysid_evo.models.base import make_model
-from sysid_evo.randomness import step_noise, trial_draws, trial_seeds
+from sysid_evo.randomness import draw_for_steps, draw_for_trials, trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel
 from sysid_evo.tasks import PointToPoint
@@ -62,7 +62,7 @@ def test_a_rollout_equals_a_plain_scalar_loop(car):
     weights = np.random.default_rng(8).standard_normal((4, 78))
     run = rollout(SluggishCar(car), RecurrentNetwork(), weights, task, SEEDS, record=True)
     waypoints = task.bind(car).begin(SEEDS).waypoints
-    noise, draws = step_noise(SEEDS, horizon, 2), trial_draws(SEEDS, 1)
+    noise, draws = draw_for_steps(SEEDS, horizon, 2), draw_for_trials(SEEDS, 1)
     for p in range(4):
         for e in range(3):
             passed, states = drive_by_hand(weights[p], waypoints[e], noise[e], draws[e, 0], horizon)
@@ -106,7 +106,7 @@ def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder):
     noise = np.diff(heights, axis=2) - parameters[:, :, None]
     np.testing.assert_allclose(noise[1], noise[0], atol=1e-12)
     np.testing.assert_array_equal(noise[2], noise[0])
-    np.testing.assert_allclose(noise[0], step_noise(SEEDS, 12, 2).sum(axis=2), atol=1e-12)
+    np.testing.assert_allclose(noise[0], draw_for_steps(SEEDS, 12, 2).sum(axis=2), atol=1e-12)
     assert np.abs(noise[0, 0] - noise[0, 1]).min() > 1e-6
 
 
@@ -120,18 +120,18 @@ def test_a_controller_that_wants_noise_gets_the_same_in_the_same_trial(ladder):
     np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-9)
     assert np.unique(np.round(drawn[0], 9)).size == 36
     np.testing.assert_array_equal(rollout(*given).fitness, run.fitness)
-    other = step_noise(SEEDS, 12, 1)[..., 0]
+    other = draw_for_steps(SEEDS, 12, 1)[..., 0]
     assert np.abs(drawn[0] - other).max() > 0.1, "the dynamics draws from a stream of its own"
 
 
 def test_noise_depends_on_its_own_trial_and_step_alone():
-    long = step_noise(SEEDS, 50, 3)
+    long = draw_for_steps(SEEDS, 50, 3)
     assert long.shape == (3, 50, 3)
-    np.testing.assert_array_equal(step_noise(SEEDS[1:2], 20, 3)[0], long[1, :20])
-    assert step_noise(SEEDS, 50, 0).shape == (3, 50, 0)
-    assert trial_draws(SEEDS, 0).shape == (3, 0)
-    assert not np.isin(trial_draws(SEEDS, 3), long).any()
-    assert abs(step_noise(trial_seeds(1, 100), 100, 1).std() - 1.0) < 0.03
+    np.testing.assert_array_equal(draw_for_steps(SEEDS[1:2], 20, 3)[0], long[1, :20])
+    assert draw_for_steps(SEEDS, 50, 0).shape == (3, 50, 0)
+    assert draw_for_trials(SEEDS, 0).shape == (3, 0)
+    assert not np.isin(draw_for_trials(SEEDS, 3), long).any()
+    assert abs(draw_for_steps(trial_seeds(1, 100), 100, 1).std() - 1.0) < 0.03
 
 
 def test_trial_seeds_are_keyed_by_seed_generation_and_trial():
@@ -170,7 +170,7 @@ def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder, weight
 
 
 def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder):
-    run = climb(Climber(ladder, envelope=np.array([[-1.0], [1.2]])), [0.5, 0.1, -1.0], 0, horizon=5)
+    run = climb(Climber(ladder, state_bounds=np.array([[-1.0], [1.2]])), [0.5, 0.1, -1.0], 0, horizon=5)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 1.0, 1.2, 1.2, 1.2])
     np.testing.assert_array_equal(run.clipped[:, 0], [3, 0, 4])
     np.testing.assert_array_equal(run.survived[:, 0], [5, 5, 5])
@@ -190,7 +190,7 @@ def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
 
 def test_a_trial_that_is_over_is_clipped_no_more(ladder):
     """0.5 ends on 2.0 in step 4; four steps more would each be clipped."""
-    run = climb(Climber(ladder, envelope=np.array([[-1.0], [2.1]])), [0.5, 0.1], 0, horizon=8, top=1.7)
+    run = climb(Climber(ladder, state_bounds=np.array([[-1.0], [2.1]])), [0.5, 0.1], 0, horizon=8, top=1.7)
     np.testing.assert_array_equal(run.survived[:, 0], [4, 8])
     np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
 

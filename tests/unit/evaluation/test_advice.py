@@ -28,7 +28,7 @@ from evaluation.advice.regions import (
     weak_region,
 )
 from evaluation.coverage import largest_gap, untried_pair
-from evaluation.exploitability import what_to_record
+from evaluation.exploitability import suggest_recordings
 from evaluation.steps import Steps
 from evaluation.storage import from_plain, plain
 from sysid_evo.data import Dataset, Trajectory
@@ -271,17 +271,17 @@ def test_what_follows_from_something_else_is_left_out():
 def test_without_a_test_part_a_copy_is_judged_on_a_part_held_back():
     advice = advised(linear(recorded(LATE)))
     assert advice.model == "Linear"
-    assert advice.judged_on.startswith("the last quarter of each episode")
+    assert advice.evaluated_on.startswith("the last quarter of each episode")
     assert advice.remarks[0].topic == "late controls"
-    assert advised(linear(recorded(episodes=1, steps=30))).judged_on == "its own training data"
+    assert advised(linear(recorded(episodes=1, steps=30))).evaluated_on == "its own training data"
 
 
 def test_a_family_that_takes_long_is_never_fitted_again():
     family = type(make_model("linear"))
-    once = type("Slow", (family,), {"cheap": False, "__module__": __name__})().fit(recorded())
-    once.unfitted = lambda: pytest.fail("fitted again")
-    assert advise_model(once, recorded()).judged_on == "its own training data"
-    assert advise_model(once, *recorded().split(0.25)).judged_on == "the test part"
+    once = type("Slow", (family,), {"fast_fit": False, "__module__": __name__})().fit(recorded())
+    once.clone_unfitted = lambda: pytest.fail("fitted again")
+    assert advise_model(once, recorded()).evaluated_on == "its own training data"
+    assert advise_model(once, *recorded().split(0.25)).evaluated_on == "the test part"
 
 
 def test_advice_is_the_same_every_time_and_comes_back_from_json():
@@ -303,7 +303,7 @@ def driven(speeds, drive=1.0, steer=0.0):
 
 
 def test_the_most_visited_box_outside_the_data_comes_first():
-    regions = what_to_record(DRIVEN, [driven([0.5] * 60 + [1.7] * 30), driven([1.25] * 10)])
+    regions = suggest_recordings(DRIVEN, [driven([0.5] * 60 + [1.7] * 30), driven([1.25] * 10)])
     assert [region.share for region in regions] == [0.3, 0.1]
     boxes = [(region.low[0], region.high[0]) for region in regions]
     np.testing.assert_allclose(boxes, [(1.6, 1.8), (1.2, 1.4)], err_msg="0.2 wide, at round numbers")
@@ -312,21 +312,21 @@ def test_the_most_visited_box_outside_the_data_comes_first():
 
 def test_a_command_that_was_not_given_at_a_known_speed_is_outside():
     backwards, turning = driven([0.5] * 50, drive=-1.0), driven([0.5] * 50, steer=0.25)
-    first, second = what_to_record(DRIVEN, [backwards, turning, backwards])
+    first, second = suggest_recordings(DRIVEN, [backwards, turning, backwards])
     assert first.low[1] == first.high[1] == -1.0
     np.testing.assert_allclose([second.low[2], second.high[2]], [0.1, 0.3])
 
 
 def test_driving_within_the_data_or_not_at_all_asks_for_nothing():
-    assert what_to_record(DRIVEN, [driven([0.1, 0.9])]) == ()
-    assert what_to_record(DRIVEN, []) == ()
+    assert suggest_recordings(DRIVEN, [driven([0.1, 0.9])]) == ()
+    assert suggest_recordings(DRIVEN, []) == ()
 
 
 def test_no_more_regions_are_told_than_asked_for_and_no_rare_ones():
     speeds = [2.0 + 0.2 * i for i in range(20) for _ in range(20 - i)]
-    assert len(what_to_record(DRIVEN, [driven(speeds)], most=3)) == 3
-    assert what_to_record(DRIVEN, [driven([0.5] * 9999 + [3.0])]) == ()
-    (rare,) = what_to_record(DRIVEN, [driven([0.5] * 997 + [3.0] * 3)])
+    assert len(suggest_recordings(DRIVEN, [driven(speeds)], most=3)) == 3
+    assert suggest_recordings(DRIVEN, [driven([0.5] * 9999 + [3.0])]) == ()
+    (rare,) = suggest_recordings(DRIVEN, [driven([0.5] * 997 + [3.0] * 3)])
     assert rare.share == 0.003
 
 
@@ -334,7 +334,7 @@ def test_no_more_regions_are_told_than_asked_for_and_no_rare_ones():
 def test_boxes_are_one_two_or_five_times_a_power_of_ten_wide_and_one_begins_at_0(fastest, width):
     """A uniform speed from 0 to the fastest has a standard deviation of 0.29 of it."""
     seen = Support.of(SYSTEM, np.linspace(0.0, fastest, 300)[:, None], np.tile([1.0, 0.0], (300, 1)))
-    (box,) = what_to_record(seen, [driven([3.1 * fastest] * 9)])
+    (box,) = suggest_recordings(seen, [driven([3.1 * fastest] * 9)])
     assert box.high[0] - box.low[0] == pytest.approx(width)
     assert box.low[0] / width == pytest.approx(round(box.low[0] / width))
 
@@ -346,6 +346,6 @@ def test_an_angle_that_comes_round_is_as_near_as_it_is_on_the_circle(angle):
     seen = Support.of(pendulum, angles, np.zeros((100, 1)))
     inside = Trajectory(np.full((5, 1), 0.2 + 2.0 * np.pi), np.zeros((4, 1)), 0.1)
     outside = Trajectory(np.full((5, 1), angle), np.zeros((4, 1)), 0.1)
-    (region,) = what_to_record(seen, [inside, outside])
+    (region,) = suggest_recordings(seen, [inside, outside])
     assert region.share == 0.5
     assert region.high[0] - region.low[0] == pytest.approx(np.pi / 6.0)

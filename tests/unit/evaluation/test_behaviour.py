@@ -6,9 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.behaviour import Manner, Measure, chase, describe, described, manner_of, manners, measured
+from evaluation.behaviour import (
+    DrivingSummary,
+    Measure,
+    chase,
+    driving_sentence,
+    driving_sentences,
+    driving_summaries,
+    manner_of,
+    trial_measures,
+)
 from evaluation.report import to_json
-from evaluation.report.sections.behaviour import behaviour_sheet, manner_sheet
+from evaluation.report.sections.behaviour import driving_table, measured_behaviour_table
 from evaluation.transfer import Cell, Trace, TransferMatrix
 from sysid_evo.data import Trajectory
 from sysid_evo.system import Channel, System
@@ -87,7 +96,7 @@ def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none():
 
 def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial():
     one = trace((3.0, -1.0, 0.5), (1.0, 0.0, 0.0), (1.0, 0.8, -0.5), (1.0, 0.0, 0.0))
-    found = measured(one, SYSTEM, np.ones(SYSTEM.nx))
+    found = trial_measures(one, SYSTEM, np.ones(SYSTEM.nx))
     assert found["backwards"] == pytest.approx(0.75, abs=0.01)
     assert found["turning left"] == pytest.approx(0.75, abs=0.01)
     assert found["stops per minute"] == pytest.approx(20.0)
@@ -99,7 +108,7 @@ def test_a_control_of_any_system_switches_and_saturates():
     system = System((Channel("angle", "rad"),), (Channel("torque", low=-2.0, high=2.0),), dt=0.1)
     controls = np.tile([[2.0], [2.0], [-1.0], [-1.05]], (25, 1))
     one = Trace(Trajectory(np.zeros((101, 1)), controls, 0.1), 0.0)
-    found = measured(one, system, np.ones(1))
+    found = trial_measures(one, system, np.ones(1))
     assert found["torque switches per second"] == pytest.approx(4.9)
     assert found["torque at a limit"] == 0.5
     assert found["torque above neutral"] == 0.5
@@ -112,19 +121,19 @@ def test_settling_is_the_time_after_which_no_target_is_left():
     states = np.concatenate([np.linspace(3.0, 0.0, 31), np.zeros(70)])[:, None] + 2 * np.pi
     run = Trajectory(states, np.zeros((100, 1)), 0.1)
     one = Trace(run, 0.0, targets=(Target(angle, 0, np.zeros(101), 0.05),))
-    found = measured(one, system, np.ones(1))
+    found = trial_measures(one, system, np.ones(1))
     assert found["settled"] == 1.0
     assert found["settling time"] == pytest.approx(3.0)
     assert found["within tolerance"] == pytest.approx(71 / 101)
     never = replace(one, targets=(Target(angle, 0, np.ones(101), 0.05),))
-    assert measured(never, system, np.ones(1))["settled"] == 0.0
+    assert trial_measures(never, system, np.ones(1))["settled"] == 0.0
     manner = manner_of("c", "pendulum", [one, never], system, np.ones(1))
-    assert "settles after 3.0 s in 50 % of the trials" in describe(manner)
+    assert "settles after 3.0 s in 50 % of the trials" in driving_sentence(manner)
 
 
 def manner(name="c", column="car", **measures):
     named = {key.replace("_", " "): Measure(value, value - 0.01, value + 0.01, 5) for key, value in measures.items()}
-    return Manner(name, column, 5, named)
+    return DrivingSummary(name, column, 5, named)
 
 
 def test_a_sentence_says_what_a_driver_would():
@@ -133,21 +142,21 @@ def test_a_sentence_says_what_a_driver_would():
         drives_on_after_a_miss=0.7, stops_after_a_miss=0.25, turns_back_after_a_miss=0.05,
         reached_after_a_miss_in=2.5, drive_switches_per_second=1.5, standing=0.02,
     )  # fmt: skip
-    assert describe(orbiting) == (
+    assert driving_sentence(orbiting) == (
         "drives backwards 93 % of the time at 1.20 m/s; turns right in 90 % of its turns; stops 3 times a minute; "
         "misses 40 % of the waypoints at first, then drives on (70 %) or stops (25 %), and is there 2.5 s later; "
         "orbits a waypoint 12 % of the time; switches drive 1.5 times a second."
     )
-    assert "hardly ever misses a waypoint" in describe(manner(speed=1.0, backwards=0.0, missed_at_first=0.01))
+    assert "hardly ever misses a waypoint" in driving_sentence(manner(speed=1.0, backwards=0.0, missed_at_first=0.01))
 
 
 def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not():
     robot = manner(speed=1.0, backwards=0.9, orbiting=0.3)
     model = manner(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
-    told = described([model, robot], "car")["c"]
+    told = driving_sentences([model, robot], "car")["c"]
     assert told.startswith("On the robot: drives backwards 90 %")
     assert told.endswith("In sindy: orbiting 0 % instead of 30 %.")
-    assert described([model], None)["c"].startswith("In sindy: ")
+    assert driving_sentences([model], None)["c"].startswith("In sindy: ")
 
 
 def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be():
@@ -165,13 +174,13 @@ def recorded():
 
 
 def test_controllers_are_described_on_the_robot_and_where_they_were_evolved():
-    found = manners(recorded())
+    found = driving_summaries(recorded())
     assert [(one.controller, one.column) for one in found] == [("c", "a"), ("c", "car")]
-    words, table = manner_sheet(found, "car"), behaviour_sheet(found, "car")
+    words, table = driving_table(found, "car"), measured_behaviour_table(found, "car")
     assert words.rows[0][0] == "c"
     assert words.rows[0][1].startswith("On the robot: drives backwards 100 %")
     assert table.columns[:4] == ("controller", "on", "speed\nm/s", "backwards")
-    assert manner_sheet((), None) is behaviour_sheet((), None) is None
+    assert driving_table((), None) is measured_behaviour_table((), None) is None
 
 
 def test_the_report_holds_the_numbers_and_the_sentences():

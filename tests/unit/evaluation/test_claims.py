@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evaluation.exploitability import assess_exploitability
-from evaluation.transfer import Cell, Estimate, Figures, TransferMatrix, is_exploited, summarise
+from evaluation.transfer import Cell, Estimate, MatrixEstimates, TransferMatrix, is_exploited, summarise
 from tests.fixtures.known_models import recording
 from tests.fixtures.reports import champion
 
@@ -20,7 +20,7 @@ def test_the_claim_and_its_error_are_the_same_in_transfer_and_exploitability(rng
     matrix = matrix_of(*cells)
     controller = summarise(matrix).controller("c")
     model = assess_exploitability(matrix, recording(), recording(1, seed=2))[0]
-    for name in ("claimed", "others", "achieved"):
+    for name in ("claimed", "other_models", "achieved"):
         assert getattr(model, name) == getattr(controller, name)
     assert model.gap == controller.reality_gap
     assert model.exploited is controller.exploited is True
@@ -37,7 +37,7 @@ def test_the_error_of_a_claim_is_the_standard_error_of_the_mean(rng, trials):
 def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution():
     here, there = np.array([0.0, 4.0, 1.0, 5.0]), np.array([4.0, 0.0, 5.0, 1.0])
     cells = (Cell("c", "a", here), Cell("c", "b", there))
-    figures = Figures(matrix_of(*cells, against=("a", "b")))
+    figures = MatrixEstimates(matrix_of(*cells, against=("a", "b")))
     least, mean = (figures.on(champion("c", ("a", "b"), aggregate=rule), ("a", "b")) for rule in ("min", "mean"))
     assert least.value == mean.value == 2.5
     # the mean of both models hardly changes with the trials that are drawn; the lower of the two does
@@ -47,14 +47,14 @@ def test_every_draw_of_trials_goes_through_the_rule_of_the_evolution():
 
 def test_a_claim_needs_every_model_that_it_is_about():
     ran, failed = Cell("c", "a", np.ones(3)), Cell("c", "b", reason="no answer")
-    assert Figures(matrix_of(ran, failed)).on(champion("c", ("a",)), ("a", "b")) is None
-    assert Figures(matrix_of(ran)).on(champion("c", ("a",)), ("a", "gone")) is None
-    assert Figures(matrix_of(ran)).on(champion("c", ()), ()) is None
+    assert MatrixEstimates(matrix_of(ran, failed)).on(champion("c", ("a",)), ("a", "b")) is None
+    assert MatrixEstimates(matrix_of(ran)).on(champion("c", ("a",)), ("a", "gone")) is None
+    assert MatrixEstimates(matrix_of(ran)).on(champion("c", ()), ()) is None
 
 
 def test_models_with_different_trials_are_joined_over_the_trials_of_both():
     cells = (Cell("c", "a", np.array([1.0, 3.0, 50.0])), Cell("c", "b", np.array([4.0, 6.0])))
-    drawn = Figures(matrix_of(*cells)).on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"))
+    drawn = MatrixEstimates(matrix_of(*cells)).on(champion("c", ("a", "b"), aggregate="mean"), ("a", "b"))
     assert (drawn.value, drawn.blocks) == (3.5, 2)
 
 
@@ -107,7 +107,7 @@ def test_a_controller_is_judged_by_the_robot_and_without_one_by_the_other_models
     on_models = summarise(matrix_of(own, other)).controller("c")
     assert (on_robot.exploited, on_models.exploited) == (False, True)
     assert on_robot.elsewhere == on_robot.achieved
-    assert on_models.elsewhere == on_models.others
+    assert on_models.elsewhere == on_models.other_models
 
 
 def test_a_controller_evolved_on_the_robot_itself_exploits_nothing():

@@ -7,10 +7,10 @@ import pytest
 
 from evaluation import planning
 from evaluation.cells.controllers import Polish
-from evaluation.cells.models import StoredModel
+from evaluation.cells.models import StoredModelCell
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison, unsettled
-from evaluation.transfer import Cell, person
+from evaluation.transfer import Cell, human_driver
 from evaluation.transfer.matrix import MeasuredResult
 from model_zoo.linear import Linear
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, MissingExtra
@@ -28,13 +28,13 @@ BASE = {
     "robot": "emulated_car",
     "generations": 2,
     "trials": 2,
-    "runs": 1,
+    "repeats": 1,
     "selection_trials": 2,
     "transfer_trials": 3,
     "traces": 2,
     "task": "point_to_point(horizon=60)",
     "strategy": "mu_plus_lambda(children=5)",
-    "recipe": "plain",
+    "procedure": "plain",
 }
 DATA = "prepare made-up car"
 FITS, FIT_LINEAR, FIT_NEAR = {"fit linear", "fit near"}, {"fit linear"}, {"fit near"}
@@ -77,7 +77,7 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of():
         ({}, set()),
         ({"title": "another"}, set()),
         ({"seed": 1}, ALL - {DATA} - PERSISTENCE - PREDICTIONS | PREDICTIONS),
-        ({"held_back": 0.3}, ALL),
+        ({"held_out": 0.3}, ALL),
         ({"test": ("episode-1",)}, ALL),
         ({"models": ("linear(ridge=0.5)", "near=nearest_neighbour")}, ALL - {DATA} - PERSISTENCE - FIT_NEAR
          - {"predict with near", "evolve near", "run near on near", "run near on emulated_car"}),
@@ -95,11 +95,11 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of():
         ({"strategy": "mu_plus_lambda(children=6)"}, CONTROLLERS),
         ({"generations": 3}, CONTROLLERS),
         ({"trials": 3}, CONTROLLERS),
-        ({"runs": 2}, CONTROLLERS),
+        ({"repeats": 2}, CONTROLLERS),
         ({"selection_trials": 3}, CONTROLLERS),
         ({"estimator_delay": 0.02}, CONTROLLERS),
-        ({"noise": "envelope(gain=0.1)"}, CONTROLLERS),
-        ({"caution": "doubt(outside=1)"}, CONTROLLERS),
+        ({"noise": "domain_randomisation(gain=0.1)"}, CONTROLLERS),
+        ({"penalty": "uncertainty(outside=1)"}, CONTROLLERS),
         ({"transfer_trials": 4}, RUNS | ASSESS),
         ({"traces": 3}, RECORDED | ASSESS),
         ({"robot": "emulated_car(seed=2)"}, ON_ROBOT | ASSESS),
@@ -110,22 +110,26 @@ def test_exactly_the_cells_that_depend_on_a_setting_change_with_it(change, expec
     assert changed(planned(), planned(**change)) == expected
 
 
-RECOMMENDED = {"recipe": "recommended", "models": ("linear", "near=nearest_neighbour", "parametrised"), "ensembles": ()}
+RECOMMENDED = {
+    "procedure": "recommended",
+    "models": ("linear", "near=nearest_neighbour", "parametrised"),
+    "ensembles": (),
+}
 
 
-def test_by_the_recommended_recipe_every_controller_is_judged_by_the_others_and_the_best_are_polished():
-    found = planned(**RECOMMENDED, yardstick=True)
+def test_by_the_recommended_procedure_every_controller_is_judged_by_the_others_and_the_best_are_polished():
+    found = planned(**RECOMMENDED, reference=True)
     titles = set(digests(found))
     names = ("linear", "near", "parametrised")
     assert {f"choose {name}" for name in (*names, "best of linear+near+parametrised")} <= titles
     assert {"polish the best", "run polished on emulated_car"} <= titles
     assert "choose emulated_car" not in titles  # what was evolved on the robot is chosen by the robot
-    assert [cell.name for cell in found.matrix.champions] == [*names, "emulated_car", "polished"]
+    assert [cell.name for cell in found.matrix.controllers] == [*names, "emulated_car", "polished"]
 
 
 def test_what_was_evolved_against_several_models_can_be_chosen_and_is_not_evolved_again():
     found = planned(**{**RECOMMENDED, "ensembles": ("linear+near",)})
-    polished = found.matrix.champions[-1]
+    polished = found.matrix.controllers[-1]
     assert isinstance(polished.settings, Polish)
     contenders = polished.settings.chosen.settings.contenders
     assert [one.name for one in contenders] == ["linear", "near", "parametrised", "linear+near"]
@@ -147,14 +151,17 @@ def test_one_family_alone_has_nobody_to_judge_it():
 
 def test_the_polish_alone_changes_with_its_generations():
     runs = {f"run polished on {name}" for name in ("linear", "near", "parametrised", "emulated_car")}
-    assert changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish=7)) == {"polish the best"} | runs | ASSESS
+    assert (
+        changed(planned(**RECOMMENDED), planned(**RECOMMENDED, polish_generations=7))
+        == {"polish the best"} | runs | ASSESS
+    )
 
 
 def test_a_polish_is_no_longer_than_the_search_before_it_unless_it_is_asked_for():
-    assert Experiment.of({"generations": 3}).budget.polish == 3
-    assert Experiment.of({"generations": 3, "polish": 9}).budget.polish == 9
-    assert Experiment.of({"generations": 5000}).budget.polish == 240
-    assert Experiment.of({}).budget.polish == 240
+    assert Experiment.of({"generations": 3}).budget.polish_generations == 3
+    assert Experiment.of({"generations": 3, "polish_generations": 9}).budget.polish_generations == 9
+    assert Experiment.of({"generations": 5000}).budget.polish_generations == 240
+    assert Experiment.of({}).budget.polish_generations == 240
 
 
 def test_a_preset_changes_the_families_that_have_one_and_the_budget_that_is_not_given():
@@ -184,7 +191,7 @@ def test_other_data_change_everything_and_their_copy_nothing():
 
 
 def test_a_measured_cell_changes_the_assessment_alone():
-    drove = MeasuredResult(person("anna"), Cell("anna", "linear", np.ones(2), unit="waypoints"), on_robot=False)
+    drove = MeasuredResult(human_driver("anna"), Cell("anna", "linear", np.ones(2), unit="waypoints"), on_robot=False)
     experiment = Experiment.of(BASE)
     after = plan_comparison(experiment, dataset=example_dataset(), measured=[drove])
     assert changed(planned(), after) == {"assess exploitability"}
@@ -200,8 +207,8 @@ def test_a_default_that_is_written_out_and_a_seed_in_shorthand_change_nothing():
     ridge = models.parameters("linear")["ridge"]
     written = planned(models=(f"linear(ridge={ridge!r})", "near=nearest_neighbour"))
     assert changed(planned(), written) == set()
-    shorthand = planned(robot="emulated_car:3", yardstick=True)
-    long = planned(robot="car=emulated_car(seed=3)", yardstick=True)
+    shorthand = planned(robot="emulated_car:3", reference=True)
+    long = planned(robot="car=emulated_car(seed=3)", reference=True)
     assert changed(shorthand, long) == {"assess exploitability"}  # only the table of the assessment carries labels
 
 
@@ -285,7 +292,7 @@ def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
     same = make_model("k_neighbours(neighbours=3)").fit(data, rng=rng)
     save_model(same, tmp_path / "b")
     save_model(fitted.set_params(neighbours=5), tmp_path / "c")
-    one, copy, other = (StoredModel(tmp_path / name).cell() for name in "abc")
+    one, copy, other = (StoredModelCell(tmp_path / name).cell() for name in "abc")
     assert one.digest == copy.digest
     assert one.settings.manifest.sha256 == other.settings.manifest.sha256
     assert one.digest != other.digest

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from evaluation.report import to_json
-from evaluation.report.render.terminal import WIDTH, to_rich
+from evaluation.report.render.terminal import WIDTH, table_lines
 from evaluation.report.sections.controllers import standing_sheet
 from evaluation.report.sections.transfer import transfer_sheet
-from evaluation.transfer import Cell, Figures, TransferMatrix, summarise
+from evaluation.transfer import Cell, MatrixEstimates, TransferMatrix, summarise
 from sysid_evo.validation.estimates import CONFIDENCE
 from tests.fixtures import reports as made_up
 from tests.fixtures.reports import champion
@@ -43,7 +43,7 @@ def test_without_a_robot_regret_is_the_most_on_a_model_that_neither_was_evolved_
     found = summaries(made_up.matrix(fitness, against={"hand": ()}))
     # on a, b and c: b could have had 5 on c, a 4 and 5 on b and c, and nobody but b and hand was judged on a
     assert {name: one.regret.value for name, one in found.items() if one.regret} == {"a": 3.0, "b": 1.0, "hand": 4.5}
-    assert found["a"].others.value == 6.5
+    assert found["a"].other_models.value == 6.5
 
 
 def test_what_was_evolved_on_the_robot_neither_regrets_nor_is_regretted():
@@ -83,7 +83,7 @@ def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in():
     ]
     families = {"a-1": "a", "a-2": "a", "b": "b", "d": "d"}
     matrix = TransferMatrix.of([champion("c", ("a-1",))], tuple(families), cells, families=families)
-    consensus = Figures(matrix).consensus(matrix.champions[0])
+    consensus = MatrixEstimates(matrix).consensus(matrix.champions[0])
     assert consensus.value == 4.0
     sheet = transfer_sheet(matrix)
     assert sheet.columns[-1] == "other\nfamilies"
@@ -99,7 +99,7 @@ def test_the_consensus_stands_between_models_and_robots():
 
 def test_the_table_of_what_to_expect_fits_eighty_columns():
     def shown(sheet):
-        return sum("Claimed" in str(part) for part in to_rich(sheet))
+        return sum("Claimed" in str(part) for part in table_lines(sheet))
 
     fitness = {"nearest_neighbour": 12.0, "parametrised": 11.0, "emulated_car": 10.0}
     long = {"nearest_neighbour": fitness, "parametrised": {name: 24.0 - value for name, value in fitness.items()}}

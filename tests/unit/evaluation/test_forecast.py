@@ -6,23 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluation.cells.data import GivenData, Split
+from evaluation.cells.data import GivenData, HoldOut
 from evaluation.cells.models import Predict
-from evaluation.cells.plants import Plant, believed
+from evaluation.cells.plants import Plant, accurate_plants
 from evaluation.prediction import ErrorScore, ModelPrediction
 from evaluation.transfer import Cell, Estimate, TransferMatrix
 from evaluation.transfer.forecast import (
-    RULE,
-    Rule,
-    credibilities,
+    FORECAST_RULE,
+    ForecastRule,
+    forecast_judgement,
     forecast_of,
     forecasts,
     model_forecasts,
+    model_weights,
     weighted_median,
-    worth_by,
 )
 from evaluation.transfer.summary import summary_of
-from sysid_evo.plan import Work
+from sysid_evo.plan import CellContext
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.estimates import Draws
 from tests.fixtures.reports import evolved, matrix
@@ -49,7 +49,9 @@ INF, NAN = float("inf"), float("nan")
 )  # fmt: skip
 def test_models_count_by_their_errors(errors, own, weights):
     is_own = np.isin(np.arange(len(errors)), own)
-    np.testing.assert_allclose(credibilities(errors, is_own, rule=Rule(power=2.0, own=0.5)), weights, rtol=1e-12)
+    np.testing.assert_allclose(
+        model_weights(errors, is_own, rule=ForecastRule(power=2.0, own=0.5)), weights, rtol=1e-12
+    )
 
 
 def test_of_equal_weights_the_median_is_the_usual_one():
@@ -139,14 +141,15 @@ def test_the_interval_reaches_further_down_than_up_as_on_the_cars_of_the_calibra
 
 def test_the_interval_falls_with_the_root_of_the_number_of_trials():
     one, four = (width(10.0, 10.0, luck=[-1.0, 1.0] * each) for each in (1, 4))
-    assert one == pytest.approx((RULE.high - RULE.low) / np.sqrt(2.0))
+    assert one == pytest.approx((FORECAST_RULE.high - FORECAST_RULE.low) / np.sqrt(2.0))
     assert four == pytest.approx(one / 2.0)
 
 
 def test_a_forecast_by_another_rule_believes_models_by_that_rule():
     trials = [np.full(2, mean) for mean in (8.0, 10.0, 12.0)]
     low, high = (
-        forecast_of(trials, [0.1, 0.2, 0.3], [False, False, True], rule=Rule(power=power))[0] for power in (9.0, 0.0)
+        forecast_of(trials, [0.1, 0.2, 0.3], [False, False, True], rule=ForecastRule(power=power))[0]
+        for power in (9.0, 0.0)
     )
     assert low < 8.2 < 9.0 < high
 
@@ -159,19 +162,19 @@ def test_nine_in_ten_intervals_hold_where_what_is_missed_is_as_in_calibration():
             trials = [np.full(2, mean) for mean in truth + rng.normal(0.0, 1.0, size=4)]
             yield truth, *foretold(trials, rule=rule)
 
-    missed = [(truth - value) / (high - value) for truth, value, _, high in drawn(1, Rule(low=-1.0, high=1.0))]
+    missed = [(truth - value) / (high - value) for truth, value, _, high in drawn(1, ForecastRule(low=-1.0, high=1.0))]
     low, high = np.quantile(missed, [0.05, 0.95])
-    held = [lowest <= truth <= highest for truth, _, lowest, highest in drawn(2, Rule(low=low, high=high))]
+    held = [lowest <= truth <= highest for truth, _, lowest, highest in drawn(2, ForecastRule(low=low, high=high))]
     assert 0.88 < np.mean(held) < 0.92
 
 
 def test_what_is_achieved_is_held_against_the_interval_and_its_own_error():
     found = forecasts(matrix(CLAIMS), ERRORS)["good"]
     outside = found.low - 0.3 * (found.value - found.low)
-    assert found.holds(Estimate(found.value, 0.0))
-    assert not found.holds(Estimate(outside, 0.01))
-    assert found.holds(Estimate(outside, found.value - found.low))
-    assert not found.holds(Estimate(outside, float("nan")))
+    assert found.covers(Estimate(found.value, 0.0))
+    assert not found.covers(Estimate(outside, 0.01))
+    assert found.covers(Estimate(outside, found.value - found.low))
+    assert not found.covers(Estimate(outside, float("nan")))
 
 
 def test_the_trials_of_a_controller_become_one_by_the_rule_of_its_evolution():
@@ -198,7 +201,7 @@ def test_where_nothing_is_claimed_no_share_of_it_is_kept():
 
 
 def test_finalists_are_ranked_by_the_same_number():
-    worth = worth_by(ERRORS, {name: name for name in ERRORS})
+    worth = forecast_judgement(ERRORS, {name: name for name in ERRORS})
     by_model = np.array([[6.0, 9.0], [7.0, 8.0], [20.0, 4.0]])
     ranked = worth(evolved("poor", ("poor",)), ("good", "fair", "poor"), by_model)
     assert ranked[0] == pytest.approx(forecasts(matrix(CLAIMS), ERRORS)["poor"].value)
@@ -212,7 +215,7 @@ def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
     assert summary_of(made, ERRORS).pick == "good"
 
 
-DATA = GivenData(example_dataset(), Split()).cell()
+DATA = GivenData(example_dataset(), HoldOut()).cell()
 
 
 def names(*columns):
@@ -230,8 +233,8 @@ def names(*columns):
         scores = tuple(score(*one) for one in (errors or {}).items())
         return None if errors is None else ModelPrediction(label, cell.settings.family, scores)
 
-    work = Work(prediction_of, lambda done, total, note="": None, Path("unused"), Path("unused"), nowhere)
-    return tuple(one.label for one in believed(plants, work))
+    work = CellContext(prediction_of, lambda done, total, note="": None, Path("unused"), Path("unused"), nowhere)
+    return tuple(one.label for one in accurate_plants(plants, work))
 
 
 def score(horizon, n):

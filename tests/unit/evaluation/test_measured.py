@@ -11,8 +11,8 @@ from evaluation.transfer import (
     Cell,
     MeasuredResult,
     TransferMatrix,
+    human_driver,
     load_measured,
-    person,
     save_measured,
     summarise,
     with_measured,
@@ -63,7 +63,7 @@ def test_physical_robot_counts_before_the_emulated_one_which_is_no_model_either(
 
 
 def test_person_is_a_row_that_claims_nothing_and_is_never_chosen():
-    human = person("anna")
+    human = human_driver("anna")
     cells = [MeasuredResult(human, cell("anna", column, 50.0, 60.0), on_robot=False) for column in ("a", "b", "c")]
     matrix = with_measured(computed(), [*cells, driven(human, "car", 70.0), driven(ROWS[1], "car", 2.0)])
     assert matrix.rows == ("a", "b", "anna")
@@ -86,7 +86,7 @@ def test_measured_cells_alone_make_a_matrix_and_none_leave_it_as_it_is():
 def test_measured_cells_come_back_and_the_newest_of_a_place_counts(tmp_path):
     save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 4.0, 6.0))
     missing = replace(cell("anna", "a", 3.0), missing=("interrupted",))
-    save_measured(tmp_path, MeasuredResult(person("anna"), missing, on_robot=False))
+    save_measured(tmp_path, MeasuredResult(human_driver("anna"), missing, on_robot=False))
     save_measured(tmp_path, driven(ROWS[0], "robots/car:3", 1.0))
     found = {item.champion.name: item for item in load_measured(tmp_path)[0]}
     assert set(found) == {"a", "anna"}

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import ByHand
-from evaluation.cells.data import Split, whole_episodes
+from evaluation.cells.controllers import Baseline
+from evaluation.cells.data import HoldOut, whole_episodes
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import plan_comparison
 from evaluation.running import compare
@@ -20,7 +20,7 @@ from sysid_evo.testing.examples import pendulum, switched_car
 from tests.fixtures.known_models import recording
 
 SHORT = {
-    "generations": 2, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 2, "held_back": 0.3,
+    "generations": 2, "trials": 2, "selection_trials": 2, "transfer_trials": 3, "traces": 2, "held_out": 0.3,
     "ensembles": (), "task": "point_to_point(horizon=60)", "strategy": "mu_plus_lambda(children=5)",
 }  # fmt: skip
 
@@ -70,29 +70,31 @@ def planned(*names, **changes):
 
 def test_a_model_inside_a_controller_is_needed_by_it_and_its_label_is_no_part_of_a_result():
     fit = planned("linear").fits["linear"]
-    cells = [ByHand(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}).cell() for n in "ab"]
+    cells = [Baseline(Spec("lqr", {"model": n}), Spec("set_point"), switched_car(), {n: fit}).cell() for n in "ab"]
     assert cells[0].needs == (fit,)
     assert cells[0].digest == cells[1].digest
 
 
 def noises_met(**changes):
-    """Return the noise of every evolution of a comparison with a yardstick, by the label of what it is evolved on."""
-    plan = planned("linear", robot="made_up_robot", yardstick=True, **changes).plan
+    """Return the noise of every evolution of a comparison with a reference, by the label of what it is evolved on."""
+    plan = planned("linear", robot="made_up_robot", reference=True, **changes).plan
     return {cell.name: cell.settings.evolution.noise for cell in plan.of_kind("evolve")}
 
 
 def test_where_a_target_is_to_be_kept_models_meet_some_noise_unless_none_is_asked_for():
     target = "set_point(channels=yaw_rate, low=-1, high=1)"
-    assert noises_met(task=target) == {"linear": "envelope(process=0.02)", "made_up_robot": ""}
+    assert noises_met(task=target) == {"linear": "domain_randomisation(process=0.02)", "made_up_robot": ""}
     assert set(noises_met(task=target, noise="none").values()) == {""}
-    assert set(noises_met(task=target, noise="envelope(sensor=0.1)").values()) == {"envelope(sensor=0.1)"}
+    assert set(noises_met(task=target, noise="domain_randomisation(sensor=0.1)").values()) == {
+        "domain_randomisation(sensor=0.1)"
+    }
     assert set(noises_met().values()) == {""}
 
 
 def test_a_row_by_hand_depends_on_what_is_in_the_files_that_it_names(tmp_path):
     file = save_model(make_model("linear").fit(example_dataset(), rng=0), tmp_path / "body")
     spec = Spec("predictive", {"model": str(file)})
-    settings = ByHand(spec, Spec("point_to_point"), switched_car())
+    settings = Baseline(spec, Spec("point_to_point"), switched_car())
     first, same = (settings.inputs() for _ in range(2))
     assert len(first["files"]) == 2
     file.write_text(file.read_text() + " ")
@@ -107,7 +109,7 @@ def test_an_ensemble_in_two_orders_is_one():
 
 @pytest.mark.parametrize(("count", "title"), [(7, "a, b, c, d, e, f, g"), (8, "8 models")])
 def test_a_report_is_called_after_its_models_if_they_are_few(count, title):
-    comparison = planned(*(f"{label}=linear" for label in "abcdefgh"[:count]), only="prediction")
+    comparison = planned(*(f"{label}=linear" for label in "abcdefgh"[:count]), stop_after="prediction")
     assert comparison.title.endswith(f": {title}")
 
 
@@ -124,18 +126,26 @@ def test_a_report_is_called_after_its_models_if_they_are_few(count, title):
         ({"strategy": "mu_plus_lambda(parents=0)"}, InvalidArgument, "parents"),
         ({"controller": "recurrent(hidden=0)"}, InvalidArgument, "hidden"),
         ({"aggregate": "min(share=0.2)"}, InvalidArgument, "'min' has no parameter 'share'"),
-        ({"by_hand": ("recurrent",)}, InvalidArgument, "'recurrent' must be evolved before it can drive"),
-        ({"by_hand": ("predictive(model=liner)",)}, UnknownName, "the models compared are linear"),
-        ({"by_hand": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
-        ({"by_hand": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' is given 2 times"),
-        ({"by_hand": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
-        ({"by_hand": ("pursuit",), "only": "fit"}, InvalidArgument, "by_hand has no effect with only = 'fit'"),
-        ({"yardstick": True}, InvalidArgument, "name the emulated robot"),
-        ({"yardstick": True, "only": "prediction", "robot": "made_up_robot"}, InvalidArgument, "only = 'prediction'"),
+        ({"baselines": ("recurrent",)}, InvalidArgument, "'recurrent' must be evolved before it can drive"),
+        ({"baselines": ("predictive(model=liner)",)}, UnknownName, "the models compared are linear"),
+        ({"baselines": ("predictive(model=linear, horizon=0)",)}, InvalidArgument, "expected horizon"),
+        ({"baselines": ("pursuit", "pursuit")}, InvalidArgument, "'pursuit' is given 2 times"),
+        ({"baselines": ("linear=pursuit",)}, InvalidArgument, "another controller is called 'linear'"),
+        (
+            {"baselines": ("pursuit",), "stop_after": "fit"},
+            InvalidArgument,
+            "baselines has no effect with stop_after = 'fit'",
+        ),
+        ({"reference": True}, InvalidArgument, "name the emulated robot"),
+        (
+            {"reference": True, "stop_after": "prediction", "robot": "made_up_robot"},
+            InvalidArgument,
+            "stop_after = 'prediction'",
+        ),
         ({"robot": "swinging"}, IncompatibleSystem, "robot 'swinging' is not the one in the recordings"),
         ({"robot": "made_up_robot(seed=1)"}, InvalidArgument, "'made_up_robot' has no parameter 'seed'"),
         ({"test": ("episode-7",)}, InvalidArgument, "episode-7"),
-        ({"held_back": 0.0}, InvalidArgument, "held_back: expected a share above 0"),
+        ({"held_out": 0.0}, InvalidArgument, "held_out: expected a share above 0"),
     ],
 )
 def test_a_mistake_is_found_by_the_plan_and_nothing_is_written(tmp_path, changes, error, message):
@@ -161,51 +171,53 @@ def test_an_experiment_comes_back_from_its_file(tmp_path):
     settled = planned("near2=nearest_neighbour(state_lags=2)", "linear", ensembles=("near2+linear",)).experiment
     settled.write(tmp_path / "experiment.toml")
     assert Experiment.of(Experiment.read(tmp_path)) == settled
-    assert settled.runs == 1  # what was left open is named
+    assert settled.repeats == 1  # what was left open is named
 
 
 def test_conditions_are_left_out_of_recordings_of_several_alone():
     with pytest.raises(InvalidArgument, match=r"leave_out: expected recordings of two or more conditions, got 1"):
-        planned("linear", only="prediction", leave_out="condition")
+        planned("linear", stop_after="prediction", leave_out="condition")
 
 
 @pytest.mark.parametrize(
-    ("name", "by_hand", "rows"),
+    ("name", "baselines", "rows"),
     [
         ("Pendulum-v1", (), ["linear", "rest"]),
         ("Pendulum-v1", ("still=constant",), ["linear", "still"]),
         ("CartPole-v1", (), ["linear", "rest"]),
     ],
 )
-def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, by_hand, rows):
+def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, baselines, rows):
     task, robot = f'environment(id="{name}")', f'gymnasium(id="{name}")'
-    planned = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), by_hand=by_hand))
-    assert [champion.name for champion in planned.matrix.champions] == rows
-    own = plan_comparison(Experiment(robot=robot, models=("linear",), by_hand=by_hand))
+    planned = plan_comparison(Experiment(robot=robot, task=task, models=("linear",), baselines=baselines))
+    assert [champion.name for champion in planned.matrix.controllers] == rows
+    own = plan_comparison(Experiment(robot=robot, models=("linear",), baselines=baselines))
     assert own.experiment.task == task  # without --task it is the environment's own
     assert [cell.digest for cell in own.plan] == [cell.digest for cell in planned.plan]
-    only = plan_comparison(Experiment(robot=robot, models=("linear",), only="fit"))
+    only = plan_comparison(Experiment(robot=robot, models=("linear",), stop_after="fit"))
     assert only.matrix is None
 
 
 def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing():
-    planned = plan_comparison(Experiment(models=("linear",), yardstick=False))
-    assert [champion.name for champion in planned.matrix.champions] == ["linear"]
+    planned = plan_comparison(Experiment(models=("linear",), reference=False))
+    assert [champion.name for champion in planned.matrix.controllers] == ["linear"]
 
 
 def test_controls_at_rest_are_a_row_without_a_robot():
     task = 'set_point(channels="forward_speed")'
     without_robot = plan_comparison(Experiment(models=("linear",), task=task), dataset=recording(3, steps=400))
-    assert [champion.name for champion in without_robot.matrix.champions] == ["linear", "rest"]
+    assert [champion.name for champion in without_robot.matrix.controllers] == ["linear", "rest"]
 
 
 def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there():
-    plan = plan_comparison(Experiment(only="prediction"), dataset=swings([400, 400]))
+    plan = plan_comparison(Experiment(stop_after="prediction"), dataset=swings([400, 400]))
     assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
     assert plan.experiment.models is not None
     assert len(plan.experiment.models) == len(plan.fits)  # the run can be planned again from what is stored of it
     assert any("evolved3 is left out" in text and "angle comes round" in text for text in plan.plan.remarks)
-    asked = plan_comparison(Experiment(only="prediction", models=("evolved3", "linear")), dataset=swings([400, 400]))
+    asked = plan_comparison(
+        Experiment(stop_after="prediction", models=("evolved3", "linear")), dataset=swings([400, 400])
+    )
     assert set(asked.fits) == {"evolved3", "linear"}
     assert not any("left out" in text for text in asked.plan.remarks)
 
@@ -228,7 +240,7 @@ def test_whole_episodes_are_held_back_where_parts_of_them_would_be_too_short():
     names = whole_episodes(short, 0.25)
     held = sum(len(episode) for episode in short if episode.name in names)
     assert 0.15 * short.n_steps < held <= 0.25 * short.n_steps
-    parts = Split().of(short)
+    parts = HoldOut().of(short)
     assert set(parts.test.names) == set(names)
     assert {*parts.training.names, *names} == set(short.names)
 
@@ -237,6 +249,6 @@ def test_a_few_episodes_or_long_ones_are_cut_instead():
     assert whole_episodes(swings([40] * 7), 0.25) == []
     assert whole_episodes(swings([400] * 9), 0.25) == []
     assert whole_episodes(swings([400] * 9 + [20] * 9), 0.25) == []
-    parts = Split().of(swings([400] * 9))
+    parts = HoldOut().of(swings([400] * 9))
     assert parts.test is not None
     assert len(parts.test) == len(parts.training) == 9

@@ -28,8 +28,8 @@ def test_a_perfect_model_has_no_error_at_any_horizon_or_in_free_run():
     prediction = assessed(recording(2, seed=9), known=Known())
     assert prediction.names == (PERSISTENCE, "known")
     row = prediction.model("known")
-    assert [score.horizon for score in row.at] == [1, 10, 20, 60]
-    for score in (*row.at, row.free_run):
+    assert [score.horizon for score in row.scores] == [1, 10, 20, 60]
+    for score in (*row.scores, row.free_run):
         assert score.n < 1e-12
         assert score.fit_percent == pytest.approx(100.0)
     assert row.curve.shape == (60,)
@@ -63,7 +63,7 @@ def test_the_free_run_starts_once_and_is_scored_to_the_end():
 
 def test_the_curve_passes_through_the_scores():
     row = assessed(recording(2, seed=3)).model(PERSISTENCE)
-    for score in row.at:
+    for score in row.scores:
         assert row.curve[score.horizon - 1] == pytest.approx(score.n)
 
 
@@ -89,19 +89,19 @@ def test_a_better_model_is_significantly_better():
 def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
     prediction = assessed(recording(1, seed=5), exploding=models.Exploding())
     row, cases = prediction.model("exploding"), prediction.cases
-    envelope = fitted(models.Exploding()).envelope
+    envelope = fitted(models.Exploding()).state_bounds
     limit = np.minimum(cases.guard[1], np.minimum(envelope[1], -envelope[0]))
     steps = np.log2(limit / np.abs(cases.free_runs[0].past_states[-1])).min()
     assert row.divergence.free_run_times[0] == pytest.approx(np.ceil(steps) * 0.05, abs=0.051)
     assert row.divergence.share > 0.95
-    assert all(np.isfinite(score.n) for score in row.at)
+    assert all(np.isfinite(score.n) for score in row.scores)
 
 
 def test_a_model_that_is_not_a_number_is_scored_at_the_guard():
     row = assessed(recording(1), undefined=models.Undefined()).model("undefined")
     assert row.divergence.share == 1.0
     assert row.divergence.median_time == pytest.approx(0.05)
-    assert all(np.isfinite(score.n) for score in row.at)
+    assert all(np.isfinite(score.n) for score in row.scores)
 
 
 def test_horizons_longer_than_every_episode_are_left_out_with_a_note():
@@ -114,7 +114,7 @@ def test_horizons_longer_than_every_episode_are_left_out_with_a_note():
 def test_an_episode_too_short_for_anything_leaves_only_notes():
     prediction = assessed(recording(1, steps=5), known=Known())
     assert prediction.horizons == ()
-    assert prediction.model("known").at == ()
+    assert prediction.model("known").scores == ()
     assert prediction.model("known").free_run is None
     assert any("no free run" in note for note in prediction.cases.notes)
 
@@ -126,7 +126,7 @@ def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
     assert prediction.model("broken").curve.shape == (0,)
     assert prediction.model("broken").curve_interval.shape == (2, 0)
     assert prediction.compare("broken", "known", 1) is prediction.compare("known", "broken", 1) is None
-    assert prediction.model("known").at
+    assert prediction.model("known").scores
 
 
 def test_ctrl_c_while_a_model_predicts_ends_the_assessment():
@@ -136,7 +136,7 @@ def test_ctrl_c_while_a_model_predicts_ends_the_assessment():
 
 def test_a_model_that_wants_more_history_gets_it_padded_and_says_so():
     row = assessed(recording(1), long=models.Remembering()).model("long")
-    assert row.at[0].n < 1e-12
+    assert row.scores[0].n < 1e-12
     assert "padded" in row.notes[0]
 
 
@@ -146,7 +146,7 @@ def test_a_constant_channel_is_left_out_of_n_with_a_note():
     test = Dataset.from_arrays(SYSTEM, [states], [recording(1).episodes[0].controls])
     prediction = assessed(test, weak=Weak())
     assert any("lateral_speed is constant" in note for note in prediction.cases.notes)
-    assert np.isfinite(prediction.model("weak").at[0].n)
+    assert np.isfinite(prediction.model("weak").scores[0].n)
 
 
 def test_a_test_set_that_stands_still_is_refused():
@@ -164,9 +164,9 @@ def test_a_protocol_that_makes_no_sense_is_refused():
 
 def test_persistence_on_the_slippery_log_scores_the_published_figures(slippery):
     row = assess_prediction({}, *slippery, protocol=PROTOCOL).model(PERSISTENCE)
-    assert [round(score.n, 3) for score in row.at] == [0.197, 1.127, 1.339, 1.447]
+    assert [round(score.n, 3) for score in row.scores] == [0.197, 1.127, 1.339, 1.447]
     assert row.free_run.n == pytest.approx(1.903, abs=5e-4)
-    assert row.at[2].estimate.interval == pytest.approx((1.19, 1.48), abs=0.04)
+    assert row.scores[2].estimate.interval == pytest.approx((1.19, 1.48), abs=0.04)
 
 
 TURN = 2.0 * np.pi
@@ -196,7 +196,7 @@ def turned_round():
 
 def test_a_prediction_that_is_a_whole_turn_away_is_right():
     row = turned_round().model("turned")
-    for score in (*row.at, row.free_run):
+    for score in (*row.scores, row.free_run):
         assert score.rmse[0] < 1e-9
     assert row.curve.max() < 1e-9
     assert row.divergence.share == 0.0, "the guard must not stop an angle that turns on"
@@ -204,7 +204,7 @@ def test_a_prediction_that_is_a_whole_turn_away_is_right():
 
 def test_the_error_of_persistence_is_the_short_way_round():
     row = assess_prediction({}, spinning(), spinning(), protocol=OF_ANGLES).model(PERSISTENCE)
-    for score in row.at:
+    for score in row.scores:
         off = 0.1 * score.horizon
         assert score.rmse[0] == pytest.approx(abs(off - TURN * np.round(off / TURN)))
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.signal import lfilter
 
 from evaluation.prediction import (
+    OneStepErrors,
     PredictionProtocol,
     Region,
-    StepErrors,
-    analyse,
+    analyse_residuals,
     assess_prediction,
     step_errors,
     worst_region,
@@ -38,7 +38,7 @@ def filtered(noise, share):
 
 
 def analysed(errors, controls):
-    return analyse(StepErrors(errors, errors, controls))
+    return analyse_residuals(OneStepErrors(errors, errors, controls))
 
 
 def called_coloured(draws, loud, share=0.0):
@@ -127,7 +127,9 @@ def test_of_a_long_recording_pieces_are_looked_at():
 
 def test_too_few_steps_for_a_band_have_no_missing_control():
     rng = np.random.default_rng(0)
-    found = analyse(StepErrors(rng.standard_normal((60, 1)), np.zeros((60, 1)), rng.standard_normal((60, 2))))
+    found = analyse_residuals(
+        OneStepErrors(rng.standard_normal((60, 1)), np.zeros((60, 1)), rng.standard_normal((60, 2)))
+    )
     assert np.isnan(found.cross_p).all()
     assert found.cross.shape == (AHEAD + 1 + LAGS, 2, 1)
 
@@ -203,7 +205,7 @@ def test_the_fit_is_that_of_matlab():
 def test_the_interval_of_the_curve_is_that_of_the_scores():
     row = assessed(Weak(), noisy(3))
     assert row.curve_interval.shape == (2, 20)
-    for score in row.at:
+    for score in row.scores:
         assert row.curve_interval[:, score.horizon - 1] == pytest.approx(score.estimate.interval)
     assert (row.curve_interval[0] < row.curve).all()
     assert (row.curve < row.curve_interval[1]).all()
@@ -229,7 +231,7 @@ def test_what_is_stored_comes_back(tmp_path):
     np.testing.assert_array_equal(again.curve_interval, row.curve_interval)
     assert [episode.name for episode in again.episodes] == [episode.name for episode in row.episodes]
     np.testing.assert_array_equal(again.episodes[0].fit, row.episodes[0].fit)
-    for found, kept in zip((*again.at, again.free_run), (*row.at, row.free_run), strict=True):
+    for found, kept in zip((*again.scores, again.free_run), (*row.scores, row.free_run), strict=True):
         assert (found.horizon, found.samples, found.estimate) == (kept.horizon, kept.samples, kept.estimate)
     failed = ModelPrediction("failed", "linear")  # no free run, no residuals
     save_result(failed, tmp_path / "failed")

@@ -72,9 +72,9 @@ def _carts(register, monkeypatch):
     monkeypatch.setattr("hardware.robot.time", SimpleNamespace(perf_counter=Clock.look))
 
 
-def planned(robot, yardstick=None, channel="x"):
+def planned(robot, reference=None, channel="x"):
     task = f"set_point(channels={channel}, low=-1, high=1)"
-    return plan_comparison(Experiment(robot=robot, models=("linear",), minutes=2.0, task=task, yardstick=yardstick))
+    return plan_comparison(Experiment(robot=robot, models=("linear",), minutes=2.0, task=task, reference=reference))
 
 
 def on_itself(comparison):
@@ -82,7 +82,7 @@ def on_itself(comparison):
 
 
 def seconds_on(comparison, robot):
-    return next(cell.seconds for cell in comparison.plan.of_kind("run") if cell.settings.column.label == robot)
+    return next(cell.expected_seconds for cell in comparison.plan.of_kind("run") if cell.settings.column.label == robot)
 
 
 def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
@@ -92,20 +92,20 @@ def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
     assert on_itself(slow) == []
     (remark,) = (text for text in slow.plan.remarks if "itself" in text)
     assert "no controller is evolved on slow_cart itself: a step of it takes 2" in remark
-    assert "hours. Use --yardstick to do it anyway" in remark
-    assert slow.experiment.yardstick is False, "a busier machine that plans it again decides the same"
+    assert "hours. Use --reference to do it anyway" in remark
+    assert slow.experiment.reference is False, "a busier machine that plans it again decides the same"
     assert seconds_on(slow, "slow_cart") >= 100 * 500 * EACH
-    assert slow.data.seconds >= 2 * 60 / SYSTEM.dt * EACH
-    (asked,) = on_itself(planned("slow_cart", yardstick=True))
-    assert asked.seconds > 3600.0
+    assert slow.data.expected_seconds >= 2 * 60 / SYSTEM.dt * EACH
+    (asked,) = on_itself(planned("slow_cart", reference=True))
+    assert asked.expected_seconds > 3600.0
 
 
 def test_what_numpy_steps_for_all_trials_at_once_is_not_slow():
     quick = planned("cart")
     assert len(on_itself(quick)) == 1
-    assert quick.experiment.yardstick is True
+    assert quick.experiment.reference is True
     assert seconds_on(quick, "cart") < 10.0
-    assert planned("cart", yardstick=False).experiment.yardstick is False
+    assert planned("cart", reference=False).experiment.reference is False
 
 
 @pytest.mark.parametrize(("engine", "decided"), [("auto", None), ("reference", True)])
@@ -113,7 +113,7 @@ def test_what_is_compiled_is_timed_only_where_numpy_steps_it(engine, decided, mo
     monkeypatch.setenv("SYSID_EVO_ENGINE", engine)
     compiled = planned("pendulum", channel="angle")
     assert len(on_itself(compiled)) == 1
-    assert compiled.experiment.yardstick is decided
+    assert compiled.experiment.reference is decided
 
 
 def test_a_simulator_is_timed_step_by_step():

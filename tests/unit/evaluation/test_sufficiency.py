@@ -10,7 +10,7 @@ from evaluation.prediction import PredictionProtocol, assess_prediction, measure
 from evaluation.report import verdict
 from evaluation.report.report import brief, to_json
 from evaluation.report.sections.controllers import forecast_sheet
-from evaluation.report.sections.prediction import difference_sheet, prediction_sheet
+from evaluation.report.sections.prediction import difference_table, error_table
 from evaluation.report.sections.summary import headlines
 from evaluation.sufficiency import FEWEST_BLOCKS, beats_rest, none_beats_rest
 from sysid_evo.data import Dataset
@@ -40,9 +40,9 @@ def test_models_are_told_apart_from_ten_blocks_of_test_data_on(episodes):
     assert (card.tone == "good") == enough
     assert ("is best" in said) == enough
     assert (f"Too little test data to compare models: {episodes} blocks of 3 s, 10 are needed." in said) != enough
-    rows = {row[0]: row[1:] for row in prediction_sheet(made.prediction).rows}
+    rows = {row[0]: row[1:] for row in error_table(made.prediction).rows}
     assert rows["linear"] == (("* 0.036\n0.016-0.056",) * 2 if enough else ("0.036",) * 2)
-    assert (difference_sheet(made.prediction) is not None) == enough
+    assert (difference_table(made.prediction) is not None) == enough
     document = to_json(made)["prediction"]
     (score,) = next(model["horizons"] for model in document["models"] if model["name"] == "linear")
     assert (score["interval"] != [None, None]) == enough

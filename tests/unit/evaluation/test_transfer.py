@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from evaluation.storage import load_result, plain, save_result
-from evaluation.transfer import Cell, TransferMatrix, run_cell, summarise, transfer, transfer_seeds
+from evaluation.transfer import Cell, TransferMatrix, summarise, transfer, transfer_seeds, try_controller
 from evaluation.transfer.summary import mean_ranks
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, rollout
@@ -19,7 +19,7 @@ from tests.fixtures.reports import Unplugged, champion, paper_matrix
 
 def test_a_cell_holds_the_numbers_of_the_rollout():
     model, driver, seeds = fitted(Boxed()), champion("c", ("boxed",), seed=3), transfer_seeds(7, 6)
-    cell = run_cell(driver, "boxed", DynamicsRunner(model, engine="reference"), seeds, traces=2)
+    cell = try_controller(driver, "boxed", DynamicsRunner(model, engine="reference"), seeds, traces=2)
     task, controller = make_task("point_to_point", horizon=60), make_controller("recurrent")
     expected = rollout(model, controller, driver.parameters[None], task, seeds, engine="reference")
     np.testing.assert_array_equal(cell.fitness, expected.fitness[0])
@@ -64,11 +64,11 @@ def test_a_column_that_fails_is_a_cell_with_its_reason():
 
 def test_ctrl_c_while_a_controller_runs_is_no_failed_cell():
     with pytest.raises(KeyboardInterrupt):
-        run_cell(champion("c", ("s",)), "s", DynamicsRunner(fitted(Stopped())), transfer_seeds(0, 2))
+        try_controller(champion("c", ("s",)), "s", DynamicsRunner(fitted(Stopped())), transfer_seeds(0, 2))
 
 
 def test_trials_that_diverge_are_counted():
-    cell = run_cell(champion("c", ("u",)), "u", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5))
+    cell = try_controller(champion("c", ("u",)), "u", DynamicsRunner(fitted(Undefined())), transfer_seeds(0, 5))
     assert cell.diverged_share == 1.0
     assert cell.mean < 0.0
 
@@ -80,7 +80,7 @@ def test_the_papers_table_gives_the_papers_gaps():
     assert bp27c.reality_gap.value == pytest.approx(18.6 - 9.33)
     assert bp27c.exploitation_gap.value == pytest.approx(18.6 - (9 + 1.3 + 14) / 3)
     assert mm1c.claimed.value == pytest.approx(12.0)
-    assert mm1c.others.value == pytest.approx(7.5)
+    assert mm1c.other_models.value == pytest.approx(7.5)
     assert mm1c.kept.value == pytest.approx(8.33 / 12.0)
 
 
@@ -91,7 +91,7 @@ def test_the_median_on_other_families_is_highest_for_the_best_controller_of_the_
     judged = {c.name: c.other_families.value for c in summary.controllers if c.other_families}
     assert judged == pytest.approx({"bp27c": 9.0, "paramc": 15.5, "evo3c": 0.3, "nnc": 5.0, "mm1c": 7.5})
     assert max(judged, key=judged.__getitem__) == "paramc" == matrix.best("real")
-    assert summary.controller("paramc").judges == ("backprop27", "evolved3", "nearest_neighbour")
+    assert summary.controller("paramc").other_family_models == ("backprop27", "evolved3", "nearest_neighbour")
     assert summary.best_on["evolved3"] == "mm1c"
     assert summary.best_on["parametrised"] == "paramc"
 
@@ -115,14 +115,14 @@ def test_a_model_of_the_same_family_is_no_judge():
     families = {"a-1": "a", "a-2": "a", "b-1": "b"}
     rows = {"c": {"a-1": 9.0, "a-2": 8.0, "b-1": 3.0}}
     summary = summary_of_means(rows, [champion("c", ("a-1",))], families=families).controller("c")
-    assert summary.judges == ("b-1",)
-    assert summary.others.value == pytest.approx(5.5)
+    assert summary.other_family_models == ("b-1",)
+    assert summary.other_models.value == pytest.approx(5.5)
 
 
 def test_a_controller_evolved_on_the_robot_is_in_no_correlation():
     rows = {name: {"car": 5.0, "a": 5.0, "b": 5.0} for name in ("cheat", "c")}
     summary = summary_of_means(rows, [champion("cheat", ("car",)), champion("c", ("a",))], robot="car")
-    assert summary.controller("cheat").on_robot
+    assert summary.controller("cheat").evolved_on_robot
     assert [correlation.controllers for correlation in summary.correlations] == [1, 1]
 
 
@@ -130,7 +130,7 @@ def test_the_aggregate_of_the_evolution_makes_the_claim():
     rows = {name: {"a": 2.0, "b": 6.0} for name in ("low", "mid")}
     summary = summary_of_means(rows, [champion("low", ("a", "b")), champion("mid", ("a", "b"), aggregate="mean")])
     assert [c.claimed.value for c in summary.controllers] == [2.0, 4.0]
-    assert all(c.others is None and c.exploitation_gap is None for c in summary.controllers)
+    assert all(c.other_models is None and c.exploitation_gap is None for c in summary.controllers)
     assert summary.pick is None
     assert summary.correlations == ()
 
@@ -154,7 +154,7 @@ def test_a_missing_cell_is_a_failed_one_and_the_robot_comes_last():
 @pytest.mark.parametrize("traces", [0, 2])
 def test_a_cell_on_disk_keeps_every_bit_of_its_traces(tmp_path, traces):
     driver, runner = champion("c", ("boxed",), seed=3), DynamicsRunner(fitted(Boxed()))
-    cell = run_cell(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
+    cell = try_controller(driver, "boxed", runner, transfer_seeds(7, 3), traces=traces)
     files = save_result(cell, tmp_path / "here" / "c@boxed")
     assert all(file.is_file() for file in files)
     again = load_result(Cell, tmp_path / "here" / "c@boxed")

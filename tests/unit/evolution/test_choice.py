@@ -7,7 +7,7 @@ import pytest
 
 from sysid_evo.engine import Rollouts
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose, judge, polish
+from sysid_evo.evolution import Champion, ControllerEvolution, Finalist, choose, polish, score_finalists
 from sysid_evo.registry import Spec
 from sysid_evo.testing.examples import switched_car
 
@@ -51,8 +51,8 @@ def test_not_the_claim_counts_but_the_median_on_models_of_other_families():
     best = choose([(mine, others)], seed=1)
     assert best.parameters[0] == 3.0
     assert best.name == "mine"
-    assert best.judges == ("a", "b", "c")
-    assert [(one.niche, one.elsewhere) for one in best.finalists] == [("boasts", 6.0), ("modest", 9.0)]
+    assert best.scoring_models == ("a", "b", "c")
+    assert [(one.behaviour_class, one.forecast) for one in best.finalists] == [("boasts", 6.0), ("modest", 9.0)]
     assert [one.fitness for one in best.finalists] == [99.0, 5.0]
     assert others["a"].met == 100
 
@@ -61,12 +61,12 @@ def test_of_several_champions_each_is_judged_by_its_own_others():
     first, second = champion("first", finalist(0.0, 7.0)), champion("second", finalist(1.0, 6.0))
     best = choose([(first, {"second": Hill(1.0)}), (second, {"first": Hill(1.5)})], seed=1, trials=3)
     assert (best.name, best.parameters[0]) == ("second", 1.0)
-    assert [one.elsewhere for one in best.finalists] == [9.0, 9.5]
+    assert [one.forecast for one in best.finalists] == [9.0, 9.5]
 
 
 def test_where_nobody_judges_the_fittest_is_chosen_and_a_judged_one_goes_before_it():
     alone = champion("alone", finalist(0.0, 7.0), finalist(1.0, 8.0))
-    assert judge(alone, {}, seed=1) is alone
+    assert score_finalists(alone, {}, seed=1) is alone
     assert choose([(alone, {})], seed=1).parameters[0] == 1.0
     judged = champion("judged", finalist(2.0, 1.0))
     assert choose([(alone, {}), (judged, {"other": Hill(2.0, height=-3.0)})], seed=1).name == "judged"
@@ -91,20 +91,20 @@ def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest():
     assert better.history.shape == (60, 3)
     assert told == [(i, 60) for i in range(1, 61)]
     (only,) = better.finalists
-    assert (only.niche, only.elsewhere) == ("polished left", None)
+    assert (only.behaviour_class, only.forecast) == ("polished left", None)
     assert only.fitness == pytest.approx(9.0, abs=0.05)
-    assert better.judges == ()
+    assert better.scoring_models == ()
 
 
 def test_the_most_promising_finalists_are_polished_and_one_that_nothing_beats_stays():
     start = champion(
         "start",
-        replace(finalist(-9.0, 50.0, "boasts"), elsewhere=1.0),
-        replace(finalist(1.0, 5.0, "good"), elsewhere=9.0),
-        replace(finalist(3.0, 4.0, "next"), elsewhere=8.0),
+        replace(finalist(-9.0, 50.0, "boasts"), forecast=1.0),
+        replace(finalist(1.0, 5.0, "good"), forecast=9.0),
+        replace(finalist(3.0, 4.0, "next"), forecast=8.0),
     )
     best = polish("best", start, {"a": Hill(1.0), "b": Hill(1.0)}, SETTINGS, seed=3, starts=2, generations=1)
-    assert [one.niche for one in best.finalists] == ["polished good", "polished next"]
+    assert [one.behaviour_class for one in best.finalists] == ["polished good", "polished next"]
     assert best.parameters[0] == 1.0
 
 

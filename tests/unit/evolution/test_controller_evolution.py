@@ -9,10 +9,10 @@ from evaluation.cells.controllers import Evolve, evolution_settings
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment
 from sysid_evo.engine import DynamicsRunner, Rollouts, rollout
-from sysid_evo.engine.rollout import Discounted
+from sysid_evo.engine.rollout import PenalisedRunner
 from sysid_evo.errors import IncompatibleTask, InvalidArgument, ShapeError, UnknownName
 from sysid_evo.evolution import ControllerEvolution, EnsembleObjective, evolve_controller, polish
-from sysid_evo.evolution.controller_evolution import met
+from sysid_evo.evolution.controller_evolution import disturbed_runners
 from sysid_evo.models import Disturbed
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
@@ -29,7 +29,7 @@ SETTINGS = ControllerEvolution(
     task="point_to_point(horizon=40, waypoint_radius=0.6)",
     strategy="mu_plus_lambda(parents=4, children=4, spread=2.0)",  # at once some drive
 )
-NOISE = "envelope(sensor=0.2, latency=2, gain=0.2)"
+NOISE = "domain_randomisation(sensor=0.2, latency=2, gain=0.2)"
 
 
 @dataclass
@@ -180,7 +180,7 @@ def test_an_evolved_controller_beats_random_ones_on_trials_it_never_met(runners,
 
 def test_a_champion_knows_how_it_came_about(car_data, evolved):
     told = []
-    settings = replace(SETTINGS, runs=2, aggregate="mean")
+    settings = replace(SETTINGS, repeats=2, aggregate="mean")
     champion = evolved(settings, progress=lambda *given: told.append(given))
     assert (champion.name, champion.against) == ("c", ("linear", "nearest_neighbour"))
     assert (champion.aggregate, champion.seed) == ("mean", 3)
@@ -206,7 +206,7 @@ def test_the_result_depends_on_the_seed_alone(evolved):
 
 def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(runners, evolved):
     settings = replace(
-        SETTINGS, generations=2, runs=3, selection_trials=10,
+        SETTINGS, generations=2, repeats=3, selection_trials=10,
         strategy="mu_plus_lambda(parents=5, children=5, spread=1.0)",
     )  # fmt: skip
     best_runs = set()
@@ -257,7 +257,7 @@ def test_a_bare_model_is_run_by_a_runner_of_its_own_and_what_is_none_is_refused(
     [
         *(
             ({name: 0}, InvalidArgument, f"expected {name} as a whole number >= 1, got 0")
-            for name in ("generations", "trials", "runs", "selection_trials")
+            for name in ("generations", "trials", "repeats", "selection_trials")
         ),
         ({"generations": "ten"}, InvalidArgument, "expected generations as a whole number >= 1, got 'ten'"),
         ({"aggregate": "maximum"}, UnknownName, r"no aggregate is called 'maximum'\..* Known: .*mean, median, min"),
@@ -269,8 +269,8 @@ def test_a_bare_model_is_run_by_a_runner_of_its_own_and_what_is_none_is_refused(
             r"strategy 'mu_plus_lambda' has no parameter 'sigmma'\. Did you mean",
         ),
         ({"task": "point_to_point(radius=0.1)"}, InvalidArgument, "task 'point_to_point' has no parameter 'radius'"),
-        ({"noise": "fog(density=2)"}, UnknownName, "envelope"),
-        ({"caution": "fog"}, UnknownName, "doubt"),
+        ({"noise": "fog(density=2)"}, UnknownName, "domain_randomisation"),
+        ({"penalty": "fog"}, UnknownName, "uncertainty"),
     ],
 )
 def test_impossible_settings_are_refused_where_they_are_given(settings, error, reason):
@@ -281,7 +281,7 @@ def test_impossible_settings_are_refused_where_they_are_given(settings, error, r
 def test_a_task_that_the_system_cannot_do_and_noise_of_an_experiment_are_refused(ladder):
     with pytest.raises(IncompatibleTask, match="has no motion"):
         ControllerEvolution().make_task(ladder)
-    with pytest.raises(UnknownName, match="envelope"):
+    with pytest.raises(UnknownName, match="domain_randomisation"):
         evolution_settings(Experiment(noise="fog"))
 
 
@@ -299,17 +299,17 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(mo
     assert not np.array_equal(first.history, other.history)
 
 
-def test_a_polish_meets_noise_and_caution_too(models, evolved):
+def test_a_polish_meets_noise_and_penalty_too(models, evolved):
     start = evolved(models=models)
     plain, doubted = (
-        polish("x", start, models, replace(SETTINGS, noise=NOISE, caution=caution), seed=3, generations=1)
-        for caution in ("", "doubt(outside=100)")
+        polish("x", start, models, replace(SETTINGS, noise=NOISE, penalty=penalty), seed=3, generations=1)
+        for penalty in ("", "uncertainty(outside=100)")
     )
     assert doubted.history.min() < 0.0 <= plain.history.min()
 
 
 def test_every_model_is_met_with_noise(models):
-    for runner in met(models, replace(SETTINGS, noise=NOISE)).values():
+    for runner in disturbed_runners(models, replace(SETTINGS, noise=NOISE)).values():
         assert isinstance(runner, DynamicsRunner)
         assert isinstance(runner.dynamics, Disturbed)
         assert runner.dynamics.noise == noises.make(NOISE)
@@ -317,11 +317,15 @@ def test_every_model_is_met_with_noise(models):
 
 def test_candidates_lose_fitness_where_models_are_doubted(models, evolved):
     plain, cautious = (
-        evolved(replace(SETTINGS, caution=caution), models) for caution in ("", "doubt(outside=100, disagreement=50)")
+        evolved(replace(SETTINGS, penalty=penalty), models)
+        for penalty in ("", "uncertainty(outside=100, disagreement=50)")
     )
     assert cautious.history[:, 2].min() < -1.0 <= plain.history[:, 2].min()
-    doubted = met(models, replace(SETTINGS, noise="envelope(gain=0.1)", caution="doubt(outside=1, disagreement=2)"))
-    assert isinstance(doubted["a"], Discounted)
+    doubted = disturbed_runners(
+        models,
+        replace(SETTINGS, noise="domain_randomisation(gain=0.1)", penalty="uncertainty(outside=1, disagreement=2)"),
+    )
+    assert isinstance(doubted["a"], PenalisedRunner)
     assert doubted["a"].most == 3.0
 
 
@@ -331,8 +335,8 @@ def test_noise_belongs_to_what_a_controllers_cell_depends_on():
     def digest(**changed):
         return Evolve((column,), replace(SETTINGS, **changed), seed=0).cell().digest
 
-    digests = [digest(noise=noise) for noise in ("", NOISE, "envelope(sensor=0.1)")] + [
-        digest(caution="doubt(outside=1)")
+    digests = [digest(noise=noise) for noise in ("", NOISE, "domain_randomisation(sensor=0.1)")] + [
+        digest(penalty="uncertainty(outside=1)")
     ]
     assert len(set(digests)) == 4
-    assert digest(noise="envelope(gain=0.2, latency=2, sensor=0.2)") == digests[1]
+    assert digest(noise="domain_randomisation(gain=0.2, latency=2, sensor=0.2)") == digests[1]

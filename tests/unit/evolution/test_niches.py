@@ -5,7 +5,7 @@ import pytest
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution import Niches, Scores, evolve
-from sysid_evo.evolution.strategies.niches import Island, _known
+from sysid_evo.evolution.strategies.niches import Island, _converged
 from tests.fixtures.evolutions import CONTROLS, NAMES, described, trap
 
 
@@ -31,7 +31,7 @@ def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on():
     assert [island.name for island in strategy.islands] == ["drive above", "drive below", "steer above", "steer below"]
     for _ in evolve(strategy, trap, 20):
         pass
-    kept = [island.name for island in strategy.going]
+    kept = [island.name for island in strategy.active]
     assert len(kept) == 2
     assert "drive above" in kept  # the slow kind is not lost: the others all went backwards
     ages = {island.name: island.age for island in strategy.islands}
@@ -52,7 +52,7 @@ def test_an_island_ranks_what_leaves_its_niche_below_all_inside():
     island.tell(np.arange(12.0).reshape(4, 3), fitness, np.zeros((4, 6)), np.array([0.0, 0.1, 0.4, 0.0]))
     assert list(np.argsort(-told[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
     np.testing.assert_array_equal(island.best[0], [0.0, 1.0, 2.0])
-    assert island.promise == pytest.approx(np.quantile([1.0, -3.0], 0.8))
+    assert island.smoothed_quantile == pytest.approx(np.quantile([1.0, -3.0], 0.8))
     np.testing.assert_array_equal(fitness, [1.0, 9.0, 8.0, -3.0])
 
 
@@ -64,7 +64,7 @@ def test_an_island_of_which_most_fail_promises_nothing(failed, promise):
     outside = np.zeros(21)
     outside[20] = 0.1
     island.tell(population, fitness, described(population), outside if failed == 21 else np.zeros(21))
-    assert island.promise == promise
+    assert island.smoothed_quantile == promise
 
 
 def test_an_empty_niche_promises_nothing():
@@ -76,9 +76,9 @@ def test_an_empty_niche_promises_nothing():
 
     for _ in evolve(strategy, forwards_only, 20):
         pass
-    assert strategy.islands[1].promise == -np.inf
-    assert "drive below" not in [island.name for island in strategy.going]
-    assert len(strategy.going) == 2
+    assert strategy.islands[1].smoothed_quantile == -np.inf
+    assert "drive below" not in [island.name for island in strategy.active]
+    assert len(strategy.active) == 2
 
 
 def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_promise_more():
@@ -98,9 +98,9 @@ def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_
     strategy = prepared(generations=400)
     for generation in evolve(strategy, trap, 400):
         if generation.index == 300:
-            begun = {island.name: island.age for island in strategy.going}
+            begun = {island.name: island.age for island in strategy.active}
     assert {"drive above", "drive above #2"} <= set(begun)  # the first was at the top long ago
-    asked = {island.name: island.age for island in strategy.going}
+    asked = {island.name: island.age for island in strategy.active}
     last = [name for name in asked if asked[name] != begun[name]]
     assert len(last) <= 4  # those that ran on, and the two that are best at the end
     assert any(name.startswith("drive above") for name in last)
@@ -123,9 +123,9 @@ def test_less_than_a_hundredth_more_is_no_rise():
 
 
 def test_a_kind_is_known_when_several_of_its_starts_reached_the_same():
-    assert not any(_known(reached) for reached in ([], [12.0], [12.0, 11.5]))
-    assert _known([12.0, 11.7])
-    assert _known([-10.0, -10.2])
+    assert not any(_converged(reached) for reached in ([], [12.0], [12.0, 11.5]))
+    assert _converged([12.0, 11.7])
+    assert _converged([-10.0, -10.2])
 
 
 def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open():
@@ -137,11 +137,11 @@ def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open():
         for number, peak in zip(numbers, peaks, strict=True):
             island = strategy.islands[number]
             island.age, island.peak, island.peak_age = 1000, peak, 100
-    assert strategy._hoped() == 0  # although it has more starts and reached less
+    assert strategy._next_restart() == 0  # although it has more starts and reached less
     strategy.islands[1].peak = 12.0  # its two starts differ now
-    assert strategy._hoped() == 1  # fewer starts
+    assert strategy._next_restart() == 1  # fewer starts
     strategy._start(1)
-    assert strategy._hoped() == 1  # as many, and it reached more
+    assert strategy._next_restart() == 1  # as many, and it reached more
 
 
 def test_other_channels_can_tell_niches_apart():

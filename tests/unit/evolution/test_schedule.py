@@ -194,9 +194,9 @@ def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_
     full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
     for generation in (*[full] * 19, not_quite, *[full] * 19):
         schedule.tell(generation)
-        assert not schedule.exhausted
+        assert not schedule.converged
     schedule.tell(full)
-    assert schedule.exhausted
+    assert schedule.converged
 
 
 def test_an_easier_stage_does_not_end_a_search():
@@ -204,12 +204,12 @@ def test_an_easier_stage_does_not_end_a_search():
     for _ in range(30):
         schedule.tell(scored(1.0, 1.0))
     assert schedule.stage == 1
-    assert not schedule.exhausted
+    assert not schedule.converged
 
 
 def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, evolved, tmp_path, monkeypatch):
-    monkeypatch.setattr(PointToPoint, "most", 0.0)  # whatever anybody does is all there is
-    settings = replace(SETTINGS, generations=40, runs=2, schedule=(), task="point_to_point(horizon=5)")
+    monkeypatch.setattr(PointToPoint, "max_fitness", 0.0)  # whatever anybody does is all there is
+    settings = replace(SETTINGS, generations=40, repeats=2, schedule=(), task="point_to_point(horizon=5)")
     given = settings, {"linear": runners["linear"]}
     champion = evolved(*given)
     assert len(champion.history) == 20

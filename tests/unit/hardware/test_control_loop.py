@@ -8,11 +8,11 @@ import pytest
 
 from hardware.connection import GateLimits
 from hardware.control_loop import ControlLoop
-from hardware.emulation.tracked_robots import EmulatedRobot
+from hardware.emulation.tracked_robots import TrackedRobot
 from hardware.recording.journal import read_journal
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import record
-from hardware.run_report import LoopReport, Reason
+from hardware.recording.record import record_journals
+from hardware.run_report import LoopReport, StopReason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.models import Dynamics
 from sysid_evo.motion import PlanarBody
@@ -46,7 +46,7 @@ def test_pilot_is_asked_once_a_sample_and_its_control_drives(drive):
     with drive.link.connection as link:
         assert link.pose[0] > 1.0
         assert np.array_equal(link.control, [0.0, 0.0])
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert (drive.script.ticks, report.ticks) == (list(range(40)), 40)
     assert np.allclose(report.gaps, 0.05)
     assert np.allclose(report.lateness, 0.0, atol=1e-9)
@@ -77,7 +77,7 @@ def test_pilot_that_has_enough_leaves_the_connection_open_in_neutral(emulated):
     with emulated.connect(seed=1) as link:
         loop = ControlLoop(link, emulated.system)
         report = loop.run(Script(lambda tick: FORWARD if tick < 5 else None))
-        assert report.reason is Reason.PILOT
+        assert report.reason is StopReason.PILOT
         assert not report.reason.is_fault
         assert not link.control.any()
         assert loop.run(Script(lambda tick: FORWARD), samples=3).ticks == 3
@@ -86,7 +86,7 @@ def test_pilot_that_has_enough_leaves_the_connection_open_in_neutral(emulated):
 @pytest.mark.parametrize("control", [np.array([np.nan, 0.0]), np.array([1.0, np.inf])])
 def test_control_that_is_not_a_number_ends_in_neutral_before_it_is_sent(drive, control):
     report = drive(9, lambda tick: FORWARD if tick < 3 else control)
-    assert report.reason is Reason.NOT_FINITE
+    assert report.reason is StopReason.NOT_FINITE
     assert "sample 3" in report.detail
     assert drive.link.closed
     assert np.isfinite([command.control for command in drive.diary.commands]).all()
@@ -109,13 +109,13 @@ def test_what_the_pilot_may_not_do_closes_the_connection_first(drive, control, e
 @pytest.mark.parametrize(
     ("faults", "reason", "why"),
     [
-        ({"broken_at": 0.5}, Reason.LINK_LOST, "0.25 s"),
-        ({"tripped_at": 0.5}, Reason.TRIPPED, ""),
-        ({"lost": (1.0, 9.0)}, Reason.TRACKER_LOST, "not valid"),
-        ({"lost": (-1.0, 9.0)}, Reason.TRACKER_LOST, ""),
-        ({"moved": (1.0, (0.2, 0.0, 0.0))}, Reason.TRACKER_LOST, "too fast"),
-        ({"moved": (1.0, (3.0, 0.0, 0.0))}, Reason.TRACKER_LOST, "jumped"),
-        ({"frozen_at": 1.0}, Reason.TRACKER_LOST, "frozen"),
+        ({"broken_at": 0.5}, StopReason.LINK_LOST, "0.25 s"),
+        ({"tripped_at": 0.5}, StopReason.TRIPPED, ""),
+        ({"lost": (1.0, 9.0)}, StopReason.TRACKER_LOST, "not valid"),
+        ({"lost": (-1.0, 9.0)}, StopReason.TRACKER_LOST, ""),
+        ({"moved": (1.0, (0.2, 0.0, 0.0))}, StopReason.TRACKER_LOST, "too fast"),
+        ({"moved": (1.0, (3.0, 0.0, 0.0))}, StopReason.TRACKER_LOST, "jumped"),
+        ({"frozen_at": 1.0}, StopReason.TRACKER_LOST, "frozen"),
     ],
 )
 def test_a_fault_ends_the_run_with_its_reason_and_closes_the_connection(drive, faults, reason, why):
@@ -138,7 +138,7 @@ def test_a_fault_ends_the_run_with_its_reason_and_closes_the_connection(drive, f
 
 def test_short_dropout_of_the_tracker_does_not_end_the_run(drive):
     report = drive(40, lost=(1.0, 1.09))
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert report.stale == 0
     assert report.rejected == {"not valid": 18}
     assert all(command.control.any() for command in drive.diary.commands if 0.2 < command.time < 2.0)
@@ -146,7 +146,7 @@ def test_short_dropout_of_the_tracker_does_not_end_the_run(drive):
 
 def test_longer_dropout_means_neutral_after_100_ms_and_the_run_goes_on(drive):
     report = drive(40, lost=(1.02, 1.42))
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert report.stale > 4
     neutral = first_neutral(drive.diary)
     assert 1.12 < neutral <= 1.13
@@ -157,7 +157,7 @@ def test_longer_dropout_means_neutral_after_100_ms_and_the_run_goes_on(drive):
 
 def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(drive):
     report = drive(40, slow={1.0: 26})
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert report.skipped == 1
     commands = drive.diary.commands
     begun = next(i for i, command in enumerate(commands) if command.control.any())
@@ -173,7 +173,7 @@ def test_missed_ticks_are_skipped_and_counted_and_deadlines_stay(drive):
 
 def test_jump_within_a_dropout_begins_a_new_track_and_nothing_is_computed_across_it(drive):
     report = drive(40, lost=(1.0, 1.1), moved=(1.05, (0.0, 0.3, 0.0)))
-    assert report.reason is Reason.SAMPLES
+    assert report.reason is StopReason.SAMPLES
     assert 1 < report.stale < 6
     assert np.abs([estimate.state[1] for estimate in drive.script.estimates]).max() < 0.2
     assert drive.script.estimates[-1].pose[1] > 0.2
@@ -181,8 +181,8 @@ def test_jump_within_a_dropout_begins_a_new_track_and_nothing_is_computed_across
 
 def test_drift_is_how_much_later_the_last_ticks_are_than_the_first():
     lateness = np.concatenate([np.full(150, 0.001), np.full(150, 0.004)])
-    assert LoopReport(Reason.SAMPLES, "", lateness, np.full(299, 0.05)).drift == pytest.approx(0.003)
-    assert LoopReport(Reason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
+    assert LoopReport(StopReason.SAMPLES, "", lateness, np.full(299, 0.05)).drift == pytest.approx(0.003)
+    assert LoopReport(StopReason.SAMPLES, "", lateness[:1], np.empty(0)).drift == 0.0
 
 
 class Sled(Dynamics):
@@ -205,13 +205,13 @@ class Sled(Dynamics):
 
 
 def sledged(folder, gate):
-    robot = EmulatedRobot("sled", Sled(), repeats=10, gate=gate)
-    return record(robot, [Manoeuvre("away", np.ones((40, 1)))], folder, seed=1)
+    robot = TrackedRobot("sled", Sled(), repeats=10, gate=gate)
+    return record_journals(robot, [Manoeuvre("away", np.ones((40, 1)))], folder, seed=1)
 
 
 def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_and_the_key(tmp_path):
     report = sledged(tmp_path, None)
-    assert report.reason is Reason.TRACKER_LOST
+    assert report.reason is StopReason.TRACKER_LOST
     assert "the newest pose is 0.5" in report.detail
     seen = re.search(
         r"it moves at ([\d.]+) m/s, and a frame is believed up to speed = 5 m/s; .* \[gate\]", report.detail
@@ -222,5 +222,5 @@ def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_
 
 def test_the_same_robot_is_seen_once_its_limits_say_how_fast_it_is_and_the_journal_remembers_them(tmp_path):
     report = sledged(tmp_path, GateLimits(speed=15.0))
-    assert (report.reason, report.rejected) == (Reason.PILOT, {})
+    assert (report.reason, report.rejected) == (StopReason.PILOT, {})
     assert read_journal(tmp_path / "away.rcj").limits.speed == 15.0

@@ -6,12 +6,12 @@ import re
 import numpy as np
 import pytest
 
-from hardware.driving.controller_driving import ControllerPanel, pace, play, readings, shown_of
+from hardware.driving.controller_driving import ControllerPanel, play, playback_speed, readings, shown_of
 from hardware.driving.page_messages import Phase, as_text, messages_script
 from hardware.driving.server import PAGE
 from hardware.driving.trials import RobotRunner
 from hardware.robot import find_robot
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.tasks.task import make_task
 from tests.fixtures.panels import SEEDS, simulated
@@ -84,20 +84,29 @@ def test_trials_are_played_in_the_time_they_took_and_those_of_a_slow_process_fas
     panel, watch = ControllerPanel("pendulum", task, "best"), ManualClock()
     shown = []
     panel.show = lambda reading, scene: shown.append((watch.now, reading))
-    play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stops=Stops(), clock=watch, sleep=watch.sleep)
+    play(
+        panel,
+        task,
+        SEEDS,
+        rollouts.trajectories,
+        rollouts.fitness[0],
+        stop=StopRequest(),
+        clock=watch,
+        sleep=watch.sleep,
+    )
     assert len(shown) == 2 * 32
     assert [reading.trial for _, reading in shown] == [1] * 32 + [2] * 32
     assert shown[31][1].phase is Phase.FINISHED
     assert shown[30][0] - shown[0][0] == pytest.approx(1.5, abs=0.05)
     slow = make_task("set_point(horizon=900)").bind(find_robot("thermal").system)
-    assert (pace(task), pace(slow)) == (1.0, 9.0)
+    assert (playback_speed(task), playback_speed(slow)) == (1.0, 9.0)
 
 
 def test_a_stop_from_outside_ends_the_play():
     task, rollouts = simulated(*SWING_UP)
-    stops, panel = Stops(), ControllerPanel("pendulum", task, "best")
-    watch = ManualClock(then=lambda now: stops.request(Reason.SIGINT) if now > 0.5 else None)
-    play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stops=stops, clock=watch, sleep=watch.sleep)
+    stops, panel = StopRequest(), ControllerPanel("pendulum", task, "best")
+    watch = ManualClock(then=lambda now: stops.request(StopReason.SIGINT) if now > 0.5 else None)
+    play(panel, task, SEEDS, rollouts.trajectories, rollouts.fitness[0], stop=stops, clock=watch, sleep=watch.sleep)
     assert panel.reading().phase is Phase.DRIVING
     assert 8 <= panel.reading().step <= 11
 
@@ -111,7 +120,7 @@ def test_a_controller_on_a_robot_with_a_tracker_is_shown_as_it_drives():
         panel.show(*shown_of(series))
         seen.append(as_sent(panel.reading()))
 
-    runner = RobotRunner(robot, seed=1, told=told)
+    runner = RobotRunner(robot, seed=1, on_decision=told)
     controller = make_controller("pursuit").bind_to(task)
     rollouts = runner.bind(controller, task)(np.zeros((1, controller.n_parameters)), SEEDS)
     assert {reading["phase"] for reading in seen} == {"settling", "driving", "finished"}

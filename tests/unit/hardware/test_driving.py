@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from hardware.control_loop import ControlLoop
-from hardware.driving.hand_driving import LEAD, HumanPilot, Instruments, WhileDriving
-from hardware.driving.keyboard import Keyboard, Punctuality, Seats, control_of, key_life
+from hardware.driving.hand_driving import LEAD, HandPanel, HumanPilot, PreTriggerBuffer
+from hardware.driving.keyboard import Keyboard, LateMessageFilter, PageClients, control_of_keys, key_validity
 from hardware.driving.page_messages import BACKWARD, FORWARD, LEFT, RIGHT, InvalidPageMessage, Phase, as_text
-from hardware.emulation.tracked_robots import ModelledRobot
+from hardware.emulation.tracked_robots import ModelRobot
 from hardware.estimator import StateEstimate
-from hardware.run_report import Reason
+from hardware.run_report import StopReason
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.motion import PlanarBody
 from sysid_evo.registry import make_robot
@@ -31,10 +31,10 @@ class Hands(Diary):
     def __init__(self, keys_at):
         super().__init__()
         self.time, self._keys_at = 0.0, keys_at
-        self.keyboard = Keyboard(life=key_life(make_robot("emulated_car").system), clock=lambda: self.time)
+        self.keyboard = Keyboard(life=key_validity(make_robot("emulated_car").system), clock=lambda: self.time)
 
-    def measured(self, measurement):
-        super().measured(measurement)
+    def on_measurement(self, measurement):
+        super().on_measurement(measurement)
         self.time = measurement.source_time
         if (keys := self._keys_at(self.time)) is not None:
             self.keyboard.press(keys)
@@ -60,7 +60,7 @@ def test_the_clock_starts_with_the_first_key_and_ends_after_the_horizon(emulated
     hands = Hands(forward)
     pilot, report = drive(emulated, hands, PointToPoint(horizon=40))
     driven = moving(hands)
-    assert report.reason is Reason.PILOT
+    assert report.reason is StopReason.PILOT
     assert (len(driven), driven[0].time) == (40, pytest.approx(BEGIN, abs=emulated.system.dt))
     assert not hands.commands[-1].control.any()
     assert pilot.progress.phase is Phase.FINISHED
@@ -110,12 +110,12 @@ def test_a_new_trial_ends_this_one_in_neutral_without_a_score(emulated):
 
     def keys(time):
         if time > BEGIN + 1.0:
-            hands.keyboard.ask_for_new_trial()
+            hands.keyboard.request_new_trial()
         return forward(time)
 
     hands._keys_at = keys
     pilot, report = drive(emulated, hands, PointToPoint(horizon=300))
-    assert report.reason is Reason.PILOT
+    assert report.reason is StopReason.PILOT
     assert not hands.commands[-1].control.any()
     assert (pilot.progress.phase, pilot.fitness) == (Phase.ENDED, None)
     assert 15 <= len(pilot.trajectory("trial")) <= 25
@@ -137,7 +137,7 @@ def test_waypoints_lie_where_the_robot_stood_at_the_first_key(emulated):
 def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
     begin, recorded = 3.0, Hands(lambda _: None)
     hands = Hands(lambda time: FORWARD if time >= begin else 0)
-    drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: WhileDriving(pilot, lambda: recorded))
+    drive(emulated, hands, PointToPoint(horizon=20), lambda pilot: PreTriggerBuffer(pilot, lambda: recorded))
     assert recorded.measurements[0].source_time == pytest.approx(begin - LEAD, abs=0.1)
     assert recorded.measurements == hands.measurements[-len(recorded.measurements) :]
     assert [c.time for c in recorded.commands] == [c.time for c in hands.commands[-len(recorded.commands) :]]
@@ -145,7 +145,7 @@ def test_what_is_recorded_begins_a_second_before_the_first_key(emulated):
 
 def test_without_a_key_nothing_is_recorded(emulated):
     def watch(pilot):
-        return WhileDriving(pilot, lambda: pytest.fail("nothing was driven"))
+        return PreTriggerBuffer(pilot, lambda: pytest.fail("nothing was driven"))
 
     pilot, _ = drive(emulated, Hands(lambda _: 0), PointToPoint(horizon=20), watch, samples=60)
     assert pilot.progress.phase is Phase.READY
@@ -153,7 +153,7 @@ def test_without_a_key_nothing_is_recorded(emulated):
 
 def test_a_model_is_driven_like_the_robot_that_it_models(emulated):
     task = PointToPoint(horizon=30)
-    model = ModelledRobot("car without noise", emulated.dynamics)
+    model = ModelRobot("car without noise", emulated.dynamics)
     ends = [drive(robot, Hands(forward), task)[0].trajectory("trial").pose[-1] for robot in (emulated, model)]
     assert ends[0][0] > 0.8
     np.testing.assert_allclose(ends[1], ends[0], atol=0.15)
@@ -162,7 +162,7 @@ def test_a_model_is_driven_like_the_robot_that_it_models(emulated):
 def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated):
     hands = Hands(lambda time: FORWARD if time > 1.5 else 0)
     task = PointToPoint(horizon=100).bind(emulated.system)
-    instruments = Instruments(emulated, task, hands.keyboard, clock=lambda: hands.time)
+    instruments = HandPanel(emulated, task, hands.keyboard, clock=lambda: hands.time)
     assert json.loads(as_text(instruments.reading()))["phase"] == "ended"
     pilot = HumanPilot(hands.keyboard, task, seed=1)
     with emulated.connect(seed=1) as connection:
@@ -204,19 +204,19 @@ def test_keys_hold_for_their_life_and_are_released_at_once(keyboard, clock):
 
 
 def test_a_word_that_is_overdue_does_not_let_go(keyboard, clock):
-    assert keyboard.let_go
+    assert keyboard.all_released
     keyboard.press(FORWARD)
     clock.sleep(1.0)
     assert not keyboard.keys
-    assert not keyboard.let_go
+    assert not keyboard.all_released
     keyboard.release()
-    assert keyboard.let_go
+    assert keyboard.all_released
 
 
 def test_a_loop_that_asks_once_a_sample_is_in_neutral_within_150_ms(car):
-    assert key_life(car) + car.dt == pytest.approx(0.15)
+    assert key_validity(car) + car.dt == pytest.approx(0.15)
     with pytest.raises(InvalidArgument, match=r"below 0\.15 s"):
-        key_life(car.with_dt(0.2))
+        key_validity(car.with_dt(0.2))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_a_loop_that_asks_once_a_sample_is_in_neutral_within_150_ms(car):
      (FORWARD | BACKWARD | LEFT | RIGHT, (0, 0))],
 )  # fmt: skip
 def test_keys_drive_and_steer_the_car(car, keys, control):
-    np.testing.assert_array_equal(control_of(keys, car), control)
+    np.testing.assert_array_equal(control_of_keys(keys, car), control)
 
 
 def test_no_key_is_neutral_even_where_the_middle_of_a_control_is_not():
@@ -234,15 +234,15 @@ def test_no_key_is_neutral_even_where_the_middle_of_a_control_is_not():
     wheel = Channel("wheel", low=-0.5, high=0.5)
     speeds = tuple(Channel(name) for name in ("forward_speed", "lateral_speed", "yaw_rate"))
     system = System(speeds, (throttle, gear, wheel), 0.05, PlanarBody())
-    np.testing.assert_array_equal(control_of(0, system), (0.0, 1.0, 0.0))
-    np.testing.assert_array_equal(control_of(FORWARD | RIGHT, system), (1.0, 1.0, -0.5))
+    np.testing.assert_array_equal(control_of_keys(0, system), (0.0, 1.0, 0.0))
+    np.testing.assert_array_equal(control_of_keys(FORWARD | RIGHT, system), (1.0, 1.0, -0.5))
     unbounded = System(speeds, (Channel("throttle"),), 0.05, PlanarBody())
     with pytest.raises(InvalidArgument, match="throttle"):
-        control_of(FORWARD, unbounded)
+        control_of_keys(FORWARD, unbounded)
 
 
 def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones_whose_clock_drifts():
-    way, drifting = Punctuality(), Punctuality()
+    way, drifting = LateMessageFilter(), LateMessageFilter()
     assert all(way.on_time(stamp, stamp + 50.0) for stamp in (1.0, 1.1, 1.2))
     assert not way.on_time(1.3, 53.0)
     assert way.on_time(3.0, 53.02)
@@ -254,41 +254,41 @@ def word(keys, clock, **more):
 
 
 def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard):
-    seat = Seats(keyboard).take()
-    seat.hear(word(FORWARD, 1.0), 1.0)
+    seat = PageClients(keyboard).join()
+    seat.receive(word(FORWARD, 1.0), 1.0)
     assert keyboard.keys == 0
-    seat.hear(word(0, 1.1), 1.1)
-    seat.hear(word(FORWARD, 1.2), 1.2)
+    seat.receive(word(0, 1.1), 1.1)
+    seat.receive(word(FORWARD, 1.2), 1.2)
     assert keyboard.keys == FORWARD
 
 
 def test_what_was_held_up_on_its_way_presses_no_key_and_yet_ends_the_trial(keyboard):
-    seat = Seats(keyboard).take()
-    seat.hear(word(0, 1.0), 1.0)
-    seat.hear(word(FORWARD, 1.1, new=True), 2.1)
+    seat = PageClients(keyboard).join()
+    seat.receive(word(0, 1.0), 1.0)
+    seat.receive(word(FORWARD, 1.1, new=True), 2.1)
     assert keyboard.keys == 0
     assert keyboard.new_trial_wanted
 
 
 def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
-    seats = Seats(keyboard)
-    first, second = seats.take(), seats.take()
-    assert (first.drives, second.drives, seats.watchers) == (True, False, 1)
+    seats = PageClients(keyboard)
+    first, second = seats.join(), seats.join()
+    assert (first.is_driver, second.is_driver, seats.watchers) == (True, False, 1)
     for seat, keys in ((first, FORWARD), (second, LEFT)):
-        seat.hear(word(0, 1.0), 1.0)
-        seat.hear(word(keys, 1.0, new=seat is second), 1.0)
+        seat.receive(word(0, 1.0), 1.0)
+        seat.receive(word(keys, 1.0, new=seat is second), 1.0)
     assert keyboard.keys == FORWARD
     assert not keyboard.new_trial_wanted
     second.leave()
     assert keyboard.keys == FORWARD
-    second = seats.take()
+    second = seats.join()
     first.leave()
     first.leave()
     assert keyboard.keys == 0
-    first.hear(word(FORWARD, 1.1), 1.1)
+    first.receive(word(FORWARD, 1.1), 1.1)
     assert keyboard.keys == 0
-    second.hear(word(0, 1.2), 1.2)
-    second.hear(word(RIGHT, 1.2, new=True), 1.2)
+    second.receive(word(0, 1.2), 1.2)
+    second.receive(word(RIGHT, 1.2, new=True), 1.2)
     assert keyboard.keys == RIGHT
     assert keyboard.take_new_trial()
     assert not keyboard.take_new_trial()
@@ -306,5 +306,5 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
 )  # fmt: skip
 def test_what_a_page_does_not_say_is_refused_with_a_sentence(keyboard, said, sentence):
     with pytest.raises(InvalidPageMessage, match=re.escape(sentence)):
-        Seats(keyboard).take().hear(said, 1.0)
+        PageClients(keyboard).join().receive(said, 1.0)
     assert keyboard.keys == 0

@@ -9,9 +9,9 @@ from hardware.emulation.tracked_robots import (
     HEADING_ERROR,
     LEAD,
     POSITION_ERROR,
-    EmulatedRobot,
-    ModelledRobot,
-    OpticalTracker,
+    ModelRobot,
+    TrackedRobot,
+    TrackerErrorModel,
 )
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
@@ -151,7 +151,7 @@ class Pushed(Dynamics):
 
 
 def pushed(system, name="pushed", **options):
-    return ModelledRobot(name, Pushed(system, **options)).connect()
+    return ModelRobot(name, Pushed(system, **options)).connect()
 
 
 def test_poses_at_the_ends_of_samples_are_those_of_the_model(car):
@@ -222,13 +222,13 @@ def test_a_model_that_diverges_is_lost_from_sight_and_a_closed_session_says_so(c
 def test_only_a_planar_body_can_be_tracked_and_only_a_model_with_a_motion_driven(car):
     still = Pushed(System(car.states, car.controls, car.dt))
     with pytest.raises(IncompatibleSystem, match="planar body"):
-        EmulatedRobot("tank", Pushed(System((Channel("level", "m"),), car.controls, car.dt)), repeats=5)
+        TrackedRobot("tank", Pushed(System((Channel("level", "m"),), car.controls, car.dt)), repeats=5)
     with pytest.raises(IncompatibleSystem, match="motion"):
-        ModelledRobot("still", still)
+        ModelRobot("still", still)
 
 
 def test_errors_have_the_stated_size_and_correlation(rng):
-    tracker = OpticalTracker(rng)
+    tracker = TrackerErrorModel(rng)
     pose = np.array([1.0, -2.0, 0.5])
     errors = np.array([tracker.observe(pose) for _ in range(20_000)]) - pose
     assert errors.std(axis=0) == pytest.approx([POSITION_ERROR, POSITION_ERROR, HEADING_ERROR], rel=0.03)
@@ -238,7 +238,7 @@ def test_errors_have_the_stated_size_and_correlation(rng):
 
 
 def test_headings_wrap_and_the_true_pose_is_left_alone(rng):
-    tracker, pose = OpticalTracker(rng), np.array([0.0, 0.0, 3.0 * np.pi])
+    tracker, pose = TrackerErrorModel(rng), np.array([0.0, 0.0, 3.0 * np.pi])
     headings = np.array([tracker.observe(pose)[2] for _ in range(200)])
     assert np.all((headings >= -np.pi) & (headings < np.pi))
     assert np.ptp(headings) > 6.0

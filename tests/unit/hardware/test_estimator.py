@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hardware.connection import Measurement
-from hardware.estimator import LAG, WINDOW, PoseEstimator, estimator_delays, known_drive, measure_delays
+from hardware.estimator import LAG, WINDOW, PoseEstimator, estimator_delays, measure_delays, synthetic_drive
 from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.motion import PlanarBody
 from sysid_evo.system import Channel, System
@@ -137,7 +137,7 @@ def test_measured_delay_is_the_lag(frame_interval):
 
 def test_delay_of_a_shifted_truth_is_the_shift():
     times = 0.005 * np.arange(4000)
-    states, poses = known_drive(CAR, times)
+    states, poses = synthetic_drive(CAR, times)
     assert np.abs(poses).max() > 0.3
     asked = 0.3 + 0.05 * np.arange(350)
     shifts = (0.0, 0.0123, 0.15)

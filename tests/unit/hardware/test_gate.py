@@ -57,7 +57,7 @@ def test_frames_off_the_track_are_dropped_and_the_track_goes_on(gate, by, reason
     frames[40:60] = moved(frames[40:60], by)
     seen = verdicts(gate, frames)
     assert {one.reason for one in seen[40:60]} == {reason}
-    assert all(one.accepted and not one.broke for one in seen[60:])
+    assert all(one.accepted and not one.new_track for one in seen[60:])
 
 
 def test_frames_that_mean_nothing_are_dropped(gate):
@@ -69,20 +69,20 @@ def test_frames_that_mean_nothing_are_dropped(gate):
     verdicts(gate, good[:5])
     reasons = [one.reason for one in verdicts(gate, bad)]
     assert reasons == ["of another body", "not valid", "not a number", "not a number", "not a number", "not newer"]
-    assert all(one.accepted and not one.broke for one in verdicts(gate, good[5:]))
+    assert all(one.accepted and not one.new_track for one in verdicts(gate, good[5:]))
 
 
 def test_swap_with_another_body_outlasts_a_run_before_it_is_believed(gate):
     seen = verdicts(gate, drive(100) + moved(drive(200, start=100), [1.5, 0, 0]))
     dropped = list(itertools.takewhile(lambda one: not one.accepted, seen[100:]))
     assert len(dropped) == pytest.approx(0.6 * RATE, abs=1)
-    assert [one.broke for one in seen[100 + len(dropped) :]] == [True] + [False] * (199 - len(dropped))
+    assert [one.new_track for one in seen[100 + len(dropped) :]] == [True] + [False] * (199 - len(dropped))
 
 
 def test_body_within_reach_after_a_dropout_is_believed_after_ten_frames_and_told_as_a_break(gate):
     seen = verdicts(gate, drive(100) + drive(100, start=180))
     assert [one.accepted for one in seen[100:110]] == [False] * 9 + [True]
-    assert [one.broke for one in seen[100:]] == [False] * 9 + [True] + [False] * 90
+    assert [one.new_track for one in seen[100:]] == [False] * 9 + [True] + [False] * 90
 
 
 def test_places_that_do_not_agree_are_never_believed(gate, rng):
@@ -98,7 +98,7 @@ def test_frozen_pose_is_seen_while_driving_only_and_ends_the_track(gate):
     gate = PoseGate("car")
     seen = verdicts(gate, frames[:50] + frozen + frames[80:])
     assert [one.accepted for one in seen[50:80]] == [True] * 9 + [False] * 21
-    assert (seen[79].reason, [one.broke for one in seen[80:82]]) == ("frozen", [True, False])
+    assert (seen[79].reason, [one.new_track for one in seen[80:82]]) == ("frozen", [True, False])
     unlimited = PoseGate("car", GateLimits(frozen=None))
     assert all(one.accepted for one in verdicts(unlimited, frames[:50] + frozen))
 
@@ -194,7 +194,7 @@ def test_whatever_comes_no_two_frames_of_a_track_contradict_the_limits(script):
     for one, driving in sorted(script, key=lambda step: step[0].source_time):
         verdict = gate.accept(one, driving=driving)
         assert verdict.accepted == (verdict.reason == "")
-        assert verdict.accepted or not verdict.broke
+        assert verdict.accepted or not verdict.new_track
         if not verdict.accepted:
             continue
         assert one.valid
@@ -202,13 +202,13 @@ def test_whatever_comes_no_two_frames_of_a_track_contradict_the_limits(script):
         if last is not None:
             dt = one.source_time - last.source_time
             assert dt > 0.0
-            if not verdict.broke:
+            if not verdict.new_track:
                 step = math.dist(one.pose[:2], last.pose[:2])
                 turn = abs(math.remainder(one.pose[2] - last.pose[2], 2 * math.pi))
                 assert step <= min(limits.jump, limits.speed * dt + limits.position_error)
                 assert turn <= min(limits.turn, limits.yaw_rate * dt + limits.heading_error)
         else:
-            assert verdict.broke
+            assert verdict.new_track
         last = one
 
 

@@ -33,11 +33,11 @@ def session(path, frames=40):
     """Return a recorder that was told of ``frames`` frames, a command every ten, a status after each."""
     recorder = Recorder(path, CAR, robot="toy", body="car")
     for number in range(frames):
-        recorder.measured(measurement(number))
+        recorder.on_measurement(measurement(number))
         if number % 10 == 0:
             tick, time = number // 10, 5.0 + 0.005 * number
-            recorder.commanded(Command(tick, time, time, np.array([1.0, -1.0])))
-            recorder.reported(
+            recorder.on_command(Command(tick, time, time, np.array([1.0, -1.0])))
+            recorder.on_status(
                 RobotStatus(time + 0.01, 100.0 + time, "driving", np.array([1.0, 0.0]), {"crc": tick, "late": 7})
             )
     return recorder
@@ -183,19 +183,19 @@ def test_full_disk_is_told_and_raises_nothing(path, monkeypatch):
     recorder = session(path, 5)
     write = os.write
     monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:10]))
-    recorder.measured(measurement(5))
+    recorder.on_measurement(measurement(5))
     monkeypatch.undo()
     assert recorder.lost == 1
     assert "disk full" in str(recorder.problem)
-    recorder.measured(measurement(6))
+    recorder.on_measurement(measurement(6))
     recorder.close()
     assert [frame.frame for frame in read_journal(path).frames] == [0, 1, 2, 3, 4, 6]
 
 
 def test_events_that_cannot_be_packed_are_counted_not_raised(path):
     with session(path, 1) as recorder:
-        recorder.measured(Measurement(0.0, 0.0, 2**70, "car", True, np.zeros(3)))
-        recorder.measured(measurement(3, body="ü" * 400))
+        recorder.on_measurement(Measurement(0.0, 0.0, 2**70, "car", True, np.zeros(3)))
+        recorder.on_measurement(measurement(3, body="ü" * 400))
     assert recorder.lost == 1
     assert read_journal(path).frames[-1].body == "ü" * 127
 
@@ -203,10 +203,10 @@ def test_events_that_cannot_be_packed_are_counted_not_raised(path):
 def driven(path, frames, **options):
     """Record a frame, a command and further frames; return the journal."""
     with Recorder(path, CAR, robot="toy", **options) as recorder:
-        recorder.measured(measurement(0))
-        recorder.commanded(GO)
+        recorder.on_measurement(measurement(0))
+        recorder.on_command(GO)
         for frame in frames:
-            recorder.measured(frame)
+            recorder.on_measurement(frame)
     return read_journal(path)
 
 
@@ -255,7 +255,7 @@ def test_replay_of_a_journal_gives_its_frames(car, tmp_path):
     told = [Measurement(t, t + 0.004, n, "car", n != 2, np.array([t, 0, 0])) for n, t in times]
     with Recorder(tmp_path / "run.rcj", car, robot="toy") as recorder:
         for frame in told:
-            recorder.measured(frame)
+            recorder.on_measurement(frame)
     with trackers.make("replay", body="car", path=str(tmp_path / "run.rcj"), speed=0.0).open() as stream:
         frames, _ = read_all(stream)
     assert [(frame.source_time, frame.valid) for frame in frames] == [(one.source_time, one.valid) for one in told]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hardware.link.framing import ENCODED_MAX, FrameDecoder, checksum, encode
 from hardware.link.messages import EXCLUSIVE, MESSAGES, Buttons, unpack
-from hardware.link.serial_robot import buttons_of, control_of
+from hardware.link.serial_robot import buttons_of, control_of_buttons
 from hardware.toy_car import CAR
 from sysid_evo.errors import InvalidArgument, ShapeError
 from tests.fixtures.golden_frames import CONVERSATION
@@ -108,7 +108,7 @@ def test_buttons_need_their_complement_and_exclude_each_other():
 def test_controls_and_buttons_map_one_to_one_with_the_signs_of_the_car():
     for control in product((-1.0, 0.0, 1.0), repeat=2):
         buttons = buttons_of(np.array(control))
-        assert control_of(buttons).tolist() == list(control)
+        assert control_of_buttons(buttons).tolist() == list(control)
         assert not any(buttons & pair == pair for pair in EXCLUSIVE), control
     assert CAR.control_names == ("drive", "steer")
     assert buttons_of(np.array([1.0, 1.0])) == Buttons.FORWARD | Buttons.LEFT
@@ -125,4 +125,4 @@ def test_controls_of_another_shape_and_buttons_that_exclude_each_other_are_refus
     with pytest.raises(ShapeError, match="control"):
         buttons_of(np.zeros(3))
     with pytest.raises(InvalidArgument, match="at most one"):
-        control_of(Buttons.LEFT | Buttons.RIGHT)
+        control_of_buttons(Buttons.LEFT | Buttons.RIGHT)

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from hardware.emulation.car_physics import CarParameters
-from hardware.recording.manoeuvres import KINDS, excitation, measuring
+from hardware.recording.manoeuvres import KINDS, excitation_manoeuvres, measuring_manoeuvres
 from hardware.robot import find_robot
 from sysid_evo.data import Dataset
-from sysid_evo.data.response import measured
+from sysid_evo.data.response import manoeuvre_results
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.registry import make_robot
 from sysid_evo.system import Channel, System
 
 
 def test_six_minutes_in_twelve_manoeuvres_of_legal_commands_with_a_share_of_all_nine(car, rng):
-    manoeuvres = excitation(car, rng=rng)
+    manoeuvres = excitation_manoeuvres(car, rng=rng)
     assert len({manoeuvre.name for manoeuvre in manoeuvres}) == len(manoeuvres) == 12
     assert all(manoeuvre.controls.shape == (600, 2) for manoeuvre in manoeuvres)
     controls = np.concatenate([manoeuvre.controls for manoeuvre in manoeuvres])
@@ -28,7 +28,7 @@ def test_six_minutes_in_twelve_manoeuvres_of_legal_commands_with_a_share_of_all_
 
 
 def test_manoeuvres_are_what_they_are_called(car, rng):
-    by_name = {manoeuvre.name: manoeuvre.controls[10:] for manoeuvre in excitation(car, rng=rng)}
+    by_name = {manoeuvre.name: manoeuvre.controls[10:] for manoeuvre in excitation_manoeuvres(car, rng=rng)}
     for name, drive in (("loops-forward", 1.0), ("figure-8-forward", 1.0), ("loops-backward", -1.0)):
         assert np.all(by_name[name][:, 0] == drive)
     assert 0.0 not in by_name["figure-8-backward"][:, 1]
@@ -40,7 +40,8 @@ def test_manoeuvres_are_what_they_are_called(car, rng):
 
 def test_same_rng_gives_the_same_manoeuvres(car):
     one, same, other = (
-        np.stack([m.controls for m in excitation(car, rng=np.random.default_rng(seed))]) for seed in (1, 1, 2)
+        np.stack([m.controls for m in excitation_manoeuvres(car, rng=np.random.default_rng(seed))])
+        for seed in (1, 1, 2)
     )
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
@@ -48,7 +49,9 @@ def test_same_rng_gives_the_same_manoeuvres(car):
 
 def test_excited_car_moves_as_the_paper_reports(rng):
     car = make_robot("emulated_car").dynamics
-    controls = np.stack([manoeuvre.controls for manoeuvre in excitation(car.system, duration=240.0, rng=rng)])
+    controls = np.stack(
+        [manoeuvre.controls for manoeuvre in excitation_manoeuvres(car.system, duration=240.0, rng=rng)]
+    )
     batch, steps = controls.shape[:2]
     carry = car.start(np.zeros((batch, 2, 3)), np.zeros((batch, 1, 2)), rng.standard_normal((batch, 3)))
     states = np.empty((batch, steps, 3))
@@ -62,7 +65,7 @@ def test_continuous_controls_use_their_limits_and_neutral(car, rng):
     names, lows, highs = ("throttle", "trim", "wheel"), (0.0, -1.0, -2.0), (0.8, 1.0, 2.0)
     channels = tuple(Channel(name, low=low, high=high) for name, low, high in zip(names, lows, highs, strict=True))
     throttle = replace(car, controls=channels)
-    manoeuvres = excitation(throttle, duration=60.0, rng=rng)
+    manoeuvres = excitation_manoeuvres(throttle, duration=60.0, rng=rng)
     assert not any("backward" in manoeuvre.name or "reversal" in manoeuvre.name for manoeuvre in manoeuvres)
     controls = np.concatenate([manoeuvre.controls for manoeuvre in manoeuvres])
     assert set(controls[:, 0]) == {0.0, 0.8}
@@ -72,21 +75,21 @@ def test_continuous_controls_use_their_limits_and_neutral(car, rng):
 
 
 def test_system_without_steering_is_excited_too(car, rng):
-    manoeuvres = excitation(replace(car, controls=car.controls[:1]), duration=70.0, rng=rng)
+    manoeuvres = excitation_manoeuvres(replace(car, controls=car.controls[:1]), duration=70.0, rng=rng)
     assert [manoeuvre.name for manoeuvre in manoeuvres[:2]] == ["starts-and-stops", "reversals"]
     assert all(manoeuvre.controls.shape == (200, 1) for manoeuvre in manoeuvres)
 
 
 def test_what_cannot_be_excited_is_refused(car, rng):
     with pytest.raises(InvalidArgument, match="at least 12 s"):
-        excitation(car, duration=5.0, rng=rng)
+        excitation_manoeuvres(car, duration=5.0, rng=rng)
     with pytest.raises(InvalidArgument, match="'throttle' has no finite limits"):
-        excitation(replace(car, controls=(Channel("throttle"),)), rng=rng)
+        excitation_manoeuvres(replace(car, controls=(Channel("throttle"),)), rng=rng)
 
 
 def test_a_system_that_goes_nowhere_gets_steps_switches_and_sweeps_over_all_of_its_range(rng):
     system = make_robot("thermal").system
-    manoeuvres = {m.name: m.controls[5:, 0] for m in excitation(system, duration=1080.0, rng=rng)}
+    manoeuvres = {m.name: m.controls[5:, 0] for m in excitation_manoeuvres(system, duration=1080.0, rng=rng)}
     assert all(len(controls) > 250 for controls in manoeuvres.values())
     assert "steps-0.6-2" in manoeuvres
     fast, slow = (np.mean(np.diff(manoeuvres[name]) != 0.0) for name in ("steps-0.6", "steps-20"))
@@ -99,7 +102,9 @@ def test_a_system_that_goes_nowhere_gets_steps_switches_and_sweeps_over_all_of_i
 
 def test_a_sweep_of_a_switch_takes_its_nearest_level_one_control_after_the_other(car, rng):
     system = replace(car, motion=None)
-    sweep = next(m for m in excitation(system, duration=720.0, rng=rng) if m.name == "sweep-to-slow").controls
+    sweep = next(
+        m for m in excitation_manoeuvres(system, duration=720.0, rng=rng) if m.name == "sweep-to-slow"
+    ).controls
     assert np.isin(sweep, [-1.0, 0.0, 1.0]).all()
     assert sweep[:150, 0].any()
     assert not sweep[:150, 1].any()
@@ -111,8 +116,8 @@ def test_a_sweep_of_a_switch_takes_its_nearest_level_one_control_after_the_other
 def said():
     robot, episodes = find_robot("emulated_car"), []
     for kind in KINDS:
-        episodes += robot.record_manoeuvres(measuring(robot.system, kind), seed=0).dataset.episodes
-    return {one.name: one for one in measured(Dataset(robot.system, tuple(episodes)))}
+        episodes += robot.record_manoeuvres(measuring_manoeuvres(robot.system, kind), seed=0).dataset.episodes
+    return {one.name: one for one in manoeuvre_results(Dataset(robot.system, tuple(episodes)))}
 
 
 def test_top_speeds_and_turning_radii_of_the_emulated_car_are_measured(said):
@@ -134,12 +139,12 @@ def test_the_losses_of_coasting_add_up_to_those_of_the_car(said):
 
 def test_a_first_order_system_shows_its_time_constant_and_its_steady_value():
     system = System((Channel("heat", "K"),), (Channel("power", "W", 0.0, 2.0),), dt=0.1)
-    (step,) = measuring(system, "step")
+    (step,) = measuring_manoeuvres(system, "step")
     assert step.name == "step-power-2"
     state = [0.0]
     for power in step.controls[:, 0]:
         state.append(state[-1] + (3.0 * power - state[-1]) * -np.expm1(-0.1 / 0.7))
-    found = measured(Dataset.from_arrays(system, [np.array(state)], [step.controls], names=[step.name]))
+    found = manoeuvre_results(Dataset.from_arrays(system, [np.array(state)], [step.controls], names=[step.name]))
     assert [one.name for one in found] == ["steady heat", "time constant of heat"]
     assert (found[0].value, found[1].value) == (pytest.approx(6.0, rel=0.01), pytest.approx(0.7, abs=0.03))
     assert str(found[0]).startswith("steady heat: 6 +- ")
@@ -148,20 +153,20 @@ def test_a_first_order_system_shows_its_time_constant_and_its_steady_value():
 def test_a_continuous_drive_goes_round_at_two_speeds_and_back_to_rest(car):
     drive = Channel("drive", low=-1.0, high=1.0)
     system = replace(car, controls=(drive, car.controls[1]))
-    manoeuvres = measuring(system, "circle")
+    manoeuvres = measuring_manoeuvres(system, "circle")
     assert {tuple(m.controls[len(m.controls) // 3]) for m in manoeuvres} == {
         (speed, side) for speed in (1.0, 0.5, -0.5, -1.0) for side in (-1.0, 1.0)
     }
     assert all((m.controls[[0, -1]] == 0.0).all() for m in manoeuvres)
-    assert len(measuring(car, "circle")) == 4
+    assert len(measuring_manoeuvres(car, "circle")) == 4
 
 
 def test_what_cannot_be_driven_is_refused_in_a_sentence(car):
     heater = System(("heat",), (Channel("power", "W", 0.0, 2.0),), dt=0.1)
     with pytest.raises(InvalidArgument, match="expected one of step, coast_down, circle, got 'loop'"):
-        measuring(car, "loop")
+        measuring_manoeuvres(car, "loop")
     with pytest.raises(InvalidArgument, match="expected a system that drives, this one has no motion; take step"):
-        measuring(heater, "circle")
+        measuring_manoeuvres(heater, "circle")
     environment = find_robot("gymnasium")
     with pytest.raises(IncompatibleSystem, match="recorded without manoeuvres"):
-        environment.record_manoeuvres(measuring(environment.system, "step"), seed=0)
+        environment.record_manoeuvres(measuring_manoeuvres(environment.system, "step"), seed=0)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from hardware.control_loop import SLOWEST
-from hardware.driving.hand_driving import HandDriving, Instruments, check_driving_by_hand
+from hardware.driving.hand_driving import HandDriving, HandPanel, check_driving_by_hand
 from hardware.driving.keyboard import Keyboard
 from hardware.driving.trials import RobotRunner
 from hardware.preflight import check_driving, check_recording, check_same_robot
 from hardware.recording.manoeuvres import Manoeuvre
-from hardware.recording.record import record
+from hardware.recording.record import record_journals
 from hardware.robot import Robot, find_robot
-from hardware.run_report import Stops
+from hardware.run_report import StopRequest
 from hardware.self_test import self_test
 from sysid_evo.controllers.networks import RecurrentNetwork
 from sysid_evo.errors import (
@@ -68,15 +68,15 @@ def test_a_car_may_be_driven_recorded_and_driven_by_hand(car, tmp_path):
 
 def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it_connects(car, tmp_path):
     robot, task, keyboard = Parked(car.with_dt(0.2)), PointToPoint(), Keyboard(life=0.1)
-    instruments = Instruments(robot, task, keyboard)
+    instruments = HandPanel(robot, task, keyboard)
     check_recording(Parked(car.with_dt(SLOWEST)), None, duration=360.0)
     for drive in (
         lambda: check_recording(robot, None, duration=360.0),
         lambda: check_driving(robot, task),
-        lambda: record(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
+        lambda: record_journals(robot, [Manoeuvre("rest", np.zeros((9, 2)))], tmp_path, seed=0),
         lambda: RobotRunner(robot).bind(RecurrentNetwork(), task)(np.zeros((1, 78)), np.zeros(1, dtype=np.uint64)),
         lambda: self_test(robot),
-        lambda: HandDriving(robot, task, keyboard, instruments, seed_of=lambda index: index, stops=Stops()),
+        lambda: HandDriving(robot, task, keyboard, instruments, seed_of=lambda index: index, stop=StopRequest()),
     ):
         with pytest.raises(IncompatibleSystem, match=r"dt of at most 0\.1 s, got 0\.2 s.*valid for 0\.15 s"):
             drive()
@@ -138,7 +138,7 @@ def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_mano
             check_recording(Parked(car), folder, duration=60.0)
     manoeuvres = [Manoeuvre(name, np.zeros((9, 2))) for name in ("rest", "weaving")]
     with pytest.raises(InvalidArgument, match=r"weaving\.rcj: a recording is there already"):
-        record(Parked(car), manoeuvres, tmp_path, seed=0)
+        record_journals(Parked(car), manoeuvres, tmp_path, seed=0)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="everything is permitted to root")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hardware.driving.trials import RestWatch, RobotRunner, Tape
+from hardware.driving.trials import RobotRunner, StandstillDetector, TrialLog
 from hardware.estimator import StateEstimate
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.controllers import Controller
 from sysid_evo.engine import DynamicsRunner
 from sysid_evo.errors import InvalidArgument
@@ -127,7 +127,7 @@ def test_candidates_drive_in_turn_and_each_is_scored_for_itself(emulated):
 def test_trial_cut_short_by_a_fault_is_missing_with_the_reason_and_those_before_it_count(emulated):
     faulty = FaultyRobot(emulated, lost=(1.0 + 40 * 0.05 + 2.5, 99.0))
     ran, report = drive(faulty, 40, 4)
-    assert report.reason is Reason.TRACKER_LOST
+    assert report.reason is StopReason.TRACKER_LOST
     assert (ran.fitness.shape, len(ran.missing)) == ((1, 1), 3)
     assert "tracker lost" in ran.missing[0]
     assert faulty.connection.closed
@@ -136,7 +136,7 @@ def test_trial_cut_short_by_a_fault_is_missing_with_the_reason_and_those_before_
 def test_controller_output_that_is_not_a_number_stops_the_robot_and_is_not_scored(emulated):
     diary = Diary()
     ran, report = drive(emulated, 60, 2, parameters=[[np.nan]], listeners=[diary])
-    assert report.reason is Reason.NOT_FINITE
+    assert report.reason is StopReason.NOT_FINITE
     assert (ran.fitness.shape, len(ran.missing)) == ((1, 0), 2)
     assert not any(command.control.any() for command in diary.commands)
 
@@ -148,9 +148,9 @@ def test_a_run_without_a_candidate_or_a_trial_is_refused(emulated, trials, candi
 
 
 def test_requested_stop_ends_the_trials(emulated):
-    stops = Stops()
-    ran, report = drive(emulated, 20, 5, stops=stops, progress=lambda done, total: stops.request(Reason.SIGTERM))
-    assert report.reason is Reason.SIGTERM
+    stops = StopRequest()
+    ran, report = drive(emulated, 20, 5, stop=stops, progress=lambda done, total: stops.request(StopReason.SIGTERM))
+    assert report.reason is StopReason.SIGTERM
     assert ran.fitness.shape == (1, 1)
     assert ran.missing == ("terminated",) * 4
 
@@ -180,12 +180,12 @@ def test_robot_that_never_stands_is_a_fault_with_a_reason(emulated):
             return connection
 
     ran, report = drive(Rolling(emulated), 20, 2)
-    assert report.reason is Reason.RESTLESS
+    assert report.reason is StopReason.NOT_AT_REST
     assert ran.missing == ("the robot did not come to rest: it still moves after 10 s",) * 2
 
 
 def test_rest_is_half_a_second_within_a_centimetre():
-    watch = RestWatch()
+    watch = StandstillDetector()
     asked = [
         watch.at_rest(StateEstimate(0.05 * k, np.array([0.001 * (k % 2), 0.0, 3.2]), np.zeros(3), 0.0))
         for k in range(15)
@@ -195,7 +195,7 @@ def test_rest_is_half_a_second_within_a_centimetre():
 
 
 def test_samples_that_are_missing_lie_on_the_line_between_their_neighbours():
-    tape = Tape(
+    tape = TrialLog(
         ticks=[0, 1, 3],
         states=[np.zeros(1), np.ones(1), np.full(1, 5.0)],
         poses=[np.array([0.0, 0.0, 3.1]), np.array([1.0, 0.0, 3.2 - 2 * np.pi]), np.array([3.0, 0.0, 3.4 - 2 * np.pi])],

@@ -7,11 +7,11 @@ import pytest
 
 from hardware.emulation.car_physics import CarParameters
 from hardware.emulation.cars import ToyCarDynamics
-from hardware.emulation.tracked_robots import EmulatedRobot
+from hardware.emulation.tracked_robots import TrackedRobot
 from hardware.recording.journal_reader import JournalReader
-from hardware.recording.manoeuvres import Manoeuvre, excitation
-from hardware.recording.record import logs_of, prepared, record, save_raw
-from hardware.run_report import Reason, Stops
+from hardware.recording.manoeuvres import Manoeuvre, excitation_manoeuvres
+from hardware.recording.record import prepare_logs, read_logs, record_journals, save_raw_log
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.data.columns import load_columns
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.preparation import prepare
@@ -65,8 +65,8 @@ def recorded(tmp_path):
 
     def run(robot, manoeuvres, **options):
         folder = tmp_path / str(next(count))
-        run.report = record(robot, manoeuvres, folder, **{"seed": 1, **options})
-        return logs_of(folder, [one.name for one in manoeuvres])
+        run.report = record_journals(robot, manoeuvres, folder, **{"seed": 1, **options})
+        return read_logs(folder, [one.name for one in manoeuvres])
 
     return run
 
@@ -81,7 +81,7 @@ def test_rows_are_frames_with_the_command_in_force_from_them_on(robot, rng, reco
 
 def test_recording_of_a_car_without_noise_is_its_20_hz_form(rng, recorded):
     quiet = CarParameters(force_noise=1e-12, yaw_noise=1e-12, battery_spread=1e-12)
-    robot = WatchedRobot(EmulatedRobot("quiet", ToyCarDynamics(quiet), repeats=10))
+    robot = WatchedRobot(TrackedRobot("quiet", ToyCarDynamics(quiet), repeats=10))
     manoeuvre = short(rng, 100)
     recorded(robot, [manoeuvre])
     car = robot.dynamics
@@ -128,7 +128,7 @@ def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_t
 ):
     robot = WatchedRobot(emulated, **trouble)
     logs = recorded(robot, [short(rng, 80), short(rng, name="never begun")])
-    assert recorded.report.reason is Reason.TRACKER_LOST
+    assert recorded.report.reason is StopReason.TRACKER_LOST
     assert [len(log.time) for log in logs] == ([rows] if rows else [])
     assert len(robot.sessions) == 1
     assert np.array_equal(robot.sessions[0].connection.control, [0.0, 0.0])
@@ -137,16 +137,16 @@ def test_lost_tracker_ends_the_recording_with_the_robot_neutral_and_keeps_what_t
 
 
 def test_interrupted_recording_keeps_what_there_is(robot, rng, recorded):
-    stops = Stops()
+    stops = StopRequest()
 
     def interrupt(done, total):
         if done == 30:
-            stops.request(Reason.SIGINT)
+            stops.request(StopReason.SIGINT)
 
-    (log,) = recorded(robot, [short(rng, 80), short(rng, name="second")], stops=stops, progress=interrupt)
-    assert recorded.report.reason is Reason.SIGINT
+    (log,) = recorded(robot, [short(rng, 80), short(rng, name="second")], stop=stops, progress=interrupt)
+    assert recorded.report.reason is StopReason.SIGINT
     assert log.time[-1] == pytest.approx(1.5, abs=0.06)
-    assert prepared([log], robot.system).duration > 0.5
+    assert prepare_logs([log], robot.system).duration > 0.5
 
 
 def test_physical_robot_stays_connected_and_rests_between_manoeuvres(robot, rng, recorded):
@@ -161,21 +161,21 @@ def test_physical_robot_stays_connected_and_rests_between_manoeuvres(robot, rng,
 def test_jump_after_a_gap_splits_the_recording(emulated, rng, recorded):
     robot = WatchedRobot(emulated, jump=400, hidden=range(400, 418))
     (log,) = recorded(robot, [short(rng, 80)])
-    assert recorded.report.reason is Reason.PILOT
-    dataset = prepared([log], robot.system)
+    assert recorded.report.reason is StopReason.PILOT
+    dataset = prepare_logs([log], robot.system)
     assert len(dataset) == 2
     assert all(np.abs(episode.states[:, :2]).max() < 1.5 for episode in dataset.episodes)
 
 
 def test_jump_that_no_robot_can_make_ends_the_recording(emulated, rng, recorded):
     (log,) = recorded(WatchedRobot(emulated, jump=400), [short(rng, 80)])
-    assert recorded.report.reason is Reason.TRACKER_LOST
+    assert recorded.report.reason is StopReason.TRACKER_LOST
     assert "jumped" in recorded.report.sentence
     assert log.time[-1] == pytest.approx(1.995)
 
 
 def test_prepared_recording_agrees_with_the_true_states(robot, recorded):
-    manoeuvres = excitation(robot.system, duration=120.0, rng=np.random.default_rng(2))[:3]
+    manoeuvres = excitation_manoeuvres(robot.system, duration=120.0, rng=np.random.default_rng(2))[:3]
     logs = recorded(robot, manoeuvres, seed=2)
     errors = []
     for log, session in zip(logs, robot.sessions, strict=True):
@@ -199,7 +199,7 @@ def test_registered_robot_gives_a_data_set(car):
 
 def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded):
     (log,) = recorded(robot, [short(rng)])
-    path = save_raw(log, robot.system, tmp_path / "log.csv")
+    path = save_raw_log(log, robot.system, tmp_path / "log.csv")
     columns = load_columns("emulated_car")
     table = CsvReader().read(path, columns.columns)
     assert CsvReader().header(path) == ("t", "x", "y", "heading", "drive", "steer")
@@ -212,9 +212,9 @@ def test_saved_log_is_read_back_by_its_column_map(robot, rng, tmp_path, recorded
 
 def test_journals_are_read_as_logs(robot, rng, tmp_path):
     manoeuvre = short(rng, 100)
-    record(robot, [manoeuvre], tmp_path / "journal", seed=1)
-    (log,) = logs_of(tmp_path / "journal", ["short"])
-    save_raw(log, robot.system, tmp_path / "raw" / "short.csv")
+    record_journals(robot, [manoeuvre], tmp_path / "journal", seed=1)
+    (log,) = read_logs(tmp_path / "journal", ["short"])
+    save_raw_log(log, robot.system, tmp_path / "raw" / "short.csv")
     (from_journal,) = Dataset.read(tmp_path / "journal").episodes
     (from_csv,) = Dataset.read(tmp_path / "raw").episodes
     assert from_journal.states == pytest.approx(from_csv.states, abs=1e-6)

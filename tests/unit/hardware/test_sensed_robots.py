@@ -11,7 +11,7 @@ from hardware.emulation.pendulum import TORQUE, PendulumParameters, PendulumPhys
 from hardware.emulation.sensed_robot import Equations, SensedRobot, Sensor, rate
 from hardware.emulation.thermal import FINE_DT, LATENCY, ROOM, ThermalParameters, ThermalPhysics
 from hardware.robot import find_robot
-from hardware.run_report import Reason, Stops
+from hardware.run_report import StopReason, StopRequest
 from sysid_evo.angles import TURN
 from sysid_evo.errors import InvalidArgument, InvalidSystem, ShapeError
 from sysid_evo.registry import make_robot, robots
@@ -178,8 +178,8 @@ def test_it_is_recorded_row_by_row_and_what_is_recorded_is_what_it_does(physics)
     for episode in recorded:
         np.testing.assert_allclose(episode.states[0], physics.system.neutral_state)
         follows = physics.step(episode.states[:-1], episode.controls)
-        if physics.envelope is not None:
-            follows = np.clip(follows, *physics.envelope)
+        if physics.state_bounds is not None:
+            follows = np.clip(follows, *physics.state_bounds)
         np.testing.assert_allclose(physics.system.difference(episode.states[1:], follows), 0.0, atol=1e-9)
 
 
@@ -246,7 +246,7 @@ class Tank(Equations):
 
 
 def findings(physics):
-    return {finding.what: finding for finding in SensedRobot("tank", physics).look_at(seconds=2.0, seed=1)}
+    return {finding.what: finding for finding in SensedRobot("tank", physics).self_test(seconds=2.0, seed=1)}
 
 
 def test_sound_equations_have_nothing_wrong_and_their_answers_are_told():
@@ -267,7 +267,7 @@ class Forgotten(Tank):
 
 class Bursting(Tank):
     system = System(Tank.system.states, Tank.system.controls, dt=0.5)
-    envelope = None
+    state_bounds = None
 
     def rates_of_change(self, states, controls):
         return controls[:, :1] + states**2
@@ -293,22 +293,22 @@ def test_a_control_that_does_nothing_bursts_or_has_no_limits_is_found_before_it_
 
 
 def test_a_stop_from_outside_leaves_the_rest_out():
-    stops = Stops()
-    stops.request(Reason.SIGINT)
-    found = SensedRobot("tank", Tank()).look_at(seconds=2.0, stops=stops)
+    stops = StopRequest()
+    stops.request(StopReason.SIGINT)
+    found = SensedRobot("tank", Tank()).self_test(seconds=2.0, stop=stops)
     assert [finding.what for finding in found] == ["system", "sensors", "rest", "speed"]
 
 
 @pytest.mark.parametrize("name", ["pendulum", "cart_pole", "thermal", "gymnasium(id='MountainCar-v0')"])
 def test_every_robot_without_a_pose_that_comes_with_the_program_is_sound(name):
     robot = find_robot(name)
-    found = {finding.what: finding for finding in robot.look_at(seconds=1.0, seed=2)}
+    found = {finding.what: finding for finding in robot.self_test(seconds=1.0, seed=2)}
     assert all(finding.ok for finding in found.values()), [f.sentence for f in found.values() if not f.ok]
     assert all(channel.name in found["system"].sentence for channel in robot.system.states)
 
 
 def test_an_environment_tells_how_its_episodes_go_under_random_controls():
-    found = {f.what: f.sentence for f in find_robot("gymnasium(id='CartPole-v1')").look_at(seconds=8.0, seed=3)}
+    found = {f.what: f.sentence for f in find_robot("gymnasium(id='CartPole-v1')").self_test(seconds=8.0, seed=3)}
     assert "force (-10, 10 N)" in found["system"]
     assert "in 400 steps; rewards from 1 to 1 a step" in found["episodes"]
     low, high = (float(word) for word in found["episodes"].split("after ")[1].split(" steps")[0].split(" to "))

@@ -5,7 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from model_zoo.control_grid import CommandCells
+from model_zoo.control_grid import ControlGrid
 from model_zoo.neighbours import KNeighbours
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
@@ -80,7 +80,7 @@ def test_a_second_fit_forgets_the_first(car_data, throttle_car_data):
 
 
 def cells(*controls, levels=3):
-    return CommandCells.of(System((Channel("x"),), controls, dt=0.1), levels)
+    return ControlGrid.of(System((Channel("x"),), controls, dt=0.1), levels)
 
 
 def test_every_pair_of_levels_is_a_cell_and_its_own_centre():

@@ -12,7 +12,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.system import Channel, System
-from sysid_evo.validation.held_out import HeldOut, best, lag_candidates
+from sysid_evo.validation.held_out import HeldOutError, best_candidate, lag_candidates
 from tests.fixtures.families import PERIODIC
 from tests.fixtures.systems import DRIVEN, SWING, swung
 
@@ -87,9 +87,9 @@ def test_drag_that_is_no_polynomial_is_found_among_the_functions_asked_for():
 
 def test_among_settings_as_good_as_each_other_the_smallest_is_chosen():
     errors, sizes = {"large": 1.0, "small": 1.04, "smaller": 1.2}, {"large": 9, "small": 3, "smaller": 1}
-    assert best(list(errors), errors.__getitem__) == "large"
-    assert best(list(errors), errors.__getitem__, size=sizes.__getitem__) == "small"
-    assert best(["only"], errors.__getitem__) == "only"
+    assert best_candidate(list(errors), errors.__getitem__) == "large"
+    assert best_candidate(list(errors), errors.__getitem__, size=sizes.__getitem__) == "small"
+    assert best_candidate(["only"], errors.__getitem__) == "only"
 
 
 @pytest.mark.parametrize(
@@ -172,8 +172,8 @@ def test_narx_never_chooses_a_setting_that_diverges(monkeypatch):
     learned = DRIVEN.recording(seed=3)
     free = make_model("narx", degree=1, state_lags=0, control_lags=0, terms=None).fit(learned)
     usual = free.terms_
-    diverges = HeldOut.diverges
+    diverges = HeldOutError.diverges
     monkeypatch.setattr(
-        HeldOut, "diverges", lambda self, model, run: model.terms == usual or diverges(self, model, run)
+        HeldOutError, "diverges", lambda self, model, run: model.terms == usual or diverges(self, model, run)
     )
     assert make_model("narx", degree=1, state_lags=0, control_lags=0).fit(learned).terms_ != usual

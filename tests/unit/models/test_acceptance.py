@@ -10,14 +10,14 @@ from sysid_evo.models.adaptation import NONE, adaptation, held_out_error, select
 from sysid_evo.models.adaptation.selection import (
     AS_AT_HOME,
     MOST_PIECES,
-    Verdict,
+    AdaptationDecision,
     decided,
+    error_ratio,
     moving_seconds,
     refitted,
-    times_home,
 )
 from sysid_evo.models.base import make_model
-from sysid_evo.validation.acceptance import Held, Trial, failed, inside, judged, within_margin
+from sysid_evo.validation.acceptance import AcceptanceResult, HeldOutErrors, failed, inside, judged, within_margin
 from sysid_evo.validation.folds import Block, blocks_of
 from tests.fixtures.systems import FloorCar, drive
 
@@ -44,12 +44,12 @@ def test_the_rest_of_a_recording_is_all_but_the_block():
 
 def held(errors):
     """Runs of which two begin in each second."""
-    return Held(errors, np.arange(len(errors)) // 2)
+    return HeldOutErrors(errors, np.arange(len(errors)) // 2)
 
 
 def alike(name, error, kind="alone", *, sure=True):
     """A trial that is as good in each of three blocks."""
-    return Trial(name, error, (error,) * 3, sure, kind)
+    return AcceptanceResult(name, error, (error,) * 3, sure, kind)
 
 
 WEAK, WEAKER = alike("weak", 0.52), alike("weaker", 0.5)
@@ -63,13 +63,13 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "further
         ([alike("a", 0.8, sure=False), alike("b", 0.99)], "none"),
         ([alike("a", 0.9), alike("b", 0.99)], "none"),
         ([alike("a", 1.2), alike("b", 0.99)], "none"),
-        ([Trial("a", 0.5, (0.2, 0.3, 1.1), True)], "none"),
-        ([Trial("a", 0.5, (0.2, 0.3, 0.97), True)], "none"),
-        ([Trial("a", 0.5, (0.2, 0.3, 0.93), True)], "a"),
+        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 1.1), True)], "none"),
+        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.97), True)], "none"),
+        ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.93), True)], "a"),
         ([alike("strong", 0.62), WEAK, WEAKER], "weak"),  # the simplest of those that are about as good
         ([MOST, alike("mean", 0.49, "mean")], "mean"),  # a mean must be better than more training
         ([MOST, alike("mean", 0.51, "mean")], "most"),
-        ([MOST, Trial("mean", 0.4, (0.1, 0.1, 1.0), True, "mean")], "most"),
+        ([MOST, AcceptanceResult("mean", 0.4, (0.1, 0.1, 1.0), True, "mean")], "most"),
         (
             [B, ANEW, alike("b and anew", 0.43, "beside")],
             "b and anew",
@@ -77,7 +77,7 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "further
         ([B, ANEW, alike("b and anew", 0.45, "beside")], "anew"),
         ([B, ANEW, alike("b and anew", 0.38, "beside")], "b and anew"),
         ([B, alike("anew", 0.58), alike("b and anew", 0.4, "beside")], "b"),  # but not of a fit that is not taken
-        ([alike("anew", 0.58), Trial("b and anew", 0.6, (0.6, 0.6, 1.1), True, "beside")], "anew"),
+        ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.1), True, "beside")], "anew"),
     ],
 )
 def test_what_is_taken_is_much_better_surely_so_and_in_every_block_and_the_simplest_of_those(trials, chosen):
@@ -145,7 +145,7 @@ def test_of_more_training_more_is_asked_the_fewer_seconds_are_compared(seconds, 
     better = [held(np.full((2 * seconds, 5, 2), 0.6))]
     assert [judged("a", plain, better, kind).asked for kind in KINDS] == pytest.approx([0.15, 0.15, share, share])
     for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
-        assert Trial("a", error, (0.5,), True, "further", share).good == good
+        assert AcceptanceResult("a", error, (0.5,), True, "further", share).good == good
 
 
 @pytest.mark.parametrize(("last", "no_good"), [(0.949, False), (0.951, True)])
@@ -198,8 +198,8 @@ def test_what_is_too_short_for_a_run_says_nothing(model):
 def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit():
     """Errors of 2 and 4 scales of 10 and 0.1 are 20 and 0.4; at home they were 10 and 0.1."""
     errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
-    assert times_home(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
-    assert times_home(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
+    assert error_ratio(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
+    assert error_ratio(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
 
 
 def test_a_family_that_says_it_otherwise_is_told_what_is_expected(model):
@@ -233,10 +233,10 @@ def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(model,
     )
 
 
-GOOD = Trial("linear, ridge 3", 0.6, (0.5, 0.6, 0.7), True)
-BETTER = Trial("gains, ridge 3", 0.58, (0.5, 0.6, 0.7), True)
+GOOD = AcceptanceResult("linear, ridge 3", 0.6, (0.5, 0.6, 0.7), True)
+BETTER = AcceptanceResult("gains, ridge 3", 0.58, (0.5, 0.6, 0.7), True)
 WORST, GAINS = alike("products", 1.3), alike("gains", 0.9)
-MEAN = Trial("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)
+MEAN = AcceptanceResult("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)
 
 
 @pytest.mark.parametrize(
@@ -244,22 +244,28 @@ MEAN = Trial("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)
     [
         ([WORST, GAINS], "gains, is 10 % better / 15 % are asked"),
         ([WORST], "products, is 30 % worse / 15 % are asked"),
-        ([WORST, Trial("gains", 0.6, (0.5, 0.6, 0.7), False)], "gains, is 40 % better / which may be chance"),
+        (
+            [WORST, AcceptanceResult("gains", 0.6, (0.5, 0.6, 0.7), False)],
+            "gains, is 40 % better / which may be chance",
+        ),
         ([WORST, MEAN], "mean, is 30 % better / 35 % are asked"),
-        ([Trial("given up", 0.4, (0.2, 0.96), True), GAINS], "gains, is 10 % better / 15 % are asked"),
-        ([WORST, Trial("gains", 0.6, (0.2, 0.6, 1.0), True)], "gains, is 40 % better / but not on each of them"),
+        ([AcceptanceResult("given up", 0.4, (0.2, 0.96), True), GAINS], "gains, is 10 % better / 15 % are asked"),
+        (
+            [WORST, AcceptanceResult("gains", 0.6, (0.2, 0.6, 1.0), True)],
+            "gains, is 40 % better / but not on each of them",
+        ),
     ],
 )
 def test_a_verdict_says_why_nothing_was_taken(trials, said):
     best, why = said.split(" / ")
     expected = f"no correction: the best, {best} than none on 3 blocks it did not learn from; {why}"
-    assert Verdict(24.6, 3, 0.5, tuple(trials), "none").sentence == expected
+    assert AdaptationDecision(24.6, 3, 0.5, tuple(trials), "none").sentence == expected
 
 
 def test_a_verdict_says_what_was_taken_though_another_was_better_or_that_there_was_too_little():
-    taken = Verdict(24.6, 3, 0.5, (WORST, GOOD, BETTER), GOOD.name).sentence
+    taken = AdaptationDecision(24.6, 3, 0.5, (WORST, GOOD, BETTER), GOOD.name).sentence
     assert taken == "linear, ridge 3: 40 % better than none on 3 blocks it did not learn from"
-    too_short = Verdict(24.6, 3, 0.5, (), "none").sentence
+    too_short = AdaptationDecision(24.6, 3, 0.5, (), "none").sentence
     assert too_short == "no correction: 25 s in motion are too short to hold a block back"
 
 
@@ -273,17 +279,17 @@ def test_a_verdict_says_what_was_taken_though_another_was_better_or_that_there_w
     ],
 )
 def test_fifteen_percent_and_five_in_each_block_are_enough(error, each, good):
-    assert Trial("a", error, each, True).good == good
+    assert AcceptanceResult("a", error, each, True).good == good
 
 
 def test_what_is_shared_out_over_blocks_is_compared_second_by_second():
     """A second that only one of the two runs through says nothing; of several windows in it the mean counts."""
     rng = np.random.default_rng(0)
-    plain = Held(1.0 + 0.01 * rng.random((6, 4, 1)), np.array([0, 0, 1, 1, 2, 9]))
-    after = Held(np.full((6, 4, 1), 0.5), np.array([0, 0, 1, 1, 2, 8]))
+    plain = HeldOutErrors(1.0 + 0.01 * rng.random((6, 4, 1)), np.array([0, 0, 1, 1, 2, 9]))
+    after = HeldOutErrors(np.full((6, 4, 1), 0.5), np.array([0, 0, 1, 1, 2, 8]))
     assert plain.squares()[0] == pytest.approx(float((plain.errors[:2] ** 2).mean()))
     assert judged("a", [plain], [after]).sure
-    few = Held(plain.errors, np.array([0, 0, 1, 1, 9, 9]))
+    few = HeldOutErrors(plain.errors, np.array([0, 0, 1, 1, 9, 9]))
     assert not judged("a", [few], [after]).sure  # two seconds are common
 
 

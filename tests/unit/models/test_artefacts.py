@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_evo.artefacts import is_stored
+from sysid_evo.artefacts import is_stored_dataset
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
@@ -34,8 +34,8 @@ CHAMPION = Champion(
     system=switched_car(),
     seed_fitness=(0.1 + 0.2, 1 / 3),
     estimator_delay=0.0221,
-    noise="envelope(latency=2)",
-    caution="doubt(outside=3)",
+    noise="domain_randomisation(latency=2)",
+    penalty="uncertainty(outside=3)",
 )
 
 
@@ -129,7 +129,7 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path):
     save_champion(CHAMPION, tmp_path / "mm1-3", data="abc")
     loaded = load_champion(tmp_path / "mm1-3")
     for name in (
-        "name", "against", "aggregate", "seed", "controller", "task", "estimator_delay", "noise", "caution", "system",
+        "name", "against", "aggregate", "seed", "controller", "task", "estimator_delay", "noise", "penalty", "system",
         "seed_fitness",
     ):  # fmt: skip
         assert getattr(loaded, name) == getattr(CHAMPION, name)
@@ -245,8 +245,8 @@ def test_a_model_of_a_run_is_found_without_the_digest_too(stored):
     for suffix in (".json", ".safetensors"):
         stored.with_suffix(suffix).rename(stored.with_name(f"model-0123abcd{suffix}"))
     assert type(load_model(stored)) is type(load_model(stored.with_name("model-0123abcd")))
-    assert is_stored(str(stored), "model")
-    assert not is_stored("linear", "model")
+    assert is_stored_dataset(str(stored), "model")
+    assert not is_stored_dataset("linear", "model")
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])
@@ -269,7 +269,7 @@ def test_a_model_is_no_champion_and_a_champion_no_model(stored, tmp_path):
     [
         *(
             (lambda learned, key=key: learned.pop(key), f"KeyError: '{key}'; another version .* evolve again")
-            for key in ("name", "against", "aggregate", "task", "controller", "seed_fitness", "judges")
+            for key in ("name", "against", "aggregate", "task", "controller", "seed_fitness", "scoring_models")
         ),
         (lambda learned: learned.update(against=None), "TypeError"),
     ],
@@ -378,7 +378,7 @@ def test_models_that_a_model_learned_come_back_with_it(parts, tmp_path):
     for inner, before in pairs:
         assert inner.get_params() == before.get_params()
         assert inner.system == before.system
-        np.testing.assert_array_equal(inner.envelope_, before.envelope_)
+        np.testing.assert_array_equal(inner.state_bounds_, before.state_bounds_)
         carry, control = np.full((1, before.system.nx), 0.3), np.full((1, 2), 1.0)
         np.testing.assert_array_equal(inner.next_state(carry, control), before.next_state(carry, control))
     assert [inner.system.nx for inner in loaded.members_] == [parts.system.nx, 1]

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from sysid_evo.models.adaptation import Terms
-from sysid_evo.models.adaptation.correction import Pieces, corrections, free_runs, pushed, sensitivities
+from sysid_evo.models.adaptation import CorrectionTerms
+from sysid_evo.models.adaptation.correction import (
+    AdaptationWindows,
+    acceleration_from_coasting,
+    corrections,
+    free_runs,
+    sensitivities,
+)
 from sysid_evo.models.base import make_model
 from sysid_evo.testing.examples import example_dataset
 from sysid_evo.validation.simulation_error import error_of
@@ -13,7 +19,7 @@ from tests.fixtures.systems import FloorCar, drive
 
 def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_frame():
     data = drive(FloorCar(), seconds=5.0, seed=0)
-    terms = Terms.of(data)
+    terms = CorrectionTerms.of(data)
     coefficients = np.zeros(terms.shape)
     coefficients[0] = [0.5, -0.3, 0.2]
     state, control = np.array([[1.0, 0.2, 3.0]]), np.array([[0.4, -0.1]])
@@ -26,8 +32,8 @@ def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_fr
 def test_free_runs_find_the_correction_that_was_left_out():
     """Thrust 2 instead of 3 m/s2 is linear in the drive."""
     data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
-    model, terms = FloorCar(), Terms.of(data)
-    found = list(corrections(model, terms, Pieces.of(model, data), [1e-2, 1e-4], 10.0))[-1]
+    model, terms = FloorCar(), CorrectionTerms.of(data)
+    found = list(corrections(model, terms, AdaptationWindows.of(model, data), [1e-2, 1e-4], 10.0))[-1]
     expected = np.zeros(terms.shape)
     expected[4, 0] = -1.0 * terms.scale[3] / terms.unit[0]
     expected[0, 0] = -1.0 * terms.centre[3] / terms.unit[0]
@@ -37,9 +43,9 @@ def test_free_runs_find_the_correction_that_was_left_out():
 def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_linear_correction_leaves():
     model = FloorCar()
     data = drive(Weaker(), seconds=15.0, seed=1, noise=0.0)
-    pieces = Pieces.of(model, data)
+    pieces = AdaptationWindows.of(model, data)
     left = []
-    for terms in (Terms.of(data), Terms.of(data, model=model)):
+    for terms in (CorrectionTerms.of(data), CorrectionTerms.of(data, model=model)):
         found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
         left.append(error_of(pieces.errors(free_runs(model, terms, found[None], pieces))[0]))
     assert left[1] < 0.1 * left[0]
@@ -50,7 +56,7 @@ class Weaker(FloorCar):
     """Three quarters of the acceleration of the car."""
 
     def step(self, carry, control, noise=None):
-        acceleration = pushed(self.system, carry, super().step(carry, control))
+        acceleration = acceleration_from_coasting(self.system, carry, super().step(carry, control))
         return self.system.integrate(carry, 0.75 * acceleration)
 
 
@@ -58,7 +64,7 @@ class Weaker(FloorCar):
 def test_derivatives_along_a_run_are_those_of_differences(lags):
     data = drive(FloorCar(), seconds=6.0, seed=1)
     model = make_model("narx", degree=2, terms=8, state_lags=lags, control_lags=1).fit(data, rng=0)
-    terms, pieces = Terms.of(data, products=True, model=model), Pieces.of(model, data)
+    terms, pieces = CorrectionTerms.of(data, products=True, model=model), AdaptationWindows.of(model, data)
     some = np.random.default_rng(0).normal(0.0, 0.01, terms.shape)
     runs, derivatives = sensitivities(model, terms, some, pieces)
     np.testing.assert_allclose(runs, free_runs(model, terms, some[None], pieces)[0])
@@ -74,13 +80,13 @@ def test_derivatives_along_a_run_are_those_of_differences(lags):
 
 def test_a_stronger_ridge_leaves_less_of_a_correction():
     data = drive(FloorCar(thrust=2.0), seconds=5.0, seed=1)
-    model, terms = FloorCar(), Terms.of(data, products=True)
-    strong, weak = corrections(model, terms, Pieces.of(model, data), [100.0, 0.1], 5.0)
+    model, terms = FloorCar(), CorrectionTerms.of(data, products=True)
+    strong, weak = corrections(model, terms, AdaptationWindows.of(model, data), [100.0, 0.1], 5.0)
     assert 0.0 < np.abs(strong).sum() < 0.5 * np.abs(weak).sum()
 
 
 def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge():
-    terms = Terms.of(drive(FloorCar(), seconds=5.0, seed=0), products=True)
+    terms = CorrectionTerms.of(drive(FloorCar(), seconds=5.0, seed=0), products=True)
     far, control = np.array([[50.0, -50.0, 80.0]]), np.array([[9.0, -9.0]])
     edge = np.array([[terms.high[0], terms.low[1], terms.high[2]]]), np.array([[terms.high[3], terms.low[4]]])
     at_edge = terms(*edge, edge[0])
@@ -90,8 +96,8 @@ def test_outside_the_recording_a_correction_is_what_it_is_at_the_edge():
 
 def test_a_body_that_the_model_leaves_at_rest_stays_there():
     data = example_dataset()
-    model = make_model("linear", rest_hold=True).fit(data, rng=0)
-    terms = Terms.of(data)
+    model = make_model("linear", dead_band=True).fit(data, rng=0)
+    terms = CorrectionTerms.of(data)
     resting, idle = np.zeros((1, 3)), np.zeros((1, 2))
     held, pushed_off = (model.step(resting, control) for control in (idle, idle + 1.0))
     assert np.array_equal(terms.corrected(resting, idle, held, np.ones(terms.shape)), resting)
@@ -101,8 +107,8 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there():
 def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other():
     data = drive(FloorCar(), seconds=4.0, seed=0)
     model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
-    terms, some = Terms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
-    pieces = Pieces.of(model, data)
+    terms, some = CorrectionTerms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
+    pieces = AdaptationWindows.of(model, data)
     runs = free_runs(model, terms, some, pieces)
     for one, run in zip(some, runs, strict=True):
         carry = pieces.carry

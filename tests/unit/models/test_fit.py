@@ -368,7 +368,7 @@ def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monk
 class Counting(DynamicsModel):
     """Learns how many steps it was given."""
 
-    most_steps: int | None = 300
+    max_steps: int | None = 300
 
     def fit(self, dataset, *, rng, progress=None):
         self.given_ = dataset.n_steps
@@ -386,13 +386,13 @@ def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_lea
     assert 200 <= model.given_ <= 300
     assert model.fit_note.startswith(f"learned from {model.given_} of 400 steps")
     highest = max(episode.states[:, 0].max() for episode in data)
-    assert model.envelope_[1, 0] >= highest, "the range is that of all the data"
-    model.set_params(most_steps=None).fit(data, rng=0)
+    assert model.state_bounds_[1, 0] >= highest, "the range is that of all the data"
+    model.set_params(max_steps=None).fit(data, rng=0)
     assert (model.given_, model.fit_note) == (400, "")
 
 
 def test_what_a_model_says_of_its_data_is_stored_with_it(tmp_path):
     data = example_dataset(episodes=2, steps=200)
     with pytest.warns(DataWarning):
-        model = make_model("backprop27", epochs=10, most_steps=150).fit(data, rng=0)
+        model = make_model("backprop27", epochs=10, max_steps=150).fit(data, rng=0)
     assert load_model(save_model(model, tmp_path / "model")).fit_note == model.fit_note != ""

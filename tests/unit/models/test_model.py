@@ -6,7 +6,7 @@ import pytest
 from sysid_evo.carry import clip_state
 from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidData, NotFitted, ShapeError
-from sysid_evo.models import DynamicsModel, require_planar, training_envelope
+from sysid_evo.models import DynamicsModel, require_planar, training_bounds
 from sysid_evo.system import Channel, System
 
 PAIR = System((Channel("a"), Channel("b")), (Channel("u"),), dt=0.1)
@@ -47,7 +47,7 @@ class Shaken(DynamicsModel):
         return carry + noise
 
     @property
-    def envelope(self):
+    def state_bounds(self):
         return None
 
 
@@ -128,10 +128,10 @@ def test_simulate_names_the_array_of_the_wrong_shape(walk, shapes, message):
 
 def test_a_free_run_is_clipped_to_the_envelope_and_a_nan_becomes_its_upper_limit(walk):
     model = Falling().fit(walk, rng=0)
-    model.envelope_ = np.array([[-1.0, -2.0], [0.25, 3.0]])
+    model.state_bounds_ = np.array([[-1.0, -2.0], [0.25, 3.0]])
     simulated = model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), np.array([[[1.0], [1.0], [1.0], [-1.0]]]))
     np.testing.assert_allclose(simulated[0], [[0.1, 0.0], [0.2, 0.0], [0.25, 0.0], [0.25, 3.0]])
-    del model.envelope_  # without one a nan stays visible
+    del model.state_bounds_  # without one a nan stays visible
     simulated = model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), -np.ones((1, 2, 1)))
     assert np.isnan(simulated[..., 1]).all()
 
@@ -190,9 +190,11 @@ def test_fit_records_the_system_and_twice_the_range_of_the_training_states(walk)
     states = walk.episodes[0].states
     low, high = states.min(axis=0), states.max(axis=0)
     assert model.system is PAIR
-    np.testing.assert_allclose(model.envelope_, [low - (high - low) / 2, high + (high - low) / 2])
-    envelope = training_envelope(np.array([[1.0, 5.0], [3.0, 5.0]]), 3.0)  # a state that never changed keeps its value
-    np.testing.assert_allclose(envelope, [[-1.0, 5.0], [5.0, 5.0]])
+    np.testing.assert_allclose(model.state_bounds_, [low - (high - low) / 2, high + (high - low) / 2])
+    state_bounds = training_bounds(
+        np.array([[1.0, 5.0], [3.0, 5.0]]), 3.0
+    )  # a state that never changed keeps its value
+    np.testing.assert_allclose(state_bounds, [[-1.0, 5.0], [5.0, 5.0]])
 
 
 def test_a_fit_that_does_not_return_the_model_is_refused(walk):

@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.controllers import RecurrentNetwork
 from sysid_evo.engine import rollout
 from sysid_evo.errors import InvalidArgument, UnknownName
-from sysid_evo.models import Disturbed, RadicalEnvelope, state_spread
+from sysid_evo.models import Disturbed, DomainRandomisation, state_std
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry.registry import noises
@@ -36,7 +36,7 @@ class SpinningBody(ExampleDynamics):
 
 def test_what_is_zero_changes_nothing_and_draws_nothing(rng):
     plain = SluggishCar(example_dataset().system)
-    for noise in (None, RadicalEnvelope()):
+    for noise in (None, DomainRandomisation()):
         same = Disturbed(plain, noise)
         assert [same.n_carry, same.n_noise, same.n_draws, same.n_lags, same.observed_at] == [
             plain.n_carry, plain.n_noise, plain.n_draws, plain.n_lags, 0
@@ -49,7 +49,7 @@ def test_what_is_zero_changes_nothing_and_draws_nothing(rng):
 
 
 def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng):
-    late = Disturbed(Climber(LINE), RadicalEnvelope(latency=3))
+    late = Disturbed(Climber(LINE), DomainRandomisation(latency=3))
     carry = started(late, 4000, rng)
     first = np.full(len(carry), -1)
     for k in range(5):
@@ -61,7 +61,7 @@ def test_a_command_acts_as_many_samples_late_as_the_trial_drew(rng):
 
 def test_a_gain_changes_how_soon_a_state_ends_and_not_where():
     plain, control = ExampleDynamics(LINE), np.ones((200, 1))
-    noisy = Disturbed(plain, RadicalEnvelope(gain=0.2))
+    noisy = Disturbed(plain, DomainRandomisation(gain=0.2))
     carry = started(noisy, 200, np.random.default_rng(0))
     factor = carry[:, 1]
     assert 0.15 < np.log(factor).std() < 0.25
@@ -73,7 +73,7 @@ def test_a_gain_changes_how_soon_a_state_ends_and_not_where():
 
 
 def test_process_noise_moves_the_state_from_none_to_all_of_it(rng):
-    shaken = Disturbed(Climber(LINE), RadicalEnvelope(process=0.5), spread=np.array([4.0]))
+    shaken = Disturbed(Climber(LINE), DomainRandomisation(process=0.5), spread=np.array([4.0]))
     carry, moved = started(shaken, 500, rng), []
     for _ in range(200):
         after = shaken.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
@@ -87,8 +87,8 @@ def test_process_noise_moves_the_state_from_none_to_all_of_it(rng):
 def test_what_is_observed_of_a_moved_state_comes_late_and_then_with_an_error():
     """The order of effects: command, step, gain, process noise; clipped, delayed, bias and white noise."""
     limits = np.array([[-3.0], [3.0]])
-    noise = RadicalEnvelope(sensor=0.5, bias=0.25, latency=1, gain=0.5, process=0.5)
-    both = Disturbed(Climber(LINE, envelope=limits), noise, delay=1.25 * DT, spread=np.array([2.0]))
+    noise = DomainRandomisation(sensor=0.5, bias=0.25, latency=1, gain=0.5, process=0.5)
+    both = Disturbed(Climber(LINE, state_bounds=limits), noise, delay=1.25 * DT, spread=np.array([2.0]))
     carry = started(both, 8, np.random.default_rng(0))
     gain, process, late = carry[:, 1], carry[:, 2], carry[:, 3]
     bias, level = carry[:, -2], carry[:, -1]
@@ -109,7 +109,7 @@ def test_what_is_observed_of_a_moved_state_comes_late_and_then_with_an_error():
 
 
 def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(rng):
-    noisy = Disturbed(Climber(LINE), RadicalEnvelope(sensor=0.5, bias=0.1), spread=np.array([4.0]))
+    noisy = Disturbed(Climber(LINE), DomainRandomisation(sensor=0.5, bias=0.1), spread=np.array([4.0]))
     carry, shown = started(noisy, 500, rng), []
     for _ in range(400):
         carry = noisy.step(carry, np.zeros((500, 1)), rng.standard_normal((500, 1)))
@@ -123,9 +123,9 @@ def test_sensor_noise_is_in_standard_deviations_and_goes_from_none_to_all_of_it(
 
 
 def test_the_base_set_meets_no_noise(rng):
-    everything = RadicalEnvelope(
+    everything = DomainRandomisation(
         sensor=0.5, bias=0.5, latency=2, gain=0.5, process=0.5,
-        base=["forward_speed", "lateral_speed", "yaw_rate", "drive", "steer"],
+        exact_channels=["forward_speed", "lateral_speed", "yaw_rate", "drive", "steer"],
     )  # fmt: skip
     noisy, plain = Disturbed(linear(), everything), linear()
     a, b = started(plain, 8, rng), started(noisy, 8, rng)
@@ -133,29 +133,33 @@ def test_the_base_set_meets_no_noise(rng):
         control = rng.integers(-1, 2, (8, 2)).astype(float)
         a, b = plain.step(a, control), noisy.step(b, control, rng.standard_normal((8, noisy.n_noise)))
         np.testing.assert_allclose(b[:, : plain.n_carry], a, atol=1e-12)
-        np.testing.assert_allclose(b[:, noisy.observed_at :][:, :3], np.clip(a[:, :3], *plain.envelope), atol=1e-12)
+        np.testing.assert_allclose(b[:, noisy.observed_at :][:, :3], np.clip(a[:, :3], *plain.state_bounds), atol=1e-12)
 
 
 def test_the_unit_of_noise_is_the_spread_of_the_training_states_or_of_a_driven_robot():
     data = example_dataset()
     states = np.concatenate([episode.states[:-1] for episode in data.episodes])
-    np.testing.assert_allclose(state_spread(linear()), states.std(axis=0))
+    np.testing.assert_allclose(state_std(linear()), states.std(axis=0))
     turned = SpinningBody(pendulum())
-    assert state_spread(turned)[0] < 2.0, "turns that were made do not count"
-    driven = state_spread(SluggishCar(data.system))
+    assert state_std(turned)[0] < 2.0, "turns that were made do not count"
+    driven = state_std(SluggishCar(data.system))
     assert (driven > 0).all()
-    np.testing.assert_array_equal(driven, state_spread(SluggishCar(data.system)))
+    np.testing.assert_array_equal(driven, state_std(SluggishCar(data.system)))
 
 
 @pytest.mark.parametrize(
     ("made", "error", "complaint"),
     [
-        (lambda: noises.make("envelope(sensor=-1)"), InvalidArgument, "sensor"),
-        (lambda: noises.make("envelope(latency=1.5)"), InvalidArgument, "latency"),
-        (lambda: noises.make("envelope(dropout=0.2)"), InvalidArgument, "dropout"),
-        (lambda: noises.make("envelope(sensr=1)"), InvalidArgument, "sensor"),
-        (lambda: noises.make("envelop(sensor=1)"), UnknownName, "envelope"),
-        (lambda: Disturbed(linear(), RadicalEnvelope(sensor=0.1, base=["x"])), InvalidArgument, "forward_speed"),
+        (lambda: noises.make("domain_randomisation(sensor=-1)"), InvalidArgument, "sensor"),
+        (lambda: noises.make("domain_randomisation(latency=1.5)"), InvalidArgument, "latency"),
+        (lambda: noises.make("domain_randomisation(dropout=0.2)"), InvalidArgument, "dropout"),
+        (lambda: noises.make("domain_randomisation(sensr=1)"), InvalidArgument, "sensor"),
+        (lambda: noises.make("domain_randomisatio(sensor=1)"), UnknownName, "domain_randomisation"),
+        (
+            lambda: Disturbed(linear(), DomainRandomisation(sensor=0.1, exact_channels=["x"])),
+            InvalidArgument,
+            "forward_speed",
+        ),
         (lambda: Disturbed(Climber(LINE), delay=-0.01), InvalidArgument, "delay"),
         (lambda: Disturbed(Climber(LINE), delay=np.nan), InvalidArgument, "delay"),
         (lambda: Disturbed(Climber(LINE), delay=np.inf), InvalidArgument, "delay"),
@@ -212,11 +216,11 @@ def test_pose_follows_the_true_state_and_the_controller_sees_the_late_one():
         pose = system.motion.move(pose, before, after, system.dt, system.state_names)
         np.testing.assert_allclose(trajectory.pose[k + 1], pose, atol=1e-9)
         stepped = model.step(before[None], trajectory.controls[k][None])[0]
-        np.testing.assert_allclose(after, np.clip(stepped, *model.envelope))
+        np.testing.assert_allclose(after, np.clip(stepped, *model.state_bounds))
 
 
 def test_clipping_of_the_true_state_is_counted_and_never_observed_beyond_it():
-    limited = Climber(LINE, envelope=np.array([[-2.0], [2.0]]))
+    limited = Climber(LINE, state_bounds=np.array([[-2.0], [2.0]]))
     late = Disturbed(limited, delay=0.04)
     carry = late.start(np.full((1, 2, 1), 1.5), np.ones((1, 1, 1)))
     after = late.step(carry, np.ones((1, 1)))

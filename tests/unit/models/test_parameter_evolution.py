@@ -102,7 +102,7 @@ def test_states_of_different_size_count_alike_unless_the_paper_is_followed(weigh
     system = System((Channel("large"), Channel("small")), (), dt=0.1)
     kept, start = np.array([0.9, 0.3]), np.random.default_rng(3).standard_normal((80, 2)) * [1.0, 1e-3]
     data = Dataset.from_arrays(system, list(np.stack([start, start * kept], axis=1)), [np.zeros((1, 0))] * 80)
-    best = ModelEvolution(generations=40, windows=80, horizon=1, weights=weights).run(
+    best = ModelEvolution(generations=40, windows=80, horizon=1, error_units=weights).run(
         lambda population, state, control: population[:, :, None] * state, data,
         initial=np.array([0.5]), spread=0.1, rng=np.random.default_rng(1),
     )  # fmt: skip

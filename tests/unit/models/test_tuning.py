@@ -38,7 +38,7 @@ def guess(register):
         """The state decays as the parameter says."""
 
         limits: ClassVar = {"decay": at_least(0, at_most=4)}
-        searched: ClassVar = {"decay": Within(0.0, 4.0)}
+        search_ranges: ClassVar = {"decay": Within(0.0, 4.0)}
         presets: ClassVar = {"quick": {"rounds": 2}}
 
         decay: float = 0.5
@@ -46,7 +46,7 @@ def guess(register):
         kind: Literal["plain", "broken"] = "plain"
         label: str = "x"
         shift: float = 0.0
-        rest_hold: bool = False
+        dead_band: bool = False
 
         def fit(self, dataset, *, rng, progress=None):
             if self.kind == "broken":
@@ -66,10 +66,10 @@ def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and
         "kind": OneOf(("plain", "broken")),
         "shift": Within(1e-6, 1.0, log=True),
     }, "neither text, nor what a preset changes, nor what has nothing to do with predicting"
-    assert search_space("made_up_guess", only=["rounds"]) == {"rounds": Within(1.25, 80.0, log=True)}
+    assert search_space("made_up_guess", parameters=["rounds"]) == {"rounds": Within(1.25, 80.0, log=True)}
     assert set(search_space("made_up_guess", fixed=["kind"])) == {"decay", "shift"}
     with pytest.raises(InvalidArgument, match="no parameter to search among label"):
-        search_space("made_up_guess", only=["label"])
+        search_space("made_up_guess", parameters=["label"])
 
 
 @pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "neural_ode_history", "hybrid_ode"])
@@ -95,7 +95,7 @@ def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess):
     found = tune("made_up_guess(kind=plain, shift=0.0)", decaying(), trials=16, seed=1)
     assert found.best.spec.parameters["kind"] == "plain"
     assert abs(found.best.spec.parameters["decay"] - 2.0) < 0.2
-    default = next(one for one in found.tried if one.spec.parameters["decay"] == 0.5)
+    default = next(one for one in found.trials if one.spec.parameters["decay"] == 0.5)
     assert default.error is not None
     assert found.best.error is not None
     assert found.best.error < default.error
@@ -104,7 +104,7 @@ def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess):
 
 def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess):
     found = tune("made_up_guess(shift=0.0)", decaying(), trials=12, seed=0)
-    failed = [one for one in found.tried if one.reason.startswith("ValueError")]
+    failed = [one for one in found.trials if one.reason.startswith("ValueError")]
     assert failed
     assert str(failed[0].reason).startswith("ValueError: this kind cannot learn (")
     assert found.best.spec.parameters["kind"] == "plain"
@@ -112,20 +112,20 @@ def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess):
 
 
 def test_a_search_goes_on_in_its_file_and_the_same_seed_gives_the_same_trials(guess, tmp_path):
-    settings = {"only": ["decay"], "seed": 3}
+    settings = {"parameters": ["decay"], "seed": 3}
     first = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "a", **settings)
     again = tune("made_up_guess", decaying(), trials=4, file=tmp_path / "b", **settings)
-    begun = {one.spec for one in first.tried}
-    assert begun == {one.spec for one in again.tried}
+    begun = {one.spec for one in first.trials}
+    assert begun == {one.spec for one in again.trials}
     further = tune("made_up_guess", decaying(), trials=7, file=tmp_path / "a", **settings)
-    assert len(further.tried) == 7
-    assert begun < {one.spec for one in further.tried}
+    assert len(further.trials) == 7
+    assert begun < {one.spec for one in further.trials}
     other_data = Tuning("made_up_guess", decaying(1.0), file=tmp_path / "a", **settings)
-    assert not other_data.tried
+    assert not other_data.trials
 
 
 def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess, tmp_path):
-    search = Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a")
+    search = Tuning("made_up_guess", decaying(), parameters=["decay"], file=tmp_path / "a")
 
     def stopping(done, total, note=""):
         if note.startswith("4 trials"):
@@ -133,7 +133,7 @@ def test_what_stops_a_search_keeps_the_trials_that_had_ended(guess, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         list(search.run(trials=50, progress=stopping))
-    assert len(Tuning("made_up_guess", decaying(), only=["decay"], file=tmp_path / "a").tried) == 4
+    assert len(Tuning("made_up_guess", decaying(), parameters=["decay"], file=tmp_path / "a").trials) == 4
 
 
 def test_a_horizon_that_does_not_fit_is_refused(guess):

@@ -8,12 +8,12 @@ import pytest
 from sysid_evo.data import Dataset
 from sysid_evo.data.support import Support, recorded_pairs
 from sysid_evo.engine import DynamicsRunner
-from sysid_evo.engine.rollout import Discounted
+from sysid_evo.engine.rollout import PenalisedRunner
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, UnknownName
-from sysid_evo.models import Disturbed, Doubt, Penalised
+from sysid_evo.models import Disturbed, Penalised, UncertaintyPenalty
 from sysid_evo.models.base import make_model
 from sysid_evo.randomness import trial_seeds
-from sysid_evo.registry.registry import cautions
+from sysid_evo.registry.registry import penalties
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 from tests.fixtures.by_hand import Climber, Constant, Ladder, started
@@ -57,12 +57,12 @@ def test_a_model_keeps_as_many_pairs_as_are_needed_from_the_whole_recording():
     assert pairs[0, 0] == 0.0
     assert pairs[-1, 0] == 9999.0
     assert len(recorded_pairs(data, most=20_000)) == 10_000
-    np.testing.assert_array_equal(models()[0].pairs_, recorded_pairs(example_dataset()))
+    np.testing.assert_array_equal(models()[0].training_sample_, recorded_pairs(example_dataset()))
 
 
 def test_doubt_grows_from_the_limit_to_twice_the_limit_and_counts_a_look_for_the_steps_between():
     support = line(np.arange(20.0))
-    doubted = Penalised(Climber(LINE), Doubt(outside=2.0), support=support, every=4)
+    doubted = Penalised(Climber(LINE), UncertaintyPenalty(outside=2.0), support=support, every=4)
     heights = support.scale[0] * support.limit * np.array([0.5, 1.0, 1.25, 2.0, 5.0]) + 19.0
     carry = started(doubted, 5, np.random.default_rng(0))
     carry[:, 0] = heights
@@ -78,41 +78,43 @@ def test_models_that_agree_are_not_doubted_and_those_that_do_not_are():
 
     climbs = np.array([[0.0], [0.1], [0.15], [0.2], [1.0]])
     for other, expected in ((Climber(LINE), [0.0] * 5), (Twice(LINE), [0.0, 0.0, 1.5, 3.0, 3.0])):
-        doubted = Penalised(Climber(LINE), Doubt(disagreement=3.0), [other], limit=np.array([0.1]))
+        doubted = Penalised(Climber(LINE), UncertaintyPenalty(disagreement=3.0), [other], limit=np.array([0.1]))
         after = doubted.step(started(doubted, 5, np.random.default_rng(0)), climbs)
-        np.testing.assert_allclose(after[:, doubted.doubt_at], expected, atol=1e-9)
+        np.testing.assert_allclose(after[:, doubted.penalty_at], expected, atol=1e-9)
         np.testing.assert_allclose(after[:, :1], climbs, err_msg="the state is that of the first model")
 
 
 def test_by_default_models_may_disagree_as_much_as_they_do_in_the_training_data():
     one, other = models()
-    doubted, pairs = Penalised(one, Doubt(disagreement=1.0), [other]), one.pairs_
+    doubted, pairs = Penalised(one, UncertaintyPenalty(disagreement=1.0), [other]), one.training_sample_
     carry = doubted.start(np.repeat(pairs[:, None, :3], 3, axis=1), np.repeat(pairs[:, None, 3:], 2, axis=1))
-    assert 0.0 < (doubted.step(carry, pairs[:, 3:])[:, doubted.doubt_at] > 0).mean() < 0.03
+    assert 0.0 < (doubted.step(carry, pairs[:, 3:])[:, doubted.penalty_at] > 0).mean() < 0.03
 
 
 def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst():
     support = line(np.linspace(-1.0, 1.0, 50))
-    runner = DynamicsRunner(Penalised(Climber(LINE, breaks_above=8.0), Doubt(outside=5.0), support=support, every=1))
+    runner = DynamicsRunner(
+        Penalised(Climber(LINE, breaks_above=8.0), UncertaintyPenalty(outside=5.0), support=support, every=1)
+    )
     controls, seeds = np.array([[0.0], [-0.5], [-1.0], [1.0]]), trial_seeds(0, 2)
     plain = runner.bind(Constant(), Ladder())(controls, seeds)
-    less = Discounted(runner, most=5.0).bind(Constant(), Ladder())(controls, seeds)
+    less = PenalisedRunner(runner, most=5.0).bind(Constant(), Ladder())(controls, seeds)
     diverged = plain.fitness < Ladder().worst
     assert diverged.any()
-    assert plain.doubt[~diverged].max() > 0.0
+    assert plain.penalty[~diverged].max() > 0.0
     np.testing.assert_allclose(
-        less.fitness, np.where(diverged, plain.fitness - 5.0, plain.fitness - plain.doubt / Ladder().horizon)
+        less.fitness, np.where(diverged, plain.fitness - 5.0, plain.fitness - plain.penalty / Ladder().horizon)
     )
 
 
 def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is_refused():
-    robot, outside, apart = Climber(LINE), Doubt(outside=1.0), Doubt(disagreement=1.0)
-    assert outside.about(robot) is robot
-    assert apart.about(models()[0], [robot]) is models()[0], "a robot is no model to disagree with"
+    robot, outside, apart = Climber(LINE), UncertaintyPenalty(outside=1.0), UncertaintyPenalty(disagreement=1.0)
+    assert outside.around(robot) is robot
+    assert apart.around(models()[0], [robot]) is models()[0], "a robot is no model to disagree with"
     forgetful = make_model("linear").fit(example_dataset(), rng=0)
-    del forgetful.pairs_
+    del forgetful.training_sample_
     for made, error, reason in (
-        (lambda: Doubt(outside=1.0).about(forgetful), InvalidArgument, "fit it again"),
+        (lambda: UncertaintyPenalty(outside=1.0).around(forgetful), InvalidArgument, "fit it again"),
         (lambda: Penalised(robot, outside), InvalidArgument, "training data; give support="),
         (lambda: Penalised(robot, apart, [robot]), InvalidArgument, "training data; give support="),
         (lambda: Penalised(robot, apart), InvalidArgument, "other model"),
@@ -126,13 +128,13 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
 
 
 def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused():
-    assert cautions.make("doubt(outside=3)") == Doubt(outside=3)
+    assert penalties.make("uncertainty(outside=3)") == UncertaintyPenalty(outside=3)
     with pytest.raises(InvalidArgument, match="outside"):
-        cautions.make("doubt(outside=-1)")
-    with pytest.raises(UnknownName, match="doubt"):
-        cautions.make("dread")
-    inner = Doubt(outside=1.0, disagreement=1.0).about(models()[0], [models()[1], Climber(LINE)])
+        penalties.make("uncertainty(outside=-1)")
+    with pytest.raises(UnknownName, match="uncertainty"):
+        penalties.make("dread")
+    inner = UncertaintyPenalty(outside=1.0, disagreement=1.0).around(models()[0], [models()[1], Climber(LINE)])
     assert isinstance(inner, Penalised)
-    assert inner.doubt == Doubt(outside=1.0, disagreement=1.0)
+    assert inner.penalty == UncertaintyPenalty(outside=1.0, disagreement=1.0)
     assert len(inner.members.models) == 2
-    assert Disturbed(inner, delay=0.05).doubt_at == inner.doubt_at
+    assert Disturbed(inner, delay=0.05).penalty_at == inner.penalty_at

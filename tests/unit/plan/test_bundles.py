@@ -6,7 +6,7 @@ import pytest
 
 from sysid_evo.errors import ArtefactError
 from sysid_evo.plan import Plan, Store, execute
-from sysid_evo.plan.store import Record, unpack
+from sysid_evo.plan.store import CellRecord, unpack
 from tests.fixtures.cells import number
 
 ONE, OTHER = number(1, label="one"), number(2, label="other")
@@ -50,7 +50,7 @@ def test_no_file_is_written_through_a_link(tmp_path):
 @pytest.mark.parametrize("name", ["experiment.toml", "evil.py", "cells/other.json", "results/other-12345678.json"])
 def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     (record_name, _, text), *files = done.bundle(ONE.digest)
-    record = Record.model_validate_json(text)
+    record = CellRecord.model_validate_json(text)
     further = record.model_copy(update={"files": {**record.files, name: hashlib.sha256(b"x").hexdigest()}})
     other = record.model_copy(
         update={"artefact": name.partition(".")[0], "files": {name: hashlib.sha256(b"x").hexdigest()}}
@@ -58,13 +58,13 @@ def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     store = Store(tmp_path / "other")
     for forged, sent in ((further, (*files, (name, 0, b"x"))), (other, ((name, 0, b"x"),))):
         with pytest.raises(ArtefactError, match="is not the whole result of this cell"):
-            store.take(ONE, ((record_name, 0, forged.model_dump_json().encode()), *sent))
+            store.receive(ONE, ((record_name, 0, forged.model_dump_json().encode()), *sent))
     assert not store.path.exists()
 
 
 def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path, done):
     store = Store(tmp_path / "other")
-    store.take(ONE, done.bundle(ONE.digest))
+    store.receive(ONE, done.bundle(ONE.digest))
     assert store.load(ONE) == 1
     assert store.bundle(ONE.digest)[0][2] == done.bundle(ONE.digest)[0][2]
     assert (store.path / "log.jsonl").read_text().count(ONE.digest) == 1
@@ -88,7 +88,7 @@ def test_what_is_no_whole_result_of_the_cell_is_refused_and_nothing_is_written(t
     }
     store = Store(tmp_path / "other")
     with pytest.raises(ArtefactError, match="count one: what came"):
-        store.take(ONE, damaged[damage])
+        store.receive(ONE, damaged[damage])
     assert not store.path.exists()
 
 

@@ -5,7 +5,7 @@ import pytest
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Plan, Store, execute, executors
 from sysid_evo.plan.executors import number_of_jobs
-from sysid_evo.plan.plan import work_ahead
+from sysid_evo.plan.plan import critical_path
 from tests.fixtures.cells import number
 
 
@@ -13,7 +13,7 @@ def test_the_longest_way_comes_first():
     short, start = number(1, label="short"), number(2, label="start")
     middle = number(3, (start,), "middle")
     plan = Plan.of([short, number(4, (middle,), "end"), middle])
-    ahead = work_ahead(plan)
+    ahead = critical_path(plan)
     assert [ahead[cell.digest] for cell in (short, start, middle)] == [1.0, 3.0, 2.0]
 
 

@@ -8,7 +8,7 @@ import pytest
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import CELL_KINDS, Plan, cell_seed
 from sysid_evo.plan import cell as module
-from sysid_evo.plan.plan import YEAR, at_home
+from sysid_evo.plan.plan import YEAR, local_cells
 from tests.fixtures.cells import Number, number, tolerant
 
 
@@ -21,7 +21,7 @@ def test_every_input_the_kind_and_each_need_decide_the_digest_and_a_label_does_n
 
 
 def lasting(years, label):
-    return replace(number(years, label=label), seconds=years * YEAR)
+    return replace(number(years, label=label), expected_seconds=years * YEAR)
 
 
 def test_a_plan_of_ten_years_is_the_longest_and_a_longer_one_names_its_longest_cell():
@@ -128,7 +128,7 @@ def test_the_seed_of_a_cell_depends_on_the_seed_and_the_work_alone():
 
 
 def test_what_needs_a_cell_that_stays_with_the_run_folder_stays_there_too():
-    home = Number(1, label="home").cell(at_home=True)
+    home = Number(1, label="home").cell(local_only=True)
     after = number(2, (home,), label="after")
     plan = Plan.of([home, after, number(3, (after,), label="last"), number(4, label="free")])
-    assert {cell.name for cell in plan if cell.digest in at_home(plan)} == {"home", "after", "last"}
+    assert {cell.name for cell in plan if cell.digest in local_cells(plan)} == {"home", "after", "last"}

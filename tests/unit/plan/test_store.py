@@ -63,8 +63,8 @@ def test_a_result_is_found_under_another_label_and_carries_it(tmp_path):
     for some in (store, Store(tmp_path)):
         assert some.load(named(5, label="new")) == NamedNumber("new", 5)
         assert some.load(named(5, label="old")) == NamedNumber("old", 5)
-    assert store.where(named(5, label="new")) == store.where(named(5, label="old"))
-    assert store.where(named(5, label="new")).with_suffix(".txt").is_file()
+    assert store.result_path(named(5, label="new")) == store.result_path(named(5, label="old"))
+    assert store.result_path(named(5, label="new")).with_suffix(".txt").is_file()
 
 
 def test_a_cell_that_needs_a_renamed_one_is_handed_its_present_label(tmp_path):
@@ -250,7 +250,7 @@ def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path, tit
     folder = tmp_path / "run"
     cell = number(1, label=title)
     _, store = run(folder, cell)
-    place = store.place(cell)
+    place = store.new_path(cell)
     assert place.parent == folder / "results"
     assert not place.name.startswith((".", "-"))
     assert len(place.name) < 80
@@ -263,7 +263,7 @@ def test_files_of_any_title_stay_in_the_folder_and_are_found_again(tmp_path, tit
 def test_two_cells_of_one_name_do_not_share_files(tmp_path):
     one, two = number(1, label="same"), number(2, label="same")
     _, store = run(tmp_path, one, two)
-    assert store.place(one) != store.place(two)
+    assert store.new_path(one) != store.new_path(two)
     assert (Store(tmp_path).load(one), Store(tmp_path).load(two)) == (1, 2)
 
 

@@ -10,7 +10,7 @@ from sysid_evo.plan.processes import Processes, Slot
 from sysid_evo.plan.run_cell import CellEnd, CellLost
 from tests.fixtures.cells import Number, number
 
-SHORT, LONG = number(1, label="short"), Number(2, label="long").cell(seconds=9.0)
+SHORT, LONG = number(1, label="short"), Number(2, label="long").cell(expected_seconds=9.0)
 
 
 class MadeUpExecutor:

@@ -6,7 +6,7 @@ import pytest
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.controller_evolution import ControllerEvolution, farthest_driven, farthest_recorded
+from sysid_evo.evolution.controller_evolution import ControllerEvolution, recorded_state_range, simulated_state_range
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
@@ -14,7 +14,7 @@ from sysid_evo.testing.examples import ExampleDynamics, pendulum
 
 
 def doubts(car, farthest, **sizes):
-    return PointToPoint(**sizes).bind(car).doubts(np.array(farthest))
+    return PointToPoint(**sizes).bind(car).feasibility_warnings(np.array(farthest))
 
 
 def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_need(car):
@@ -47,14 +47,14 @@ def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car):
 
 def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands():
     car = make_robot("emulated_car").dynamics
-    farthest = farthest_driven(car)
+    farthest = simulated_state_range(car)
     assert farthest is not None
     assert 1.7 < farthest[0] < 2.3
     assert 2.0 < farthest[2] < 12.0
     data = example_dataset()
     speeds = np.abs(np.concatenate([episode.states for episode in data]))
-    assert np.mean(speeds <= farthest_recorded(data), axis=0) == pytest.approx(0.99, abs=0.01)
-    swinging = farthest_driven(ExampleDynamics(pendulum()))
+    assert np.mean(speeds <= recorded_state_range(data), axis=0) == pytest.approx(0.99, abs=0.01)
+    swinging = simulated_state_range(ExampleDynamics(pendulum()))
     assert swinging is not None
     assert swinging[0] > 0.0
 

@@ -168,7 +168,7 @@ def test_keeping_takes_the_new_state_only_of_trials_that_go_on(car):
     task = PointToPoint(horizon=10).bind(car)
     old = task.begin(seeds_of(1, 2, 3))
     new = dataclasses.replace(old, pose=old.pose + 1.0, passed=old.passed + 5)
-    kept = old.keep(new, np.array([True, False, True]))
+    kept = old.updated_where(new, np.array([True, False, True]))
     np.testing.assert_array_equal(kept.passed, [5, 0, 5])
     np.testing.assert_array_equal(kept.pose[:, 0], [1.0, 0.0, 1.0])
     assert kept.passed.dtype == old.passed.dtype

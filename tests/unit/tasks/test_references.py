@@ -47,15 +47,15 @@ def test_effort_is_the_mean_square_share_of_the_full_controls():
 
 
 def test_a_change_of_still_per_second_costs_half_of_the_score_the_shorter_way_round_too():
-    task = SetPoint(low=0.0, high=0.0, tolerance=9e9, still=2.0, horizon=1).bind(TANK)
+    task = SetPoint(low=0.0, high=0.0, tolerance=9e9, rate_tolerance=2.0, horizon=1).bind(TANK)
     assert task.fitness(followed(task, [[1.0, 0.0], [2.0, 0.0]]))[0] == pytest.approx(50.0)
-    round_the_top = SwingUp(tolerance=9e9, still=10.0, horizon=1).bind(pendulum())
+    round_the_top = SwingUp(tolerance=9e9, rate_tolerance=10.0, horizon=1).bind(pendulum())
     path = [[math.pi - 0.1, 0.0], [-math.pi + 0.1, 0.0]]
     assert round_the_top.fitness(followed(round_the_top, path, np.zeros((1, 1))))[0] == pytest.approx(50.0)
 
 
 def test_targets_are_drawn_between_low_and_high_and_each_trial_begins_within_its_spread():
-    task = SetPoint(channels=["warmth", "level"], low=[1.0, 2.0], high=[3.0, 2.5], spread=[0.2, 0.1]).bind(TANK)
+    task = SetPoint(channels=["warmth", "level"], low=[1.0, 2.0], high=[3.0, 2.5], start_spread=[0.2, 0.1]).bind(TANK)
     trials = task.begin(trial_seeds(1, 200))
     drawn = trials.reference[:, 0]
     for column, low, high in zip(drawn.T, (1.0, 2.0), (3.0, 2.5), strict=True):
@@ -80,7 +80,7 @@ def test_states_are_observed_by_their_limits_and_errors_in_tens_of_tolerances():
 
 
 def test_what_is_periodic_is_observed_by_sine_and_cosine_and_goes_the_shorter_way():
-    task = SwingUp(tolerance=0.5, still=9e9, horizon=1).bind(pendulum())
+    task = SwingUp(tolerance=0.5, rate_tolerance=9e9, horizon=1).bind(pendulum())
     names = [channel.name for channel in task.observations]
     assert names == ["bias", "sin_angle", "cos_angle", "angular_speed", "sin_angle_error", "cos_angle_error"]
     shown = task.observe(task.begin(SEEDS[:1]), np.array([[0.5, 2.0]]))
@@ -104,7 +104,7 @@ def test_settling_is_the_last_time_outside_the_tolerance_and_overshoot_a_share_o
 
 
 def test_balance_begins_near_the_top_and_is_over_once_it_has_fallen():
-    task = Balance(spread=0.2, end=0.8, horizon=10).bind(pendulum())
+    task = Balance(start_spread=0.2, abort_error=0.8, horizon=10).bind(pendulum())
     starts = task.begin(trial_seeds(1, 100)).state[:, 0]
     assert 0.19 < np.abs(starts - math.pi).max() <= 0.2
     near, far = (followed(task, [[math.pi, 0.0], [math.pi - off, 0.0]], np.zeros((1, 1))) for off in (0.79, 0.81))
@@ -161,7 +161,7 @@ def test_a_state_that_is_missing_is_named():
     ("made", "message"),
     [
         (lambda: SetPoint(low=3.0, high=1.0), "expected low <= high"),
-        (lambda: SetPoint(tolerance=0.0), "tolerance, still and end > 0"),
+        (lambda: SetPoint(tolerance=0.0), "tolerance, rate_tolerance and abort_error > 0"),
         (lambda: SetPoint(low=[1.0, 2.0, 3.0]), "low: expected one number, or one for each of 1 channels, got 3"),
         (lambda: SetPoint(low="much"), "low: expected"),
         (lambda: SetPoint(channels=["level", "level"]), "expected every state once"),

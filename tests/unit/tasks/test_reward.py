@@ -28,11 +28,13 @@ def rooted(angle):
 
 @pytest.fixture(autouse=True)
 def registered():
-    register_reward("swung", lowest=-2.0, horizon=60, ended=fast, start=WHERE)(upright)
-    register_reward("swung_in_python", lowest=-2.0, horizon=60, ended=fast, start=WHERE, compiled=False)(upright)
-    register_reward("braked", lowest=-2.0, horizon=40)(braked)
-    register_reward("rooted", lowest=-3.0, horizon=1)(rooted)
-    register_reward("odd", lowest=0.0, start={"torque": (0.0, 1.0)})(rooted)
+    register_reward("swung", min_reward=-2.0, horizon=60, terminated=fast, start=WHERE)(upright)
+    register_reward("swung_in_python", min_reward=-2.0, horizon=60, terminated=fast, start=WHERE, compiled=False)(
+        upright
+    )
+    register_reward("braked", min_reward=-2.0, horizon=40)(braked)
+    register_reward("rooted", min_reward=-3.0, horizon=1)(rooted)
+    register_reward("odd", min_reward=0.0, start={"torque": (0.0, 1.0)})(rooted)
     yield
     for name in ("swung", "swung_in_python", "braked", "rooted", "odd"):
         tasks.forget(name)
@@ -57,20 +59,23 @@ def test_a_reward_below_the_lowest_or_not_a_number_counts_as_the_lowest():
 
 def test_a_trial_begins_where_start_says_and_is_over_where_ended_says():
     task = Reward(
-        worth, start=lambda rng: rng.uniform(1.0, 2.0, 2), ended=lambda states: states[:, 1] > 1.5, lowest=-9.0
+        worth, start=lambda rng: rng.uniform(1.0, 2.0, 2), terminated=lambda states: states[:, 1] > 1.5, lowest=-9.0
     ).bind(pendulum())
     trials = task.begin(SEEDS)
     assert 1.0 <= trials.state.min() < trials.state.max() <= 2.0
     after, _ = task.advance(trials, trials.state, trials.state, control=np.zeros((3, 1)))
     np.testing.assert_array_equal(after.alive, trials.state[:, 1] <= 1.5)
-    assert Reward(worth, scalar=worth_of_one, ended=lambda states: states[:, 1] > 1.5).bind(pendulum()).kernel() is None
+    assert (
+        Reward(worth, scalar=worth_of_one, terminated=lambda states: states[:, 1] > 1.5).bind(pendulum()).kernel()
+        is None
+    )
 
 
 def test_arguments_are_taken_by_name_and_those_with_a_default_are_parameters():
     states, controls = np.array([[0.3, 9.0], [2.0, -9.0]]), np.array([[1.0], [-2.0]])
     for weight in (0.5, 0.1):
         task = make_task(f"swung(weight={weight})" if weight != 0.5 else "swung").bind(pendulum())
-        np.testing.assert_allclose(task.worth(states, controls), -np.cos(states[:, 0]) - weight * controls[:, 0] ** 2)
+        np.testing.assert_allclose(task.reward(states, controls), -np.cos(states[:, 0]) - weight * controls[:, 0] ** 2)
     with pytest.raises(InvalidArgument, match=r"no parameter 'wight'. Did you mean 'weight'\?"):
         make_task("swung(wight=1)")
     with pytest.raises(InvalidArgument, match="weight: expected a finite number, got 'much'"):
@@ -107,7 +112,7 @@ def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says():
 def test_what_cannot_be_computed_counts_as_the_lowest():
     task = make_task("rooted").bind(pendulum())
     np.testing.assert_array_equal(
-        np.isnan(task.worth(np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]), np.zeros((3, 1)))), [True, True, False]
+        np.isnan(task.reward(np.array([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]), np.zeros((3, 1)))), [True, True, False]
     )
     before = np.array([[-1.0, 0.0]])
     trial, _ = task.advance(task.begin(trial_seeds(1, 1)), before, before, control=np.zeros((1, 1)))
@@ -127,9 +132,9 @@ def test_what_fits_no_system_or_no_function_is_refused():
         with pytest.raises(IncompatibleTask, match=reason):
             made.bind(system)
     with pytest.raises(InvalidArgument, match="each by its name, and none called horizon; got states"):
-        register_reward("wrong", lowest=0.0)(lambda *states: 0.0)
+        register_reward("wrong", min_reward=0.0)(lambda *states: 0.0)
     with pytest.raises(InvalidArgument, match="got horizon"):
-        register_reward("wrong", lowest=0.0)(lambda horizon: 0.0)
+        register_reward("wrong", min_reward=0.0)(lambda horizon: 0.0)
     with pytest.raises(InvalidArgument, match="finite lowest"):
         Reward(worth, lowest=-np.inf)
     task = Reward(lambda states, controls: states).bind(pendulum())

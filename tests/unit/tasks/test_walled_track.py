@@ -146,10 +146,10 @@ def test_at_a_wall_the_body_stays_inside_and_keeps_half_of_its_speeds():
 def test_who_stands_well_promises_more_and_what_was_driven_before_does_not_count():
     task, trial = circle()
     poses = [(0.0, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, math.pi / 2.0), (0.0, 0.0, math.pi), (2.0, 2.0, math.pi / 2)]
-    promised = [task.promise(at(trial, *pose), np.zeros((1, 3)))[0] for pose in poses]
+    promised = [task.potential(at(trial, *pose), np.zeros((1, 3)))[0] for pose in poses]
     np.testing.assert_allclose(promised, [0.1, 0.075, 0.05, 0.0, 0.1], atol=1e-8)
     back = replace(trial, progress=np.array([3.0]), furthest=np.array([5.0]))
-    assert task.fitness(task.foreseen(back))[0] == 3.0
+    assert task.fitness(task.hide_future(back))[0] == 3.0
     assert task.fitness(back)[0] == 5.0
 
 

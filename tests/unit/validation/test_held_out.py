@@ -8,14 +8,14 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
-from sysid_evo.validation.folds import FOLDS, folds_of
-from sysid_evo.validation.held_out import DIVERGED, GOOD, HeldOut
+from sysid_evo.validation.folds import FOLDS, make_folds
+from sysid_evo.validation.held_out import DIVERGED, GOOD, HeldOutError
 from sysid_evo.validation.simulation_error import (
     LONGEST_HISTORY,
     HeldOutTest,
-    Judge,
+    Scorer,
+    error_windows,
     history_of,
-    judging_windows,
     relative_error,
 )
 from tests.benchmarks.coverage import coverage
@@ -27,9 +27,9 @@ LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 def test_an_error_is_that_of_free_runs_and_a_copy_is_no_significant_improvement():
     """A model that is right has no error, one that stands still has that of the spread of the changes."""
     data = example_dataset()
-    (_, held), *_ = folds_of(data, 3)
+    (_, held), *_ = make_folds(data, 3)
     trial = HeldOutTest.of(held, [1, 10], 2)
-    judge = Judge.of(data, [trial])
+    judge = Scorer.of(data, [trial])
     still = judge.errors([np.repeat(trial.windows.start_states[:, None], 2, axis=1)])
     assert judge.errors([trial.truth]).mean == 0.0
     off = data.system.difference(np.repeat(trial.windows.start_states[:, None], 2, axis=1), trial.truth)
@@ -48,7 +48,7 @@ def test_free_runs_are_given_a_third_of_what_the_horizon_leaves_as_history():
 
 
 def test_relative_error_of_the_mean_is_one(car_data):
-    windows = judging_windows(car_data, 0)
+    windows = error_windows(car_data, 0)
     mean = np.broadcast_to(windows.states.mean(axis=(0, 1)), windows.states.shape)
     assert 0.8 < relative_error(car_data.system, mean, windows) < 1.2
 
@@ -61,7 +61,7 @@ def test_coverage_of_a_normal_is_ninety_per_cent():
 
 def test_errors_that_are_as_good_as_none_are_equal():
     """So the first of several such models is taken, which has no lags."""
-    blocks = HeldOut.of(DRIVEN.recording())
+    blocks = HeldOutError.of(DRIVEN.recording())
     perfect, nearly = (
         blocks.error(lambda part, ridge=ridge: make_model("linear", ridge=ridge).fit(part)) for ridge in (0.0, 1e-4)
     )
@@ -88,7 +88,7 @@ def wave():
 
 
 def test_a_setting_that_diverges_on_held_out_time_is_worse_than_any_that_does_not():
-    blocks = HeldOut.of(wave())
+    blocks = HeldOutError.of(wave())
     calm, wild = (blocks.error(lambda part, gain=gain: Runaway(gain=gain).fit(part)) for gain in (0.0, 0.5))
     assert calm < 10.0
     assert wild > 3 * DIVERGED

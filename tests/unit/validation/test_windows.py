@@ -3,7 +3,7 @@
 import numpy as np
 
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
-from evaluation.prediction.scoring import forecast
+from evaluation.prediction.scoring import simulate_cases
 from sysid_evo.data import Dataset
 from sysid_evo.models import DynamicsModel
 from sysid_evo.system import Channel, System
@@ -24,7 +24,7 @@ class Echo(DynamicsModel):
         return self
 
     @property
-    def envelope(self):
+    def state_bounds(self):
         """No limits."""
 
     def next_state(self, carry, control):
@@ -37,7 +37,7 @@ def reached_back_to(*, history, lags, reach):
     data = Dataset.from_arrays(SYSTEM, numbers, np.maximum(numbers, 0.25))
     protocol = PredictionProtocol(horizons=(1,), history=history, first=20, stride=1, guard_multiple=1e9)
     model = Echo(state_lags=lags, control_lags=lags, reach=reach).fit(data, rng=np.random.default_rng(0))
-    found = float(forecast(model, measured_cases(data, data, protocol)).windows[0, 0, 0])
+    found = float(simulate_cases(model, measured_cases(data, data, protocol)).windows[0, 0, 0])
     state = found % 100.0
     return state, (found - state) / 1e4
 

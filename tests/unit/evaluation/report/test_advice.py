@@ -60,10 +60,10 @@ def test_the_document_holds_it_and_gives_it_back():
     ],
 )
 def test_a_fit_advises(test, model, judged_on, tmp_path):
-    experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "only": "fit", **test})
+    experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "stop_after": "fit", **test})
     comparison = plan_comparison(experiment, dataset=drive(Fault(late=6), steps=400))
     store = Store(tmp_path)
     execute(comparison.plan, store)
     advice = store.outcome(comparison.advice).value
     assert advice.model == model
-    assert advice.judged_on.startswith(judged_on)
+    assert advice.evaluated_on.startswith(judged_on)

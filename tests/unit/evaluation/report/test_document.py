@@ -12,9 +12,9 @@ import pytest
 
 from evaluation.prediction import assess_prediction
 from evaluation.report import (
+    ComparisonResults,
     DataSummary,
     Failure,
-    Report,
     report_schema,
     save,
     save_report,
@@ -23,7 +23,7 @@ from evaluation.report import (
     to_json,
     verdict,
 )
-from evaluation.report.render.terminal import to_rich
+from evaluation.report.render.terminal import table_lines
 from evaluation.report.report import SCHEMA, sections
 from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Cell, TransferMatrix
@@ -83,7 +83,7 @@ def test_the_tables_fit_a_terminal_of_80_columns_and_state_horizon_and_initialis
 def test_wide_tables_are_split_by_columns_and_nothing_is_cut_off():
     names = [f"family_number_{i}" for i in range(8)]
     sheet = transfer_sheet(matrix({row: dict.fromkeys(names, 8.5) for row in names}, trials=4))
-    lines = printed(to_rich(sheet))
+    lines = printed(table_lines(sheet))
     text = "\n".join(lines)
     assert max(map(len, lines)) <= 80
     parts = 1 + text.count("(continued)")
@@ -119,7 +119,7 @@ def test_a_test_set_of_a_few_samples_still_gives_a_report(report):
 def test_a_single_trial_on_the_robot_has_no_error_bar():
     cells = [Cell("c", "a", np.array([3.0, 5.0])), Cell("c", "car", np.array([2.0]))]
     transfer = TransferMatrix.of([champion("c", ("a",))], ("a", "car"), cells, robot="car")
-    report = Report("Brief", DataSummary.of(recording(), recording(1, seed=8)), matrix=transfer)
+    report = ComparisonResults("Brief", DataSummary.of(recording(), recording(1, seed=8)), matrix=transfer)
     achieved = report.transfer.controller("c").achieved
     assert achieved.value == 2.0
     assert np.isnan(achieved.standard_error)
@@ -128,7 +128,7 @@ def test_a_single_trial_on_the_robot_has_no_error_bar():
 
 
 def test_nothing_but_names_and_failures_is_still_a_page(report):
-    empty = Report(report.title, report.data)
+    empty = ComparisonResults(report.title, report.data)
     assert "Nothing was compared" in to_html(empty)
     assert to_json(empty)["verdict"] == [{"question": "What was found?", "answers": ["Nothing was compared."]}]
 
@@ -136,7 +136,7 @@ def test_nothing_but_names_and_failures_is_still_a_page(report):
 def test_clipping_is_shown_beside_the_score():
     report = make_report({"exploding": fitted(Exploding())}, robot=False)
     assert re.search("clip (9|100 %)", in_terminal(report))
-    assert np.isfinite(report.prediction.model("exploding").at[0].n)
+    assert np.isfinite(report.prediction.model("exploding").scores[0].n)
 
 
 def test_a_page_is_drawn_again_only_where_it_may_show_something_else(tmp_path, monkeypatch):
@@ -150,19 +150,19 @@ def test_a_page_is_drawn_again_only_where_it_may_show_something_else(tmp_path, m
     page = tmp_path / "report.html"
     assert drawn("these")
     assert not drawn("these")
-    assert drawn("others")
-    assert drawn("others", afresh=True)
+    assert drawn("other_models")
+    assert drawn("other_models", afresh=True)
     assert drawn(None)
-    assert drawn("others")
+    assert drawn("other_models")
     shown[0] = replace(shown[0], title="another text")
-    assert drawn("others")
+    assert drawn("other_models")
     page.write_text(page.read_text()[:-200])
-    assert drawn("others")
+    assert drawn("other_models")
     monkeypatch.setattr(save, "versions", lambda: {"sysid-evo": "another"})
-    assert drawn("others")
+    assert drawn("other_models")
     monkeypatch.setattr(save, "EVALUATION", tmp_path)
-    assert drawn("others")
-    assert not drawn("others")
+    assert drawn("other_models")
+    assert not drawn("other_models")
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +247,7 @@ def test_what_runs_on_a_robot_would_show_is_explained_without_them():
 
 
 def test_without_controllers_the_reason_is_told_on_the_page_and_in_the_terminal():
-    alone = replace(chosen.report(prediction({"persistence": 0.9, "a": 0.3})), settings={"only": "prediction"})
+    alone = replace(chosen.report(prediction({"persistence": 0.9, "a": 0.3})), settings={"stop_after": "prediction"})
     sentence = "since only 'prediction' was asked for"
     assert sentence in absent(alone)["Transfer"]
     assert sentence in html.unescape(text_page(alone))

@@ -8,7 +8,7 @@ import pytest
 
 from evaluation.report import report as report_module
 from evaluation.report import tables, to_html, to_markdown, verdict
-from evaluation.report.elements import Section, Sheet
+from evaluation.report.elements import Section, TableElement
 from evaluation.report.render.markdown import sheet_to_markdown
 from evaluation.report.report import sections, story_of
 from evaluation.report.save import write_format
@@ -16,7 +16,7 @@ from evaluation.report.sections.summary import headlines
 from sysid_evo.errors import InvalidArgument
 from tests.fixtures.reports import printed
 
-AWKWARD = Sheet("50 % of a_b", ("name", "x|y\n(m/s²)"), (("a_b & {c}", "1 ±2\n< 3"), ("#1", "–")))
+AWKWARD = TableElement("50 % of a_b", ("name", "x|y\n(m/s²)"), (("a_b & {c}", "1 ±2\n< 3"), ("#1", "–")))
 
 
 def test_a_markdown_table_has_as_many_cells_in_every_row_and_escapes_what_means_something():
@@ -54,7 +54,9 @@ def test_the_figures_are_files_with_a_legend_and_the_markdown_shows_them(report,
 def test_a_further_section_is_one_function_in_the_list_and_shows_in_every_form(report, monkeypatch):
     def tyres(shown):
         rows = tuple((model.name, "0.9") for model in shown.models)
-        return Section("Tyres", [Sheet("Wear of tyres", ("model", "wear"), rows)], absent=["No tyre was weighed."])
+        return Section(
+            "Tyres", [TableElement("Wear of tyres", ("model", "wear"), rows)], absent=["No tyre was weighed."]
+        )
 
     monkeypatch.setattr(report_module, "SECTIONS", (*report_module.SECTIONS, tyres))
     undrawn = replace(report, prediction=None, matrix=None, exploitability=())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.report.sections.replay import packed, parting, replay
+from evaluation.report.sections.replay import divergence_time, packed, replay
 from evaluation.transfer import Cell, Trace, transfer
 from sysid_evo.data import Trajectory
 from sysid_evo.engine import DynamicsRunner
@@ -132,31 +132,33 @@ def test_no_name_ends_the_script():
 def test_bodies_part_where_they_are_a_tenth_of_the_path_apart(ahead, seconds):
     robot = np.linspace(0.0, 1.0, 11)
     model = robot + np.where(np.arange(11) >= 5, ahead, 0.0)
-    assert parting(on_a_plane(model), on_a_plane(robot), ARM, paths=True) == seconds
+    assert divergence_time(on_a_plane(model), on_a_plane(robot), ARM, paths=True) == seconds
 
 
 def test_a_trial_that_ends_early_is_compared_as_long_as_it_lasts():
     robot = np.linspace(0.0, 1.0, 11)
-    assert parting(on_a_plane(robot[:4]), on_a_plane(robot), ARM, paths=True) is None
-    assert parting(on_a_plane(robot), on_a_plane(np.append(robot[:4], 0.8)), ARM, paths=True) == pytest.approx(0.4)
+    assert divergence_time(on_a_plane(robot[:4]), on_a_plane(robot), ARM, paths=True) is None
+    assert divergence_time(on_a_plane(robot), on_a_plane(np.append(robot[:4], 0.8)), ARM, paths=True) == pytest.approx(
+        0.4
+    )
 
 
 def test_from_a_robot_that_stands_nothing_parts():
     still, off = np.zeros(11), np.linspace(0.0, 0.3, 11)
-    assert parting(on_a_plane(off), on_a_plane(still), ARM, paths=True) is None
-    assert parting(of_states(off), of_states(still), ARM, paths=False) is None
+    assert divergence_time(on_a_plane(off), on_a_plane(still), ARM, paths=True) is None
+    assert divergence_time(of_states(off), of_states(still), ARM, paths=False) is None
 
 
 def test_a_whole_turn_apart_is_together():
     swing = np.linspace(0.0, 2.0, 11)
-    assert parting(of_states(swing + 2.0 * np.pi), of_states(swing), ARM, paths=False) is None
+    assert divergence_time(of_states(swing + 2.0 * np.pi), of_states(swing), ARM, paths=False) is None
     later = swing + np.where(np.arange(11) >= 3, 0.21, 0.0)
-    assert parting(of_states(later), of_states(swing), ARM, paths=False) == pytest.approx(0.3)
+    assert divergence_time(of_states(later), of_states(swing), ARM, paths=False) == pytest.approx(0.3)
 
 
 def test_a_target_far_away_widens_the_range_but_never_beyond_a_turn():
     still, off = np.zeros(11), np.where(np.arange(11) >= 2, 0.3, 0.0)
-    assert parting(of_states(off), of_states(still, target=2.0), ARM, paths=False) == pytest.approx(0.2)
-    assert parting(of_states(off), of_states(still, target=3.1), ARM, paths=False) is None
+    assert divergence_time(of_states(off), of_states(still, target=2.0), ARM, paths=False) == pytest.approx(0.2)
+    assert divergence_time(of_states(off), of_states(still, target=3.1), ARM, paths=False) is None
     nearly_a_turn = of_states(np.where(np.arange(11) >= 2, 0.7, 0.0))
-    assert parting(nearly_a_turn, of_states(still, target=60.0), ARM, paths=False) == pytest.approx(0.2)
+    assert divergence_time(nearly_a_turn, of_states(still, target=60.0), ARM, paths=False) == pytest.approx(0.2)

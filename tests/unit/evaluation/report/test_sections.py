@@ -12,24 +12,24 @@ from evaluation.exploitability.optimism import Optimism
 from evaluation.prediction import PERSISTENCE, assess_prediction
 from evaluation.report import to_json
 from evaluation.report.render.svg import drawn
-from evaluation.report.render.terminal import to_rich
+from evaluation.report.render.terminal import table_lines
 from evaluation.report.report import sections
 from evaluation.report.sections import transfer as transfer_section
 from evaluation.report.sections.controllers import (
     ONE_SEED,
+    choice_reason,
     claims_picture,
     controller_sheet,
     forecast_sheet,
-    model_forecast_sheet,
-    why_chosen,
+    model_weight_table,
 )
 from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
 from evaluation.report.sections.evolution import fitness_picture
-from evaluation.report.sections.exploitability import exploitability_cards, probe_sheet, worst_trials
-from evaluation.report.sections.prediction import SHOWN_MODELS, difference_sheet, free_run_picture, prediction_sheet
+from evaluation.report.sections.exploitability import exploitability_cards, outside_range_table, trials_to_watch
+from evaluation.report.sections.prediction import SHOWN_MODELS, difference_table, error_table, free_run_picture
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet, transfer_sheet
-from evaluation.transfer import Cell, Estimate, TransferMatrix, person, summarise
+from evaluation.transfer import Cell, Estimate, TransferMatrix, human_driver, summarise
 from tests.fixtures import reports as chosen
 from tests.fixtures.known_models import Known, LosesGrip, fitted, noisy, recording
 from tests.fixtures.reports import exploited, matrix, on_a_plane, paper_matrix, prediction, printed
@@ -53,7 +53,7 @@ HOLDS = Estimate(0.5, 0.1)
             exploited(achieved=None, gap=Estimate(2.0, 0.1, 1.8, 2.2)),
             "claim 10.00 waypoints and achieve 8.00 on the other models.",
         ),
-        (exploited(achieved=None, others=None, gap=None), "waypoints; there is nowhere else to test it."),
+        (exploited(achieved=None, other_models=None, gap=None), "waypoints; there is nowhere else to test it."),
         (exploited(gap=Estimate(6.0, float("nan"))), "One trial cannot show whether the claim holds."),
         (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
         (
@@ -101,7 +101,7 @@ def test_a_matrix_without_a_robot_has_no_line(fitness, shades):
 
 
 def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale():
-    sheet = probe_sheet((exploited(visited=1.0, outside=0.0005), exploited(visited=0.01, outside=None)))
+    sheet = outside_range_table((exploited(visited=1.0, outside=0.0005), exploited(visited=0.01, outside=None)))
     assert sheet.heat.alarm
     (none, all_of_it), (unknown, hundredth), held_out = sheet.heat.shades
     assert (none, unknown) == (None, None)
@@ -118,11 +118,11 @@ def test_a_probe_that_saw_next_to_nothing_anywhere_is_named_below_the_table():
 
     one = looked_at(sideways=(0.0, 0.001, 0.0), spinning=(0.0, 0.0, 0.02), range=(0.0, 0.0, 0.0))
     two = looked_at(sideways=(0.001, 0.001, 0.0), spinning=(0.0, 0.0, 0.0), range=(0.5, 0.0, 0.0))
-    sheet = probe_sheet((one, two))
+    sheet = outside_range_table((one, two))
     assert [column.splitlines()[0] for column in sheet.columns] == ["model", "outside", "spinning", "range"]
     assert sheet.rows[1][2:] == ("0 %", "50 %")
     assert "anywhere: sideways." in sheet.note
-    assert "anywhere" not in probe_sheet((exploited(visited=1.0, outside=0.1),)).note
+    assert "anywhere" not in outside_range_table((exploited(visited=1.0, outside=0.1),)).note
 
 
 def with_seeds(*seeds):
@@ -143,7 +143,7 @@ def test_claims_stand_with_those_of_all_evolution_runs_or_with_a_word_that_their
 
 
 def test_a_star_marks_the_best_model_and_those_that_do_not_differ_from_it():
-    sheet = prediction_sheet(prediction({"persistence": 0.9, "linear": 0.300, "sindy": 0.301, "narx": 0.5}))
+    sheet = error_table(prediction({"persistence": 0.9, "linear": 0.300, "sindy": 0.301, "narx": 0.5}))
     starred = {row[0] for row in sheet.rows if row[1].startswith("* ")}
     assert starred == {"linear", "sindy"}
     assert sheet.title.startswith("Prediction error N, the mean error in standard deviations")
@@ -189,7 +189,7 @@ def assessed():
 
 
 def test_each_model_stands_beside_the_best_with_the_words_where_there_is_no_difference():
-    found = difference_sheet(prediction({PERSISTENCE: 0.9, "linear": 0.3, "level": 0.302, "sindy": 0.5}))
+    found = difference_table(prediction({PERSISTENCE: 0.9, "linear": 0.3, "level": 0.302, "sindy": 0.5}))
     rows = {row[0]: row[1] for row in found.rows}
     assert list(rows) == ["linear", "level", "sindy", PERSISTENCE]
     assert rows["linear"] == "best"
@@ -197,7 +197,7 @@ def test_each_model_stands_beside_the_best_with_the_words_where_there_is_no_diff
     assert rows["level"].endswith("no significant\ndifference")
     assert rows["sindy"].startswith("+0.200\n+0.1")
     assert "significant" not in rows["sindy"]
-    assert difference_sheet(prediction({"linear": 0.3})) is None
+    assert difference_table(prediction({"linear": 0.3})) is None
 
 
 def test_the_table_of_residuals_tells_white_from_coloured_and_names_a_control(assessed):
@@ -250,11 +250,11 @@ def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed):
     assert [row[0] for row in fits.rows if row[0].startswith("known")] == ["known\nclip 2 of 4, 3.0 s"]
 
 
-@pytest.mark.parametrize("sheet", [difference_sheet, residual_sheet, region_sheet, episode_error_sheet, fit_sheet])
+@pytest.mark.parametrize("sheet", [difference_table, residual_sheet, region_sheet, episode_error_sheet, fit_sheet])
 def test_every_table_of_errors_is_80_columns_wide_at_most_and_a_detail_but_for_the_first(assessed, sheet):
     made = sheet(assessed)
-    assert made.details == (sheet is not difference_sheet)
-    lines = printed(to_rich(made))
+    assert made.details == (sheet is not difference_table)
+    lines = printed(table_lines(made))
     assert max(map(len, lines)) <= 80
     assert made.title in lines
 
@@ -292,7 +292,7 @@ def test_a_card_shows_a_trial(kept, optimism, watch, time, worst):
     (card,) = exploitability_cards([model], kept).cards
     assert card.watch == watch
     assert time in (None, card.time)
-    assert worst_trials([model], kept) == worst
+    assert trials_to_watch([model], kept) == worst
 
 
 def test_a_model_without_a_kept_trial_has_nothing_to_watch():
@@ -324,11 +324,11 @@ def test_without_a_robot_nothing_is_said_of_it():
     sheet = forecast_sheet(chosen.report(transfer=matrix(alone)))
     assert sheet.columns == ("controller", "claimed", "forecast")
     assert "inside" not in sheet.note
-    assert "robot," not in str(why_chosen(chosen.report(transfer=matrix(alone))))
+    assert "robot," not in str(choice_reason(chosen.report(transfer=matrix(alone))))
 
 
 def test_a_model_is_shown_with_the_share_of_a_claim_that_is_expected_to_be_kept():
-    sheet = model_forecast_sheet(driven())
+    sheet = model_weight_table(driven())
     assert [row[0] for row in sheet.rows] == ["a", "b", "c"]
     assert sheet.rows[0][1:5] == ("10.0", "8.8 (7.6 to 9.4)", "88 % (76 % to 94 %)", "20 %")
 
@@ -344,7 +344,7 @@ def test_a_report_without_a_forecast_has_no_section_of_it():
     assert "Forecast" in [section.title for section in sections(driven())]
     alone = chosen.report(transfer=matrix({"a": {"a": 9.0, "car": 8.0}}, robot="car"))
     assert "Forecast" not in [section.title for section in sections(alone)]
-    assert why_chosen(alone) is None
+    assert choice_reason(alone) is None
 
 
 def test_the_document_holds_what_was_predicted_and_what_came_of_it():
@@ -383,7 +383,7 @@ def test_who_drove_by_hand_has_a_row_and_what_is_missing_is_a_dash():
     paper = paper_matrix()
     cells = {**paper.cells, ("human", "real"): Cell("human", "real", np.array([6.0, 8.0]))}
     cells |= {("human", column): Cell("human", column, reason="not run") for column in paper.models}
-    with_person = TransferMatrix.of((*paper.champions, person()), paper.columns, cells.values(), robot="real")
+    with_person = TransferMatrix.of((*paper.champions, human_driver()), paper.columns, cells.values(), robot="real")
     assert paper_sheet(with_person).rows[-1] == ("human", "–", "–", "–", "–", "7.0")
 
 

@@ -33,7 +33,7 @@ def test_all_that_a_notebook_shows_is_small(car_data, report):
 
 def test_progress_counts_the_cells_of_a_comparison(car_data, tmp_path):
     told = []
-    compare(car_data, models=["linear"], only="fit", out=tmp_path, progress=lambda *now: told.append(now))
+    compare(car_data, models=["linear"], stop_after="fit", out=tmp_path, progress=lambda *now: told.append(now))
     done, cells, _ = told[-1]
     assert done == cells > 1
     assert "fit linear" in {title for *_, title in told}
@@ -41,7 +41,7 @@ def test_progress_counts_the_cells_of_a_comparison(car_data, tmp_path):
 
 def test_progress_counts_the_cells_of_a_study(tmp_path):
     told = []
-    settings = {"models": ["linear"], "only": "fit", "minutes": 0.2}
+    settings = {"models": ["linear"], "stop_after": "fit", "minutes": 0.2}
     study = {"experiment": settings, "grid": {"seed": [0]}}
     found = run_study(study, out=tmp_path, progress=lambda *now: told.append(now))
     assert told[-1][0] == told[-1][1]

@@ -244,7 +244,7 @@ POLISHED = {
                 "No controller keeps nine tenths of its claim on the robot.",
             ],
             [],
-            id="a yardstick evolved on the robot keeps no claim",
+            id="a reference evolved on the robot keeps no claim",
         ),
         pytest.param(
             lambda: on_robot({**TWO, "a": {**TWO["a"], "car": 9.0}}),

@@ -19,11 +19,11 @@ from evaluation.study import (
     prediction_figures,
 )
 from evaluation.study.figures import prediction_axes
-from evaluation.study.results import Error, with_yardsticks
+from evaluation.study.results import HorizonError, with_best_known
 from tests.fixtures.studies import made_up
 
 SHARES = [value / best for best in (10.0, 11.0, 12.0) for value in (best - 1.0,)]
-"""Of the yardstick of each car, what ``both`` achieves."""
+"""Of the best_known of each car, what ``both`` achieves."""
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_a_claim_that_is_too_high_is_seen_as_that(results):
 
 
 def test_an_axis_that_is_no_repetition_makes_groups_of_rows():
-    figures = controller_figures(made_up(recipe=["recommended", "plain"]))
+    figures = controller_figures(made_up(procedure=["recommended", "plain"]))
     assert {one.group for one in figures} == {("recommended",), ("plain",)}
     assert len({(one.group, one.controller) for one in figures}) == len(figures)
 
@@ -88,7 +88,7 @@ def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results):
 
 
 def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them():
-    figures = prediction_figures(made_up(recipe=["recommended", "plain"]))
+    figures = prediction_figures(made_up(procedure=["recommended", "plain"]))
     assert [(one.model, one.group) for one in figures] == [("best", ()), ("worse", ())]
     assert figures[0].n[20].mean == pytest.approx(2.0)
     assert figures[0].fits == 9
@@ -154,7 +154,7 @@ def row(point, controller, achieved, **fields):
 
 
 def of(results, rows):
-    return replace(results, controllers=with_yardsticks(list(results.points), list(rows)))
+    return replace(results, controllers=with_best_known(list(results.points), list(rows)))
 
 
 def figures_of(results):
@@ -197,8 +197,8 @@ def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen():
 
 
 def test_the_reference_is_in_the_group_that_the_study_names():
-    results = made_up(cars=1, seeds=1, recipe=["recommended", "plain"])
-    results = replace(results, study=replace(results.study, reference={"recipe": "plain"}))
+    results = made_up(cars=1, seeds=1, procedure=["recommended", "plain"])
+    results = replace(results, study=replace(results.study, compare_with={"procedure": "plain"}))
     found = [(one.group, one.controller) for one in controller_figures(results) if one.is_reference]
     assert found == [(("plain",), "both")]
 
@@ -222,10 +222,10 @@ def test_a_controller_without_a_forecast_is_not_judged_and_an_error_misses_no_fi
 
 def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing():
     points = list(made_up(cars=3, seeds=1).points)
-    rows = [row(points[0], "a", -4.0, floor=-10.0), row(points[0], "b", -8.0, floor=-10.0)]
-    rows += [row(points[1], "a", 3.0, floor=3.0), row(points[2], "a", np.inf), row(points[2], "b", 2.0)]
-    found = with_yardsticks(points, rows)
-    assert [one.yardstick for one in found] == [-4.0, -4.0, 3.0, 2.0, 2.0]
+    rows = [row(points[0], "a", -4.0, rest_fitness=-10.0), row(points[0], "b", -8.0, rest_fitness=-10.0)]
+    rows += [row(points[1], "a", 3.0, rest_fitness=3.0), row(points[2], "a", np.inf), row(points[2], "b", 2.0)]
+    found = with_best_known(points, rows)
+    assert [one.best_known for one in found] == [-4.0, -4.0, 3.0, 2.0, 2.0]
     assert [one.share for one in found[:3]] == pytest.approx([1.0, 1.0 / 3.0, None])
     assert found[4].share == 1.0
 
@@ -233,12 +233,12 @@ def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing():
 def test_tasks_on_one_robot_have_a_yardstick_each():
     one, other = made_up(cars=1, seeds=2).points
     points = [replace(one, task="near"), replace(other, task="far")]
-    found = with_yardsticks(points, [row(points[0], "a", 2.0), row(points[1], "a", 8.0)])
+    found = with_best_known(points, [row(points[0], "a", 2.0), row(points[1], "a", 8.0)])
     assert [row.share for row in found] == [1.0, 1.0]
 
 
 def model(point, name, *errors, **fields):
-    found = tuple(Error(h, n, n, n) for h, n in zip((10, 20, 60), errors, strict=False))
+    found = tuple(HorizonError(h, n, n, n) for h, n in zip((10, 20, 60), errors, strict=False))
     return ModelRow(point.name, name, name, found, **fields)
 
 
@@ -258,7 +258,7 @@ def test_models_stand_by_their_error_after_a_second_those_that_failed_last():
 
 
 def test_an_axis_tells_errors_apart_if_it_changes_those_of_any_model_on_the_same_robot_and_seed():
-    empty = made_up(cars=2, seeds=2, recipe=["recommended", "plain"])
+    empty = made_up(cars=2, seeds=2, procedure=["recommended", "plain"])
 
     def errors(point, changed):
         return 1.0 + len(point.where) + 0.1 * float(point.seed) + (0.01 if changed else 0.0)
@@ -266,4 +266,4 @@ def test_an_axis_tells_errors_apart_if_it_changes_those_of_any_model_on_the_same
     same = [model(point, "a", errors(point, False)) for point in empty.points]
     assert prediction_axes(replace(empty, models=tuple(same))) == ()
     plain = [model(point, "b", errors(point, "plain" in point.group)) for point in empty.points]
-    assert prediction_axes(replace(empty, models=(*same, *plain))) == ("recipe",)
+    assert prediction_axes(replace(empty, models=(*same, *plain))) == ("procedure",)

@@ -9,14 +9,14 @@ GRID = {"robot": ["emulated_car"], "seed": [0, 1]}
 
 
 def test_every_combination_of_values_is_a_point_named_by_its_labels():
-    study = Study.of({"experiment": {"minutes": 1.0}, "grid": {**GRID, "recipe": ["recommended", "plain"]}})
+    study = Study.of({"experiment": {"minutes": 1.0}, "grid": {**GRID, "procedure": ["recommended", "plain"]}})
     assert [point.name for point in study.points] == [
-        "emulated_car, seed 0, recipe recommended",
-        "emulated_car, seed 0, recipe plain",
-        "emulated_car, seed 1, recipe recommended",
-        "emulated_car, seed 1, recipe plain",
+        "emulated_car, seed 0, procedure recommended",
+        "emulated_car, seed 0, procedure plain",
+        "emulated_car, seed 1, procedure recommended",
+        "emulated_car, seed 1, procedure plain",
     ]
-    assert study.points[3].experiment.recipe == "plain"
+    assert study.points[3].experiment.procedure == "plain"
     assert study.points[3].experiment.minutes == 1.0
     assert study.points[3].group == ("plain",)
 
@@ -40,13 +40,13 @@ def test_values_may_have_names_of_their_own():
 
 
 def test_several_grids_are_united_and_what_both_hold_is_one_point():
-    first = {"seed": [0, 1], "recipe": ["plain"]}
-    study = Study.of({"grid": [first, {"seed": [1, 2], "recipe": ["plain"]}, {"seed": [0]}]})
+    first = {"seed": [0, 1], "procedure": ["plain"]}
+    study = Study.of({"grid": [first, {"seed": [1, 2], "procedure": ["plain"]}, {"seed": [0]}]})
     assert [point.name for point in study.points] == [
-        "seed 0, recipe plain",
-        "seed 1, recipe plain",
-        "seed 2, recipe plain",
-        "seed 0, recipe usual",
+        "seed 0, procedure plain",
+        "seed 1, procedure plain",
+        "seed 2, procedure plain",
+        "seed 0, procedure usual",
     ]
 
 
@@ -77,9 +77,15 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point():
             {"grid": [{"seed": [0], "models": {"a": [name]}} for name in ("linear", "narx")]},
             "two points are called 'seed 0, models a'",
         ),
-        ({"grid": GRID, "reference": {"seed": "0"}}, "reference.seed: expected controller, or an axis"),
-        ({"grid": GRID, "reference": {"recipe": "plain"}}, "reference.recipe: expected controller, or an axis"),
-        ({"grid": {**GRID, "recipe": ["plain"]}, "reference": {"recipe": "best"}}, "expected one of plain, got 'best'"),
+        ({"grid": GRID, "compare_with": {"seed": "0"}}, "compare_with.seed: expected controller, or an axis"),
+        (
+            {"grid": GRID, "compare_with": {"procedure": "plain"}},
+            "compare_with.procedure: expected controller, or an axis",
+        ),
+        (
+            {"grid": {**GRID, "procedure": ["plain"]}, "compare_with": {"procedure": "best"}},
+            "expected one of plain, got 'best'",
+        ),
     ],
 )
 def test_a_study_that_cannot_be_made_is_refused_with_a_sentence(settings, said):
@@ -112,6 +118,6 @@ def test_a_place_is_the_robot_or_the_recordings_of_a_point():
 
 def test_a_study_that_is_written_is_read_as_it_was(tmp_path):
     study = Study.of(
-        {"title": "T", "grid": {"seed": "0..2", "models": {"a": ("linear",)}}, "reference": {"models": "a"}}
+        {"title": "T", "grid": {"seed": "0..2", "models": {"a": ("linear",)}}, "compare_with": {"models": "a"}}
     )
     assert Study.read(study.write(tmp_path / "study.toml")) == study
