@@ -127,7 +127,7 @@ def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
         claims=claims,
         unit=next((claim.unit for claim in reversed(claims.values())), ""),
         forecast=forecast_from(store, champion, (*planned.claims, *planned.elsewhere) if on_models else ()),
-        chosen=sum(one.elsewhere is not None for one in finalists),
+        chosen=sum(one.forecast is not None for one in finalists),
         remarks=_what_to_record(champion, models),
     )
 

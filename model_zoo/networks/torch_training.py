@@ -64,7 +64,7 @@ class Turning(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         """Return the gradient by the states."""
         (state,) = ctx.saved_tensors
-        return torch.from_numpy(ctx.system.motion_gradient().turned(state.numpy(), gradient.numpy())), None
+        return torch.from_numpy(ctx.system.motion_gradient().of_frame_rotation(state.numpy(), gradient.numpy())), None
 
 
 @dataclass(frozen=True)
