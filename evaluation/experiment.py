@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, closest, meaningless, refuse_meaningless
+from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, did_you_mean, meaningless, refuse_meaningless
 from sysid_evo.files import parsed_toml, write_atomically
 from sysid_evo.registry import Spec, make_robot
 
@@ -245,9 +245,8 @@ def _sentence(error: Any) -> str:
 
 
 def no_setting(name: str) -> str:
-    """Return that ``name`` is no setting of an experiment, and which one may be meant."""
-    close = closest(name, Experiment.model_fields)
-    return "is no setting of an experiment" + (f"; did you mean {close}?" if close else "")
+    """Return that ``name`` is no setting of an experiment, with a hint if one is similar or has replaced it."""
+    return f"is no setting of an experiment.{did_you_mean(name, Experiment.model_fields)}".rstrip(".")
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:

@@ -109,9 +109,53 @@ class EvolutionWarning(UserWarning):
     """An evolution did not do all that was asked for."""
 
 
+RENAMED: Mapping[str, tuple[str, ...]] = {
+    "apart": ("fold_results",),
+    "base": ("exact_channels",),
+    "by_hand": ("baselines",),
+    "caution": ("penalty",),
+    "cautions": ("penalties",),
+    "doubt": ("uncertainty",),
+    "elsewhere": ("forecast",),
+    "end": ("abort_error",),
+    "envelope": ("domain_randomisation", "state_bounds"),
+    "gate": ("cutoff",),
+    "held_back": ("held_out",),
+    "judges": ("scoring_models",),
+    "least": ("lowest",),
+    "most_steps": ("max_steps",),
+    "niche": ("behaviour_class",),
+    "offered_lags": ("lag_options",),
+    "only": ("stop_after", "parameters"),
+    "polish": ("polish_generations",),
+    "recipe": ("procedure",),
+    "reference": ("compare_with",),
+    "rest_hold": ("dead_band",),
+    "run": ("repeat",),
+    "runs": ("repeats",),
+    "spread": ("start_spread", "initial_std"),
+    "spread_groups": ("calibration_folds",),
+    "still": ("rate_tolerance",),
+    "trial": ("screening_iterations",),
+    "turning": ("steering",),
+    "weights": ("error_units",),
+    "yardstick": ("reference",),
+}
+"""Old names of settings, parameters, registered things and stored keys, with the names that replaced them."""
+
+
+def renamed(name: str, known: Iterable[str]) -> str:
+    """Return the present name among ``known`` of what was once called ``name``, else ""."""
+    names = set(known)
+    return next((new for new in RENAMED.get(name, ()) if new in names), "")
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return ``" Did you mean 'that'?"`` for a name that is none of the ``known``; nothing if none of them is near."""
-    close = closest(name, known)
+    """Return a hint for a ``name`` that is not ``known``: its new name if it was renamed, else the closest, else ""."""
+    names = list(known)
+    if new := renamed(name, names):
+        return f" It is called {new!r} now."
+    close = closest(name, names)
     return f" Did you mean {close!r}?" if close else ""
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from evaluation.experiment import MEANINGLESS, Experiment, meaningful, no_setting, read_toml, write_toml
 from sysid_evo.display import Displayed, listed
-from sysid_evo.errors import InvalidArgument, closest, refuse_meaningless
+from sysid_evo.errors import InvalidArgument, did_you_mean, refuse_meaningless
 
 STUDY_FILE = "study.toml"
 
@@ -87,9 +87,8 @@ class Study(Displayed):
         settings = _plain(settings)
         for name in settings:
             if name not in PARTS:
-                close = closest(name, PARTS)
-                hint = f"; did you mean {close}?" if close else f"; a study has {', '.join(PARTS)}"
-                raise InvalidArgument(f"{name} is no part of a study{hint}")
+                hint = did_you_mean(name, PARTS) or f" A study has {', '.join(PARTS)}."
+                raise InvalidArgument(f"{name} is no part of a study.{hint}")
         title = settings.get("title", "Study")
         if not isinstance(title, str):
             raise InvalidArgument(f"title: expected a text, got {title!r}")

@@ -160,8 +160,15 @@ def test_a_task_that_does_not_fit_the_system_is_found_by_the_plan():
         plan_comparison(Experiment.of({**SHORT, "models": ("linear",)}), dataset=swings([200]))
 
 
-def test_a_setting_that_there_is_not_is_told_with_the_one_that_is_meant():
-    with pytest.raises(InvalidArgument, match=r"genrations is no setting of an experiment; did you mean generations\?"):
+def test_an_unknown_setting_is_refused_with_the_closest_one_or_its_new_name():
+    with pytest.raises(InvalidArgument) as refused:
+        Experiment.of({"caution": "", "runs": 2})
+    caution, runs = str(refused.value).split("; ")
+    assert caution == "caution is no setting of an experiment. It is called 'penalty' now"
+    assert runs == "runs is no setting of an experiment. It is called 'repeats' now"
+    with pytest.raises(
+        InvalidArgument, match=r"genrations is no setting of an experiment\. Did you mean 'generations'\?"
+    ):
         Experiment.of({"genrations": 3})
     with pytest.raises(InvalidArgument, match="preset: expected 'quick', 'standard' or 'paper', got 'slow'"):
         Experiment.of({"preset": "slow"})

@@ -49,7 +49,9 @@ def test_progress_counts_the_cells_of_a_study(tmp_path):
 
 
 def test_a_setting_that_is_misspelt_is_refused_with_the_right_one():
-    with pytest.raises(InvalidArgument, match=r"generatons is no setting of an experiment; did you mean generations\?"):
+    with pytest.raises(
+        InvalidArgument, match=r"generatons is no setting of an experiment\. Did you mean 'generations'\?"
+    ):
         compare(generatons=3)
 
 

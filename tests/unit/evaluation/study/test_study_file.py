@@ -53,9 +53,11 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point():
 @pytest.mark.parametrize(
     "settings, said",
     [
-        ({"grids": GRID}, "grids is no part of a study; did you mean grid?"),
+        ({"grids": GRID}, "grids is no part of a study. Did you mean 'grid'?"),
+        ({"reference": {"seed": "0"}}, "reference is no part of a study. It is called 'compare_with' now."),
+        ({"grid": {"recipe": ["plain"]}}, "grid.recipe: is no setting of an experiment. It is called 'procedure' now"),
         ({"grid": {}}, "at least one axis"),
-        ({"grid": {"sede": [0]}}, "grid.sede: is no setting of an experiment; did you mean seed?"),
+        ({"grid": {"sede": [0]}}, "grid.sede: is no setting of an experiment. Did you mean 'seed'?"),
         ({"grid": {"seed": []}}, "grid.seed: expected at least one value"),
         ({"grid": {"seed": [0, 0]}}, "'0' stands there twice"),
         ({"grid": {"seed": "4..0"}}, "from the lower to the higher"),
@@ -67,7 +69,7 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point():
         ({"experiment": {"seed": 1}, "grid": GRID}, "seed stands under [experiment] and in the grid"),
         (
             {"experiment": {"modles": ["linear"]}, "grid": GRID},
-            "modles is no setting of an experiment; did you mean models?",
+            "modles is no setting of an experiment. Did you mean 'models'?",
         ),
         ({"experiment": {"title": "a"}, "grid": GRID}, "above [experiment]"),
         ({"experiment": [1], "grid": GRID}, "expected a table [experiment]"),
