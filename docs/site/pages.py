@@ -1,5 +1,6 @@
 """A hook of MkDocs for pages that are written elsewhere: commands, contracts of plugins, the firmware's own page."""
 
+import posixpath
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,8 @@ from typer.cli import get_docs_for_click
 FIRMWARE = "../hardware/firmware/README.md"
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
 """The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
+FORWARDS = {"shift": "adaptation"}
+"""Pages that have moved: old name and new name, without the ending."""
 LONG = 1000
 """Characters that one sentence on a command never has."""
 
@@ -22,6 +25,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     firmware = (Path(config.docs_dir) / FIRMWARE).read_text()
     files.append(File.generated(config, "reference/commands.md", content=commands()))
     files.append(File.generated(config, "reference/contracts.md", content=contracts()))
+    for old, new in FORWARDS.items():
+        files.append(File.generated(config, f"{old}.html", content=forward(old, new)))
     files.append(File.generated(config, "firmware.md", content=re.sub(r"\]\(\.\./\.\./docs/", "](", firmware)))
     return files
 
@@ -30,6 +35,15 @@ def on_page_markdown(markdown: str, **_: object) -> str:
     """Lead links to the firmware's page to where it stands on the site, and call pages by names instead of files."""
     markdown = markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
     return FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
+
+
+def forward(old: str, new: str) -> str:
+    """Return the page at an old address, which leads to the new one."""
+    address = posixpath.relpath(f"{new}.html", posixpath.dirname(old) or ".")
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><meta http-equiv="refresh" content="0; url={address}">'
+        f'<title>Moved</title><p>This page has moved: <a href="{address}">{posixpath.basename(new)}</a>.</p></html>\n'
+    )
 
 
 def commands() -> str:

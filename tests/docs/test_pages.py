@@ -90,7 +90,7 @@ BUDGETS = {
         PAGES["models.md"].blocks("python")[2].text: "",  # torch, which takes seconds to import
         'check_model("bilinear")\n': "",
     },
-    "shift.md": {
+    "adaptation.md": {
         '"sindy", degree=2': '"linear"',
         'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))',
     },
