@@ -1,4 +1,4 @@
-"""A hook of MkDocs for pages that are written elsewhere: commands, contracts of plugins, the firmware's own page."""
+"""A hook of MkDocs: pages that are written elsewhere, forwards from old addresses, and the origin of tables."""
 
 import posixpath
 import re
@@ -8,13 +8,29 @@ from typing import Any
 
 import typer
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from typer.cli import get_docs_for_click
 
 FIRMWARE = "../hardware/firmware/README.md"
+FIRMWARE_LINK = re.compile(r"\]\((?:\.\./)+hardware/firmware/README\.md")
+INCLUDED = re.compile(r'^--8<-- "(docs/results/tables/\w+\.md)"$', re.MULTILINE)
+"""A line that includes a table of results."""
+ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
+"""The first line of a table of results: command, commit, date."""
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
 """The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
-FORWARDS = {"shift": "adaptation"}
+FORWARDS = {
+    "kernels": "extending/kernels",
+    "noise": "robustness",
+    "paper": "results/paper",
+    "readers": "extending/reader",
+    "scaling": "results/scaling",
+    "shift": "adaptation",
+    "strategies": "extending/strategy",
+    "studies/recipes": "results/studies/procedures",
+}
 """Pages that have moved: old name and new name, without the ending."""
 LONG = 1000
 """Characters that one sentence on a command never has."""
@@ -31,10 +47,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: object) -> str:
-    """Lead links to the firmware's page to where it stands on the site, and call pages by names instead of files."""
-    markdown = markdown.replace(f"]({FIRMWARE})", "](firmware.md)")
-    return FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: object) -> str:
+    """Adapt links to the site, and write above each table of results how it was made."""
+    up = "../" * page.file.src_uri.count("/")
+    markdown = FIRMWARE_LINK.sub(f"]({up}firmware.md", markdown)
+    markdown = FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
+    root = Path(config.config_file_path).parent
+    return INCLUDED.sub(lambda found: origin(root / found[1]) + found[0], markdown)
+
+
+def origin(table: Path) -> str:
+    """Return the line above a table: its command, commit and date, from its first line."""
+    found = ORIGIN.match(table.read_text(encoding="utf-8"))
+    if found is None:
+        raise PluginError(f"{table}: expected '<!-- COMMAND; commit COMMIT; DATE -->' in its first line")
+    return f"*`{found[1]}`, commit {found[2]}, {found[3]}*\n\n"
 
 
 def forward(old: str, new: str) -> str:

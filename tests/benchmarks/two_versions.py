@@ -1,7 +1,7 @@
 """Achieved fitness of one study by two versions of this library: ``python -m tests.benchmarks.two_versions OLD NEW``.
 
-    sysid-evo study docs/studies/search.toml --out build/old    # with the old version
-    sysid-evo study docs/studies/search.toml --out build/new    # with the new one
+    sysid-evo study docs/results/studies/search.toml --out build/old    # with the old version
+    sysid-evo study docs/results/studies/search.toml --out build/new    # with the new one
     python -m tests.benchmarks.two_versions build/old build/new
 
 Prints for every controller the mean of each, the difference (new minus old, paired by robot and seed) with its 95 %

@@ -153,7 +153,11 @@ class Page:
                         yield from _run(line, folder, options)
 
 
-_FOUND = [Page(path.relative_to(DOCS).as_posix(), path) for path in sorted(DOCS.rglob("*.md"))]
+_FOUND = [
+    Page(path.relative_to(DOCS).as_posix(), path)
+    for path in sorted(DOCS.rglob("*.md"))
+    if path.parent != DOCS / "results" / "tables"
+]
 PAGES = {page.name: page for page in (Page("README.md", ROOT / "README.md"), *_FOUND)}
 
 

@@ -85,7 +85,7 @@ BUDGETS = {
     },
     # what compiles is made, and another fitted
     "hidden_state.md": {"horizon=100)": "horizon=100) and make_model('linear', state_lags=2)"},
-    "kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
+    "extending/kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
     "models.md": {
         PAGES["models.md"].blocks("python")[2].text: "",  # torch, which takes seconds to import
         'check_model("bilinear")\n': "",
@@ -194,7 +194,7 @@ def has_run_kernels(module):
         check_model(name)
 
 
-AFTER = {"README.md": has_run_readme, "data.md": has_run_data, "kernels.md": has_run_kernels}
+AFTER = {"README.md": has_run_readme, "data.md": has_run_data, "extending/kernels.md": has_run_kernels}
 """What a page has made when it has run."""
 
 
@@ -265,10 +265,10 @@ def test_the_first_python_of_the_readme_needs_nothing(tmp_path, monkeypatch, cap
     ("kind", "page", "name"),
     [
         ("model", "models.md", "bilinear"),
-        ("task", "tasks.md", "hold"),
-        ("controller", "controllers.md", "feedback"),
-        ("strategy", "strategies.md", "cross_entropy"),
-        ("reader", "readers.md", "json_lines"),
+        ("task", "extending/task.md", "hold"),
+        ("controller", "extending/controller.md", "feedback"),
+        ("strategy", "extending/strategy.md", "cross_entropy"),
+        ("reader", "extending/reader.md", "json_lines"),
     ],
 )
 def test_the_example_of_a_kind_is_what_plugin_new_writes(kind, page, name, tmp_path):
@@ -310,7 +310,7 @@ def test_the_column_map_of_the_page_on_data_is_read_with_the_defaults_of_its_tab
 
 
 def test_the_page_on_kernels_names_nothing_that_an_installed_package_lacks():
-    text = PAGES["kernels.md"].text
+    text = PAGES["extending/kernels.md"].text
     assert not re.search(r"python -m tests|make \w+|tests\.benchmarks|model_zoo/\w+\.py", text)
     assert set(re.findall(r"from (sysid_evo\.engine[\w.]*) import", text)) == {"sysid_evo.engine"}
 
@@ -319,7 +319,7 @@ def test_the_page_on_kernels_names_nothing_that_an_installed_package_lacks():
 def test_the_three_levels_of_the_page_on_kernels_step_alike_in_the_forms_they_promise(tmp_path, car_data, monkeypatch):
     monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
     weights, forms = np.random.default_rng(1).standard_normal((5, 78)), []
-    with PAGES["kernels.md"].module(tmp_path, {}, {}) as page:
+    with PAGES["extending/kernels.md"].module(tmp_path, {}, {}) as page:
         for name in KERNELS:
             assert page.difference(name) == 0.0
             model = make_model(name).fit(car_data, rng=np.random.default_rng(0))
