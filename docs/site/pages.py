@@ -61,7 +61,8 @@ def origin(table: Path) -> str:
     found = ORIGIN.match(table.read_text(encoding="utf-8"))
     if found is None:
         raise PluginError(f"{table}: expected '<!-- COMMAND; commit COMMIT; DATE -->' in its first line")
-    return f"*`{found[1]}`, commit {found[2]}, {found[3]}*\n\n"
+    command = f"`{found[1]}`" if found[1].startswith(("python", "sysid-evo")) else found[1]
+    return f"*{command}, commit {found[2]}, {found[3]}*\n\n"
 
 
 def forward(old: str, new: str) -> str:
