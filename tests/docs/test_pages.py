@@ -83,6 +83,7 @@ BUDGETS = {
         "generations=4,": "generations=1, strategy='mu_plus_lambda(parents=2, children=2)',",
         "selection_trials=10,": "selection_trials=2,",
     },
+    "start.md": {'"sindy"': '"linear"', "duration=120.0": "duration=20.0"},
     # what compiles is made, and another fitted
     "hidden_state.md": {"horizon=100)": "horizon=100) and make_model('linear', state_lags=2)"},
     "extending/kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
