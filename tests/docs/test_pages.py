@@ -86,11 +86,9 @@ BUDGETS = {
     "start.md": {'"sindy"': '"linear"', "duration=120.0": "duration=20.0"},
     # what compiles is made, and another fitted
     "hidden_state.md": {"horizon=100)": "horizon=100) and make_model('linear', state_lags=2)"},
+    "extending/model.md": {'check_model("bilinear")\n': ""},
     "extending/kernels.md": {', "damped_lifted", "damped_block"):': ",):"},
-    "models.md": {
-        PAGES["models.md"].blocks("python")[2].text: "",  # torch, which takes seconds to import
-        'check_model("bilinear")\n': "",
-    },
+    "models.md": {PAGES["models.md"].blocks("python")[2].text: ""},  # torch, which takes seconds to import
     "adaptation.md": {
         '"sindy", degree=2': '"linear"',
         'adapt(Dataset.read("logs/"))': 'adapt(Dataset.read("logs/episode-0.csv"))',
@@ -265,7 +263,7 @@ def test_the_first_python_of_the_readme_needs_nothing(tmp_path, monkeypatch, cap
 @pytest.mark.parametrize(
     ("kind", "page", "name"),
     [
-        ("model", "models.md", "bilinear"),
+        ("model", "extending/model.md", "bilinear"),
         ("task", "extending/task.md", "hold"),
         ("controller", "extending/controller.md", "feedback"),
         ("strategy", "extending/strategy.md", "cross_entropy"),
