@@ -1,3 +1,4 @@
+from .auto.candidates import fit_seconds
 from .grey_box.model import GreyBox
 from .grey_box.parameters import HiddenState, Parameter
 from .networks.torch_ode import TorchOde
@@ -9,4 +10,5 @@ __all__ = [
     "Parameter",
     "Sindy",
     "TorchOde",
+    "fit_seconds",
 ]

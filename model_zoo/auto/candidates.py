@@ -87,6 +87,12 @@ SHIPPED = _shipped()
 """What is tried unless candidates are named, the most telling for their time first."""
 
 
+def fit_seconds(family: str) -> float | None:
+    """Return the shortest fit time of a family in s, see `Candidate.seconds`; None if `auto` does not try it."""
+    found = (one.seconds for one in SHIPPED if one.spec.name == family and one.for_family_name)
+    return min(found, default=None)
+
+
 def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
     """Return the candidates for ``system`` in their order, and why others are none.
 

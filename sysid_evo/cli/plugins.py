@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 import hardware
+import model_zoo
 import sysid_evo
 from sysid_evo.cli.console import err, out, say, table_of, tell
 from sysid_evo.cli.options import Json, Plugins, load_plugins
@@ -112,9 +113,18 @@ FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
 """What a contract takes besides the name, made of the path that was given."""
 
 
-def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
+def list_models(
+    plugin: Plugins = None,
+    form: Annotated[str, typer.Option("--format", help="table or markdown.")] = "table",
+    as_json: Json = False,
+) -> None:
     """List every model family that can be loaded, with what it assumes."""
     load_plugins(plugin)
+    if form not in ("table", "markdown"):
+        raise InvalidArgument(f"--format: expected table or markdown, got {form!r}")
+    if form == "markdown":
+        out.print(families_as_markdown(), highlight=False, soft_wrap=True)
+        return
     rows: list[dict[str, str | None]] = []
     for name, knowledge in models.each(lambda name: str(models.glance(name, "knowledge") or "")):
         lacking = models.missing_package(name)
@@ -129,6 +139,27 @@ def list_models(plugin: Plugins = None, as_json: Json = False) -> None:
         if row["lacking"]:
             table.add_row("", "", Text(f"cannot run here: {row['lacking']}", style="yellow"))
     out.print(table)
+
+
+def families_as_markdown() -> str:
+    """Return the families that can be loaded as a Markdown table, for the documentation."""
+    lines = [
+        "| family | what it is | physics assumed | structure | periodic angles | fit time |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, found in models.load_all():
+        family: Any = found
+        seconds = model_zoo.fit_seconds(name)
+        cells = (
+            f"`{name}`",
+            models.summary(name).replace("|", "\\|"),
+            family.knowledge,
+            family.model_class or "several",
+            "yes" if family.periodic else "no",
+            "" if seconds is None else f"{seconds:g} s",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def list_names(

@@ -132,6 +132,13 @@ def test_models_list_names_every_family_as_table_and_as_json(call):
     assert all(row["name"] in table.stdout and row["summary"] for row in rows)
 
 
+def test_models_list_writes_a_markdown_table_for_the_documentation(call):
+    head, rule, *rows = call.works("models", "list", "--format", "markdown").stdout.splitlines()
+    assert {line.replace(r"\|", "").count("|") for line in (head, rule, *rows)} == {7}
+    assert any(row.startswith("| `linear` | ") and row.endswith(" | black | polynomial | no | 0.1 s |") for row in rows)
+    assert "expected table or markdown" in call("models", "list", "--format", "html").stderr
+
+
 def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, finished_run, monkeypatch):
     family = call.works("models", "show", "parametrised")
     assert "generations" in family.stdout
