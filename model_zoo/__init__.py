@@ -1,17 +1,16 @@
-"""Model families, one module or folder each; start with `linear`, the shortest.
+"""Model families, one module or folder each; `linear` is the shortest example.
 
-A family reaches the rest through the registry of models, by the name in its decorator and in the entry points of
-pyproject.toml. The carry with lags, `fit`, `simulate` and `score` are inherited from `sysid_evo.models`. No module
-imports one of a later line:
+The registry of models finds a family by the name in its decorator and in the entry points of pyproject.toml. The carry
+with lags, `fit`, `simulate` and `score` are inherited from `sysid_evo.models`. No module imports from a later line:
 
-- ``features``, ``scaling``, ``control_grid``: what families need to know of channels;
+- ``features``, ``scaling``, ``control_grid``: inputs, scales and control levels that families share;
 - ``linear``, ``backprop27``, ``evolved3``, ``gaussian_process``, ``neighbours``, ``networks``, ``polynomial``,
   ``state_space``;
 - ``grey_box``: physics with unknown parameters;
 - ``car``: the physics of a car, as a grey box, with a network, or set by evolution;
-- ``auto`` and ``average``: means of other families, which they know by name alone.
+- ``auto`` and ``average``: means of other families, which they find by name.
 
-Families to derive from, and what they are described with, are imported from here.
+Base classes for families of your own are imported from here.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""Family average: the mean of named families with equal weights, what `auto` is without its choice."""
+"""Family average: the mean of named families with equal weights; `auto` also selects and weights them."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from sysid_evo.validation.folds import FOLDS, make_folds
 FAMILIES = ("narx", "k_neighbours")
 
 PARTS = 100
-"""Parts in which the fit of one family is told."""
+"""Progress steps reported for the fit of one family."""
 
 
 @register_model("average")
 class Average(MeanModel):
-    """The mean of the next states of ``families``, each fitted to all the data, with equal weights.
+    """Mean of several named families, each fitted to all data, with equal weights.
 
-    ``families`` are named with their settings, such as ``[narx, neural_ode(updates=200)]``; `narx` and `k_neighbours`
-    by default. For a given state the next one is affine in the acceleration, so that the mean of next states is that of
-    accelerations. Every member starts each step from the mean, and keeps its own memory beside it. Nothing is chosen
-    and nothing weighed: `auto` does that.
+    ``families`` gives them with their settings, such as ``[narx, neural_ode(updates=200)]``; `narx` and `k_neighbours`
+    by default. To have families selected and weighted, use `auto`. The mean of next states equals the mean of
+    accelerations, because the next state is affine in the acceleration. Every member starts each step from the mean
+    state and keeps its own earlier samples.
 
-    With ``stochastic`` every step adds normal noise: the members' disagreement and the one-step residual on three
-    held-out blocks, scaled so that 90 % intervals hold 90 % of free runs of one second there.
+    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual on three
+    held-out blocks, scaled so that 90 % intervals contain 90 % of the held-out samples after one second.
     """
 
     knowledge = "grey"
@@ -49,7 +49,7 @@ class Average(MeanModel):
             raise InvalidArgument("families: expected at least one family, got none")
         for spec in self._named():
             if spec.name == "average":
-                raise InvalidArgument("families: expected other families, got average, which would hold itself")
+                raise InvalidArgument("families: expected other families, got average, which would contain itself")
             models.check(spec)
 
     def check_system(self, system: System) -> None:
@@ -57,7 +57,7 @@ class Average(MeanModel):
             model.check_system(system)
             if system.periods and not model.periodic:
                 turning = ", ".join(channel.name for channel in system.states if channel.period)
-                raise IncompatibleSystem(f"families: {spec.text} is not periodic, and {turning} comes round")
+                raise IncompatibleSystem(f"families: {spec.text} does not support periodic states ({turning})")
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         pairs = make_folds(dataset, FOLDS) if self.stochastic else []
@@ -96,10 +96,10 @@ class Average(MeanModel):
 
 
 def _share(counter: Counter) -> Progress:
-    """Return what tells ``counter`` how far the fit of one family is, in `PARTS` parts."""
+    """Return a callback that reports the progress of one fit to ``counter``, in `PARTS` steps."""
     begun = counter.done
 
-    def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
+    def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # the note of a fit is not shown
         counter.advance(max(0, begun + PARTS * min(done, total) // max(1, total) - counter.done))
 
     return progress

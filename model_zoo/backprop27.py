@@ -20,24 +20,22 @@ from sysid_evo.models.parameters import Limit, above, at_least
 from sysid_evo.progress import Counter, Progress
 from sysid_evo.types import Array, IntArray
 
-TOLD_EVERY = 50
+REPORT_EVERY = 50
 """Epochs between two reports of progress."""
 
 
 @register_model("backprop27")
 class Backprop27(DynamicsModel):
-    """The next state from the state, by one network per command and state: nine commands, 27 networks.
+    """One small network per command and state for the next state (9 x 3 = 27 for the car of the paper).
 
-    Each network has one layer of ``hidden`` tanh units and sees the state and a bias. It learns
-    from all data of its command in batch, ``epochs`` times, with the squared error; the paper's
-    plain gradient descent is ``optimiser="gradient"``, the default is Adam, both at
-    ``learning_rate``. Inputs and outputs are standardised over all data. A continuous control falls
-    into the nearest of ``levels`` steps of its range and joins the state as a further input; a
-    command that was never recorded uses the networks of the nearest one that was. The number of
-    hidden units and the learning rate are not stated in the paper.
+    Each network has one layer of ``hidden`` tanh units and the state as input. It is trained on all data of its command
+    in one batch, for ``epochs`` epochs with ``learning_rate``, by Adam or by the paper's plain gradient descent
+    (``optimiser="gradient"``). Inputs and outputs are standardised over all data. A continuous control is rounded to
+    the nearest of ``levels`` steps of its range and is also an input; a command that was never recorded uses the
+    networks of the nearest recorded one. ``hidden`` and ``learning_rate`` are not stated in the paper.
 
-    With ``state_lags`` and ``control_lags``, earlier samples join the inputs. Of a periodic state the networks see
-    sine and cosine; of it and of a state that is an integral of others they give the change, see `integrals`.
+    ``state_lags`` and ``control_lags`` add earlier samples to the inputs. Periodic states enter as sine and cosine; for
+    them and for integrals of other states (see `integrals`) the networks predict the change.
     """
 
     knowledge = "black"
@@ -112,7 +110,7 @@ class Backprop27(DynamicsModel):
         return next_state(self.added_, carry[:, : self.system.nx], after)
 
     def predictor(self) -> Predictor | None:
-        """None where there are so many commands that their weights are too many: the model then runs in NumPy."""
+        """None if there are too many commands for a compiled form; the model then runs in NumPy."""
         cells, serving = self._serving
         commands, n_in, units = self.first_.shape
         if len(serving) * units * (n_in + 2) >= EXACT_INTEGERS:
@@ -132,14 +130,14 @@ class Backprop27(DynamicsModel):
 
     @cached_property
     def _serving(self) -> tuple[ControlGrid, IntArray]:
-        """The cells, and for each the number of the networks that serve it."""
+        """The cells, and for each the number of the networks used there."""
         cells = ControlGrid.of(self.system, self.levels)
         return cells, np.searchsorted(self.filled_, cells.fallback(self.filled_))
 
     def _trained(
         self, inputs: Array, targets: Array, rng: np.random.Generator, counter: Counter
     ) -> tuple[Array, Array, Array, Array]:
-        """Train the nx networks of one command side by side, (N, n) -> (N, nx)."""
+        """Train the nx networks of one command together, (N, n) -> (N, nx)."""
         n, nx = len(inputs), targets.shape[1]
         start = random_network([inputs.shape[1], nx * self.hidden], 1, rng, last=1.0)
         values = [
@@ -150,8 +148,8 @@ class Backprop27(DynamicsModel):
         ]
         mean, square = [np.zeros_like(v) for v in values], [np.zeros_like(v) for v in values]
         for epoch in range(1, self.epochs + 1):
-            if epoch % TOLD_EVERY == 0 or epoch == self.epochs:
-                counter.advance(TOLD_EVERY if epoch % TOLD_EVERY == 0 else epoch % TOLD_EVERY)
+            if epoch % REPORT_EVERY == 0 or epoch == self.epochs:
+                counter.advance(REPORT_EVERY if epoch % REPORT_EVERY == 0 else epoch % REPORT_EVERY)
             first, first_bias, last, last_bias = values
             hidden = np.tanh(inputs @ first + first_bias).reshape(n, nx, self.hidden)
             error = 2.0 / n * (np.einsum("nsh,sh->ns", hidden, last) + last_bias - targets)

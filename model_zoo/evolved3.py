@@ -1,4 +1,4 @@
-"""Family evolved3 (paper, section 4.2): one network for the change of each state, set by evolution."""
+"""Family evolved3 (paper, section 4.2): one network for the acceleration of each state, set by evolution."""
 
 from __future__ import annotations
 
@@ -22,19 +22,17 @@ from sysid_evo.types import Array, IntArray
 
 @register_model("evolved3")
 class Evolved3(DynamicsModel):
-    """The change of each state from state and command, by one network each; the integration is routine.
+    """One small network per state for its acceleration, with weights found by an evolution strategy.
 
-    Every network has one layer of ``hidden`` tanh units and a linear output. All weights are real
-    numbers in one vector, evolved for ``generations`` of a 50+50 strategy with Gaussian mutation of
-    deviation 0.1 on the error ``horizon`` steps after ``windows`` random starts. Not stated in the
-    paper, and so by default: five hidden units, inputs divided by their standard deviations,
-    outputs in units of each state's RMS change in one step, first weights of deviation 0.5. Lags
-    (none in the paper) are further inputs of every network. Of a periodic state sine and cosine are inputs.
+    Every network has one layer of ``hidden`` tanh units and a linear output. All weights form one vector, which a 50+50
+    strategy with Gaussian mutation (deviation 0.1) evolves for ``generations`` on the squared error ``horizon`` steps
+    after ``windows`` random starts. Not stated in the paper: five hidden units, inputs divided by their standard
+    deviations, outputs in units of each state's RMS change in one step, initial weights of deviation ``initial_std``.
+    Lags (none in the paper) add earlier samples to the inputs; periodic states enter as sine and cosine.
 
-    The error is the square of the last step only. With ``error_units="spread"`` every state is divided by its
-    standard deviation; with "paper", the preset of that name, states count in their own units: the lateral
-    speed, small in numbers, hardly counts then, and may be further off than a state that does not change
-    (192 % in the paper's table 1), most of all after one step.
+    With ``error_units="spread"`` the error of every state is divided by its standard deviation. With "paper", the
+    preset of that name, states count in their own units: the lateral speed, small in numbers, then hardly counts and
+    can have a larger error than no change (192 % in table 1 of the paper).
     """
 
     knowledge = "dark grey"

@@ -1,4 +1,4 @@
-"""What families see of states and controls, and which states they predict by their change."""
+"""Input features of states and controls, and which states are predicted by their change."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from sysid_evo.types import Array, BoolArray
 
 
 class Row(NamedTuple):
-    """One feature: ``function`` ("" for none) of ``factor`` times number ``place`` of (carry, control) - ``offset``."""
+    """A feature: ``function`` ("" for none) of ``factor`` times (number ``place`` of (carry, control) - ``offset``)."""
 
     function: str
     place: int
@@ -33,11 +33,12 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Features:
-    """What a regression or a network sees of (carry, control).
+    """Input features of a regression or a network, made from (carry, control).
 
-    States, earlier states, earlier controls, the control, then ``functions`` of one of these, such as ``abs(speed)``
-    or ``sin(2*drive[-1])``. A periodic state becomes its sine and cosine, so that equal angles are equal. The
-    ``offsets`` (nx + nu) are subtracted from states and controls, not from arguments of functions, see `offsets_of`.
+    In this order: states, earlier states, earlier controls, the control, then ``functions`` of one of these, such as
+    ``abs(speed)`` or ``sin(2*drive[-1])``. Periodic states enter as sine and cosine, so that equal angles are equal.
+    The ``offsets`` (nx + nu) are subtracted from states and controls, not from arguments of functions (see
+    `offsets_of`).
     """
 
     system: System
@@ -57,12 +58,12 @@ class Features:
 
     @property
     def plain(self) -> bool:
-        """Whether the features are (carry, control) as they are, which is what compiled forms read."""
+        """Whether the features equal (carry, control), which compiled forms can read directly."""
         return not self.functions and not self.system.periods and not self.offsets
 
     @property
     def n_carry(self) -> int:
-        """How many of the features stand for the carry; they come first."""
+        """Number of features that belong to the carry; they come first."""
         return len(self.system.regressor_names) * (1 + self.lags[0]) + self.system.nu * self.lags[1]
 
     def __call__(self, carry: Array, control: Array) -> Array:
@@ -93,12 +94,12 @@ class Features:
 
     @property
     def input_names(self) -> list[str]:
-        """The name of every number of (carry, control), of which functions may be asked for."""
+        """The name of every element of (carry, control), the possible arguments of functions."""
         return self._layout.input_names(self.system.state_names, self.system.control_names)
 
     @property
     def rows(self) -> list[Row]:
-        """What every feature is a function of, in the order of the features."""
+        """The function, input and offset of every feature, in order."""
         nx, periods, past = self.system.nx, self.system.periods, self._layout.earlier_controls.start
         offsets = self.offsets or (0.0,) * (nx + self.system.nu)
         offset, found = self._layout.each_input(offsets[:nx], offsets[nx:]), list[Row]()
@@ -112,7 +113,7 @@ class Features:
 
     @cached_property
     def plain_names(self) -> list[str]:
-        """The name of every feature without the functions asked for."""
+        """The name of every feature without the ``functions``."""
         return self._layout.input_names(self.system.regressor_names, self.system.control_names)
 
     @cached_property
@@ -138,7 +139,7 @@ class Features:
 
     @cached_property
     def _functions(self) -> list[tuple[ChannelFunction, int]]:
-        """The functions, and the place of what each is of in (carry, control)."""
+        """The functions, and the position of each argument in (carry, control)."""
         known = self.input_names
         read = [function for text in self.functions if (function := ChannelFunction.read(text)) is not None]
         return [(function, known.index(function.input)) for function in read]
@@ -168,7 +169,7 @@ FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "sqrt_abs": root_of_size,
     "x_abs": square_with_sign,
 }
-"""What may be named; `sysid_evo.models.kernels.shells` has the compiled form of each."""
+"""Functions by name; `sysid_evo.models.kernels.shells` has the compiled form of each."""
 
 CALL = re.compile(r"\s*(?P<function>\w+)\(\s*(?:(?P<factor>[-+.\deE]+)\s*\*\s*)?(?P<input>[^()*]+?)\s*\)\s*")
 
@@ -182,7 +183,7 @@ class ChannelFunction(NamedTuple):
 
     @classmethod
     def read(cls, text: str) -> ChannelFunction | None:
-        """Return what ``text`` says, None if it is no function of one input."""
+        """Return the function that ``text`` describes; None if it is not a function of one input."""
         found = CALL.fullmatch(text)
         if found is None or found["function"] not in FUNCTIONS:
             return None
@@ -194,13 +195,13 @@ class ChannelFunction(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What `read` reads; exact."""
+        """The text that `read` reads; exact."""
         factor = "" if self.factor == 1.0 else f"{self.factor!r}*"
         return f"{self.function}({factor}{self.input})"
 
     @property
     def name(self) -> str:
-        """The text for people, such as ``sin(2 speed)``."""
+        """The text for display, such as ``sin(2 speed)``."""
         factor = "" if self.factor == 1.0 else f"{self.factor:.4g} "
         inside = f"{factor}{self.input}"
         if self.function == "x_abs":
@@ -208,7 +209,7 @@ class ChannelFunction(NamedTuple):
         return f"sqrt|{inside}|" if self.function == "sqrt_abs" else f"{self.function}({inside})"
 
     def unit(self, of_input: str) -> str:
-        """Return the unit of the value; a factor takes the unit away."""
+        """Return the unit of the value; none if there is a factor."""
         if self.factor != 1.0:
             return ""
         if self.function == "abs":
@@ -223,17 +224,18 @@ class ChannelFunction(NamedTuple):
 
 
 FAR = 10.0
-"""Standard deviations from zero beyond which the monomials of a channel are too collinear: errors begin to rise there.
+"""Distance from zero, in standard deviations, above which the monomials of a channel are too collinear.
 
-Of a made-up vehicle and tank (1,800 samples): those of `sindy_discrete` from 0.02 to 0.31 at 12 deviations, of `sindy`
-from 0.004 to 0.006 at 40 and 0.03 at 1e6, of `narx` from 0.004 to 0.009 at 1e4. At 3 deviations there is no gain.
+On a simulated vehicle and tank (1,800 samples) errors rose from 0.02 to 0.31 at 12 deviations (`sindy_discrete`), from
+0.004 to 0.006 at 40 and 0.03 at 1e6 (`sindy`), from 0.004 to 0.009 at 1e4 (`narx`). At 3 deviations offsets have no
+effect.
 """
 
 
 def offsets_of(dataset: Dataset) -> tuple[float, ...]:
-    """Return the offsets of states and controls (nx + nu), subtracted before monomials are made; () if all are 0.
+    """Return the offsets (nx + nu) to subtract from states and controls before monomials are formed; () if all are 0.
 
-    The offset of a channel further than `FAR` from zero is its mean, rounded to the leading digit of its standard
+    A channel further than `FAR` from zero has its mean as offset, rounded to the leading digit of its standard
     deviation. Periodic states have none.
     """
     values = np.concatenate([np.column_stack([e.states[:-1], e.controls]) for e in dataset])
@@ -250,23 +252,22 @@ def less(name: str, offset: float) -> str:
 
 
 OWN = 0.005
-"""Share of the deviation of a state's change up to which its own value does not count in it."""
+"""A state's own value has no effect on its change up to this share of the change's deviation."""
 RATE = 0.95
 """Share of the variance of a state's change that another state must explain to be its rate."""
 AT_LIMIT = 1e-6
 """Share of the range of a channel within which a state is at its limit."""
 FEWEST = 0.5
-"""Share of the samples that must be left without those at a limit; else all are taken."""
+"""Smallest share of samples that may remain without those at a limit; otherwise all are used."""
 
 
 def integrals(dataset: Dataset) -> BoolArray:
-    """Return of which states (nx,) the change is to be predicted, not the next value: periodic ones and integrals.
+    """Return for which states (nx,) the change is predicted instead of the next value: periodic states and integrals.
 
-    A prediction of the next state from inputs clipped to the training range is a wall at the end of that range. For a
-    speed that drag holds back that is a good guess. A position runs on: nothing in the data says that it would not,
-    and a controller that is evolved in the model leans on the wall. An *integral* is a state of whose change another
-    state is the rate, or of whose change its own value explains nothing (linear and quadratic, beside all other states
-    and controls).
+    A prediction of the next state from inputs clipped to the training range cannot leave that range. For a speed, which
+    drag limits, this is a good guess. A position is not limited, and a controller evolved in such a model would use the
+    limit as a wall. An *integral* is a state whose change is explained by another state (its rate) or does not depend
+    on its own value (linear and quadratic terms, given all other states and controls).
     """
     system, data = dataset.system, dataset.transitions(moving=True)
     free = between_limits(system, data.after)
@@ -294,7 +295,7 @@ def integrals(dataset: Dataset) -> BoolArray:
 def between_limits(system: System, after: Array) -> BoolArray:
     """Return in which samples (N,) no state of ``after`` (N, nx) is at a limit of its channel.
 
-    What stands at a limit tells of the limit, not of what drove it there. Where most samples do, all are returned.
+    Samples at a limit carry no information on the dynamics. If most samples are, all are returned.
     """
     low, high = system.limits
     width = np.where(np.isfinite(high - low), high - low, 1.0)
@@ -308,7 +309,7 @@ def next_state(added: Array, state: Array, predicted: Array) -> Array:
 
 
 def next_state_predictor(added: Array, inner: Predictor) -> Predictor:
-    """Return the compiled form of `next_state` around what predicts."""
+    """Return the compiled form of `next_state` around the predictor ``inner``."""
     chosen = added > 0.0
     return on_top(inner, chosen) if chosen.any() else inner
 
@@ -317,7 +318,7 @@ SYMBOL = re.compile(r"([^\s/*^·()]+)(?:\^(-?\d+))?")
 
 
 def powers(unit: str) -> Counter[str]:
-    """Return the power of every symbol: m 1, s -2 for ``m/s^2``. What cannot be read stays one symbol."""
+    """Return the power of every symbol: m 1, s -2 for ``m/s^2``. An unreadable unit is one symbol."""
     found: Counter[str] = Counter()
     for number, factor in enumerate(unit.split("/")):
         symbols = re.split(r"[\s*·]+", factor.strip()) if factor.strip() else []

@@ -25,29 +25,31 @@ from sysid_evo.validation.intervals import conformal_scale
 from sysid_evo.validation.simulation_error import error_windows
 
 JITTER = 1e-6
-"""What the covariance of the inducing points has more on its diagonal, as a share of the amplitude's square."""
+"""Added to the diagonal of the covariance of the inducing points, as a share of the squared amplitude."""
 
 LINEAR_RIDGE = 1e-3
 TRIAL_INDUCING = 120
-"""Inducing points, at most, where lags are chosen."""
+"""Largest number of inducing points while lags are chosen."""
 
 SUBSETS = 3
-"""Random parts of the data that tell the hyper-parameters: one alone says other ones than the next."""
+"""Random parts of the data whose hyper-parameters are averaged: those of a single part vary too much."""
 
 
 @register_model("gaussian_process")
 class GaussianProcess(StochasticModel):
-    """Acceleration = linear part + Gaussian process of (carry, control), squared exponential, one length an input.
+    """Sparse Gaussian process for the acceleration, on top of a linear model that remains far from the data.
 
-    The linear part, fitted first by ridge regression, is what remains far from the data. Lengths, amplitude and noise
-    maximise the marginal likelihood on ``inducing`` random steps, three times, and the geometric means are taken. As
-    many steps, half of them at random and half where little is known beside these, are the inducing points of the
-    deterministic training conditional over all data (Seeger 2003; Quinonero Candela, Rasmussen 2005, equation 20): mean
-    k_* S K_uf y / s^2, variance k_** - k_* (K_uu^-1 - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Lags left at
-    None are chosen by the simulation error over one second on held-out blocks of time. With ``stochastic`` every step
-    adds normal noise of that variance, scaled as `StochasticModel` says on recordings held out in turn (blocks of time,
-    if there is one recording only); switched on after the fit, so that 90 % intervals hold 90 % of samples one second
-    ahead. Of a periodic state sine and cosine are inputs.
+    The linear part is fitted first, by ridge regression. The covariance is squared exponential with one length per
+    input of (carry, control). Lengths, amplitude and noise maximise the marginal likelihood on ``inducing`` random
+    steps; the geometric mean of three such fits is used. As many inducing points are chosen, half at random and half
+    where the variance given the others is largest. All data are then used by the deterministic training conditional
+    (Seeger 2003; Quinonero Candela, Rasmussen 2005, equation 20): mean k_* S K_uf y / s^2, variance k_** - k_* (K_uu^-1
+    - S) k_*^T + s^2 with S = (K_uu + K_uf K_fu / s^2)^-1. Periodic states enter as sine and cosine. Lags left at None
+    are chosen by the simulation error over one second on held-out blocks of time.
+
+    With ``stochastic``, every step adds normal noise of that variance, scaled as in `StochasticModel` on held-out
+    recordings (blocks of time of a single one). If it is set after the fit, 90 % intervals contain 90 % of the samples
+    one second ahead.
     """
 
     knowledge = "dark grey"
@@ -144,14 +146,14 @@ class GaussianProcess(StochasticModel):
     def _trial(
         self, dataset: Dataset, lags: tuple[int, int], rng: np.random.Generator, counter: Counter
     ) -> GaussianProcess:
-        """Return a smaller model that learned from ``dataset``, with the state_bounds of this one."""
+        """Return a smaller model fitted to ``dataset``, with the state bounds of this one."""
         inducing = min(TRIAL_INDUCING, self.inducing)
         trial = self.variant(state_lags=lags[0], control_lags=lags[1], inducing=inducing, stochastic=False)
         trial._learn(dataset, rng, counter)
         return trial
 
     def _learn(self, dataset: Dataset, rng: np.random.Generator, counter: Counter) -> None:
-        """Choose inducing points and hyper-parameters, then learn from all data."""
+        """Choose inducing points and hyper-parameters, then condition on all data."""
         inputs, targets = self._residuals(dataset)
         _, scale = ChannelScaling.of(dataset).of_inputs(self.layout)
         count, size = min(self.inducing, len(inputs)), positive(targets.std(axis=0))
@@ -161,7 +163,7 @@ class GaussianProcess(StochasticModel):
         for channel in range(nx):
             found = [
                 maximise_likelihood(
-                    inputs[rows] / scale, targets[rows, channel] / size[channel], told=lambda: counter.advance(0)
+                    inputs[rows] / scale, targets[rows, channel] / size[channel], report=lambda: counter.advance(0)
                 )
                 for rows in subsets
             ]
@@ -173,7 +175,7 @@ class GaussianProcess(StochasticModel):
         self._condition(dataset)
 
     def _residuals(self, dataset: Dataset) -> tuple[Array, Array]:
-        """Fit the linear part; return inputs (N, n) and what it leaves of the accelerations (N, nx)."""
+        """Fit the linear part; return inputs (N, n) and residuals of the accelerations (N, nx)."""
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)
         inputs = Features(dataset.system, self.lags)(data.carry, data.control)
         targets = dataset.system.acceleration(data.state, data.after)
@@ -205,17 +207,17 @@ def _geometric_mean(values: Sequence[Array | float]) -> Array:
 
 
 POOL = 3000
-"""Random steps among which is chosen."""
+"""Random steps from which inducing points are chosen."""
 LEAST = 1e-10
-"""Variance, as a share of the prior's, up to which a step is as good as known: what is left of it is rounding."""
+"""Variance, as a share of the prior's, below which a step is known up to rounding."""
 
 
 def inducing_rows(inputs: Array, lengths: Array, count: int, rng: np.random.Generator) -> IntArray:
-    """Return ``count`` rows of ``inputs`` (N, n), sorted: half at random, the others where least is known beside them.
+    """Return ``count`` rows of ``inputs`` (N, n), sorted: half at random, the others where the variance is largest.
 
-    That is where the variances which K processes with ``lengths`` (K, n) and amplitude 1 leave, given those chosen
-    before, have the largest sum (pivoted Cholesky; Burt, Rasmussen, van der Wilk 2020, section 4.2.2). Chosen so alone,
-    outliers would be most of them.
+    The variance is the sum over K processes with ``lengths`` (K, n) and amplitude 1, given the rows chosen before
+    (pivoted Cholesky; Burt, Rasmussen, van der Wilk 2020, section 4.2.2). Without the random half most rows would be
+    outliers.
     """
     pool = rng.choice(len(inputs), size=min(POOL, len(inputs)), replace=False)
     count = min(count, len(pool))
@@ -224,7 +226,7 @@ def inducing_rows(inputs: Array, lengths: Array, count: int, rng: np.random.Gene
     factors = np.zeros((len(lengths), count, len(pool)))
     chosen: list[int] = []
     for number in range(count):
-        row = number if number < few else int(np.argmax(left.sum(axis=0)))  # of those taken, -1 is left
+        row = number if number < few else int(np.argmax(left.sum(axis=0)))  # -1 for rows already chosen
         chosen.append(row)
         for known, factor, length in zip(left, factors, lengths, strict=True):
             if known[row] <= LEAST:
@@ -240,7 +242,7 @@ def inducing_rows(inputs: Array, lengths: Array, count: int, rng: np.random.Gene
 
 
 AMPLITUDE, LENGTH, NOISE = (1.0, 1e-2, 1e2), (3.0, 0.3, 100.0), (0.1, 1e-4, 1.0)
-"""Where the search begins, and its bounds: squares for amplitude and noise."""
+"""Initial value and bounds of the search; squares for amplitude and noise."""
 
 
 @dataclass(frozen=True)
@@ -264,7 +266,7 @@ def squared_exponential(left: Array, right: Array) -> Array:
 def quadratic_form(rows: Array, matrix: Array) -> Array:
     """Return k M k^T for each row k of ``rows`` (B, n) and a symmetric ``matrix`` M (n, n), (B,).
 
-    Twice that of M's triangle, which is half the work, less that of the diagonal, which is counted twice then.
+    Only one triangle of M is multiplied, which halves the work.
     """
     product = blas.dtrmm(1.0, matrix.T, rows.T, lower=0)
     product *= 2.0
@@ -299,11 +301,11 @@ def negative_log_likelihood(logarithms: Array, inputs: Array, targets: Array) ->
     return float(value), np.concatenate([[0.5 * apart.sum()], moments, [by_noise]])
 
 
-def maximise_likelihood(inputs: Array, targets: Array, *, told: Callable[[], None]) -> Likely:
-    """Return what maximises the marginal likelihood within the bounds; ``told`` is called before every evaluation."""
+def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], None]) -> Likely:
+    """Return the maximum of the marginal likelihood within the bounds; ``report`` is called before every evaluation."""
 
     def objective(logarithms: Array) -> tuple[float, Array]:
-        told()
+        report()
         return negative_log_likelihood(logarithms, inputs, targets)
 
     start, low, high = np.log([AMPLITUDE, *[LENGTH] * inputs.shape[1], NOISE]).T
@@ -312,10 +314,10 @@ def maximise_likelihood(inputs: Array, targets: Array, *, told: Callable[[], Non
 
 
 def cholesky_with_jitter(matrix: Array) -> Array:
-    """Return Cholesky's lower factor of a covariance, its diagonal raised as little as makes it one.
+    """Return the lower Cholesky factor of a covariance, its diagonal raised only as far as necessary.
 
-    Data without noise make the covariance singular in double precision: the diagonal then grows by
-    1e-12 of its mean, and tenfold until it is positive definite.
+    Noise-free data make the covariance singular in double precision: the diagonal then grows by 1e-12 of its mean, and
+    tenfold until the matrix is positive definite.
     """
     raised, jitter = matrix, 1e-13 * float(np.trace(matrix)) / len(matrix)
     while True:

@@ -20,12 +20,12 @@ from sysid_evo.types import Array
 
 @register_model("linear")
 class Linear(StochasticModel):
-    """Least squares of x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc).
+    """Linear difference equation, fitted by least squares: the fastest family, a baseline for the others.
 
-    With ``state_lags`` or ``control_lags`` earlier samples join x_k and u_k (ARX). ``ridge``
-    penalises the squares of A and B on standardised inputs; ``intercept`` fits c. Samples after which a state stands
-    at a limit of its channel are left out. It is linear in the states as they are, an angle too, since LQR needs its A
-    and B: good near one angle only, and another model a turn later.
+    x_{k+1} = A x_k + B u_k + c (Proctor, Brunton, Kutz 2016, DMDc). ``state_lags`` and ``control_lags`` add that many
+    earlier samples to x_k and u_k (ARX). ``ridge`` is the L2 penalty of A and B on standardised inputs; ``intercept``
+    fits c. Samples that end at a limit of a channel are not used. An angle is a plain number here, because LQR needs A
+    and B: the model is valid near one angle only.
     """
 
     knowledge = "black"

@@ -27,12 +27,12 @@ from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fi
 
 @register_model("nearest_neighbour")
 class NearestNeighbour(DynamicsModel):
-    """The acceleration recorded in the nearest state under the same command.
+    """Lookup table: the acceleration recorded at the nearest state under the same command (paper, section 4.3).
 
-    Distance is Euclidean in the states' own units (paper), in sine and cosine of periodic ones. A continuous
-    control falls into the nearest of ``levels`` steps of its range and joins the state as a further input; a
-    command that was never recorded uses the table of the nearest one that was. Lags (none in the paper) join the
-    state in the distance.
+    The distance is Euclidean in the units of the states (paper), in sine and cosine for periodic states. A continuous
+    control is rounded to the nearest of ``levels`` steps of its range and is also part of the distance; a command that
+    was never recorded uses the table of the nearest recorded one. Earlier samples (none in the paper) are part of the
+    distance.
     """
 
     knowledge = "dark grey"
@@ -81,7 +81,7 @@ class NearestNeighbour(DynamicsModel):
         return result
 
     def predictor(self) -> Predictor | None:
-        """None where there are so many commands that the tables are too large: the model then runs in NumPy."""
+        """None if there are too many commands for a compiled form; the model then runs in NumPy."""
         cells, tables, serving = self._tables
         counts = [rows.stop - rows.start for _, rows in tables.values()]
         if numbers_taken(counts, self.points_.shape[1], self.system.nx) >= EXACT_INTEGERS and len(tables) > 1:
@@ -108,24 +108,24 @@ class NearestNeighbour(DynamicsModel):
 
 
 NEIGHBOURS = (8, 20)
-"""What is tried where their number is left open."""
+"""Numbers of neighbours that are tried if none is given."""
 RIDGE = 0.03
-"""Of the plane, as a share of the sum of the weights."""
+"""Ridge penalty of the plane, as a share of the sum of the weights."""
 
 
 @register_model("k_neighbours")
 class KNeighbours(StochasticModel):
-    """The change of the state on a plane fitted to the ``neighbours`` nearest steps (locally weighted regression).
+    """Local linear regression: the change of the state on a plane through the nearest recorded steps.
 
-    The plain change in one step is used, not the acceleration: a lateral acceleration balances
-    forward speed times yaw rate, and neighbours with slightly other speeds break the balance.
+    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic state);
+    controls count ``control_weight`` times, earlier samples half. Neighbour i of ``neighbours`` has the weight (1 -
+    (d_i / d_max)^2)^2, with d_max slightly above the largest distance; the plane has a ridge penalty of 0.03 of the sum
+    of weights (Atkeson, Moore, Schaal 1997). Its value is clipped to the range of the neighbours' values, so the model
+    never extrapolates; a state beyond the training range returns to it in one step. The change in one step is
+    predicted, not the acceleration: a lateral acceleration balances forward speed times yaw rate, and neighbours of
+    slightly different speed break the balance.
 
-    Distance is Euclidean in (carry, control) divided by standard deviations (sine and cosine of a periodic state),
-    controls counting ``control_weight`` times, earlier samples half. The weight of neighbour i is
-    (1 - (d_i / d_max)^2)^2, d_max a little beyond the farthest; the plane is shrunk by a ridge of 0.03 of the weights'
-    sum (Atkeson, Moore, Schaal 1997), and its value is clipped to what the neighbours did, so that it interpolates and
-    never extrapolates; what a state has beyond the training range is taken back in one step. ``neighbours`` and lags
-    left at None are chosen by the simulation error over one second on held-out blocks of time.
+    ``neighbours`` and lags left at None are chosen by the simulation error over one second on held-out blocks of time.
     """
 
     knowledge = "dark grey"
@@ -136,7 +136,7 @@ class KNeighbours(StochasticModel):
         "control_weight": Within(0.2, 5.0, log=True),
     }
     periodic = True
-    precision = "float64"  # who the neighbours are hangs on the last digits
+    precision = "float64"  # the choice of neighbours depends on the last digits
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"neighbours": 8, "state_lags": 0, "control_lags": 0}}
     limits: ClassVar[dict[str, Limit]] = {"neighbours": at_least(1), "control_weight": above(0)}
 

@@ -1,8 +1,8 @@
 """Compiled form of k_neighbours: a plane through the nearest points.
 
-The search goes lane by lane through the buckets of a k-d tree, as in `sysid_evo.models.kernels.neighbours`;
-weights, Gram matrix and its Cholesky factor are computed for sixteen lanes at once. Of very many points the boxes
-of groups of sixteen buckets are asked first, as there.
+The search runs lane by lane through the buckets of a k-d tree, as in `sysid_evo.models.kernels.neighbours`; weights,
+Gram matrix and Cholesky factor are computed for sixteen lanes at once. With many points the boxes of groups of sixteen
+buckets are tested first.
 """
 
 from __future__ import annotations
@@ -33,16 +33,15 @@ HEAD = Layout("n_carry", "n_control", "n_out", "count", "groups", "around", "rid
 UNREACHED = FAR**2
 FIRST = 2
 MANY = 30_000
-"""Points from which on the boxes of groups are asked first."""
+"""Number of points from which the boxes of groups are tested first."""
 
 
 def plane_predictor(
     points: Array, values: Array, metric: Array, *, count: int, ridge: float, n_carry: int
 ) -> Predictor:
-    """Return a predictor of the value of the plane through ``count`` neighbours.
+    """Return a predictor of the value at the query of the plane through ``count`` neighbours.
 
-    ``points`` (N, n) are (carry, control) times ``metric`` (n,), ``values`` (N, n_out) what the state
-    changed by there.
+    ``points`` (N, n) are (carry, control) times ``metric`` (n,), ``values`` (N, n_out) the changes of the state there.
     """
     n, n_out, many = len(metric), values.shape[1], len(points) >= MANY
     check_shape("points", points, (None, n))
@@ -139,9 +138,9 @@ def nearest_points(query, n, boxes, near, groups, count, bound, room, square, fo
 
 
 def nearest_of_many(query, n, boxes, near, outer, groups, around, count, bound, room, square, found):
-    """Do what `nearest_points` does, from groups to buckets to points.
+    """Do the same as `nearest_points`, from groups to buckets to points.
 
-    The nearest group says how far away the neighbours can be; then all groups that reach so near are looked through.
+    The nearest group gives a bound on the distance; all groups within this bound are then searched.
     """
     for side in range(n):
         box_distance(query[side], view(outer, side * 2 * around * BUCKET), bound, around, side)
@@ -160,7 +159,7 @@ def nearest_of_many(query, n, boxes, near, outer, groups, around, count, bound, 
 
 
 def look_through_group(query, n, boxes, near, groups, group, count, limit, room, square, found):
-    """Look through those buckets of a group that are not farther than ``limit`` and the list's last."""
+    """Search the buckets of a group that are within ``limit`` and nearer than the last of the list."""
     zero = splat_quarter(0.0)
     total = zero
     for side in range(n):
@@ -198,13 +197,13 @@ def nearest_bucket(bound, groups, room):
     store(nearest, 0, least)
     store(column_group, 0, which)
     closest, column = lowest(least), 0
-    while column < BUCKET - 1 and nearest[column] != closest:  # the distance of a nan equals nothing
+    while column < BUCKET - 1 and nearest[column] != closest:  # a nan distance is equal to nothing
         column += 1
     return int(column_group[column]) * BUCKET + column
 
 
 def look_through(query, n, near, bucket, count, distance, square, found):
-    """Sort those points of a bucket into the list that are nearer than its last."""
+    """Sort the points of a bucket that are nearer than the last of the list into it."""
     points = view(near, bucket * n * BUCKET)
     total = splat_quarter(0.0)
     for side in range(n):
@@ -217,7 +216,7 @@ def look_through(query, n, near, bucket, count, distance, square, found):
 
 
 def put_in(here, number, count, square, found):
-    """Put a point into the list, behind those as near, if it is nearer than its last."""
+    """Insert a point into the list if it is nearer than its last, behind those of equal distance."""
     if here < square[count - 1]:
         place = count - 1
         while place > 0 and square[place - 1] > here:
@@ -229,7 +228,7 @@ def put_in(here, number, count, square, found):
 
 
 def weigh(nearness, count, work):
-    """Turn squared distances into the roots of weights whose sum is one."""
+    """Replace squared distances by the roots of weights whose sum is one."""
     farthest, total = view(nearness, (count - 1) * QUARTER), view(work, QUARTER)
     for lane in range(QUARTER):
         reach = 1.05 * math.sqrt(farthest[lane]) + 1e-12
@@ -324,7 +323,7 @@ def solve(gram, x, inverse, n):
 
 
 def within(target, count, stride, value):
-    """Clip a value to what the neighbours did."""
+    """Clip a value to the range of the neighbours' values."""
     low, high = load_quarter(target, 0), load_quarter(target, 0)
     for k in range(1, count):
         there = load_quarter(target, k * stride * QUARTER)

@@ -14,14 +14,14 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 CONSTANT = 1e-12
-"""Share of its size below which the deviation of a channel is rounding."""
+"""A standard deviation below this share of the channel's size is rounding error."""
 
 
 @dataclass(frozen=True)
 class ChannelScaling:
-    """Deviation of states, centre and deviation of what is seen of them and of controls, RMS ``change`` in one step.
+    """Deviations of states, centres and deviations of features and controls, RMS ``change`` in one step.
 
-    Of a periodic state sine and cosine are seen (`Features`).
+    The features of a periodic state are its sine and cosine (`Features`).
     """
 
     state_scale: Array
@@ -33,7 +33,7 @@ class ChannelScaling:
 
     @classmethod
     def of(cls, dataset: Dataset, mirror: Mirror | None = None) -> ChannelScaling:
-        """Measure ``dataset``; with ``mirror``, what changes sign there is centred at zero."""
+        """Compute the scaling of ``dataset``; with ``mirror``, channels that change sign in it are centred at zero."""
         windows = dataset.windows(1, moving=True)
         if not len(windows):
             windows = dataset.windows(1)
@@ -55,7 +55,7 @@ class ChannelScaling:
         )
 
     def of_inputs(self, layout: CarryLayout) -> tuple[Array, Array]:
-        """Return centre and scale of what is seen of (carry, control)."""
+        """Return centre and scale of the features of (carry, control)."""
         return (
             np.array(layout.each_input(self.seen_centre, self.control_centre)),
             np.array(layout.each_input(self.seen_scale, self.control_scale)),
@@ -73,16 +73,16 @@ def root_mean_square(values: Array) -> Array:
 
 
 def deviation(values: Array) -> Array:
-    """Return the standard deviation of each column of (N, n), 1 for a column that never changes.
+    """Return the standard deviation of each column of (N, n), 1 for a constant column.
 
-    The deviation of a constant such as 0.3 is 1e-17 by rounding, which must not become a gain.
+    The computed deviation of a constant such as 0.3 is 1e-17, which must not become a gain.
     """
     spread, size = values.std(axis=0), np.abs(values).max(axis=0)
     return np.where(spread > CONSTANT * size, spread, 1.0)
 
 
 STEERING = ("steer",)
-"""Controls that steer unless others are named."""
+"""Names of controls that steer, unless others are given."""
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ def assess_model(
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
     """Simulate the measured cases with one model and condense the errors."""
     forecasts = simulate_cases(model.without_noise(), cases)
-    notes = [f"{name} {model.fit_note}"] if model.fit_note else []
+    notes = [f"{name}: {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
     curve, curve_interval = _curve(forecasts, cases)
     horizon, states, dt = cases.near_horizon, cases.windows.states, cases.system.dt

@@ -1,4 +1,4 @@
-"""What `auto` tries: families with their settings, in a fixed order, and about how long each takes.
+"""Candidates of `auto`: families with their settings, in a fixed order, and their expected fit times.
 
 Those of the zoo are the rows of ``candidates.toml``.
 """
@@ -18,24 +18,23 @@ from sysid_evo.system import System
 
 STEPS = 7200.0
 NUMBERS = 5.0
-"""Steps of six minutes at 20 Hz, and states and controls of a car: what `Candidate.seconds` were measured with."""
+"""Steps of six minutes at 20 Hz, and states and controls of a car: the data for which `Candidate.seconds` holds."""
 ALONE = 0.25
-"""Share of the time of four networks side by side that none of them needs by itself."""
+"""Fixed share of the training time of a four-network ensemble, independent of its size."""
 OF_A_PLUGIN = 5.0
-"""Seconds that a family counts that is not listed here."""
+"""Expected fit time in s of a family that is not listed."""
 
 
 @dataclass(frozen=True)
 class Candidate:
     """A family with its settings.
 
-    ``seconds`` is how long one fit takes on one processor with `STEPS` steps of a car, of which the share ``by_steps``
-    is in proportion to the number of steps, and the share ``by_channels`` to that of states and controls: a network of
-    one state takes nearly as long as that of a car. Fits that only judge have the settings ``judged_with``. A
-    ``successor_of`` another, by its name, is the same with more training: it is tried only where the other does well.
-    With ``keep_fold_models`` what it learned without each fold stays beside what it learns from all data, unless it is
-    far worse, and their mean is what is kept: fits to parts of the data differ in what these do not tell (Krogh and
-    Vedelsby 1995). Without ``for_family_name`` it is not what the name of its family alone stands for.
+    ``seconds`` is the time of a fit on one processor to `STEPS` steps of a car. The share ``by_steps`` of it is
+    proportional to the number of steps, ``by_channels`` to that of states and controls. ``judged_with`` are the
+    settings of the fits to folds. A ``successor_of`` another candidate, given by name, is the same with more training;
+    it is tried only if the other is good. ``keep_fold_models``: keep the models fitted without each fold and average
+    them with the one fitted to all data, unless one is much worse; they differ most where data are few (Krogh and
+    Vedelsby 1995). Without ``for_family_name`` the name of the family does not select this candidate.
     """
 
     spec: Spec
@@ -49,16 +48,16 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """What it is called: its label, if it has one of its own, or the whole spec."""
+        """Its label, if it has one, else the whole spec."""
         return self.spec.text if self.spec.label == self.spec.name else self.spec.label
 
     def model(self, **changed: Any) -> DynamicsModel:
-        """Return it unfitted. Raises what the registry says where it cannot be made."""
+        """Return the unfitted model. Raises what the registry raises if it cannot be made."""
         found: DynamicsModel = models.make(self.spec.name, **{**self.spec.parameters, **changed})
         return found
 
     def seconds_for(self, system: System, steps: int, *, rough: bool) -> float:
-        """Return about how many seconds of one processor a fit to so many steps takes."""
+        """Return the expected time in s on one processor of a fit to this many steps."""
         size = 1.0 - self.by_channels + self.by_channels * (system.nx + system.nu) / NUMBERS
         most = self.spec.parameters.get("members", 1)
         members = self.judged_with.get("members", most) if rough else most
@@ -66,13 +65,13 @@ class Candidate:
         return self.seconds * share * size * (1.0 - self.by_steps + self.by_steps * steps / STEPS)
 
     def cost(self, system: System, steps: int, folds: int) -> float:
-        """Return about how many seconds all its fits take: one for each fold, and one to all data."""
+        """Return the expected time in s of all its fits: one for each fold, and one to all data."""
         learned = round(steps * (1.0 - 1.0 / max(2, folds)))
         return folds * self.seconds_for(system, learned, rough=True) + self.seconds_for(system, steps, rough=False)
 
 
 def _shipped() -> tuple[Candidate, ...]:
-    """Return the rows of the table: ``model`` is a spec, ``name`` what it is called if not so, then `Candidate`'s."""
+    """Return the rows of the table: ``model`` is a spec, ``name`` a label, the rest are fields of `Candidate`."""
     table = parsed_toml(Path(__file__).with_name("candidates.toml").read_text(encoding="utf-8"))
     found = []
     for row in table["candidates"]:
@@ -84,7 +83,7 @@ def _shipped() -> tuple[Candidate, ...]:
 
 
 SHIPPED = _shipped()
-"""What is tried unless candidates are named, the most telling for their time first."""
+"""Candidates by default, in the order of expected benefit for their time."""
 
 
 def fit_seconds(family: str) -> float | None:
@@ -94,9 +93,9 @@ def fit_seconds(family: str) -> float | None:
 
 
 def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
-    """Return the candidates for ``system`` in their order, and why others are none.
+    """Return the candidates for ``system`` in their order, and the reasons against others.
 
-    Registered families that declare a ``structure`` and are not among the shipped come first.
+    Plugins that declare a ``model_class`` come first.
     """
     reasons = [(candidate, unusable(candidate, system)) for candidate in (*plugins(), *SHIPPED)]
     return [candidate for candidate, reason in reasons if not reason], [
@@ -105,14 +104,14 @@ def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
 
 
 def candidates_named(texts: Sequence[str]) -> list[Candidate]:
-    """Return the candidates ``texts`` name: a family alone stands for what is listed of it, else for its defaults.
+    """Return the candidates named by ``texts``; a family alone selects its listed candidates, or else its defaults.
 
-    Raises what the registry says of wrong names, and `InvalidArgument` for `auto` itself.
+    Raises what the registry raises for wrong names, and `InvalidArgument` for `auto` itself.
     """
     found: list[Candidate] = []
     for spec in map(Spec.parse, texts):
         if spec.name == "auto":
-            raise InvalidArgument("candidates: expected other families, got auto, which would try itself")
+            raise InvalidArgument("candidates: expected other families, got auto, which would contain itself")
         models.check(spec)
         listed = [one for one in SHIPPED if one.spec.name == spec.name and one.for_family_name]
         found += (
@@ -122,7 +121,7 @@ def candidates_named(texts: Sequence[str]) -> list[Candidate]:
 
 
 def unusable(candidate: Candidate, system: System) -> str:
-    """Return why a candidate cannot describe ``system`` or cannot run here; empty if it can."""
+    """Return why a candidate cannot describe ``system`` or cannot run on this computer; empty if it can."""
     try:
         lacking = models.missing_package(candidate.spec.name)
         if lacking is not None:
@@ -133,20 +132,20 @@ def unusable(candidate: Candidate, system: System) -> str:
         return str(error)
     if system.periods and not model.periodic:
         turning = ", ".join(channel.name for channel in system.states if channel.period)
-        return f"it is not periodic, and {turning} comes round"
+        return f"it does not support periodic states ({turning})"
     return ""
 
 
 def plugins() -> list[Candidate]:
-    """Return the registered families that declare a structure and are no part of the zoo, by name."""
+    """Return the registered plugin families that declare a model class, by name."""
     found = []
     for name in models.names():
         if models.module(name).partition(".")[0] == __name__.partition(".")[0]:
             continue
         try:
             family: Any = models.get(name)
-        except PluginError:  # listing the families tells of it
+        except PluginError:  # reported when the families are listed
             continue
-        if getattr(family, "structure", ""):
+        if getattr(family, "model_class", ""):
             found.append(Candidate(Spec(name), getattr(family, "usual_seconds", OF_A_PLUGIN)))
     return found

@@ -1,4 +1,4 @@
-"""Fits of candidates, one after the other or in several processes: what fails is an outcome with its reason."""
+"""Fits of candidates, one after the other or in several processes; a failure is an outcome with its reason."""
 
 from __future__ import annotations
 
@@ -21,21 +21,24 @@ from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import HeldOutTest
 
 WORTH = 10.0
-"""Seconds of work for which one more process is worth its start."""
+"""Seconds of work that justify starting one more process."""
 IDLE = 60
-"""Seconds after which processes end that have nothing to do."""
+"""Seconds after which idle processes end."""
 LARGE = ("numba", "pysindy")
-"""Libraries of candidates that take 60 and 170 MB. A process that loads them after its first task looks to joblib as if
-it leaked (300 MB): it is ended with a warning, and the next one loads them again."""
+"""Libraries of candidates that take 60 and 170 MB.
+
+Loaded after the first task of a process they look like a leak to joblib (300 MB), which ends the process with a
+warning.
+"""
 PARTS = 10
-"""Parts in which a second of work is told."""
+"""Progress steps reported for a second of work."""
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """One fit: the model to make, what it learns from, the seed, and the trial in which it is judged, if it is.
+    """One fit: the model, its data and seed, and the held-out test of the fitted model, if any.
 
-    ``key`` is by whom its outcome is known, ``cost`` about how many seconds it takes.
+    ``key`` identifies the outcome, ``cost`` is the expected time in s.
     """
 
     key: tuple[int, int]
@@ -49,7 +52,7 @@ class FitTask:
 
 @dataclass(frozen=True)
 class FitOutcome:
-    """What became of a `FitTask`: the fitted model, what it simulated in the trial, and why there is none."""
+    """Outcome of a `FitTask`: the fitted model and its held-out simulation, or the reason for the failure."""
 
     model: DynamicsModel | None = None
     simulated: Array | None = None
@@ -58,7 +61,7 @@ class FitOutcome:
 
 
 class FitInterrupted(BaseException):
-    """Carries what a `Progress` raised past those who take every exception of a candidate for its failure."""
+    """Carries an exception of a `Progress` past handlers that treat every exception as a failed candidate."""
 
     def __init__(self, cause: BaseException) -> None:
         super().__init__()
@@ -66,33 +69,33 @@ class FitInterrupted(BaseException):
 
 
 def fitted(task: FitTask, progress: Progress | None = None) -> FitOutcome:
-    """Return what becomes of ``task``. Raises only `FitInterrupted`, and what stops a program."""
+    """Return the outcome of ``task``. Raises only `FitInterrupted` and exceptions that end a program."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what a candidate warns of is no concern of who asked for their mean
+            warnings.simplefilter("ignore")  # warnings of a single candidate do not concern the user of the mean
             model = make_model(task.name, **task.parameters)
             model.fit(task.dataset, rng=np.random.default_rng(task.seed), progress=progress)
             if task.trial is None:
                 return FitOutcome(model)
             simulated = task.trial.run(model)
             return FitOutcome(model, simulated, task.trial.diverged(model, simulated))
-    except Exception as error:  # a plugin may fail in any way; the other candidates go on
+    except Exception as error:  # a plugin may fail in any way; the other candidates continue
         return FitOutcome(reason=f"{type(error).__name__}: {error}".splitlines()[0])
 
 
 class FitWork:
-    """Computes tasks and tells how far it is, in parts of ``seconds`` of expected work."""
+    """Computes tasks and reports progress, in parts of ``seconds`` of expected work."""
 
     def __init__(self, progress: Progress | None, seconds: float) -> None:
         self._progress = progress
         self._total, self._done = max(1, round(PARTS * seconds)), 0.0
 
     def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], FitOutcome]:
-        """Return the outcome of each task by its key: the same ones for any number of processes."""
+        """Return the outcome of each task by its key, independent of the number of processes."""
         seconds = sum(task.cost for task in tasks)
         processes = min(available_processors(), int(seconds / WORTH), len(tasks))
         ordered = sorted(tasks, key=lambda task: -task.cost)
-        # another process finds a family by its name, not where a file was loaded that is not installed
+        # another process cannot load a family from a file that is not installed
         ours = __name__.partition(".")[0]
         elsewhere = [t for t in ordered if processes > 1 and models.module(t.name).partition(".")[0] == ours]
         found: dict[tuple[int, int], FitOutcome] = {}
@@ -101,7 +104,7 @@ class FitWork:
                 if task not in elsewhere:
                     found[task.key] = fitted(task, self._part(task))
                     self._advance(task.cost)
-            with closing(_side_by_side(elsewhere, processes)) as ended:
+            with closing(_in_processes(elsewhere, processes)) as ended:
                 for task, outcome in ended:
                     found[task.key] = outcome
                     self._advance(task.cost)
@@ -110,30 +113,30 @@ class FitWork:
         return found
 
     def still(self) -> None:
-        """Tell that the work goes on."""
+        """Report that the work continues."""
         self._advance(0.0)
 
     def _advance(self, seconds: float) -> None:
         self._done += PARTS * seconds
-        self._tell(self._done)
+        self._report(self._done)
 
     def _part(self, task: FitTask) -> Progress:
-        def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
-            self._tell(self._done + PARTS * task.cost * done / max(1, total))
+        def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # the note of a fit is not shown
+            self._report(self._done + PARTS * task.cost * done / max(1, total))
 
         return progress
 
-    def _tell(self, done: float) -> None:
+    def _report(self, done: float) -> None:
         if self._progress is None:
             return
         try:
             self._progress(min(int(done), self._total), self._total)
-        except BaseException as error:  # handed on as it is, past those who take every exception for a failed fit
+        except BaseException as error:  # passed through handlers that treat every exception as a failed fit
             raise FitInterrupted(error) from None
 
 
-def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, FitOutcome], None, None]:
-    """Yield the outcomes of ``tasks`` as they come; closed before the last, it ends what is still computed."""
+def _in_processes(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[FitTask, FitOutcome], None, None]:
+    """Yield the outcomes of ``tasks`` as they come; closing it early stops the rest."""
     if not tasks:
         return
     from joblib import Parallel, delayed
@@ -155,7 +158,7 @@ def _side_by_side(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[F
             yield tasks[number], outcome
     finally:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that something is cancelled is what is wanted
+            warnings.simplefilter("ignore")  # cancelling is intended here
             outcomes.close()
 
 

@@ -25,37 +25,36 @@ from sysid_evo.validation.simulation_error import HeldOutTest, Scorer, history_o
 
 HORIZONS = [10, 20, 60]
 PROCESSORS = 2
-"""Of the machine whose seconds a budget is counted in."""
+"""Number of processors for which a budget is given in seconds."""
 SHARE = 0.85
-"""Of its time that is spent in fits: the rest is starting processes, waiting for the last one, and the mean."""
+"""Share of that time spent in fits; the rest starts processes, waits for the last one and computes the mean."""
 
 
 @register_model("auto")
 class Auto(MeanModel):
-    """The mean of the next states of the candidates that run free best on what was held out.
+    """Average of the model families that simulate the held-out data best; the default family.
 
-    Every candidate (a family with lags and parameters) learns from what is left of the recordings when a group of them
-    is held out, ``folds`` times (blocks of time where there is one recording), and runs free there. Its error is that
-    after ``horizons`` steps (10, 20, 60): RMSE / standard deviation, the mean over states and horizons. What is far
-    behind the first time (1.25 times the gate, and significantly) is not tried again. What fails or diverges is dropped
-    with its reason, and so is what is more than ``cutoff`` times as far off as the best; the gate is narrowed where the
-    mean of all inside is worse on what was held out than the mean of fewer, but what is not significantly worse than
-    the best stays (paired bootstrap). A state space that stands well is trained fully, of a Gaussian process that does
-    three are averaged, and each takes the place of the first one if it is better. Those kept learn again from all data;
-    what a fully trained state space has learned without each fold stays beside that, unless it is far worse. Each
-    class of structure (networks that see earlier samples, networks that do not, polynomials, neighbours, physics)
-    weighs as the root of how many of it are kept, and these weigh alike. For a given state the next one is affine in
-    the acceleration, so that the mean of next states is that of accelerations. Every member starts each step from the
-    mean, and keeps its own memory beside it.
+    Each candidate (a family with lags and parameters) is fitted ``folds`` times without one group of recordings (blocks
+    of time if there is only one recording) and simulated on that group. Its error is RMSE / standard deviation after
+    ``horizons`` steps (10, 20, 60), averaged over states and horizons. A candidate that is far worse in the first fold
+    (1.25 times the cutoff, and significantly) skips the others. Candidates that fail, diverge or exceed ``cutoff``
+    times the lowest error are dropped; the cutoff is reduced if the mean of fewer candidates has a lower held-out
+    error, but candidates that are not significantly worse than the best stay (paired bootstrap). A good state space is
+    then replaced by its fully trained version and a good Gaussian process by the average of three, if that is better.
+    The candidates that are kept are refitted to all data; fully trained state spaces are averaged with those fitted
+    without each fold, except much worse ones.
 
-    ``budget`` is in seconds of two processors of today. It decides how many candidates are tried, by how long they are
-    *expected* to take and by no clock; what is saved with those that fall behind is spent on more. The same data, seed
-    and installed families give the same model on any machine and number of processors, and a slow machine takes longer.
-    ``candidates`` names others, such as ``[narx, neural_ode(updates=200)]``, which are all tried; a family alone stands
-    for its usual settings. Work that takes long is spread over the processors that this process may use.
+    The weight of a model class (networks with lags, networks without, polynomials, neighbours, physics, state spaces)
+    is the square root of the number of its members, which share it equally. Every member starts each step from the mean
+    state and keeps its own earlier samples.
 
-    With ``stochastic`` every step adds normal noise: the members' disagreement and the one-step residual on what was
-    held out, scaled so that 90 % intervals hold 90 % of free runs of one second there. Such a model has no compiled
+    ``budget`` (s, on two processors) limits how many candidates are tried, by their *expected* fit time and not by a
+    clock: the same data, seed and installed families give the same model on any machine. ``candidates`` names others,
+    such as ``[narx, neural_ode(updates=200)]``, which are all tried; a name without settings selects the default
+    candidates of that family. Long fits use all available processors.
+
+    With ``stochastic``, every step adds normal noise: the members' disagreement and the held-out one-step residual,
+    scaled so that 90 % intervals contain 90 % of the held-out samples after one second. Such a model has no compiled
     form.
     """
 
@@ -108,7 +107,10 @@ class Auto(MeanModel):
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
-        """Return the candidates, and why others are not among them. Raises what the registry says of wrong names."""
+        """Return the candidates, and the reasons why others are not used.
+
+        Raises what the registry raises for wrong names.
+        """
         if self.candidates is None:
             return candidates_for(dataset.system)
         reasons = [(one, unusable(one, dataset.system)) for one in candidates_named(self.candidates)]
@@ -117,7 +119,7 @@ class Auto(MeanModel):
         ]
 
     def _mean(self, models: list[DynamicsModel]) -> Self:
-        """Return the mean of models that learned from the same part of the data."""
+        """Return the mean of models fitted to the same part of the data."""
         return self.of(models, weights_of([structure_of(model) for model in models]))
 
     def families_used(self) -> tuple[str, ...]:
@@ -132,7 +134,7 @@ class Auto(MeanModel):
         }
 
     def candidate_ranking(self) -> list[dict[str, str]]:
-        """Return a row for every candidate, the best first: its held-out error, its weight, and what it is."""
+        """Return a row for every candidate, the best first: held-out error, weight, remark."""
         found = CandidateRanking.known_to(self)
         return [] if found is None else found.rows()
 
@@ -144,12 +146,12 @@ class Auto(MeanModel):
 
 @dataclass(frozen=True)
 class CandidateRanking:
-    """The candidates that were judged, the best first, in what a stored model can hold.
+    """The candidates that were scored, the best first, in a form that a stored model can hold.
 
-    ``errors`` (n, H) at each of the ``horizons``, ``shares`` (n,) of the mean, 0 for those not kept, and a remark each.
-    ``failed`` are those that could not be judged, with the reason. ``gate`` was taken of those in ``means`` (g, 2),
-    each with the error of the mean of all inside. ``ahead`` is the 95 % interval by which the second best is worse than
-    the best (nothing with one candidate).
+    ``errors`` (n, H) at each of the ``horizons``, ``shares`` (n,) of the mean (0 if not kept), and a remark each.
+    ``failed`` lists the others with the reason. ``gate`` is the cutoff chosen from those in ``means`` (g, 2), each with
+    the error of the mean within it. ``ahead`` is the 95 % interval by which the second best is worse than the best
+    (empty with one candidate).
     """
 
     candidates: list[str]
@@ -174,12 +176,12 @@ class CandidateRanking:
         horizons: Sequence[int],
         pairs: Sequence[tuple[Dataset, Dataset]],
     ) -> Self:
-        """Sum up a ``choice`` among ``candidates``, the kept of which have these ``weights``."""
+        """Summarise a ``choice`` among ``candidates``; those that are kept have these ``weights``."""
         known = {number: error for number, error in enumerate(choice.errors) if error is not None}
         order = sorted(known, key=lambda number: known[number].mean)
         share = dict(zip(choice.kept, weights.tolist(), strict=True))
         kind = {n: structure_of(own[0]) for n, own in zip(choice.kept, choice.models, strict=True)}
-        above = f"above {choice.passed.gate:.2f} x the best"
+        above = f"above {choice.passed.gate:.2f} x the lowest error"
         usable = [number for number in order if not choice.reasons[number]]
         ahead = known[usable[1]].above(known[usable[0]]).interval if len(usable) > 1 else ()
         failed = [
@@ -199,18 +201,18 @@ class CandidateRanking:
         )
 
     def learned(self) -> dict[str, Any]:
-        """Return it as what a model learns, by name."""
+        """Return the attributes that a model stores, by name."""
         return {f"{name}_": value for name, value in vars(self).items()}
 
     @classmethod
     def known_to(cls, model: Any) -> Self | None:
-        """Undo `learned`: return how the candidates stood when ``model`` was fitted; None before that."""
+        """Undo `learned`: return the ranking stored in a fitted ``model``; None before its fit."""
         if not hasattr(model, "evaluated_on_"):
             return None
         return cls(**{name: getattr(model, f"{name}_") for name in cls.__dataclass_fields__})
 
     def rows(self) -> list[dict[str, str]]:
-        """Return what to tell of each candidate, the best first."""
+        """Return the table of candidates, the best first."""
         after = f"after {', '.join(map(str, self.horizons))} steps"
         rows = []
         for name, at, weight, remark in zip(self.candidates, self.errors, self.shares, self.remarks, strict=True):
@@ -222,35 +224,35 @@ class CandidateRanking:
         return rows
 
     def sentence(self) -> str:
-        """Return what was chosen, by how much, and whether the best is surely better than the second."""
+        """Return members and weights, the cutoff, and whether the best is significantly better than the second best."""
         kept = [
             f"{name} ({at.mean():.3f}, weight {weight:.2f})"
             for name, at, weight in zip(self.candidates, self.errors, self.shares, strict=True)
             if weight > 0.0
         ]
         text = (
-            f"kept {len(kept)} of {len(self.candidates)} candidates and is their mean: {', '.join(kept)}; judged by "
-            f"free runs of {', '.join(map(str, self.horizons))} steps on {self.evaluated_on}, kept up to "
-            f"{self.gate:.2f} x the lowest error; the mean of those within "
-            + ", ".join(f"{gate:.2f} x has {error:.3f}" for gate, error in self.means)
+            f"mean of {len(kept)} of {len(self.candidates)} candidates: {', '.join(kept)}; error of simulations "
+            f"over {', '.join(map(str, self.horizons))} steps on {self.evaluated_on}; cutoff "
+            f"{self.gate:.2f} x the lowest error; error of the mean by cutoff: "
+            + ", ".join(f"{gate:.2f} x {error:.3f}" for gate, error in self.means)
         )
         if self.ahead:
             low, high = self.ahead
-            surely = "" if low > 0.0 or high < 0.0 else " not"
+            verb = "differ" if low > 0.0 or high < 0.0 else "do not differ"
             text += (
-                f"; the best and the second best candidate do{surely} differ significantly (by {low:+.3f} to "
+                f"; the best and the second best candidate {verb} significantly (by {low:+.3f} to "
                 f"{high:+.3f}, 95 % interval)"
             )
         elif len(self.candidates) > 1:
-            text += "; every other candidate fell out in the first turn"
+            text += "; all other candidates were dropped after the first fold"
         return text
 
 
 def held_out_in_words(pairs: Sequence[tuple[Dataset, Dataset]]) -> str:
-    """Return what was held out."""
+    """Return what was held out, in words."""
     seen, held = pairs[0]
     if seen is held:
-        return "what they had learned from, which is too short to hold anything back"
-    pieces = {name.split("[")[0] for name in seen.names} & {name.split("[")[0] for name in held.names}
-    what = "blocks of time" if pieces else "whole recordings"
-    return f"{what}, held out in {len(pairs)} turns" if len(pairs) > 1 else f"{what} that were held out"
+        return "the training data, which are too short to hold anything out"
+    shared = {name.split("[")[0] for name in seen.names} & {name.split("[")[0] for name in held.names}
+    what = "held-out blocks of time" if shared else "held-out recordings"
+    return f"{what} ({len(pairs)} folds)" if len(pairs) > 1 else what

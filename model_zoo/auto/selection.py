@@ -1,4 +1,4 @@
-"""Which candidates are tried, kept and how they are weighted."""
+"""Which candidates of `auto` are tried and kept, and their weights."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from sysid_evo.validation.acceptance import inside
 from sysid_evo.validation.simulation_error import Errors, Scorer
 
 MAX_DIVERGED = 0.05
-"""Share of the free runs of a candidate that may end at its state_bounds."""
-HOPELESS = 1.25
-"""Times the gate: what is so much farther off than the best in the first fold is not tried in the others."""
+"""Largest share of a candidate's simulations that may end at its state bounds."""
+DROP_FACTOR = 1.25
+"""A candidate whose error in the first fold exceeds this multiple of the cutoff is dropped before the other folds."""
 
-PROMISING = 2.0
-"""Times the error of the best in the first fold, up to which a candidate may be refined."""
+REFINE_FACTOR = 2.0
+"""A candidate may be refined if its error in the first fold is at most this multiple of the lowest."""
 
-UNTRIED = "not tried, the budget is spent on others"
-UNPROMISING = "not tried, what it refines is far behind or not tried itself"
-REFINED = "it is no better than what refines it"
+UNTRIED = "skipped: the budget was used for other candidates"
+BASE_BEHIND = "skipped: the shorter version of it was not close to the best"
+REPLACED = "replaced by its longer version, which is at least as good"
 
 
 @dataclass(frozen=True)
 class CandidateChoice:
-    """What became of all candidates: by number, `Errors` (None where a fit failed) and why it cannot be used.
+    """Outcome for all candidates: by number, `Errors` (None if a fit failed) and the reason against it, if any.
 
-    The errors are those of the first fold for what was dropped after it. ``kept`` are the numbers of those inside the
-    gate that was ``passed``, ``models`` what they learned from all data, followed by the rest of a committee, ``rough``
-    what they learned without each fold.
+    For a candidate dropped after the first fold the errors are those of this fold. ``kept`` lists the numbers of those
+    within the cutoff ``passed``, ``models`` their fits to all data (followed by fold models, if these are kept),
+    ``rough`` their fits without each fold.
     """
 
     errors: list[Errors | None]
@@ -52,10 +52,10 @@ class CandidateChoice:
 
 @dataclass(frozen=True)
 class CandidateSelection:
-    """The candidates, the folds in which they are judged, and the seeds (candidates, folds + 1) of their fits.
+    """The candidates, the folds, and the seeds (candidates, folds + 1) of their fits.
 
-    As many are tried as ``budget`` seconds of one processor are expected to be enough for: no clock decides, so that
-    the choice is the same on every machine.
+    As many are tried as are expected to fit into ``budget`` seconds of one processor. No clock is used, so that the
+    choice is the same on every machine.
     """
 
     dataset: Dataset
@@ -67,21 +67,21 @@ class CandidateSelection:
     work: FitWork
 
     def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
-        """Return what is kept within ``gate``, whose mean is what ``mean`` makes of them.
+        """Return the candidates kept within the cutoff ``gate``; ``mean`` makes a model of several.
 
         Raises `InvalidData` if no candidate can be used.
         """
         folds = range(len(self.pairs))
-        outcomes, errors, reasons = self._first_turn(HOPELESS * gate)
-        going_on = [number for number, reason in enumerate(reasons) if not reason]
-        outcomes |= self._fits(going_on, folds[1:])
-        rough = {number: [outcomes[number, fold] for fold in folds] for number in going_on}
-        for number, error, reason in zip(going_on, *judged(list(rough.values()), self.judge), strict=True):
+        outcomes, errors, reasons = self._first_fold(DROP_FACTOR * gate)
+        remaining = [number for number, reason in enumerate(reasons) if not reason]
+        outcomes |= self._fits(remaining, folds[1:])
+        rough = {number: [outcomes[number, fold] for fold in folds] for number in remaining}
+        for number, error, reason in zip(remaining, *judged(list(rough.values()), self.judge), strict=True):
             errors[number], reasons[number] = error, reason
         usable = {n: error for n, error in enumerate(errors) if error is not None and not reasons[n]}
         for better, number in self._refined.items():
             if better in usable and number in usable and usable[better].mean <= usable[number].mean:
-                reasons[number] = REFINED
+                reasons[number] = REPLACED
                 del usable[number]
         self._expect(len(usable) > 0, reasons)
 
@@ -104,8 +104,8 @@ class CandidateSelection:
             if outcome.model is None:
                 reasons[number] = outcome.reason
             else:
-                beside = models(number) if self.candidates[number].keep_fold_models else []
-                kept[number] = self._committee([outcome.model, *beside], gate) if beside else [outcome.model]
+                others = models(number) if self.candidates[number].keep_fold_models else []
+                kept[number] = self._committee([outcome.model, *others], gate) if others else [outcome.model]
         self._expect(len(kept) > 0, reasons)
         return CandidateChoice(
             errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
@@ -115,26 +115,25 @@ class CandidateSelection:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
 
     def _committee(self, models: Sequence[DynamicsModel], gate: float) -> list[DynamicsModel]:
-        """Return the first of these models, and those of the others that are inside the gate in the runs of all folds.
+        """Return the first of these models, and those of the others that are within the cutoff over all folds.
 
-        The first has learned from all of them, each of the others from all but one, so that folds which are hard to
-        predict count alike.
+        The first was fitted to all folds and each of the others to all but one, so hard folds affect all equally.
         """
         self.work.still()
         errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
         return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
 
-    def _first_turn(self, gate: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
+    def _first_fold(self, gate: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
-        What is saved with those that are dropped, see `_thinned`, is spent on the next ones. What refines another
-        waits until that one is tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
+        The time saved by candidates that are dropped (`_thinned`) is spent on the next ones. A refinement waits until
+        its shorter version was tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
         folds; empty if it is.
         """
         size = self.dataset.system, self.dataset.n_steps, len(self.pairs)
         costs = {number: candidate.cost(*size) for number, candidate in enumerate(self.candidates)}
         errors: list[Errors | None] = [None for _ in costs]
-        reasons = [UNPROMISING if number in self._refined else UNTRIED for number in costs]
+        reasons = [BASE_BEHIND if number in self._refined else UNTRIED for number in costs]
         outcomes: dict[tuple[int, int], FitOutcome] = {}
         batch = affordable({n: cost for n, cost in costs.items() if n not in self._refined}, self.budget) or [0]
         while batch:
@@ -144,7 +143,7 @@ class CandidateSelection:
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
-            ready = [n for n in costs if n not in tried and self._is_promising(n, errors)]
+            ready = [n for n in costs if n not in tried and self._may_be_tried(n, errors)]
             for n in ready:
                 reasons[n] = UNTRIED
             batch = affordable({n: costs[n] for n in ready}, self.budget - spent)
@@ -152,22 +151,21 @@ class CandidateSelection:
 
     @cached_property
     def _refined(self) -> dict[int, int]:
-        """Which candidate another one refines, by the numbers of both."""
+        """The candidate that each refinement extends, by the numbers of both."""
         every = {one.name: number for number, one in enumerate(self.candidates)}
         return {n: every[one.successor_of] for n, one in enumerate(self.candidates) if one.successor_of in every}
 
-    def _is_promising(self, number: int, errors: Sequence[Errors | None]) -> bool:
-        """Whether a candidate refines none, or one that is not far behind, by the ``errors`` of what is tried."""
+    def _may_be_tried(self, number: int, errors: Sequence[Errors | None]) -> bool:
+        """Whether a candidate is no refinement, or the ``errors`` of its shorter version are close to the lowest."""
         if number not in self._refined:
             return True
         found = errors[self._refined[number]]
-        return found is not None and found.mean <= PROMISING * min(one.mean for one in errors if one is not None)
+        return found is not None and found.mean <= REFINE_FACTOR * min(one.mean for one in errors if one is not None)
 
     def _thinned(self, outcomes: Sequence[FitOutcome], gate: float) -> tuple[list[Errors | None], list[str]]:
-        """Return the errors of candidates in the first fold, and why they are not worth the others; empty if they are.
+        """Return the errors in the first fold, and why a candidate is dropped; empty if it is not.
 
-        They are worth it if they are at most ``gate`` times as far off as the best, or not surely worse (paired
-        bootstrap).
+        It is dropped if its error is above ``gate`` times the lowest and significantly so (paired bootstrap).
         """
         errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
         usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
@@ -176,7 +174,7 @@ class CandidateSelection:
             if best is None or error is None or len(self.pairs) == 1:
                 continue
             if error.mean > gate * best.mean and error.above(best).low > 0.0:
-                times = f"{error.mean / best.mean:.1f} x the best in the first of {len(self.pairs)} turns"
+                times = f"{error.mean / best.mean:.1f} x the lowest error in the first of {len(self.pairs)} folds"
                 reasons[number] = reasons[number] or times
         return errors, reasons
 
@@ -196,17 +194,17 @@ class CandidateSelection:
 
     def _expect(self, found: bool, reasons: Sequence[str]) -> None:
         if not found:
-            told = zip(self.candidates, reasons, strict=True)
+            pairs = zip(self.candidates, reasons, strict=True)
             raise InvalidData(
-                "auto: expected a candidate that learns and runs free, got none: "
-                + "; ".join(f"{one.name}: {reason}" for one, reason in told if reason)
+                "auto: expected a candidate that can be fitted and simulated, got none: "
+                + "; ".join(f"{one.name}: {reason}" for one, reason in pairs if reason)
             )
 
 
 def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[Errors | None], list[str]]:
-    """Return the errors of every candidate (None if a fit failed), and why it is not to be used (empty if it is).
+    """Return the errors of every candidate (None if a fit failed), and why it cannot be used (empty if it can).
 
-    Where all diverge, the least bad are used all the same.
+    If all diverge, those that could be simulated are used.
     """
     errors: list[Errors | None] = []
     reasons: list[str] = []
@@ -216,9 +214,9 @@ def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[E
         found = None if reason else judge.errors(runs)
         share = max(outcome.diverged for outcome in folds)
         if found is not None and not np.isfinite(found.mean):
-            found, reason = None, "its free runs are not finite"
+            found, reason = None, "its simulations are not finite"
         elif found is not None and share > MAX_DIVERGED:
-            reason = f"{100 * share:.0f} % of its free runs diverge"
+            reason = f"{100 * share:.0f} % of its simulations diverge"
         errors.append(found)
         reasons.append(reason)
     if all(reasons):
@@ -227,24 +225,25 @@ def judged(rough: Sequence[Sequence[FitOutcome]], judge: Scorer) -> tuple[list[E
 
 
 NARROWER = (1.0, 0.5, 0.25, 0.0)
-"""The gates that are compared, as shares of how far the widest reaches beyond the best."""
+"""The cutoffs that are compared, as shares of the distance from the best to the widest."""
 AS_GOOD = 0.01
 """Share of the lowest error by which the mean of more candidates may be worse than that of fewer."""
 
 
 @dataclass(frozen=True)
 class CutoffComparison:
-    """The ``gate`` that was taken, and the error of the mean of all that are inside each of those compared."""
+    """The cutoff ``gate`` that was chosen, and the error of the mean of all candidates within each one compared."""
 
     gate: float
     compared: tuple[tuple[float, float], ...]
 
 
 def weights_of(structures: Sequence[str]) -> Array:
-    """Return the weights (M,) of members of these classes: a class counts as the root of how many are in it.
+    """Return the weights (M,) of members of these classes; a class has the square root of its number of members.
 
-    Within a class they are equal; their sum is 1. Structurally different models err in different ways, seeds and
-    settings of one mostly in the same: a class of many says more than a class of one, and less than as many classes.
+    Within a class they are equal; their sum is 1. Models of different structure have different errors, while seeds and
+    settings of one structure have similar ones: a class of many counts more than a class of one, but less than as many
+    classes.
     """
     count = Counter(structures)
     found = np.array([1.0 / np.sqrt(count[structure]) for structure in structures])
@@ -254,11 +253,10 @@ def weights_of(structures: Sequence[str]) -> Array:
 def chosen(
     errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
 ) -> tuple[list[int], CutoffComparison]:
-    """Return the numbers of the candidates that are kept, and how the gates compared.
+    """Return the numbers of the candidates that are kept, and the comparison of the cutoffs.
 
-    The gate is narrowed where the mean of those inside it, which ``mean_error`` tells, is worse than that of fewer: the
-    widest whose mean is within 1 % of the best of these means. ``ties``, which are as good as the best for all that is
-    known, stay while they are inside the widest.
+    The cutoff is the widest whose mean has an error (``mean_error``) within 1 % of the lowest. ``ties``, candidates not
+    significantly worse than the best, are kept within the widest cutoff.
     """
     gates = [1.0 + share * (gate - 1.0) for share in NARROWER]
     widest = inside(errors, gate)
@@ -274,7 +272,7 @@ def chosen(
 
 
 def affordable(costs: Mapping[int, float], left: float) -> list[int]:
-    """Return what is taken of these ``costs`` while something is ``left``: in their order, each that still fits."""
+    """Return the candidates that fit into what is ``left`` of the budget, in the order of ``costs``."""
     taken: list[int] = []
     for number, cost in costs.items():
         if cost <= left:
@@ -284,11 +282,10 @@ def affordable(costs: Mapping[int, float], left: float) -> list[int]:
 
 
 def structure_of(model: DynamicsModel) -> str:
-    """Return the class of structure in which a fitted ``model`` is weighed.
+    """Return the class of a fitted ``model`` for its weight.
 
-    That is the ``structure`` of its family, of networks with or without a memory of earlier samples; of a mean, that of
-    its members if it is one. A family that declares none counts as physics if it assumes a good deal of it, and as
-    another structure if it does not.
+    That is the ``model_class`` of its family, for networks with or without lags; for a mean that of its members, if
+    they have only one. A family without one counts as physics if its ``knowledge`` is grey or white, else as other.
     """
     if isinstance(model, MeanModel):
         inside = {structure_of(member) for member in model.members_}

@@ -16,19 +16,19 @@ from sysid_evo.types import Array, check_shape
 
 @register_model("hybrid_ode")
 class HybridOde(NeuralOde, PlanarCarModel):
-    """dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), w the rotation of the frame.
+    """Car physics plus a neural network for what the physics miss, trained together as one differential equation.
 
-    The physics are those of the paper's Equation 1 without its thresholds, with drag on the lateral
-    speed, u forward speed, v lateral speed, r yaw rate, u1 drive and u2 steer (+1 = left)::
+    dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), with w the rotation of the body frame. The physics
+    are Equation 1 of the paper without its thresholds, with drag on the lateral speed; u forward speed, v lateral
+    speed, r yaw rate, u1 drive, u2 steer (+1 = left)::
 
         du/dt = U_f max(u1, 0) - U_b max(-u1, 0) - u D_ul - u |u| D_uv
         dv/dt = - v D_v
         dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
 
-    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s),
-    D_rv (1/rad), D_v (1/s), all positive. They and the residual are trained together as in `neural_ode`;
-    this is the paper's outlook of injecting physics that are not specific to the car (section 6).
-    ``drive`` and ``steer`` name the controls with these roles.
+    ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s), D_rv (1/rad), D_v
+    (1/s), all positive. Training and the other parameters are those of `neural_ode`. ``drive`` and ``steer`` name the
+    controls with these roles. The paper suggests such a combination in section 6.
     """
 
     knowledge = "grey"
@@ -64,17 +64,16 @@ class HybridOde(NeuralOde, PlanarCarModel):
 
 @final
 class CarRateGradient:
-    """The known part of dx/dt of `HybridOde`, under controls that are given before the steps begin.
+    """The known part of dx/dt of `HybridOde` and its gradient, for controls given in advance.
 
-    What the controls do is worked out once for all steps: the thrust (H, ...), and the yaw acceleration per forward
-    speed (H, ...).
+    Thrust (H, ...) and yaw acceleration per forward speed (H, ...) are computed once for all steps.
     """
 
     def __init__(self, roles: CarRoles) -> None:
         self.forward, self.lateral, self.yaw_rate, self.drive, self.steer = roles
 
     def hold(self, controls: Array32, parameters: Array32) -> None:
-        """Expect these ``controls`` (H, ..., nu) and ``parameters`` (9,)."""
+        """Set the ``controls`` (H, ..., nu) and ``parameters`` (9,) of the following steps."""
         drive, steer = controls[..., self.drive], controls[..., self.steer]
         self.controlled = [positive_part(sign * control) for control in (drive, steer) for sign in (1.0, -1.0)]
         ahead, back, left, right = self.controlled
@@ -104,7 +103,7 @@ class CarRateGradient:
     def by_parameters(self, states: Array32, gradients: Array32) -> Array32:
         u, r = states[..., self.forward], states[..., self.yaw_rate]
         along, turn = gradients[..., self.forward], gradients[..., self.yaw_rate]
-        ahead, back, left, right = (part[:, None] for part in self.controlled)  # the same in all calls of a step
+        ahead, back, left, right = (part[:, None] for part in self.controlled)  # equal in all calls of a step
         found = [
             np.sum(along * ahead),
             -np.sum(along * back),

@@ -30,21 +30,20 @@ PARAMETERS = (
 
 @register_model("parametrised")
 class Parametrised(PlanarCarModel, StochasticModel):
-    """A car with thrust, steering, drag, static friction and top speeds; lateral speed is neglected.
+    """Car with thrust, steering, drag, static friction and top speeds: twelve parameters found by evolution.
 
-    With forward speed u, yaw rate r, drive u1 and steer u2 (+1 = left, the paper's sign turned)::
+    With forward speed u, yaw rate r, drive u1 and steer u2 (+1 = left, opposite to the paper)::
 
         du/dt = U_f max(u1, 0) - U_b max(-u1, 0) - u D_ul - sgn(u) u^2 D_uv
         dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - sgn(r) r^2 D_rv
 
-    A speed below its minimum without a command is zero; speeds are clipped to their maxima; the
-    lateral speed is zero (Equation 1, read by its intent). The twelve parameters are encoded in
-    units of the data's own scale and evolved with ``generations`` of a 50+50 strategy on the error
-    after ``horizon`` steps from ``windows`` random starts, every state divided by its standard deviation;
-    in the states' own units with ``error_units="paper"``, the preset of that name.
+    A speed below its minimum without a command is zero; speeds are clipped to their maxima; the lateral speed is zero
+    (the intent of Equation 1). The parameters, in units derived from the data, are evolved for ``generations`` of a
+    50+50 strategy on the error ``horizon`` steps after ``windows`` random starts. The error of each state is divided by
+    its standard deviation, or in its own unit with ``error_units="paper"``, the preset of that name.
 
-    ``drive`` and ``steer`` name the controls with these roles. With ``control_lags`` the equation is
-    driven by the command of that many samples ago, a dead time (none in the paper).
+    ``drive`` and ``steer`` name the controls with these roles. ``control_lags`` delays the commands by that many
+    samples (none in the paper).
     """
 
     knowledge = "grey"
@@ -104,13 +103,13 @@ class Parametrised(PlanarCarModel, StochasticModel):
         return None if kernel is None else (kernel, kernel.of_candidates(flat))
 
     def _flat(self, parameters: Array) -> Array:
-        """Return what `equation_one` reads (P, m), from parameter vectors (P, 12)."""
+        """Return the parameters (P, m) of `equation_one` for parameter vectors (P, 12)."""
         head = np.tile(self.kernel_parameters(self._oldest_command), (len(parameters), 1))
         return np.concatenate([head, parameters], axis=1)
 
     @property
     def _oldest_command(self) -> int:
-        """Where in the carry the command stands that drives the equation; 0 for the present one."""
+        """Position in the carry of the command that acts; 0 for the present one."""
         lag = self.lags[1]
         return self.system.nx + self.system.nu * (lag - 1) if lag else 0
 

@@ -13,7 +13,7 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 CarRoles: TypeAlias = tuple[int, int | None, int, int, int]
-"""Where forward speed, lateral speed (None without one), yaw rate, drive and steer stand."""
+"""Positions of forward speed, lateral speed (None without one), yaw rate, drive and steer."""
 
 
 class PlanarCarModel(DynamicsModel):
@@ -27,20 +27,20 @@ class PlanarCarModel(DynamicsModel):
         for role, name in (("drive", self.drive), ("steer", self.steer)):
             if name not in system.control_names:
                 raise IncompatibleSystem(
-                    f"{type(self).__name__} needs a control for the role {role}: there is no {name!r} among "
-                    f"{', '.join(system.control_names) or 'no controls'}; name it with {role}=..."
+                    f"{type(self).__name__} needs a control for the role {role}: expected {name!r}, got "
+                    f"{', '.join(system.control_names) or 'no controls'}; name yours with {role}=..."
                 )
 
     @property
     def roles(self) -> CarRoles:
-        """Where forward speed, lateral speed, yaw rate, drive and steer stand."""
+        """Positions of forward speed, lateral speed, yaw rate, drive and steer."""
         assert isinstance(self.system.motion, PlanarBody)
         names = self.system.control_names
         of_states = self.system.motion.indices(self.system.state_names)
         return (*of_states, names.index(self.drive), names.index(self.steer))
 
     def kernel_parameters(self, oldest_command: int = 0) -> Array:
-        """Return what the parameters of both kernels of a car begin with."""
+        """Return the first parameters of both kernels of a car."""
         forward, lateral, yaw_rate, drive, steer = self.roles
         return HEAD.pack(
             forward=forward,
@@ -87,10 +87,10 @@ def positive_part(value: Any) -> Any:
 
 
 HEAD = Layout("forward", "lateral", "yaw_rate", "drive", "steer", "nx", "dt", "oldest_command")
-"""What both kernels begin with; the parameters of the equation follow."""
+"""First parameters of both kernels; the parameters of the equation follow."""
 
 OWN = HEAD.size + len(PHYSICAL)
-"""Where the parameters begin that only one of the kernels has."""
+"""Position of the first parameter that only one of the kernels has."""
 
 
 def car_rate(x, u, p, y, scratch):
@@ -135,16 +135,16 @@ def clear(y, rows):
 
 
 def speed_rate(speed, drive, p):
-    """Thrust and drag, as in `accelerations`."""
+    """Return thrust and drag, as in `accelerations`."""
     return p[0] * max(drive, 0.0) - p[1] * max(-drive, 0.0) - speed * p[4] - speed * abs(speed) * p[5]
 
 
 def turn_rate(speed, turn, steer, p):
-    """Steering and drag, as in `accelerations`."""
+    """Return steering and drag, as in `accelerations`."""
     return speed * (p[2] * max(steer, 0.0) - p[3] * max(-steer, 0.0)) - turn * p[6] - turn * abs(turn) * p[7]
 
 
 def settled(after, command, least, most):
-    """A next value: still below ``least`` without a command, at most ``most``."""
+    """Return a next value: zero below ``least`` without a command, at most ``most`` in size."""
     moving = min(max(after, -most), most)
     return where_less(abs(after), least, where_at_most(abs(command), 0.0, 0.0, moving), moving)

@@ -1,6 +1,6 @@
-"""Family single_track: tyres that saturate, as a grey box.
+"""Family single_track: a car with saturating tyres, as a grey box.
 
-In plain numbers, as kernels are written: the same lines serve arrays (`model_zoo.grey_box`).
+The equations are functions of plain numbers, as for kernels, and also run on arrays (`model_zoo.grey_box`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sysid_evo.kernels import Layout
 AT_REST = 0.05
 """Speed in m/s at which three quarters of the rolling resistance act."""
 MIN_LOAD = 0.1
-"""Share of its load at rest that an axle keeps."""
+"""Smallest load of an axle, as a share of its load at rest."""
 
 PARAMETERS = (
     Parameter("thrust_forward", 4.0, 0.2, 40.0, "m/s^2"),
@@ -44,7 +44,7 @@ PARAMETERS = (
     Parameter("load_transfer", 0.02, 0.0, 0.15, "s^2/m"),
     Parameter("slip_floor", 1.0, 0.2, 4.0, "m/s"),
 )
-"""What both tyres share. Forces are per mass, so that they read as accelerations."""
+"""Parameters of both tyre models. Forces are per mass, in units of acceleration."""
 MAGIC = (Parameter("tyre_shape", 1.4, 0.5, 2.5, "1"), Parameter("tyre_curvature", 0.0, -5.0, 1.0, "1"))
 """Pacejka's C and E."""
 
@@ -76,7 +76,7 @@ def magic(slip: Any, shape: Any, curvature: Any) -> Any:
 
 
 def slips(state: Any, control: Any, p: Any) -> Any:
-    """Return sideways speed over speed at the front and the rear wheel, measured against a least speed."""
+    """Return sideways speed over speed at the front and the rear wheels; the speed has a lower bound."""
     u, v, r = state
     angle = steering_angle(control, p)
     pace = math.sqrt(u * u + p[P.slip_floor] * p[P.slip_floor])
@@ -85,7 +85,7 @@ def slips(state: Any, control: Any, p: Any) -> Any:
 
 
 def grips(state: Any, control: Any, p: Any) -> Any:
-    """Return the largest sideways accelerations of both axles: thrust takes from the rear, and shifts the load."""
+    """Return the largest sideways accelerations of both axles: thrust reduces that of the rear, and shifts the load."""
     used = traction(state, control, p) / p[P.traction_limit]
     shift = p[P.load_transfer] * p[P.traction_limit] * used
     front = p[P.front_grip] * max(1.0 - shift, MIN_LOAD)
@@ -94,7 +94,7 @@ def grips(state: Any, control: Any, p: Any) -> Any:
 
 
 def pushed(state: Any, control: Any, p: Any, front: Any, rear: Any) -> Any:
-    """Return the rates under sideways forces per mass; the turning of the frame is not in them."""
+    """Return the rates under sideways forces per mass, without the rotation of the frame."""
     u, _, _ = state
     angle = steering_angle(control, p)
     drag = (p[P.drag_linear] + p[P.drag_quadratic] * abs(u)) * u
@@ -106,7 +106,7 @@ def pushed(state: Any, control: Any, p: Any, front: Any, rear: Any) -> Any:
 
 
 def traction(state: Any, control: Any, p: Any) -> Any:
-    """Return the thrust that arrives on the floor, per mass: the motor's, less with speed, and what the tyres hold."""
+    """Return the thrust per mass: the motor's, which falls with speed, limited by the grip of the tyres."""
     u, _, _ = state
     drive, _ = control
     motor = p[P.thrust_forward] * max(drive, 0.0) - p[P.thrust_backward] * max(-drive, 0.0)
@@ -120,13 +120,13 @@ def steering_angle(control: Any, p: Any) -> Any:
     return p[P.steer_left] * max(steer, 0.0) - p[P.steer_right] * max(-steer, 0.0) + p[P.steer_offset]
 
 
-ANOTHER_DAY = 0.2
-"""Share by which what a manoeuvre says is off elsewhere."""
+DAY_TO_DAY = 0.2
+"""Relative error of a parameter measured by a manoeuvre when conditions change."""
 
 
 @register_model("single_track")
 class SingleTrack(GreyBox, PlanarCarModel):
-    """A single-track car with tyres that saturate, load transfer, and lag and delay of the actuators.
+    """Single-track car with saturating tyres, load transfer, and lag and delay of the actuators (grey box).
 
     With forward speed u, lateral speed v, yaw rate r, steering angle d and forces per mass::
 
@@ -137,9 +137,9 @@ class SingleTrack(GreyBox, PlanarCarModel):
         s_f   = (u sin d - (v + a r) cos d) / pace,  s_r = (b r - v) / pace,  pace = sqrt(u^2 + floor^2)
 
     ``tyre="pacejka"``: F = D sin(C atan(B s - E (B s - atan B s))), C and E the same for both axles (Pacejka 2012,
-    chapter 4); ``tyre="tanh"``: F = D tanh(B s). The grip D of the rear falls with the square of T / limit, and load
-    shifts to the rear by ``load_transfer`` of T. ``drive`` and ``steer`` name the controls with these roles. Fitted as
-    `model_zoo.grey_box.GreyBox` says.
+    chapter 4); ``tyre="tanh"``: F = D tanh(B s). The rear grip D falls with the square of T / limit, and
+    ``load_transfer`` of T shifts to the rear. ``drive`` and ``steer`` name the controls with these roles. The fit and
+    the other parameters are described at `model_zoo.grey_box.GreyBox`.
     """
 
     knowledge = "grey"
@@ -159,20 +159,20 @@ class SingleTrack(GreyBox, PlanarCarModel):
     def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
         """Return losses from coasting, thrust from the acceleration at rest, loss of thrust from the top speed.
 
-        On another day they are some fifth off, so that no prior is narrower.
+        These vary by about 20 % between days, so no prior is narrower than that.
         """
         guesses: dict[str, tuple[float, float]] = {}
-        for name, said in (("rolling_resistance", "rolling resistance forward"), ("drag_linear", "drag forward")):
-            if said in found:
-                guesses[name] = _believed(found[said].value, found[said].error)
+        for name, measured in (("rolling_resistance", "rolling resistance forward"), ("drag_linear", "drag forward")):
+            if measured in found:
+                guesses[name] = _as_prior(found[measured].value, found[measured].error)
         rolling, drag = (guesses.get(name, (0.0, 0.0))[0] for name in ("rolling_resistance", "drag_linear"))
         for way in ("forward", "backward"):
             start, top = found.get(f"acceleration from rest {way}"), found.get(f"top speed {way}")
             if start is not None:
                 thrust = start.value + rolling
-                guesses[f"thrust_{way}"] = _believed(thrust, start.error)
+                guesses[f"thrust_{way}"] = _as_prior(thrust, start.error)
                 if top is not None and way == "forward" and rolling:
-                    guesses["back_emf"] = _believed((thrust - rolling) / top.value - drag, start.error / top.value)
+                    guesses["back_emf"] = _as_prior((thrust - rolling) / top.value - drag, start.error / top.value)
         return guesses
 
     def check_system(self, system: System) -> None:
@@ -180,8 +180,8 @@ class SingleTrack(GreyBox, PlanarCarModel):
         assert isinstance(system.motion, PlanarBody)
         if system.motion.lateral is None:
             raise IncompatibleSystem(
-                "SingleTrack needs the lateral speed, which tells how far the tyres slip: the motion names no channel "
-                "for it; parametrised is a car without"
+                "SingleTrack needs the lateral speed for the slip of its tyres, but the motion names no channel for "
+                "it; use the family parametrised instead"
             )
         GreyBox.check_system(self, system)
 
@@ -193,6 +193,6 @@ class SingleTrack(GreyBox, PlanarCarModel):
         return (forward, lateral, yaw_rate), (names.index(self.drive), names.index(self.steer))
 
 
-def _believed(value: float, error: float) -> tuple[float, float]:
+def _as_prior(value: float, error: float) -> tuple[float, float]:
     """Return a guess that is not negative, and its standard deviation."""
-    return max(value, 0.0), max(error, ANOTHER_DAY * abs(value), 0.01)
+    return max(value, 0.0), max(error, DAY_TO_DAY * abs(value), 0.01)

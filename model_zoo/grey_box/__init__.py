@@ -1,4 +1,4 @@
-"""Physics with unknown parameters: a law in plain numbers, fitted, compiled, and told how sure it is."""
+"""Physics with unknown parameters: an equation written in plain numbers, fitted, compiled, with standard errors."""
 
 from model_zoo.grey_box.model import GreyBox
 from model_zoo.grey_box.parameters import HiddenState, Parameter

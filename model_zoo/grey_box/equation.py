@@ -1,7 +1,7 @@
-"""The equation that is integrated, in NumPy and compiled: law, actuator lag, delay, hidden states and their estimate.
+"""The integrated equation, in NumPy and compiled: law, actuator lag, delay, hidden states and their estimate.
 
-Arrays are component first here, so that many parameter vectors run in many windows at once: a state is (n, B) and
-parameters are (n_parameters, 1), or (n, P, B) and (n_parameters, P, 1).
+Components are the first axis of arrays, so that many parameter vectors run in many windows at once: a state is (n, B)
+and parameters are (n_parameters, 1), or (n, P, B) and (n_parameters, P, 1).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, check_shape
 
 SHORTEST_LAG = 0.5
-"""Of a step of the integration: a faster actuator is none."""
+"""Shortest actuator lag, in integration steps."""
 LONGEST_LAG = 1.0  # s
 
 
 @dataclass(frozen=True)
 class GreyBoxEquation:
-    """The law ``rate(state, control, p)`` on a system, with what is switched on around it.
+    """The law ``rate(state, control, p)`` on a system, with actuator lag, delay and hidden states.
 
-    The law's states are those of the system at the places ``states`` and then ``hidden`` ones, its controls those at
-    ``controls``. ``known`` are places of states and of those that are their rates; the law gives the rates of the
-    others. With ``lagged`` every control acts through a first-order lag of its own; ``delay`` is how many earlier
-    samples of the controls are remembered, for a delay between 0 and that.
+    The law's states are the system's states at the positions ``states``, then the ``hidden`` ones; its controls are
+    those at ``controls``. ``known`` are pairs of positions: a state and the state that is its rate; the law gives the
+    other rates. With ``lagged`` every control has a first-order lag of its own; ``delay`` is the largest delay of the
+    controls in samples.
     """
 
     system: System
@@ -70,7 +70,7 @@ class GreyBoxEquation:
 
     @cached_property
     def extended(self) -> System:
-        """The system with hidden states and the states of the actuators behind the measured ones."""
+        """The system with hidden states and actuator states after the measured ones."""
         actuators = [self.system.controls[i] for i in self.controls] if self.lagged else []
         more = [hidden.channel for hidden in self.hidden]
         more += [
@@ -81,36 +81,36 @@ class GreyBoxEquation:
 
     @property
     def layout(self) -> CarryLayout:
-        """The carry: extended state, then the earlier controls that a delay wants."""
+        """The carry: extended state, then the earlier controls needed for the delay."""
         return CarryLayout(self.extended.nx, self.system.nu, 0, self.delay)
 
     @property
     def hidden_rows(self) -> slice:
-        """Where the hidden states stand in the carry."""
+        """Positions of the hidden states in the carry."""
         return slice(self.system.nx, self.system.nx + len(self.hidden))
 
     @property
     def actuator_rows(self) -> slice:
-        """Where the actuators stand in the carry."""
+        """Positions of the actuator states in the carry."""
         return slice(self.system.nx + len(self.hidden), self.extended.nx)
 
     @cached_property
     def law_rows(self) -> tuple[int, ...]:
-        """Where the law's states stand in the carry."""
+        """Positions of the law's states in the carry."""
         return (*self.states, *range(self.system.nx, self.system.nx + len(self.hidden)))
 
     @cached_property
     def rate_rows(self) -> tuple[int, ...]:
-        """Where the states whose rates the law gives stand in the carry."""
+        """Positions in the carry of the states whose rates the law gives."""
         positions = [position for position, _ in self.known]
         return tuple(row for row in self.law_rows if row not in positions)
 
     def shorter(self, delay: float) -> GreyBoxEquation:
-        """Return the structure that remembers no more samples than this delay wants."""
+        """Return the structure with only the earlier controls needed for this delay."""
         return replace(self, delay=max(1, math.ceil(delay - 1e-9))) if self.delay else self
 
     def check(self) -> None:
-        """Raise `InvalidArgument` unless the law gives one finite rate for each state of which none is known."""
+        """Raise `InvalidArgument` unless the law gives one finite rate for each state without a known rate."""
         extended = self.extended.neutral_state[list(self.law_rows)]
         neutral = self.system.neutral_control[list(self.controls)]
         guess = np.array([parameter.guess for parameter in self.own])
@@ -122,19 +122,19 @@ class GreyBoxEquation:
         except (TypeError, ValueError) as error:
             raise InvalidArgument(
                 f"{name}(state, control, p): expected a tuple of rates from {len(extended)} states, {len(neutral)} "
-                f"controls and {len(guess)} parameters; it says: {error}"
+                f"controls and {len(guess)} parameters; got {error}"
             ) from error
         if len(values) != len(self.rate_rows):
             names = [self.extended.state_names[i] for i in self.rate_rows]
             raise InvalidArgument(
                 f"{name}(state, control, p): expected {len(names)} rates, of {', '.join(names)}; got {len(values)}. "
-                "Of states that are the rate of another one, tell so in speeds"
+                "If a state is the rate of another one, name both in rate_of"
             )
         if not np.isfinite(values).all():
             raise InvalidArgument(f"{name}(state, control, p): the rates at rest with the first guess are {values}")
 
     def acting(self, p: Array, controls: list[Array]) -> Array:
-        """Return the law's controls (n, ...) from the present and earlier ones (nu, ...), newest first: delayed."""
+        """Return the delayed controls (n, ...) of the law from present and earlier ones (nu, ...), newest first."""
         places = list(self.controls)
         if not self.delay:
             return controls[0][places]
@@ -142,7 +142,7 @@ class GreyBoxEquation:
         return np.asarray(sum(share * control[places] for share, control in zip(shares, controls, strict=True)))
 
     def rates(self, x: Array, commanded: Array, p: Array) -> Array:
-        """Return d/dt of the extended state ``x`` (n, ...) under commands (n_controls, ...) that have arrived."""
+        """Return d/dt of the extended state ``x`` (n, ...) under delayed commands (n_controls, ...)."""
         found = np.zeros_like(x)
         control = x[self.actuator_rows] if self.lagged else commanded
         rates = array_form(self.law)(tuple(x[i] for i in self.law_rows), tuple(control), tuple(p[: len(self.own)]))
@@ -162,7 +162,7 @@ class GreyBoxEquation:
     ) -> tuple[Array, Array]:
         """Return the next extended state (n, ...) and the earlier controls from a carry (n_carry, ...).
 
-        ``extra`` is what is added to the rates of the measured states (nx, ...) in an extended state.
+        ``extra`` (nx, ...) of an extended state is added to the rates of the measured states.
         """
         nx, nu = self.extended.nx, self.system.nu
         past = carry[nx:]
@@ -188,7 +188,7 @@ class GreyBoxEquation:
     def start(self, p: Array, states: Array, controls: Array, hidden: Array) -> Array:
         """Return the carry (n_carry, ..., B) after a history (B, L + 1, nx), (B, L, nu) with ``hidden`` (n, ..., B).
 
-        The actuators follow the commands of the history, of which the oldest one has held for long.
+        The actuators follow the commands of the history; the oldest one counts as held before.
         """
         rank = p.ndim
         newest_first = np.moveaxis(controls, 2, 0)[:, :, ::-1]  # (nu, B, L)
@@ -212,23 +212,23 @@ class GreyBoxEquation:
 
 
 def _ranked(values: Array, rank: int) -> Array:
-    """Return (n, B) with as many axes as ``rank``, those of parameters between."""
+    """Return (n, B) with ``rank`` axes, those of parameters in between."""
     return values.reshape(len(values), *[1] * (rank - 2), -1)
 
 
 def delay_shares(delay: Array, longest: int) -> list[Array]:
-    """Return the shares of the controls of 0, 1, ... ``longest`` samples ago that act under a ``delay`` in samples.
+    """Return the weights of the controls of 0, 1, ... ``longest`` samples ago for a ``delay`` in samples.
 
-    A control that arrives within the sample acts for the rest of it: a weighted mean of two neighbours.
+    A fraction of a sample is a weighted mean of two neighbours.
     """
     return [np.maximum(1.0 - np.abs(delay - lag), 0.0) for lag in range(longest + 1)]
 
 
 ROUNDS = 3
-"""Of Gauss and Newton, in which hidden states are estimated."""
+"""Gauss-Newton iterations for hidden states."""
 
 STEP = 1e-4
-"""Of the spread of a hidden state: the step of a difference quotient."""
+"""Step of a difference quotient, in spreads of a hidden state."""
 
 
 def estimate_hidden(
@@ -236,8 +236,8 @@ def estimate_hidden(
 ) -> Array:
     """Return the most likely hidden states (n, B) at the end of a history (B, L + 1, nx), (B, L, nu).
 
-    Those at its beginning are normal with ``mean`` and ``spread`` (n,) before anything is seen; a free run from there
-    is off what is measured by ``noise`` (nx,). Each row is found for itself.
+    Their prior at its beginning is normal with ``mean`` and ``spread`` (n,); a simulation from there differs from the
+    measurements by ``noise`` (nx,). Rows are independent.
     """
     n, batch, length = len(mean), len(states), controls.shape[1]
     low, high = structure.extended.limits[:, structure.hidden_rows, None]
@@ -281,8 +281,8 @@ def structure_kernel(
 ) -> DynamicsKernel | None:
     """Return the kernel of a structure with parameters (n,); None if the motion has no compiled form.
 
-    With ``dead_band_size`` (n,), an extended state that rests stays at rest; ``extra`` is added to the rates
-    of the measured ones.
+    With ``dead_band_size`` (n,), an extended state at rest stays there; ``extra`` is added to the rates of measured
+    states.
     """
     system, rows = structure.extended, structure.actuator_rows
     law = LawOverLanes(
@@ -307,7 +307,7 @@ def structure_kernel(
 
 
 def kernel_parameters(structure: GreyBoxEquation, p: Array) -> Array:
-    """Return what `LawOverLanes` reads (P, m), from parameters (P, n): 1 / lag, and shares of the delay."""
+    """Return the parameters (P, m) of `LawOverLanes` from (P, n): 1 / lag, and weights of the delay."""
     n, lags = len(structure.own), len(structure.controls) if structure.lagged else 0
     parts = [p[:, :n], 1.0 / p[:, n : n + lags]]
     if structure.delay:
@@ -318,10 +318,9 @@ def kernel_parameters(structure: GreyBoxEquation, p: Array) -> Array:
 
 @dataclass(frozen=True)
 class LawOverLanes:
-    """A predictor of d/dt of the extended state of a `GreyBoxEquation`: its law, a function of plain numbers, over
-    lanes.
+    """A predictor of d/dt of the extended state of a `GreyBoxEquation`, its law applied lane by lane.
 
-    Its parameters are those of the law, 1 / lag of every actuator, and the share of each sample of the delay.
+    Its parameters are those of the law, 1 / lag of every actuator, and the weight of each sample of the delay.
     """
 
     function: Callable[..., Any]
@@ -338,7 +337,7 @@ class LawOverLanes:
     bindings: ClassVar[Mapping[str, Any]] = {}
 
     def write(self, inner: str, name: str) -> str:
-        """Return the text of the block function around the law called ``inner``."""
+        """Return the source of the block function around the law called ``inner``."""
         lines = [f"def {name}(x, u, p, y, scratch):", "    for lane in range(LANES):"]
         shares = self.n_own + len(self.actuator_rows)
         for i, control in enumerate(self.controls):

@@ -22,24 +22,24 @@ from sysid_evo.processors import resolve
 from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
-"""Of the width of the bounds: the step of a difference quotient, far above the rounding of float32."""
+"""Step of a difference quotient, as a share of the bounds: far above the rounding of float32."""
 LOOSE = 0.02
-"""Weight of the prior of a hidden start, whose deviation is a quarter of its range, against one error."""
+"""Weight of the prior of a hidden initial state, whose deviation is a quarter of its range, against one error."""
 VAGUE = 0.5
-"""Standard deviation of a guess in the cube: what the data leave open stays near it, and the search converges."""
+"""Standard deviation of a guess in the cube: undetermined parameters stay near it, and the search converges."""
 NOISE = 0.1
-"""What an error is taken for until it is known, in spreads of the state."""
+"""Assumed error, in spreads of the state, before it is estimated."""
 WORST = 1e3
-"""An error, in spreads of the state, beyond which none counts."""
+"""Errors are limited to this many spreads of the state."""
 ROBUST_AT = 1.5
-"""Deviations from which on an error counts linearly, in a robust fit (Huber's rule of thumb, rounded up)."""
+"""In a robust fit, errors above this many deviations count linearly (Huber's rule of thumb, rounded up)."""
 
 
 @dataclass(frozen=True)
 class LeastSquaresFit:
-    """Places in the cube of bounds (n,), hidden starts (nh, W), offsets (G, k), weighted errors and their Jacobian.
+    """Points in the cube of bounds (n,), hidden initial states (nh, W), offsets (G, k), weighted errors, Jacobian.
 
-    ``errors`` (W, m) and ``jacobian`` (W, m, n) are those of the data alone, ``by_hidden`` (W, m, nh) likewise.
+    ``errors`` (W, m), ``jacobian`` (W, m, n) and ``by_hidden`` (W, m, nh) are those of the data, without priors.
     """
 
     places: Array
@@ -53,16 +53,16 @@ class LeastSquaresFit:
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """Errors of free runs in ``windows`` as a function of everything unknown.
+    """Simulation errors in ``windows`` as a function of all unknowns.
 
-    ``varied`` are the parameters that have an offset in each group, whose standard deviations ``spreads`` (k,) in the
-    cube are given. Parameters with a ``spread`` of their own pull to their guess, an error counting as
-    ``inflation`` errors would that hang together. ``told`` is called before each evaluation.
+    ``varied`` are the parameters with an offset in each group, of standard deviation ``spreads`` (k,) in the cube.
+    Parameters with a ``spread`` have a prior at their guess; ``inflation`` correlated errors count as one. ``report``
+    is called before each evaluation.
     """
 
     structure: GreyBoxEquation
     windows: FitWindows
-    told: Callable[[], None]
+    report: Callable[[], None]
     robust: bool = False
     varied: tuple[int, ...] = ()
     spreads: Array = field(default_factory=lambda: np.empty(0))
@@ -85,15 +85,15 @@ class LeastSquares:
 
     @cached_property
     def _guesses(self) -> tuple[Array, Array]:
-        """Where each parameter is guessed to be in the cube, and the standard deviation of that guess, (n,) each."""
+        """Guess of each parameter in the cube, and its standard deviation, (n,) each."""
         parameters, box = self.structure.parameters, self.structure.box
         places = box.places(np.array([p.guess for p in parameters]))
         known = np.array([p.spread or np.inf for p in parameters]) / box.slopes(places)
         return places, np.minimum(known, VAGUE)
 
     def cost(self, places: Array) -> Array:
-        """Return the mean square error (P,) at places (P, n), hidden states followed through the history."""
-        self.told()
+        """Return the mean square error (P,) at points (P, n), with hidden states propagated through the history."""
+        self.report()
         p = self.structure.box.values(places).T[:, :, None]
         errors = self._bounded(
             self.windows.errors(self.structure, p, self.windows.hidden_from_history(self.structure, p))
@@ -101,7 +101,7 @@ class LeastSquares:
         return np.asarray(np.mean(np.minimum(errors**2, 1.0), axis=(1, 2)))
 
     def solve(self, places: Array, *, evaluations: int, hidden: Array | None = None) -> LeastSquaresFit:
-        """Return the least squares from a start; ``hidden`` (nh, W) are followed through the history unless given."""
+        """Return the least squares from a start; ``hidden`` (nh, W) are propagated through the history unless given."""
         structure, box = self.structure, self.structure.box
         low, width = self._hidden_scale
         if hidden is None:
@@ -139,19 +139,19 @@ class LeastSquares:
         )
 
     def _typical(self, x: Array) -> float:
-        """Return the deviation of the errors at ``x`` that outliers do not move: 1.48 median absolute ones."""
+        """Return the deviation of the errors at ``x``, robust to outliers: 1.48 median absolute errors."""
         off = np.abs(self._values(x)[: self.windows.cut.states[0].size * len(self.windows)])
         return max(1.4826 * float(np.median(off)), 1e-9)
 
     def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return places (n,), offsets (G, k) and hidden starts (nh, W) in units of their width."""
+        """Return points (n,), offsets (G, k) and hidden initial states (nh, W) in units of their width."""
         n, k = self.n, len(self.varied)
         end = n + self.n_groups * k
         return x[:n], x[n:end].reshape(self.n_groups, k), x[end:].reshape(-1, len(self.windows))
 
     def _run(self, places: Array, offsets: Array, zeta: Array) -> Array:
-        """Return the errors (P, W, m) at places (n, P, 1), offsets (G, k), hidden starts (nh, P, W)."""
-        self.told()
+        """Return the errors (P, W, m) at points (n, P, 1), offsets (G, k), hidden initial states (nh, P, W)."""
+        self.report()
         low, width = (side[:, None, None] for side in self._hidden_scale)
         if len(self.varied):
             places = np.repeat(places, len(self.windows), axis=2)
@@ -169,7 +169,7 @@ class LeastSquares:
         return np.concatenate([errors.ravel(), self._priors(x)])
 
     def _priors(self, x: Array) -> Array:
-        """Return what pulls to what was known before: measured parameters, no offsets, hidden states at rest."""
+        """Return the residuals of the priors: measured parameters, zero offsets, hidden states at rest."""
         places, offsets, zeta = self._split(x)
         guesses, spreads = self._guesses
         weight = self.noise * np.sqrt(self.inflation)
@@ -182,9 +182,9 @@ class LeastSquares:
         )
 
     def _parts(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return errors (W, m) and their derivatives by places (W, m, n) and by hidden starts (W, m, nh), of the data.
+        """Return errors (W, m) and their derivatives by points (W, m, n) and by hidden initial states (W, m, nh).
 
-        All differences are one batch: every parameter and every hidden state moves in a copy of all windows.
+        All differences are one batch: every parameter and hidden state is varied in a copy of all windows.
         """
         places, offsets, zeta = self._split(x)
         n, nh = self.n, len(zeta)
@@ -198,7 +198,7 @@ class LeastSquares:
         return errors[0], by[..., :n], by[..., n:]
 
     def _jacobian(self, x: Array) -> Array:
-        """Return the Jacobian of `_values`, of the data and of the priors."""
+        """Return the Jacobian of `_values`, for data and priors."""
         _, by_places, by_hidden = self._parts(x)
         windows, m, n = by_places.shape
         k, groups, nh = len(self.varied), self.n_groups, by_hidden.shape[2]
@@ -222,15 +222,15 @@ class LeastSquares:
 
 
 FEWEST = 60
-"""Windows that a short recording is cut into, which then overlap."""
+"""Number of windows of a short recording, which then overlap."""
 
 
 @dataclass(frozen=True)
 class FitWindows:
-    """W windows of H steps with what is measured in them, and the ``group`` (condition, or recording) of each, (W,).
+    """W windows of H steps with their measurements and ``group`` (condition, or recording), (W,).
 
-    ``scale`` (nx,) is the spread of every state, in which errors are counted; ``limits`` (2, nx) are where free runs
-    are clipped; ``order`` (W,) is when each window begins, in steps since the first episode began.
+    Errors are in units of ``scale`` (nx,), the spread of every state; simulations are clipped to ``limits`` (2, nx);
+    ``order`` (W,) is the start of each window in steps since the first episode began.
     """
 
     cut: Windows
@@ -242,10 +242,10 @@ class FitWindows:
 
     @classmethod
     def of(cls, dataset: Dataset, horizon: int, *, history: int, most: int, limits: Array) -> FitWindows:
-        """Cut ``most`` windows or fewer, evenly over the recording, wherever the system moves; they overlap if few."""
+        """Cut up to ``most`` windows, evenly over the moving parts of the recording; they overlap if there are few."""
         longest = max(len(episode) for episode in dataset.episodes) - history
         if longest < 1:
-            raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
+            raise InvalidData(f"data set: expected an episode longer than the history of {history} steps, got none")
         horizon = min(horizon, longest)
         room = sum(max(0, len(episode) - history - horizon + 1) for episode in dataset.episodes)
         stride = max(1, min(horizon, room // FEWEST))
@@ -269,10 +269,10 @@ class FitWindows:
         return replace(self, cut=self.cut[rows], group=self.group[rows], order=self.order[rows])
 
     def runs(self, structure: GreyBoxEquation, p: Array, hidden: Array) -> Array:
-        """Return free runs (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
+        """Return simulations (P, W, H, nx) with parameters (n, P, 1 or W), from ``hidden`` states (n, P or 1, W).
 
-        Compiled where the motion has a compiled form, unless `SYSID_EVO_ENGINE` names the reference.
-        Where parameters differ from window to window, they are the same in all of a group.
+        They are compiled if the motion has a compiled form, unless `SYSID_EVO_ENGINE` selects the reference. Parameters
+        that differ between windows are equal within a group.
         """
         w = self.cut
         if p.shape[2] > 1:
@@ -321,7 +321,7 @@ class FitWindows:
     def hidden_from_history(self, structure: GreyBoxEquation, p: Array) -> Array:
         """Return the hidden states (n, P, W) at the start of the windows, after a history that begins at rest.
 
-        All other states are the measured ones throughout.
+        All other states are the measured ones.
         """
         w, rows = self.cut, structure.hidden_rows
         rest = np.array([hidden.initial for hidden in structure.hidden])[:, None, None]
@@ -332,14 +332,14 @@ class FitWindows:
 
 
 SCREENED = 48
-"""Places of the cube that are looked at, the best of which are starts."""
+"""Random points of the cube that are evaluated; the best are starts."""
 FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
 KEPT = 2
-"""Starts of the last fit: the best ends of the first one."""
+"""Starts of the last fit: the best results of the first one."""
 
 
 def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list[Array]:
-    """Return the guess and the best of many random places of the cube, ``count`` in all."""
+    """Return the guess and the best of many random points of the cube, ``count`` in all."""
     box = first.structure.box
     guess = box.places(np.array([parameter.guess for parameter in first.structure.parameters]))
     drawn = rng.uniform(size=(SCREENED, len(guess)))
@@ -348,7 +348,7 @@ def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list
 
 
 def best_of(last: LeastSquares, begun: Sequence[Array]) -> LeastSquaresFit:
-    """Return the best least squares from the best of these ends of the first fit."""
+    """Return the best least squares from the best of these results of the first fit."""
     costs = [float(last.cost(place[None])[0]) for place in begun]
     found: list[LeastSquaresFit] = []
     for i in np.argsort(costs, kind="stable"):
@@ -358,13 +358,13 @@ def best_of(last: LeastSquares, begun: Sequence[Array]) -> LeastSquaresFit:
 
 
 def sureness_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCovariance:
-    """Return how sure the parameters are at the end of a fit."""
+    """Return the covariance of the parameters at the end of a fit."""
     known = known_variances(problem.structure.parameters, best.places)
     return parameter_covariance(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
 
 
 def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
-    """Return the variance (n,) of each place in the cube without data: that of its prior, or of its bounds alone."""
+    """Return the variance (n,) of each parameter in the cube without data: of its prior, or of its bounds alone."""
     slopes = ParameterBounds.of(parameters).slopes(places)
     spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
     return np.minimum(spreads**2, 1.0 / 12.0)
@@ -372,22 +372,20 @@ def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
 
 ROUNDS = 6
 FIRST_SPREAD = 0.05
-"""Standard deviation of the offsets in the cube that is assumed at first."""
+"""Initial standard deviation of the offsets in the cube."""
 EVALUATIONS = 12
 LEAST = 1e-4
-"""Of the width of the bounds: a standard deviation that is none."""
+"""Standard deviation, as a share of the bounds, that counts as zero."""
 
 
 def fit_random_effects(
     problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance, varied: Sequence[int]
 ) -> tuple[LeastSquaresFit, Array]:
-    """Return the estimate in which some parameters have an offset in each group, normal around nothing.
+    """Return the estimate in which some parameters have a normal offset in each group.
 
-    With it comes their standard deviation (k,) from group to group, in the cube.
-    How far they spread is found with them: the spread whose square is the mean of offset^2 + the variance of what is
-    left unknown of it, again and again (expectation, maximisation; Laird and Ware 1982). Few data of a group, or none
-    that depend on the parameter, leave its offset near zero. Errors that hang together count as ``sure.inflation``
-    times fewer.
+    The second result is the standard deviation (k,) of these offsets in the cube. It is estimated by
+    expectation-maximisation (Laird and Ware 1982): its square is the mean of offset^2 + the remaining variance of the
+    offset. Groups with little data have offsets near zero. Correlated errors count ``sure.inflation`` times less.
     """
     spreads, found = np.full(len(varied), FIRST_SPREAD), best
     for _ in range(ROUNDS):
@@ -399,7 +397,7 @@ def fit_random_effects(
 
 
 def _unknown(problem: LeastSquares, found: LeastSquaresFit) -> Array:
-    """Return the variance (G, k) of each offset that the data of its group leave, each by itself."""
+    """Return the remaining variance (G, k) of each offset given the data of its group, each on its own."""
     square = problem.noise**2 * problem.inflation
     by = found.jacobian[..., list(problem.varied)]
     each = np.sum(by**2, axis=1)  # (W, k)

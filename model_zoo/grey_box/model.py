@@ -1,4 +1,4 @@
-"""GreyBox, the base of families that are physics with unknown parameters."""
+"""GreyBox, the base class of families that are physics with unknown parameters."""
 
 from __future__ import annotations
 
@@ -47,54 +47,47 @@ from sysid_evo.validation.folds import time_fold
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 SHORT = 5
-"""The first fit is to free runs of a fifth of the length of the last one."""
+"""The first fit uses simulations of one part in this many of the final length."""
 PAST = 20
-"""Samples before a window from which its actuators and hidden states begin in a fit, if the episodes are so long."""
+"""Samples before a window from which its actuator and hidden states are initialised, if episodes are long enough."""
 
 SHARES = (0.0, 0.5, 1.0)
-"""Of a residual, that may be kept."""
+"""Shares of a residual that may be kept."""
 BETTER = 0.98
-"""None of it is kept unless free runs are better by this factor."""
+"""A residual is kept only if it reduces the simulation error to this share or less."""
 HIDDEN_SHARE = 0.3
-"""Share of the windows, if each has hidden states of its own to be estimated, which takes longer."""
+"""Share of the windows that is used if each has hidden states to be estimated, which takes longer."""
 
 
 class GreyBox(DynamicsModel):
-    """dx/dt = rate(x, u, p): physics written down, with parameters p that are fitted.
+    """Base class for physics with unknown parameters: dx/dt = rate(x, u, p), p fitted to recordings.
 
-    A family names ``parameters``, the ``states`` and ``controls`` that `rate` takes (all of the system's, in its
-    order, unless named), and writes `rate` in plain numbers: its arguments are tuples, and so is what it returns, one
-    rate for each state. It may use what a kernel may (docs/kernels.md). It runs on arrays while it is fitted, and is
-    compiled for evolution. Of a system with a motion, the turning of the body's frame is added to what it returns.
+    A family declares ``parameters`` and writes `rate` in plain numbers: its arguments are the tuples of ``states``,
+    ``controls`` (all of the system's by default, in its order) and parameters, and it returns a tuple of one rate per
+    state. It may use what kernels may use (docs/kernels.md): it runs on arrays during the fit and compiled in
+    evolution. For a system with a motion, the rotation of the body frame is added. A family of positions and speeds may
+    write `acceleration` instead and map each position to its speed in ``rate_of``; it returns the rates of all states
+    but the positions. ``hidden_states`` are unmeasured states, arguments of `rate` after the others; they are estimated
+    from ``past_samples`` samples.
 
-    A family whose states are positions and their speeds may write `acceleration` instead, and name in ``rate_of`` which
-    state is the rate of which: it returns the rates of all states but the positions.
+    Options: ``actuator_lag`` adds a first-order lag to every control (s); ``command_delay`` adds one delay of all
+    controls, up to ``longest_delay`` samples. Both are fitted like other parameters. With ``residual`` a radial network
+    of ``residual_points`` functions learns the one-step residual; it is zero far from the data. All, half or none of it
+    is kept, by the simulation error on held-out blocks of time.
 
-    ``hidden_states`` names states that are not measured; `rate` takes them after the others. They begin every run where
-    the ``past_samples`` samples before it say.
+    The fit is least squares of simulations from measured states (multiple shooting): first over a fifth of ``seconds``,
+    from ``starts`` points within the bounds, then over ``seconds``, in up to ``windows`` windows whose initial hidden
+    states are estimated too. ``robust`` counts errors above 1.5 deviations linearly. Integration is fourth-order
+    Runge-Kutta with ``substeps`` steps per sample. Episodes of manoeuvres that measure a parameter
+    (`sysid_evo.data.response`) give guesses and priors, see `initial_guesses`.
 
-    Parts that can be switched on: ``actuator_lag``, a first-order lag of every control; ``command_delay``, one delay
-    of all of them, in samples up to ``longest_delay``; both are parameters like the others.
+    The parameters in ``random_effects`` may differ between recordings, or between conditions if episodes name them
+    (battery, floor). The differences are shrunk towards zero unless the data require them, the model predicts with the
+    common values, and `random_effects_table` lists the differences.
 
-    The parameters are those of the least squares of free runs from measured states, of a fifth of ``seconds`` first,
-    from ``starts`` starts inside the bounds, then of ``seconds`` (multiple shooting: of each of up to ``windows``
-    windows the hidden states at its start are estimated too). With ``robust`` errors beyond 1.5 deviations count
-    linearly. Integrated by Runge and Kutta's method, ``substeps`` to a sample.
-
-    With ``residual`` a radial network of ``residual_points`` bumps learns what the physics leave of each step; it is
-    nothing where there are no data, and as much of it is kept (all, half, none) as makes free runs in held-out blocks
-    of time better.
-
-    The parameters named in ``random_effects`` may differ from recording to recording (another battery, another floor),
-    or from condition to condition where episodes name theirs. Their differences are shrunk to nothing as far as the
-    data do not ask for them (random effects), the model predicts with what is common, and `random_effects_table` tells
-    the rest.
-
-    Episodes of manoeuvres that measure (`sysid_evo.data.response`) give guesses and priors, see `initial_guesses`.
-
-    ``parameters_`` are the parameters, ``standard_errors_`` theirs. Errors of neighbouring samples hang together: they
-    come from the gradients of whole blocks of time (clustered standard errors). ``undetermined_`` are sentences on
-    what the data leave open. `parameters_table` has all of it.
+    ``parameters_`` and ``standard_errors_`` are the result, with clustered standard errors over blocks of time, because
+    neighbouring errors are correlated. ``undetermined_`` lists what the data do not determine. `parameters_table` has
+    all of it.
     """
 
     knowledge = "grey"
@@ -133,32 +126,31 @@ class GreyBox(DynamicsModel):
 
     @staticmethod
     def acceleration(state: Any, control: Any, p: Any) -> Any:  # type: ignore[override]  # noqa: ARG004  # a law, see below
-        """Return d/dt of the states that are no positions of ``rate_of``, in their order; instead of `rate`.
+        """Return d/dt of all states except the positions in ``rate_of``, in their order; instead of `rate`.
 
-        It is a law like `rate`, and has its arguments: `step` is written here and never asks the inherited method.
+        It is a law like `rate`, with the same arguments; `step` never calls the inherited method.
         """
         raise TypeError("a grey box must define rate(state, control, p) or acceleration(state, control, p)")
 
     @property
     def law(self) -> Callable[..., Any]:
-        """The function that is integrated; `rate` or `acceleration`, unless a family has a choice of several."""
+        """The function that is integrated: `rate` or `acceleration`, unless a family offers several."""
         own = type(self)
         return own.rate if own.acceleration is GreyBox.acceleration else own.acceleration
 
     def law_parameters(self) -> tuple[Parameter, ...]:
-        """Return the parameters of `law`; ``parameters``, unless a family has a choice of several."""
+        """Return the parameters of `law`: ``parameters``, unless a family offers several laws."""
         return self.parameters
 
     def initial_guesses(self, found: Mapping[str, ManoeuvreResult]) -> Mapping[str, tuple[float, float]]:
-        """Return guess and standard deviation of parameters, by name, from what manoeuvres say; none by default.
+        """Return guess and standard deviation of parameters, by name, from manoeuvres; none by default.
 
-        ``found`` has the names of `sysid_evo.data.response`, such as ``drag forward``; of one that was measured more
-        often, the last.
+        ``found`` has the names of `sysid_evo.data.response`, such as ``drag forward``; the last measurement of each.
         """
         return {}
 
     def channel_indices(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return where the states and the controls of `law` stand in ``system``. Raises `IncompatibleSystem`."""
+        """Return the positions of the states and controls of `law` in ``system``. Raises `IncompatibleSystem`."""
         return (
             named_places(self, "state", self.states, system.state_names),
             named_places(self, "control", self.controls, system.control_names),
@@ -170,7 +162,7 @@ class GreyBox(DynamicsModel):
         for name in self.random_effects or []:
             if name not in known:
                 raise InvalidArgument(
-                    f"{type(self).__name__}: offsets: there is no parameter {name!r}; there are {', '.join(known)}"
+                    f"{type(self).__name__}: random_effects: expected names out of {', '.join(known)}, got {name!r}"
                 )
 
     def check_system(self, system: System) -> None:
@@ -178,15 +170,15 @@ class GreyBox(DynamicsModel):
         left = [name for i, name in enumerate(system.state_names) if i not in states]
         if left:
             raise IncompatibleSystem(
-                f"{type(self).__name__} says nothing of {', '.join(left)}: name all states of the system, in the order "
-                "in which rate takes them"
+                f"{type(self).__name__} lacks {', '.join(left)}: name all states of the system, in the order "
+                "of the arguments of rate"
             )
         self._structure_on(system, states, controls).check()
 
     def _structure_on(
         self, system: System, states: tuple[int, ...] | None = None, controls: tuple[int, ...] | None = None
     ) -> GreyBoxEquation:
-        """Return the structure as it is fitted, with the longest delay."""
+        """Return the structure for the fit, with the longest delay."""
         at = self.channel_indices(system) if states is None or controls is None else (states, controls)
         return GreyBoxEquation(
             system=system,
@@ -203,7 +195,7 @@ class GreyBox(DynamicsModel):
 
     @property
     def integrated(self) -> GreyBoxEquation:
-        """What is integrated, with no more earlier controls than the delay that was found."""
+        """The integrated structure, with only the earlier controls that the fitted delay needs."""
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
 
@@ -223,7 +215,7 @@ class GreyBox(DynamicsModel):
         total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + KEPT * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
 
-        def told() -> None:
+        def report() -> None:
             counter.done = min(counter.done, total - 1)
             counter.advance()
 
@@ -236,7 +228,7 @@ class GreyBox(DynamicsModel):
             FitWindows.of(dataset, steps, history=history, most=most, limits=self.state_bounds_)
             for steps in (-(-horizon // SHORT), horizon)
         ]
-        first, last = (LeastSquares(structure, some, told, self.robust) for some in windows)
+        first, last = (LeastSquares(structure, some, report, self.robust) for some in windows)
         begun = [
             first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in starts_of(first, self.starts, rng)
         ]
@@ -249,7 +241,7 @@ class GreyBox(DynamicsModel):
             best = self._learn_offsets(last, best, sureness_of(last, best))
         self._learn(last, best)
         if self.residual:
-            self._learn_residual(dataset, rng, told)
+            self._learn_residual(dataset, rng, report)
         return self
 
     def learned_arrays(self) -> Mapping[str, Declared]:
@@ -276,13 +268,13 @@ class GreyBox(DynamicsModel):
 
     @property
     def _remembers(self) -> bool:
-        """Whether the carry holds what only the past says."""
+        """Whether the carry holds values that only the past determines."""
         return bool(self.hidden_states) or self.actuator_lag
 
     def _learn_offsets(
         self, problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance
     ) -> LeastSquaresFit:
-        """Return the estimate of what is common; keep what differs from recording to recording, in units."""
+        """Return the estimate of the common parameters; store the offsets of each recording, in units."""
         box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
         varied = [names.index(name) for name in self.random_effects or []]
         found, spreads = fit_random_effects(problem, best, sure, varied)
@@ -295,7 +287,7 @@ class GreyBox(DynamicsModel):
         return found
 
     def random_effects_table(self) -> list[dict[str, Any]]:
-        """Return by how much each parameter of ``random_effects`` is more or less in each recording, with its unit."""
+        """Return the offset of each parameter of ``random_effects`` in each recording, with its unit."""
         recordings, offsets = getattr(self, "recordings_", []), getattr(self, "offsets_", [])
         return offset_rows(self.law_parameters(), recordings, self.random_effects or [], offsets)
 
@@ -316,14 +308,14 @@ class GreyBox(DynamicsModel):
         self.residual_spread_ = np.sqrt(np.mean(errors**2, axis=(0, 1))) * problem.windows.scale
         self.parameters_ = box.values(best.places)
 
-    def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, told: Callable[[], None]) -> None:
-        """Learn what the physics leave, and keep as much of it as free runs in held-out blocks of time want."""
+    def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, report: Callable[[], None]) -> None:
+        """Fit the residual of the physics; keep the share with the lowest simulation error on held-out blocks."""
         learned, held = time_fold(dataset)
-        shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, told)
+        shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, report)
         tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
         windows = error_windows(held, self.n_lags)
         for share in SHARES:
-            told()
+            report()
             self._keep(tried.times(share))
             errors.append(simulation_error(self, windows))
         better = np.array(errors) * np.where(np.array(SHARES) == 0.0, BETTER, 1.0)
@@ -336,7 +328,7 @@ class GreyBox(DynamicsModel):
         self.residual_weights_ = residual.weights
 
     def _left_of(self, dataset: Dataset) -> tuple[Array, Array]:
-        """Return what a residual sees (N, n) at single steps, and what the physics leave of their rates (N, nx)."""
+        """Return inputs (N, n) of the residual at single steps, and the residual of the rates there (N, nx)."""
         windows = dataset.windows(1, history=self.n_lags, moving=True)
         windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
         physics = self.variant(residual=False, dead_band=False)
@@ -354,7 +346,7 @@ class GreyBox(DynamicsModel):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """The names of ``parameters_``: those of the law, then those of what is switched on."""
+        """The names of ``parameters_``: those of the law, then those of the options."""
         return tuple(parameter.name for parameter in self._structure_on(self.system).parameters)
 
     def parameters_table(self) -> list[dict[str, Any]]:
@@ -364,21 +356,21 @@ class GreyBox(DynamicsModel):
 
     @property
     def fit_note(self) -> str:
-        said = [super().fit_note, *getattr(self, "undetermined_", [])]
+        notes = [super().fit_note, *getattr(self, "undetermined_", [])]
         if getattr(self, "informed_", []):
-            said.append(f"manoeuvres gave first guesses of {', '.join(self.informed_)}")
+            notes.append(f"first guesses of {', '.join(self.informed_)} are taken from manoeuvres")
         if hasattr(self, "offset_spreads_"):
             units = {parameter.name: parameter.unit for parameter in self.law_parameters()}
             pairs = zip(self.random_effects or [], self.offset_spreads_, strict=True)
-            each = ", ".join(f"{name} by {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
-            said.append(f"from recording to recording there differ {each} (standard deviation)")
+            each = ", ".join(f"{name} {spread:.2g} {units[name]}".rstrip() for name, spread in pairs)
+            notes.append(f"standard deviation between recordings: {each}")
         if hasattr(self, "residual_share_"):
             kept, without = self.residual_errors_
-            said.append(
-                f"{100 * self.residual_share_:.0f} % of the residual is kept: N over a second in held-out blocks is "
+            notes.append(
+                f"{100 * self.residual_share_:.0f} % of the residual is kept: N after 1 s on held-out blocks is "
                 f"{kept:.3f}, {without:.3f} without it"
             )
-        return "; ".join(sentence for sentence in said if sentence)
+        return "; ".join(sentence for sentence in notes if sentence)
 
     @property
     def layout(self) -> CarryLayout:
@@ -419,7 +411,7 @@ class GreyBox(DynamicsModel):
 
     @property
     def _extended_band(self) -> Array | None:
-        """How near to neutral (n,) each extended state counts as rest; None without ``dead_band``."""
+        """Distance from neutral (n,) within which each extended state is at rest; None without ``dead_band``."""
         if self.dead_band_size is None:
             return None
         more = self.integrated.extended.states[self.system.nx :]
@@ -433,7 +425,7 @@ class GreyBox(DynamicsModel):
 
 
 def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:
-    """Return where the ``wanted`` channels stand among those that are ``there``; all of them if none are named."""
+    """Return the positions of the ``wanted`` channels in ``there``; all of them if none are named."""
     for name in wanted:
         if name not in there:
             raise IncompatibleSystem(
@@ -445,16 +437,16 @@ def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: 
 def known_rates(
     model: DynamicsModel, speeds: Mapping[str, str], system: System, accelerates: bool
 ) -> tuple[tuple[int, int], ...]:
-    """Return where each position of ``speeds`` and its rate stand in ``system``.
+    """Return the positions of each key and value of ``speeds`` in ``system``.
 
-    Raises `InvalidArgument` for speeds of a family that does not write accelerations.
+    Raises `InvalidArgument` unless the family writes accelerations.
     """
     if not speeds:
         return ()
     if not accelerates:
         raise InvalidArgument(
-            f"{type(model).__name__}: speeds says which rates are known, but rate gives those of all states: write "
-            "acceleration(state, control, p) in its place"
+            f"{type(model).__name__}: rate_of names known rates, but rate returns those of all states: write "
+            "acceleration(state, control, p) instead"
         )
     positions, rates = (
         named_places(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())

@@ -1,4 +1,4 @@
-"""Unknown parameters and hidden states: bounds, standard errors, what the data leave undetermined, tables."""
+"""Unknown parameters and hidden states: bounds, standard errors, undetermined parameters, tables."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sysid_evo.system import Channel
 from sysid_evo.types import Array, IntArray
 
 DECADE = 10.0
-"""Positive bounds that many times apart are searched on a logarithmic scale."""
+"""Positive bounds with at least this ratio are searched on a logarithmic scale."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number to be found from ``low`` to ``high``, with a first ``guess`` and a ``unit``.
+    """An unknown number between ``low`` and ``high``, with a first ``guess`` and a ``unit``.
 
-    With ``spread`` the guess is knowledge, as of a measurement: a normal prior of that standard deviation.
+    With ``spread`` the guess is prior knowledge, such as a measurement: a normal prior with that standard deviation.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Parameter:
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise InvalidArgument(
                 f"parameter {self.name!r}: expected finite bounds low < high, got {self.low} and {self.high}; "
-                "give wide ones if you know little"
+                "use wide ones if little is known"
             )
         if not self.low <= self.guess <= self.high:
             raise InvalidArgument(
@@ -52,7 +52,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class HiddenState:
-    """A state that is not measured: its ``unit``, where it is at rest (``initial``), and between what it may be."""
+    """An unmeasured state: ``unit``, value at rest (``initial``), and bounds."""
 
     name: str
     unit: str = ""
@@ -69,13 +69,13 @@ class HiddenState:
 
     @property
     def channel(self) -> Channel:
-        """The state as a channel of a system that has it."""
+        """The state as a channel of the extended system."""
         return Channel(self.name, self.unit, low=self.low, high=self.high, neutral=self.initial)
 
 
 @dataclass(frozen=True)
 class ParameterBounds:
-    """The bounds of n parameters as the unit cube, in which they are searched: (..., n) to (..., n)."""
+    """The bounds of n parameters as the unit cube in which they are searched: (..., n) to (..., n)."""
 
     parameters: tuple[Parameter, ...]
 
@@ -99,7 +99,7 @@ class ParameterBounds:
         )
 
     def values(self, places: Array) -> Array:
-        """Return the parameters at these places of the cube."""
+        """Return the parameters at these points of the cube."""
         logarithmic, low, high = self._ends
         there = low + np.asarray(places) * (high - low)
         return np.where(logarithmic, np.exp(np.where(logarithmic, there, 0.0)), there)
@@ -112,24 +112,24 @@ class ParameterBounds:
         return np.asarray(np.clip((there - low) / (high - low), 0.0, 1.0))
 
     def slopes(self, places: Array) -> Array:
-        """Return by how much each parameter grows along its side of the cube, (..., n)."""
+        """Return the derivative of each parameter along its side of the cube, (..., n)."""
         logarithmic, low, high = self._ends
         return (high - low) * np.where(logarithmic, self.values(places), 1.0)
 
 
 BLOCKS = 40
-"""Blocks of time that count as independent, at most."""
+"""Largest number of blocks of time that count as independent."""
 MIN_BLOCKS = 8
 OPEN = 0.5
-"""Share of what the bounds alone say beyond which the data do not determine a direction."""
+"""A direction is undetermined if its standard error exceeds this share of that given by the bounds alone."""
 AT_BOUND = 0.01
 NAMED = 0.3
-"""Share of a direction from which on a parameter is named with it."""
+"""Share of a direction above which a parameter is named in its sentence."""
 
 
 @dataclass(frozen=True)
 class ParameterCovariance:
-    """Covariance (n, n) of the places in the cube, and by how much correlated errors ``inflate`` it."""
+    """Covariance (n, n) of the points in the cube, and the factor by which correlated errors ``inflate`` it."""
 
     covariance: Array
     inflation: float
@@ -141,9 +141,9 @@ def parameter_covariance(
 ) -> ParameterCovariance:
     """Return the covariance of parameters from errors (W, m) and their derivatives (W, m, n), (W, m, nh).
 
-    The hidden starts are projected out. Errors within a window, and of windows near each other, hang together: the
-    sandwich A^-1 B A^-1 takes the sum of squares of the gradients of whole blocks of time for B (clustered standard
-    errors, Liang and Zeger 1986), A = J^T J + noise^2 K^-1, K being ``known`` (n,), the variances without data.
+    The hidden initial states are projected out. Errors within a window and of neighbouring windows are correlated: in
+    the sandwich A^-1 B A^-1, B is the sum of squared gradients of whole blocks of time (clustered standard errors,
+    Liang and Zeger 1986) and A = J^T J + noise^2 K^-1, with K = ``known`` (n,), the variances without data.
     """
     windows, m, n = jacobian.shape
     if by_hidden.shape[2]:
@@ -157,7 +157,7 @@ def parameter_covariance(
     blocks = max(min(MIN_BLOCKS, windows), min(BLOCKS, windows // 4))
     sums = np.array([gradients[rows].sum(axis=0) for rows in np.array_split(np.argsort(order, kind="stable"), blocks)])
     sums -= sums.mean(axis=0)
-    few = blocks / max(blocks - n, 0.5 * blocks)  # as many gradients as parameters add up to nothing at the optimum
+    few = blocks / max(blocks - n, 0.5 * blocks)  # n sums of gradients are zero at the optimum
     meat = few * sums.T @ sums * blocks / max(1, blocks - 1) + np.diag(1.0 / known)
     inverse = np.linalg.pinv(bread, hermitian=True)
     covariance = inverse @ meat @ inverse
@@ -165,7 +165,7 @@ def parameter_covariance(
     determined = naive < OPEN**2 * known
     ratio = np.diag(covariance)[determined] / naive[determined]
     inflation = max(1.0, float(np.median(ratio))) if len(ratio) else 1.0
-    # Blocks are few: no direction is surer than errors that do not hang together would make it.
+    # With few blocks: no direction is more certain than uncorrelated errors would make it.
     values, vectors = np.linalg.eigh(covariance)
     least = np.einsum("ij,jk,ki->i", vectors.T, inverse, vectors)
     covariance = (vectors * np.maximum(values, np.minimum(least, 1.0))) @ vectors.T
@@ -175,15 +175,15 @@ def parameter_covariance(
 def undetermined_parameters(
     parameters: Sequence[Parameter], places: Array, covariance: Array, known: Array
 ) -> tuple[list[str], list[bool]]:
-    """Return what the data do not determine, in sentences, and whether each parameter is determined.
+    """Return sentences on what the data do not determine, and whether each parameter is determined.
 
-    A direction of the cube is open where the standard error is half of what the bounds alone say, or more.
+    A direction of the cube is undetermined if its standard error is at least half of that given by the bounds alone.
     """
     prior = np.sqrt(known)
     relative = covariance / np.outer(prior, prior)
     values, vectors = np.linalg.eigh(relative)
     slopes = ParameterBounds.of(parameters).slopes(places) * prior
-    said: list[str] = []
+    notes: list[str] = []
     alone: set[int] = set()
     for value, vector in sorted(zip(values, vectors.T, strict=True), key=lambda pair: -pair[0]):
         if value < OPEN**2:
@@ -194,8 +194,8 @@ def undetermined_parameters(
             if named:
                 alone.add(named[0])
                 one = parameters[named[0]]
-                said.append(
-                    f"the data do not determine {one.name}: they say little more of it than its bounds, "
+                notes.append(
+                    f"{one.name} is not determined by the data: its uncertainty is nearly as wide as its bounds, "
                     f"{one.low:g} to {one.high:g} {one.unit}".rstrip()
                 )
             continue
@@ -204,13 +204,13 @@ def undetermined_parameters(
         fall = [parameters[i].name for i in named if vector[i] * slopes[i] * first <= 0]
         falls = f" while {_and(fall)} {'falls' if len(fall) == 1 else 'fall'}" if fall else " together"
         names = _and(grow + fall)
-        said.append(f"the data determine only a combination of {names}: {_and(grow)} may grow{falls}, without a change")
+        notes.append(f"the data determine only a combination of {names}: {_and(grow)} may grow{falls} without effect")
     determined = [bool(relative[i, i] < OPEN**2) for i in range(len(parameters))]
     for i, parameter in enumerate(parameters):
         if places[i] < AT_BOUND or places[i] > 1.0 - AT_BOUND:
             end, value = ("lower", parameter.low) if places[i] < AT_BOUND else ("upper", parameter.high)
-            said.append(f"{parameter.name} is at its {end} bound, {value:g} {parameter.unit}".rstrip())
-    return list(dict.fromkeys(said)), determined
+            notes.append(f"{parameter.name} is at its {end} bound, {value:g} {parameter.unit}".rstrip())
+    return list(dict.fromkeys(notes)), determined
 
 
 def _and(names: Sequence[str]) -> str:
@@ -238,7 +238,7 @@ def parameter_rows(
 def offset_rows(
     parameters: Sequence[Parameter], recordings: Iterable[str], names: Sequence[str], offsets: Iterable[Array]
 ) -> list[dict[str, Any]]:
-    """Return a row for every recording and every one of ``names``, with how much more or less it is there."""
+    """Return a row for every recording and every one of ``names``, with its offset there."""
     units = {parameter.name: parameter.unit for parameter in parameters}
     return [
         {"recording": recording, "parameter": name, "offset": float(offset), "unit": units[name]}

@@ -1,4 +1,4 @@
-"""What physics leave of the rates, learned by a radial network that is nothing where there are no data."""
+"""Radial network for the residual of the physics; it is zero far from the data."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from sysid_evo.types import Array
 
 @dataclass(frozen=True)
 class ResidualNetwork:
-    """The mean of a sparse Gaussian process without a trend, for each measured state: bumps around ``points`` (M, n).
+    """Mean of a sparse Gaussian process without a trend for each measured state.
 
-    ``lengths`` (nx, n) are infinite for inputs that do not count; ``weights`` (nx, M) hold the amplitudes. Far from the
-    data in units of the lengths it is zero (deterministic training conditional: Quinonero Candela, Rasmussen 2005).
+    It is a sum of radial functions at ``points`` (M, n). ``lengths`` (nx, n) are infinite for inputs without effect;
+    ``weights`` (nx, M) include the amplitudes. Far from the data, in units of the lengths, it is zero (deterministic
+    training conditional: Quinonero Candela, Rasmussen 2005).
     """
 
     points: Array
@@ -30,12 +31,12 @@ class ResidualNetwork:
     weights: Array
 
     def __call__(self, inputs: Array) -> Array:
-        """Return what is added to the rates of the measured states, (B, nx)."""
+        """Return the addition to the rates of the measured states, (B, nx)."""
         bumps = [squared_exponential(inputs / one, self.points / one) for one in self.lengths]
         return np.stack([bump @ weight for bump, weight in zip(bumps, self.weights, strict=True)], axis=1)
 
     def times(self, share: float) -> Self:
-        """Return a share of it."""
+        """Return the network multiplied by ``share``."""
         return replace(self, weights=share * self.weights)
 
     def predictor(self, structure: GreyBoxEquation) -> Predictor:
@@ -48,7 +49,7 @@ class ResidualNetwork:
 
 
 def inputs_of(structure: GreyBoxEquation) -> Features:
-    """Return what the residual sees of carry and control."""
+    """Return the inputs of the residual, from carry and control."""
     return Features(structure.extended, (0, structure.delay))
 
 
@@ -58,12 +59,12 @@ def learned_shape(
     targets: Array,
     points: int,
     rng: np.random.Generator,
-    told: Callable[[], None],
+    report: Callable[[], None],
 ) -> tuple[ResidualNetwork, Array]:
     """Return a residual with points, lengths and amplitudes (as weights of one) chosen, and the noise (nx,).
 
-    Lengths maximise the marginal likelihood at ``points`` random samples. Where actuators have lags of their own, they
-    are what counts of the commands.
+    Lengths maximise the marginal likelihood at ``points`` random samples. Actuators with lags replace the commands as
+    inputs.
     """
     rows = np.sort(rng.choice(len(inputs), size=min(points, len(inputs)), replace=False))
     counted = len(structure.extended.regressor_names) if structure.lagged else inputs.shape[1]
@@ -71,7 +72,7 @@ def learned_shape(
     nx = targets.shape[1]
     lengths, amplitude, noise = np.full((nx, inputs.shape[1]), np.inf), np.empty(nx), np.empty(nx)
     for j in range(nx):
-        found = maximise_likelihood(inputs[rows, :counted] / scale, targets[rows, j] / size[j], told=told)
+        found = maximise_likelihood(inputs[rows, :counted] / scale, targets[rows, j] / size[j], report=report)
         lengths[j, :counted], amplitude[j], noise[j] = (
             found.lengths * scale,
             found.amplitude * size[j],
@@ -81,7 +82,7 @@ def learned_shape(
 
 
 def conditioned(shape: ResidualNetwork, noise: Array, inputs: Array, targets: Array) -> ResidualNetwork:
-    """Return the residual of this shape that learned from all of ``inputs`` (N, n) and ``targets`` (N, nx)."""
+    """Return the residual of this shape fitted to all of ``inputs`` (N, n) and ``targets`` (N, nx)."""
     weights = np.empty_like(shape.weights)
     for j, length in enumerate(shape.lengths):
         square = shape.weights[j, 0] ** 2

@@ -1,6 +1,6 @@
-"""A simulation with networks in it, and its gradient back through time.
+"""A simulation that contains networks, and its gradient by backpropagation through time.
 
-The networks see standardised features, and are trained on all but held-out blocks of time.
+Inputs are standardised features; training excludes held-out blocks of time.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from sysid_evo.validation.simulation_error import error_windows
 
 
 class DifferentiableSimulation(ABC):
-    """``members`` random networks with ``further`` inputs beside `Features`, and what standardises these.
+    """Simulation of ``members`` random networks with ``further`` inputs in addition to `Features`, and its gradient.
 
-    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` inputs, one
-    or none, are ``flag`` (M, B or 1, 1): 1 for data as recorded, -1 for data seen in the ``mirror``, where there is
-    one. In every step the network is called ``calls`` times, with other present states. A step
-    and its derivative are written by hand, `advance` and `pull_back`.
+    The networks give nx rates, in units of each state's RMS change in one step, per second. The ``further`` input, if
+    any, is ``flag`` (M, B or 1, 1): 1 for data as recorded, -1 for mirrored data (``mirror``). Each step calls the
+    network ``calls`` times, at different states. Derived classes define a step (`advance`) and its gradient
+    (`pull_back`).
     """
 
     calls: ClassVar[int] = 1
@@ -62,7 +62,7 @@ class DifferentiableSimulation(ABC):
         self.recorded = self.flag
 
     def run(self, samples: Array32) -> Array32:
-        """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
+        """Return the states (H, M, B, nx) of simulations that start from the history in a batch, under its controls."""
         self.layers.take(self.parameters)
         history, nx = self.layout.n_lags, self.system.nx
         members, batch, horizon = *samples.shape[1:3], len(samples) - 1 - history
@@ -80,7 +80,7 @@ class DifferentiableSimulation(ABC):
         return self.states[history + 1 :]
 
     def gradient(self, by_states: Array32) -> Array32:
-        """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
+        """Return the gradient (M, P) of a scalar, from its gradient by the states (H, M, B, nx) of the last run."""
         by_after = by_states.copy()
         self.by_seen: Array32 = np.zeros((*by_after.shape[:3], self._n_seen), dtype=np.float32)
         for step in range(len(by_after) - 1, -1, -1):
@@ -93,7 +93,7 @@ class DifferentiableSimulation(ABC):
         return self.layers.gradient()
 
     def prepare(self, horizon: int) -> None:
-        """Make ready for a run of so many steps."""
+        """Allocate memory for a run of this many steps."""
         return
 
     @abstractmethod
@@ -105,14 +105,14 @@ class DifferentiableSimulation(ABC):
         """Return the gradient by the state before ``step``, from that by the state after it (M, B, nx)."""
 
     def called(self, step: int, call: int, state: Array32) -> Array32:
-        """Return what the network gives (M, B, nx) in one of the calls of ``step``, for this present state."""
+        """Return the network outputs (M, B, nx) in one of the calls of ``step``, for this present state."""
         self.inputs[step, call, ..., : self._n_seen] = self._seen(state)
         return self.layers.forward(step * self.calls + call)
 
     def pulled_through(self, step: int, call: int, state: Array32, gradient: Array32) -> Array32:
-        """Return the gradient by the present state of a call, from that by what the network gave (M, B, nx)."""
+        """Return the gradient by the present state of a call, from that by the network outputs (M, B, nx)."""
         seen, lags = self._n_seen, self.layout.state_lags
-        if step == call == 0:  # the state is a measured one
+        if step == call == 0:  # the state is measured
             self.layers.backward(0, gradient, 0)
             return np.zeros_like(state)
         by_inputs = self.layers.backward(step * self.calls + call, gradient, seen * (1 + lags))
@@ -121,7 +121,7 @@ class DifferentiableSimulation(ABC):
         return self._pulled_to_state(state, by_inputs[..., :seen])
 
     def augmented(self, samples: Array32, rng: np.random.Generator) -> Array32:
-        """Return what is learned from a batch (L + 1 + H, M, B, nx + nu): half of the windows in the mirror."""
+        """Return a batch (L + 1 + H, M, B, nx + nu) for training: half of the windows are mirrored."""
         if self.mirror is None:
             return samples
         mirrored = rng.random((*samples.shape[1:3], 1), dtype=np.float32) < 0.5
@@ -130,7 +130,7 @@ class DifferentiableSimulation(ABC):
         return np.asarray(samples * np.where(mirrored, signs, np.float32(1.0)))
 
     def as_recorded(self) -> None:
-        """Expect data as recorded from here on, to be judged by them."""
+        """Treat the following data as recorded, not mirrored, for scoring."""
         self.flag = self.recorded
 
     def learn(
@@ -141,7 +141,7 @@ class DifferentiableSimulation(ABC):
     ) -> tuple[Array32, Array]:
         """Train each member on the first part of its split.
 
-        Returns the parameters with which it simulates the second part best, and its error there (M,).
+        Returns the parameters with the lowest simulation error on the second part, and that error (M,).
         """
         history = self.layout.n_lags
         held = []
@@ -164,7 +164,7 @@ class DifferentiableSimulation(ABC):
         return learned, judge(learned)
 
     def network(self, parameters: Array32) -> Network:
-        """Return ``parameters`` (M, P) as networks of features of (carry, control), with ``further`` inputs of 1."""
+        """Return ``parameters`` (M, P) as networks of features of (carry, control), with the ``further`` input at 1."""
         known = len(self.centre)
         learned = self.layers.network(parameters)
         weights, biases = list(learned.weights), list(learned.biases)
@@ -173,7 +173,7 @@ class DifferentiableSimulation(ABC):
         return Network(weights, biases).folded(self.centre, self.scale, self.rates)
 
     def begin_with(self, network: Network) -> None:
-        """Undo `network`: begin with networks that make no use of ``further`` inputs."""
+        """Undo `network`: start from networks that do not use the ``further`` input."""
         begun = network.unfolded(self.centre, self.scale, self.rates)
         more = self.layers.sizes[0] - len(self.centre)
         first = np.pad(begun.weights[0], ((0, 0), (0, more), (0, 0)))
@@ -181,7 +181,7 @@ class DifferentiableSimulation(ABC):
         self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
 
     def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
-        """Train all members on the whole of ``dataset`` from where they are; return the parameters (M, P)."""
+        """Continue training of all members on the whole ``dataset``; return the parameters (M, P)."""
         shots = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
         return train(
             self,
@@ -194,7 +194,7 @@ class DifferentiableSimulation(ABC):
 
     @property
     def _n_seen(self) -> int:
-        """Numbers that are seen of one state."""
+        """Number of features of one state."""
         return len(self.standard.seen_centre)
 
     def _fill_controls(self, controls: Array32) -> None:
@@ -208,7 +208,7 @@ class DifferentiableSimulation(ABC):
         self.inputs[..., place:] = self.flag
 
     def _fill_earlier_states(self, step: int) -> None:
-        """Write what is seen of earlier states into the inputs of one step."""
+        """Write the features of earlier states into the inputs of one step."""
         seen, history = self._n_seen, self.layout.n_lags
         for lag in range(1, self.layout.state_lags + 1):
             known = step >= lag
@@ -216,11 +216,11 @@ class DifferentiableSimulation(ABC):
             self.inputs[step, ..., seen * lag : seen * (lag + 1)] = earlier
 
     def _seen(self, states: Array32) -> Array32:
-        """Return what is seen of states (..., nx)."""
+        """Return the features of states (..., nx)."""
         return self.system.regressors(states) if self.system.periods else states
 
     def _pulled_to_state(self, state: Array32, gradient: Array32) -> Array32:
-        """Return the gradient by states (..., nx) from that by what is seen of them."""
+        """Return the gradient by states (..., nx) from that by their features."""
         if not self.system.periods:
             return gradient
         columns, place = [], 0

@@ -1,4 +1,4 @@
-"""Family mlp_ensemble: several networks, trained on blocks left out in turn."""
+"""Family mlp_ensemble: several networks, each trained without other blocks of time."""
 
 from __future__ import annotations
 
@@ -38,30 +38,29 @@ from sysid_evo.validation.simulation_error import error_windows
 HIDDEN = (48, 48)
 
 SEARCH_UPDATES = (600, 120)
-"""On single steps and on free runs, at most, where lags are chosen."""
+"""Most updates on single steps and on simulations while lags are chosen."""
 
 OFFERED = {"all": ((1, 3), (2, 4)), "few": ((0, 0), (1, 3))}
 
 
 @register_model("mlp_ensemble")
 class MlpEnsemble(StochasticModel):
-    """The mean acceleration of ``members`` networks of state, control and lagged samples.
+    """Ensemble of neural networks for the acceleration, trained through simulations; the mean is the prediction.
 
-    Each member learns from the blocks of time that are left when every ``folds``-th is held out
-    (other blocks for each member): ``one_step_updates`` on single steps, then ``updates`` on free
-    runs of ``horizon`` steps from measured states with ``input_noise`` (in units of the one-step
-    change). It keeps the weights that simulate its held-out blocks best
-    over one second. Lags left at None are chosen on the held-out blocks; with ``lag_search="few"`` between none and
-    (1, 3). Of a periodic state the networks see sine and cosine.
+    Each of the ``members`` is trained without every ``folds``-th block of time (other blocks for each member):
+    ``one_step_updates`` updates on single steps, then ``updates`` on simulations of ``horizon`` steps from measured
+    states, to which ``input_noise`` is added (in units of the one-step change). It keeps the weights that simulate its
+    held-out blocks best over one second. ``hidden`` lists the widths of the tanh layers (default 48, 48). Lags left at
+    None are chosen on the held-out blocks, by ``lag_search="few"`` only between none and (1, 3). Periodic states enter
+    as sine and cosine.
 
-    If a planar body is steered by the controls ``steering``, half of the windows are mirrored left
-    to right, and a flag among the inputs tells which: the two sides share what is alike and may
-    differ. The flag is fixed after the fit.
+    If a planar body is steered by the controls ``steering``, half of the windows are mirrored left to right, with a
+    flag as input, so that both sides share data and may still differ. The flag is fixed after the fit.
 
-    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as
-    `StochasticModel` says. Such a fit also holds out whole recordings in turn, and widens the intervals by how much
-    more errors there are than on held-out blocks (`growth_on_unseen_recordings`). Switched on after the fit, 90 %
-    intervals hold 90 % of held-out samples after one second.
+    With ``stochastic``, every step adds normal noise: the members' disagreement and the one-step residual, scaled as in
+    `StochasticModel`. Such a fit also holds out whole recordings in turn and widens the intervals by the ratio of their
+    errors to those on held-out blocks (`growth_on_unseen_recordings`). If it is set after the fit, 90 % intervals
+    contain 90 % of held-out samples after one second.
     """
 
     knowledge = "dark grey"
@@ -194,8 +193,8 @@ class MlpEnsemble(StochasticModel):
     def _calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None]) -> None:
         """Set the one-step residual (nx,) and the scale of the noise (nx,) from errors on held-out blocks.
 
-        Each member simulates the blocks that it did not learn from; its error there, added to what the whole ensemble
-        simulates, is the truth that the intervals must hold.
+        The reference for the intervals is the simulation of the whole ensemble plus the error of each member on its
+        held-out blocks.
         """
         parts, residuals = [], []
         together = self._deterministic(self.network)
@@ -213,9 +212,9 @@ class MlpEnsemble(StochasticModel):
     def _calibrate_horizons(
         self, dataset: Dataset, growth: Array | None, rng: np.random.Generator, still: Callable[[], None]
     ) -> None:
-        """Learn the spread as `StochasticModel` has it, from the errors of each member on its held-out blocks.
+        """Learn the spread of `StochasticModel` from the errors of each member on its held-out blocks.
 
-        They grow by ``growth`` (4, nx), how much larger errors are on recordings never seen after 1, 10, 20, 60 steps.
+        ``growth`` (4, nx) multiplies them: the ratio of errors on unseen recordings after 1, 10, 20, 60 steps.
         """
         held = [time_fold(dataset, member, self.folds)[1] for member in range(self.members)]
         horizon = usable_horizon(held, self.n_lags)

@@ -1,4 +1,4 @@
-"""Tanh networks as arrays, and their gradient written by hand."""
+"""Tanh networks as arrays, and their gradient."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ class Network:
         return sum(array.size for array in (*self.weights, *self.biases))
 
     def folded(self, centre: Array, scale: Array, output_scale: Array) -> Network:
-        """Return networks of raw inputs and outputs.
+        """Return the equivalent networks of raw inputs and outputs.
 
-        This one sees (input - ``centre``) / ``scale`` and gives outputs in units of
-        ``output_scale``; each is (n,) or (M, n).
+        This one takes (input - ``centre``) / ``scale`` and gives outputs in units of ``output_scale``; each is (n,) or
+        (M, n).
         """
         weights, biases = list(self.weights), list(self.biases)
         centre, scale, output_scale = (np.atleast_2d(value) for value in (centre, scale, output_scale))
@@ -88,12 +88,12 @@ def random_network(sizes: Sequence[int], members: int, rng: np.random.Generator,
 
 
 Array32: TypeAlias = npt.NDArray[Any]
-"""Of single precision, in which all training is done."""
+"""Single-precision array; training uses no other."""
 
 
 @dataclass(frozen=True)
 class ActivationTrace:
-    """What is kept of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients by every layer."""
+    """Stored values of C calls with B rows: inputs and hidden values (C, M, B, n), and the gradients of every layer."""
 
     values: tuple[Array32, ...]
     slopes: tuple[Array32, ...]
@@ -107,12 +107,12 @@ class ActivationTrace:
 
 
 class Layers:
-    """M networks as `Network`, run call after call, then gone through backwards.
+    """M networks as in `Network`, evaluated call by call, then differentiated backwards.
 
     The parameters are rows (M, P): weights (n_in, n_out) and bias (n_out,) of each layer, first to last, of a network
-    of (input - ``centre``) / ``scale`` that gives outputs in units of ``output_scale``. `take` works these into the
-    weights, so that inputs and outputs are raw. `reserve` says how many calls there will be; their inputs stand in what
-    it returns.
+    of (input - ``centre``) / ``scale`` that gives outputs in units of ``output_scale``. `take` folds the scales into
+    the weights, so that inputs and outputs are raw. `reserve` sets the number of calls and returns the array for their
+    inputs.
     """
 
     def __init__(self, sizes: Sequence[int], members: int, *, centre: Array, scale: Array, output_scale: Array) -> None:
@@ -138,7 +138,7 @@ class Layers:
         return Network(weights, biases)
 
     def take(self, parameters: Array32) -> None:
-        """Run with these ``parameters`` (M, P) from here on."""
+        """Use these ``parameters`` (M, P) from now on."""
         weights, biases = self._cut(parameters)
         biases[0] = biases[0] - self.offset @ weights[0]
         weights[0] = weights[0] * self.per_scale
@@ -146,7 +146,7 @@ class Layers:
         self.weights, self.biases = weights, [bias[:, None] for bias in biases]
 
     def reserve(self, calls: int, batch: int) -> Array32:
-        """Prepare for so many calls with so many rows; return the inputs (C, M, B, n_in), to be filled."""
+        """Allocate memory for ``calls`` calls with ``batch`` rows; return the inputs (C, M, B, n_in), to be filled."""
         if (calls, batch) not in self._traces:
             self._traces[calls, batch] = ActivationTrace.of(self.sizes, calls, self.members, batch)
         self.trace = self._traces[calls, batch]

@@ -1,4 +1,4 @@
-"""Family neural_ode, and the training of equations with a network in them."""
+"""Family neural_ode, and the training of differential equations that contain a network."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ LAGS: dict[str | None, tuple[tuple[int, int], ...]] = {None: ((0, 0),), "all": (
 
 @register_model("neural_ode")
 class NeuralOde(StochasticModel):
-    """dx/dt = network(x, u, earlier states and controls) + w(x), w the rotation of a planar body's frame.
+    """Neural ODE: a network for dx/dt, trained through simulations and integrated by Runge-Kutta.
 
-    Chen et al. (2018). Of a periodic state the network sees sine and cosine. There are no earlier samples unless
-    ``state_lags`` and ``control_lags`` give their numbers, or ``lag_search="all"`` has them chosen by the simulation
-    error on held-out blocks of time; they are held over a step.
+    dx/dt = network(x, u, earlier states and controls) + w(x), with w the rotation of a planar body's frame (Chen et al.
+    2018). Periodic states enter as sine and cosine. ``state_lags`` and ``control_lags`` add earlier samples (none by
+    default), held over a step; ``lag_search="all"`` chooses their numbers by the simulation error on held-out blocks of
+    time.
 
-    ``updates`` on free runs of ``horizon`` steps follow ``one_step_updates`` on single steps, from
-    measured states (multiple shooting) with ``input_noise`` (in units of the one-step change); the weights that
-    simulate held-out blocks of time best over one second are kept (early stopping). Stepped with the fourth-order
-    Runge-Kutta method at dt, controls held.
+    Training: ``one_step_updates`` on single steps, then ``updates`` on simulations of ``horizon`` steps from measured
+    states (multiple shooting), to which ``input_noise`` is added (in units of the one-step change). The weights that
+    simulate held-out blocks best over one second are kept (early stopping). The integrator is the classical
+    fourth-order method with step dt and held controls.
 
-    A family derived from this one may add a `known_rate`, whose ``initial`` physical parameters are trained with the
-    network.
+    A derived family may add a `known_rate`, whose ``initial`` physical parameters are trained with the network.
     """
 
     knowledge = "dark grey"
@@ -129,7 +129,7 @@ class NeuralOde(StochasticModel):
         plan = TrainingSchedule.further(updates, self.horizon, self.input_noise)
         hidden = [weight.shape[2] for weight in self.weights_[:-1]]
         physical = self.physical_ if len(self.initial) else self.initial
-        mirror = Mirror.of(dataset.system)  # few seconds seldom turn both ways alike
+        mirror = Mirror.of(dataset.system)  # a few seconds rarely contain left and right turns equally
         flow = self._flow(dataset, self.lags, hidden, physical, rng, mirror)
         flow.begin_with(self.network)
         found = flow.learn_further(dataset, plan, ResumableTrainings(rng))
@@ -149,18 +149,18 @@ class NeuralOde(StochasticModel):
         rng: np.random.Generator,
         mirror: Mirror | None = None,
     ) -> OdeSimulation:
-        """Return the flow to be trained, with the ``physical`` parameters where there are such."""
+        """Return the simulation to be trained, with the ``physical`` parameters if there are any."""
         flow = OdeSimulation(dataset, lags, hidden=hidden, rng=rng, further=0 if mirror is None else 1, mirror=mirror)
         if (physics := self.physics()) is not None:
             flow.know(physics, physical)
         return flow
 
     def known_rate(self, state: Array, control: Array) -> Array | None:
-        """Return the part of dx/dt (B, nx) that is not the network's, if there is one."""
+        """Return the part of dx/dt (B, nx) outside the network, or None."""
         return None
 
     def physics(self) -> KnownRate | None:
-        """Return `known_rate` as it is trained, in a family with ``initial`` physical parameters."""
+        """Return `known_rate` in the form used in training, for a family with ``initial`` physical parameters."""
         return None
 
     @property
@@ -186,7 +186,7 @@ class NeuralOde(StochasticModel):
 
 @register_model("neural_ode_history")
 class NeuralOdeHistory(NeuralOde):
-    """`neural_ode` with earlier samples: its former name with ``lag_search="all"``."""
+    """Former name of neural_ode with lag_search="all"."""
 
     knowledge = "dark grey"
     presets: ClassVar[dict[str, dict[str, Any]]] = {
@@ -232,26 +232,26 @@ def flow_predictor(
 
 
 FOLDS = 5
-"""Every fifth block of time is held out, to stop early."""
+"""Every fifth block of time is held out for early stopping."""
 
 NODES = 0.0, 0.5, 0.5, 1.0
-"""Share of dt at which each rate of a step is asked for."""
+"""Times at which the rates of a step are evaluated, as shares of dt."""
 
 SHARES = 1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0
-"""Share of each of them in the step."""
+"""Weights of these rates in the step."""
 
 
 class OdeSimulation(DifferentiableSimulation):
     """dx/dt = network(x, lagged samples, control) + physics + rotation of the frame, controls held.
 
-    Of the ``physical`` parameters (n,), all positive, the logarithms are trained, beside the network's.
+    Trained are the network and the logarithms of the ``physical`` parameters (n,), which are all positive.
     """
 
     calls: ClassVar[int] = len(NODES)
     physics: KnownRate | None = None
 
     def know(self, physics: KnownRate, physical: Array) -> None:
-        """Add ``physics``, with parameters that begin at ``physical``."""
+        """Add ``physics`` with the initial parameters ``physical``."""
         self.physics = physics
         logarithms = np.log(physical).astype(np.float32)
         self.parameters = np.concatenate([self.parameters, logarithms[None]], axis=1)
@@ -310,10 +310,10 @@ class OdeSimulation(DifferentiableSimulation):
 
 
 class KnownRate(Protocol):
-    """A known part of dx/dt with positive parameters (n,), under controls that were given before."""
+    """A known part of dx/dt with positive parameters (n,), for controls given in advance."""
 
     def hold(self, controls: Array32, parameters: Array32) -> None:
-        """Expect these ``controls`` (H, ..., nu) in the steps to come."""
+        """Set the ``controls`` (H, ..., nu) of the following steps."""
 
     def rate(self, step: int, state: Array32) -> Array32:
         """Return the known part (..., nx) in one of the steps."""

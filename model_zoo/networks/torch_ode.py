@@ -1,4 +1,4 @@
-"""Family torch_ode: a torch module as right-hand side; the base for modules of your own."""
+"""Family torch_ode: a PyTorch module as right-hand side; the base class for modules of your own."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ if TYPE_CHECKING:
 
 ACTIVATIONS = {"tanh": "Tanh", "silu": "SiLU", "gelu": "GELU", "elu": "ELU", "softplus": "Softplus", "relu": "ReLU"}
 TRAINED, STEPPED = 1e-5, 1e-12
-"""Tolerances of adaptive solvers: to step, so small that no row of a batch depends on the others."""
+"""Tolerances of adaptive solvers; that of steps is small enough to make every row independent of its batch."""
 
 
 @register_model("torch_ode")
 class TorchOde(DynamicsModel):
-    """dx/dt = module(x, u, earlier samples) + w(x), w the rotation of the frame, solved by torchdiffeq.
+    """Neural ODE in PyTorch with a choice of network and solver; the base class for modules of your own.
 
-    `module` is a multilayer perceptron with the layers ``hidden`` and the ``activation``; a family of your own derives
-    from this class and returns another. It sees standardised inputs (`Features`; of a periodic state sine and
-    cosine) and gives the rates in units of each state's usual change in one step, per second, in float64.
+    dx/dt = module(x, u, earlier samples) + w(x), with w the rotation of the frame, solved by torchdiffeq. `module` is a
+    multilayer perceptron with the widths ``hidden`` and the ``activation``; a derived family returns another. Inputs
+    are standardised (periodic states as sine and cosine), outputs are rates in units of each state's typical one-step
+    change, per second, in float64. Controls and earlier samples are held over a step.
 
-    Two thirds of the ``updates`` of Adam are on single steps, the others on free runs of ``horizon`` steps from
-    measured states (multiple shooting); the weights that simulate held-out blocks of time best over one second are
-    kept (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint`` through its adjoint
-    equation, which takes less memory (only without ``state_lags``). Controls and earlier samples are held over a step.
+    Two thirds of the ``updates`` of Adam are on single steps, the others on simulations of ``horizon`` steps from
+    measured states (multiple shooting). The weights that simulate held-out blocks of time best over one second are kept
+    (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint`` through its adjoint
+    equation, which needs less memory (only without ``state_lags``).
 
-    The network with tanh under ``rk4`` is stepped in NumPy and has a compiled form: the classical method, where
-    torchdiffeq takes the 3/8 rule of the same order. Everything else is stepped by torch. A fit that is stopped
-    begins anew.
+    With tanh and ``rk4`` the model runs in NumPy and has a compiled form, by the classical method (torchdiffeq uses the
+    3/8 rule of the same order). Otherwise it runs in torch. An interrupted fit restarts from the beginning.
     """
 
     knowledge = "dark grey"
@@ -80,8 +80,8 @@ class TorchOde(DynamicsModel):
         super().check_parameters()
         if self.adjoint and self.state_lags:
             raise InvalidArgument(
-                f"{type(self).__name__}: adjoint: expected state_lags=0, got {self.state_lags}; the adjoint equation "
-                "knows only the present state"
+                f"{type(self).__name__}: adjoint: expected state_lags=0, got {self.state_lags}: the adjoint equation "
+                "has only the present state"
             )
 
     def module(self, n_inputs: int, n_outputs: int) -> torch.nn.Module:
@@ -107,7 +107,7 @@ class TorchOde(DynamicsModel):
                 horizon=self.horizon,
                 learning_rate=self.learning_rate,
                 rng=rng,
-                told=counter.advance,
+                report=counter.advance,
             )
         weights = equation.module.state_dict()
         self.weight_names_ = list(weights)
@@ -124,20 +124,20 @@ class TorchOde(DynamicsModel):
 
     @property
     def plain(self) -> bool:
-        """Whether this is the network with tanh under the method that NumPy and the compiled form have too."""
+        """Whether activation and solver are those that NumPy and the compiled form support."""
         own = type(self).module is not TorchOde.module
         return not own and self.activation == "tanh" and self.solver == "rk4"
 
     @cached_property
     def network(self) -> Network:
-        """The layers of a `plain` model, from what is seen of (carry, control) to rates."""
+        """The layers of a `plain` model, from standardised features of (carry, control) to rates."""
         weights = [weight.T[None] for weight in self.weights_[::2]]
         biases = [bias[None] for bias in self.weights_[1::2]]
         return Network(weights, biases).folded(self.centre_, self.scale_, self.rates_)
 
     @cached_property
     def equation(self) -> Equation:
-        """What was learned, for torch."""
+        """The learned equation in torch."""
         with one_thread(0):
             return self._equation(STEPPED).with_weights(dict(zip(self.weight_names_, self.weights_, strict=True)))
 

@@ -1,4 +1,4 @@
-"""The torch part of torch_ode: the equation under torchdiffeq and its training."""
+"""The PyTorch part of torch_ode: the equation under torchdiffeq and its training."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ from sysid_evo.validation.folds import time_fold
 from sysid_evo.validation.simulation_error import error_windows, relative_error
 
 ADAPTIVE = ("dopri5", "dopri8")
-"""Methods that choose their own steps; those of lower order would need too many to be as exact as a step must be."""
+"""Methods that choose their own steps; lower orders would need too many steps for the required accuracy."""
 MAX_STEPS = 10_000
-"""Steps of their own that they may take within dt."""
+"""Largest number of their steps within dt."""
 SOLVER_FAILED = AssertionError
-"""What torchdiffeq raises where they would take more, or meet what is no number."""
+"""Exception of torchdiffeq for more steps, or for values that are not finite."""
 
 ON_SINGLE_STEPS = 2 / 3
-"""Share of the updates, which take little time each."""
+"""Share of the updates on single steps."""
 CHECKS = 12
-"""Times that the running mean of the weights is judged."""
+"""How often the running mean of the weights is scored."""
 
 
 class Turning(torch.autograd.Function):
-    """w(x) of any motion, with the derivative that it has."""
+    """w(x) of any motion, with its own derivative."""
 
     @staticmethod
     def forward(ctx: Any, state: Tensor, system: System) -> Tensor:
@@ -69,11 +69,11 @@ class Turning(torch.autograd.Function):
 
 @dataclass(frozen=True)
 class Equation:
-    """dx/dt = ``rates`` module((seen - ``centre``) / ``scale``) + w(x), w the rotation of the frame, all in float64.
+    """dx/dt = ``rates`` module((features - ``centre``) / ``scale``) + w(x), w the rotation of the frame, in float64.
 
-    Seen are what `Features` lists: states, of periodic ones sine and cosine, earlier samples and the control, which
-    are held over a step. ``tolerance`` is that of adaptive methods, relative and in parts of the usual change in a
-    step; none of the rows of a batch is further off.
+    The features are those of `Features`: states (sine and cosine of periodic ones), earlier samples and the control,
+    which are held over a step. ``tolerance`` is that of adaptive methods, relative and in units of the typical change
+    in a step; it holds for every row of a batch.
     """
 
     module: torch.nn.Module
@@ -101,9 +101,9 @@ class Equation:
         tolerance: float,
         owner: str,
     ) -> Self:
-        """Return the equation of the ``module`` of the class ``owner``, which becomes one of float64.
+        """Return the equation of the ``module`` of the class ``owner``, which is converted to float64.
 
-        Raises `ShapeError` if its outputs have another shape than (B, nx).
+        Raises `ShapeError` if its outputs do not have the shape (B, nx).
         """
         n_inputs, nx = len(centre), system.nx
         module = module.double()
@@ -123,7 +123,7 @@ class Equation:
         return self
 
     def next_states(self, carry: Array, control: Array) -> Array:
-        """Return the states (B, nx) after dt; nan in the rows that the solver cannot follow."""
+        """Return the states (B, nx) after dt; nan in rows where the solver fails."""
         try:
             with one_thread(0), torch.no_grad():
                 return self.after(torch.tensor(carry), torch.tensor(control)).numpy()
@@ -134,7 +134,7 @@ class Equation:
             return np.concatenate([self.next_states(carry[i : i + 1], control[i : i + 1]) for i in rows])
 
     def run(self, states: Tensor, past_controls: Tensor, controls: Tensor) -> Tensor:
-        """Return the states (B, H, nx) of free runs from histories (B, L + 1, nx), (B, L, nu) under (B, H, nu)."""
+        """Return the states (B, H, nx) of simulations from histories (B, L + 1, nx), (B, L, nu) under (B, H, nu)."""
         carry = torch.cat(self.layout.initial_parts(states, past_controls), dim=-1)
 
         def step(carry: Tensor, control: Tensor) -> Tensor:
@@ -143,7 +143,7 @@ class Equation:
         return torch.stack([carry[:, : self.layout.nx] for carry in chained(step, carry, controls)], dim=1)
 
     def after(self, carry: Tensor, control: Tensor) -> Tensor:
-        """Return the state (B, nx) after dt. Raises `SOLVER_FAILED` where an adaptive method cannot get there."""
+        """Return the state (B, nx) after dt. Raises `SOLVER_FAILED` if an adaptive method fails."""
         solve, options = odeint, None
         if self.adjoint and torch.is_grad_enabled():
             solve = partial(odeint_adjoint, adjoint_rtol=self.tolerance, adjoint_atol=self.tolerance)
@@ -164,13 +164,13 @@ class Equation:
         horizon: int,
         learning_rate: float,
         rng: np.random.Generator,
-        told: Callable[[], None],
+        report: Callable[[], None],
     ) -> None:
         """Train the module in place on all but the held-out blocks of time.
 
-        Every window is a shot of its own from a measured state (multiple shooting), first of one step, then of
-        ``horizon`` steps, as `TrainingSchedule` says. What stays are, of the running means of the weights, those that
-        simulate the held-out blocks best over one second. ``told`` is called after each update.
+        Every window starts from its own measured state (multiple shooting); windows have first one step, then
+        ``horizon`` steps, as in `TrainingSchedule`. The result is the running mean of the weights that simulates the
+        held-out blocks best over one second. ``report`` is called after each update.
         """
         learned, held = time_fold(dataset, 0, FOLDS)
         history, module = self.layout.n_lags, self.module
@@ -203,10 +203,10 @@ class Equation:
                 error = replace(self, module=mean.module).error(windows)
                 if error < lowest:
                     best, lowest = copy.deepcopy(mean.module.state_dict()), error
-            told()
+            report()
         if not math.isfinite(lowest):
             raise InvalidArgument(
-                f"no free run of the module was finite: expected one that solver={self.solver!r} can follow; "
+                f"no simulation of the module was finite: expected one that solver={self.solver!r} can follow; "
                 "give a lower learning_rate, or a module whose outputs are bounded"
             )
         module.load_state_dict(best)
@@ -225,7 +225,7 @@ class Equation:
         return bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(self.module.parameters(), 1.0)))
 
     def error(self, windows: Windows) -> float:
-        """Return the error of free runs over ``windows``."""
+        """Return the simulation error over ``windows``."""
         given = (torch.from_numpy(part) for part in (windows.past_states, windows.past_controls, windows.controls))
         self.module.eval()
         try:
@@ -245,7 +245,7 @@ class Equation:
 
 
 class Rate(torch.nn.Module):
-    """dx/dt of one step as torchdiffeq asks for it: what is held, and what is seen of that, is computed once."""
+    """dx/dt within one step for torchdiffeq; held inputs and their features are computed once."""
 
     def __init__(self, equation: Equation, held: Tensor, control: Tensor) -> None:
         super().__init__()
@@ -257,13 +257,13 @@ class Rate(torch.nn.Module):
         self.fixed = (fixed - equation.centre[self.n_seen :]) / equation.scale[self.n_seen :]
 
     def forward(self, time: Tensor, state: Tensor) -> Tensor:
-        """Return dx/dt (B, nx), which is the same at all times of the step."""
+        """Return dx/dt (B, nx), which does not depend on the time within the step."""
         equation, n = self.equation, self.n_seen
         present = (seen(equation.system, state) - equation.centre[:n]) / equation.scale[:n]
         rate: Tensor = self.module(torch.cat([present, self.fixed], dim=1)) * equation.rates
         if equation.system.motion is None:
             return rate
-        turned: Any = Turning  # torch gives apply no types
+        turned: Any = Turning  # apply has no types in torch
         turning: Tensor = turned.apply(state, equation.system)
         return rate + turning
 

@@ -1,8 +1,8 @@
 """Training on simulations: windows, schedule, Adam, early stopping, resuming.
 
-Every window is a shot of its own that starts at a measured state (multiple shooting with the
-measurements as nodes). The error of each step counts by the inverse of its present size to the
-power 2.5, so that the first steps matter more than the last, which they decide.
+Every window starts from its own measured state (multiple shooting with the measurements as nodes). The error of each
+step is weighted by its present size to the power -2.5, so that the first steps count most: they determine the later
+ones.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from sysid_evo.progress import Checkpoint, CheckpointState
 from sysid_evo.types import Array, IntArray
 
 SHARPNESS = 2.5
-"""Power of the weight of a step: 1 would let all steps weigh alike, more favours the accurate first ones."""
+"""Exponent of the step weights: 1 gives all steps equal weight, higher values favour the accurate first ones."""
 
 SINGLE_STEPS = 0.75
-"""Share of the updates of more training that are on single steps."""
+"""Share of single-step updates in fine-tuning."""
 
-TOLD_EVERY = 10
+REPORT_EVERY = 10
 """Updates between two reports of progress."""
 
 FLOOR = 0.002
-"""Square of a relative error below which a step gains no more weight (the noise of the measurement)."""
+"""Squared relative error below which the weight of a step does not rise (the noise of the measurement)."""
 
 PIECE = 256
-"""Windows that are judged at once."""
+"""Windows scored at once."""
 
 
 @dataclass(frozen=True)
 class TrainingWindows:
-    """Windows of ``horizon`` steps: where each one's present stands (N,) among samples of state and control (T, n).
+    """Windows of ``horizon`` steps, by the position (N,) of their present among samples of state and control (T, n).
 
-    The samples are those of all episodes, one after the other. Batches of them have the time first.
+    The samples are those of all episodes in sequence. Batches have time as first axis.
     """
 
     samples: Array32
@@ -77,7 +77,7 @@ class TrainingWindows:
 
 
 class Batches:
-    """What batches of every member's windows are made of: all samples in one array."""
+    """Batches of the windows of all members, taken from one array of all samples."""
 
     def __init__(self, shots: Sequence[TrainingWindows], history: int) -> None:
         first = np.cumsum([0, *(len(one.samples) for one in shots)])
@@ -86,7 +86,7 @@ class Batches:
         self.history = history
 
     def of(self, rows: Sequence[IntArray], horizon: int) -> Array32:
-        """Return the samples (L + 1 + H, M, B, n) of one choice of windows (B,) for each member."""
+        """Return the samples (L + 1 + H, M, B, n) of the windows ``rows`` (B,) of each member."""
         starts = np.stack([start[row] for start, row in zip(self.starts, rows, strict=True)])
         steps = np.arange(-self.history, horizon + 1)
         found: Array32 = np.take(self.samples, starts + steps[:, None, None], axis=0, mode="clip")
@@ -94,32 +94,31 @@ class Batches:
 
 
 class TrainableSimulation(Protocol):
-    """M models with parameters (M, P) that run free and say how what they simulate depends on the parameters."""
+    """M models with parameters (M, P) that can be simulated, with the gradient of the simulation."""
 
     layout: CarryLayout
     parameters: Array32
 
     def run(self, samples: Array32) -> Array32:
-        """Return the states (H, M, B, nx) of free runs from the past in a batch, under its controls."""
+        """Return the states (H, M, B, nx) of simulations that start from the history in a batch, under its controls."""
 
     def gradient(self, by_states: Array32) -> Array32:
-        """Return the gradient (M, P) of a number, from that by the states (H, M, B, nx) of the last run."""
+        """Return the gradient (M, P) of a scalar, from its gradient by the states (H, M, B, nx) of the last run."""
 
     def augmented(self, samples: Array32, rng: np.random.Generator) -> Array32:
-        """Return what is learned from a batch."""
+        """Return a batch for training, perhaps mirrored."""
 
     def as_recorded(self) -> None:
-        """Expect data as recorded from here on, to be judged by them."""
+        """Treat the following data as recorded, not mirrored, for scoring."""
 
 
 @dataclass(frozen=True)
 class TrainingSchedule:
-    """How long and how hard to train.
+    """Number and size of the updates of a training.
 
-    First ``one_step_updates`` on single steps with batches of 512, then ``updates`` on free runs of
-    ``horizon`` steps with ``batch`` windows. ``input_noise`` is added to measured states, in units
-    of their one-step change. The weights are a running mean (``averaging``) of those visited;
-    every ``check_every`` updates it is judged, and the best judged one is kept.
+    First ``one_step_updates`` on single steps with batches of 512, then ``updates`` on simulations of ``horizon`` steps
+    with ``batch`` windows. ``input_noise`` is added to measured states, in units of their one-step change. A running
+    mean of the weights (``averaging``) is scored every ``check_every`` updates, and the best one is kept.
     """
 
     one_step_updates: int
@@ -134,7 +133,7 @@ class TrainingSchedule:
 
     @classmethod
     def further(cls, updates: int, horizon: int, input_noise: float) -> TrainingSchedule:
-        """Return how what has learned goes on for so many ``updates`` with other data."""
+        """Return the schedule for fine-tuning by ``updates`` updates on other data."""
         single = round(SINGLE_STEPS * updates)
         return cls(single, updates - single, horizon, input_noise=input_noise)
 
@@ -155,9 +154,9 @@ def train(
 ) -> Array32:
     """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters (M, P).
 
-    ``judge`` gives the validation error (M,) of parameters; each member then ends with the best it
-    had. ``state_scale`` and ``change_scale`` (nx,) measure errors and noise. It is the next of ``trainings``: done
-    already, stopped before its end, or not begun.
+    ``judge`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale`` and
+    ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted and
+    returns the result of one that had finished.
     """
     done = trainings.ended()
     if done is not None:
@@ -168,7 +167,7 @@ def train(
     scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
     longest = min(shot.horizon for shot in shots)
     present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
-    first = told = trainings.resume(state)
+    first = reported = trainings.resume(state)
     if first:
         trainings.report(first)
     for update in range(first, plan.total):
@@ -187,17 +186,17 @@ def train(
         last = update + 1 == plan.total
         if judge is not None and (last or (update + 1) % plan.check_every == 0):
             state.keep(judge(state.mean))
-        if last or update % TOLD_EVERY == 0:
+        if last or update % REPORT_EVERY == 0:
             trainings.reached(update + 1, state)
-            trainings.report(update + 1 - told)
-            told = update + 1
+            trainings.report(update + 1 - reported)
+            reported = update + 1
     found = state.mean if judge is None else state.best
     trainings.end(found)
     return found
 
 
 def step_weights(error: Array32) -> Array32:
-    """Return the weights (H,) of the steps of a free run, their sum 1, for the square errors (H, M) they have now."""
+    """Return the weights (H,) of the steps of a simulation, with sum 1, for their present square errors (H, M)."""
     weight = (error.mean(axis=1) + FLOOR) ** -SHARPNESS
     return np.asarray(weight / weight.sum())
 
@@ -205,9 +204,9 @@ def step_weights(error: Array32) -> Array32:
 def judged(
     model: TrainableSimulation, parameters: Array32, held: Sequence[TrainingWindows], state_scale: Array
 ) -> Array:
-    """Return the error (M,) of each member's free runs over its own windows: RMSE / scale, the mean over all.
+    """Return the simulation error (M,) of each member over its own windows: RMSE / scale, averaged over all.
 
-    Infinite where a run is not finite. A member with fewer windows than another runs some twice, which do not count.
+    Infinite if a simulation is not finite. A member with fewer windows repeats some, which do not count.
     """
     trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
     model.as_recorded()
@@ -238,18 +237,18 @@ def schedule(plan: TrainingSchedule, update: int, longest: int) -> tuple[int, in
 
 
 Report: TypeAlias = Callable[[int], None]
-"""Told how many more updates are done."""
+"""Called with the number of updates done since the last call."""
 
 MOMENTUM, SPREAD, TINY = 0.9, 0.99, 1e-8
-"""Adam's two decay rates and what keeps it from dividing by zero (Kingma, Ba 2015)."""
+"""Adam's two decay rates and the term against division by zero (Kingma, Ba 2015)."""
 
 
 @dataclass
 class TrainingState:
-    """All that changes while one training goes on, in place; arrays are (M, P), one row for each member.
+    """The changing state of one training; arrays are (M, P), one row for each member.
 
-    ``first`` and ``second`` are Adam's moments of the gradient after so many ``steps`` (1,), ``mean`` is the running
-    mean of the ``parameters``, ``best`` the best of these means and ``lowest`` its errors (M,).
+    ``first`` and ``second`` are Adam's moments of the gradient after ``steps`` (1,) steps, ``mean`` is the running mean
+    of the ``parameters``, ``best`` the best of these means and ``lowest`` its errors (M,).
     """
 
     parameters: Array32
@@ -262,13 +261,13 @@ class TrainingState:
 
     @classmethod
     def at(cls, parameters: Array32) -> Self:
-        """Return how things stand before the first update of ``parameters``."""
+        """Return the state before the first update of ``parameters``."""
         zero = np.zeros_like(parameters)
         lowest = np.full(len(parameters), np.inf)
         return cls(parameters, zero, zero.copy(), parameters.copy(), parameters.copy(), lowest, np.zeros(1))
 
     def descend(self, gradient: Array32, rate: float) -> None:
-        """Do one step of Adam, down a ``gradient`` that is shortened to the root of M; none if it is not finite."""
+        """Do one step of Adam with the ``gradient``, its norm limited to the root of M; none if it is not finite."""
         norm = math.sqrt(float(np.vdot(gradient, gradient)))
         if not math.isfinite(norm):
             return
@@ -282,20 +281,20 @@ class TrainingState:
         self.parameters -= rate / (1.0 - MOMENTUM**count) * self.first / deviation
 
     def average(self, keep: float) -> None:
-        """Take the parameters into the running mean, of which the share ``keep`` stays."""
+        """Update the running mean of the parameters, with the share ``keep`` of the old mean."""
         self.mean += (1.0 - keep) * (self.parameters - self.mean)
 
     def keep(self, errors: Array) -> None:
-        """Keep the means of those members whose ``errors`` (M,) are the lowest so far."""
+        """Store the means of the members whose ``errors`` (M,) are the lowest so far."""
         better = errors < self.lowest
         self.lowest[better], self.best[better] = errors[better], self.mean[better]
 
     def copies(self) -> dict[str, Array]:
-        """Return copies of all of it by name, as float64 arrays, which hold single precision exactly."""
+        """Return copies of all arrays by name, as float64, which holds single precision exactly."""
         return {name: np.array(value, dtype=np.float64) for name, value in vars(self).items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a ``state`` of the same training. Raises `LookupError` or `ValueError` for that of another."""
+        """Continue from the ``state`` of the same training. Raises `LookupError` or `ValueError` for another one."""
         for name, value in vars(self).items():
             if np.shape(state[name]) != value.shape:
                 raise ValueError(f"expected the shape {value.shape}, got {np.shape(state[name])}")
@@ -304,11 +303,11 @@ class TrainingState:
 
 
 class ResumableTrainings:
-    """The trainings of one fit, one after the other, and the source of their random numbers.
+    """The consecutive trainings of one fit, and their random numbers.
 
-    With a ``checkpoint`` a fit that is made again, with the same data and the same ``rng``, does not repeat the
-    trainings that had ended, and goes on within the one that had not. Use it in a ``with`` statement: what leaves it
-    by an exception, Ctrl-C too, is kept as it stood after the last updates that were told.
+    With a ``checkpoint``, a repeated fit with the same data and ``rng`` skips the trainings that had finished and
+    continues the one that had not. Use it in a ``with`` statement: on an exception, Ctrl-C included, the state at the
+    last report is saved.
     """
 
     def __init__(
@@ -329,7 +328,7 @@ class ResumableTrainings:
 
     @classmethod
     def of(cls, model: DynamicsModel, dataset: Dataset, rng: np.random.Generator, report: Report | None) -> Self:
-        """Return the trainings of a fit of ``model``, kept in its checkpoint if somebody set one."""
+        """Return the trainings of a fit of ``model``, with its checkpoint if one is set."""
         asked = [type(model).__qualname__, repr(model.get_params(deep=False)), dataset.fingerprint, _text(rng)]
         identity = hashlib.sha256(json.dumps([*asked, np.__version__]).encode()).hexdigest()
         return cls(rng, report=report, checkpoint=model.checkpoint, identity=identity)
@@ -344,12 +343,12 @@ class ResumableTrainings:
             self._save()
 
     def report(self, updates: int) -> None:
-        """Tell that so many more updates are done."""
+        """Report that this many more updates are done."""
         if self._report is not None:
             self._report(updates)
 
     def ended(self) -> Array32 | None:
-        """Begin the next training; return its parameters if it had ended before, None if it has to be done."""
+        """Start the next training; return its parameters if it had finished before, otherwise None."""
         number, found = self._begun, self._found
         self._begun += 1
         if number >= int(found["ended"]):
@@ -360,7 +359,7 @@ class ResumableTrainings:
         return np.asarray(own[f"{number}/parameters"], dtype=np.float32)
 
     def resume(self, state: TrainingState) -> int:
-        """Bring ``state`` to where the training was stopped; return the updates that it has behind it."""
+        """Set ``state`` to that of the interrupted training; return the number of updates done."""
         found = self._found
         if "updates" not in found or self._begun != int(found["ended"]) + 1:
             return 0
@@ -375,7 +374,7 @@ class ResumableTrainings:
         return int(found["updates"])
 
     def reached(self, updates: int, state: TrainingState) -> None:
-        """Keep how things stand after so many updates, if it is time to save."""
+        """Store the state after this many updates; save it if it is time."""
         if self.checkpoint is None:
             return
         now: dict[str, Any] = {f"now/{name}": value for name, value in state.copies().items()}
@@ -386,7 +385,7 @@ class ResumableTrainings:
             self._save()
 
     def end(self, parameters: Array32) -> None:
-        """Keep the parameters of the training, which is over."""
+        """Store the parameters of the finished training."""
         if self.checkpoint is None:
             return
         number = self._begun - 1

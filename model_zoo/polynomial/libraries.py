@@ -1,9 +1,9 @@
 """Candidate terms named as in pysindy: libraries, their sums and products, the weak form.
 
 A library is a text: ``polynomial(degree=2)``, ``fourier(n_frequencies=2)``, ``custom(functions=[tanh, x*abs(x)])``,
-``identity``; a sum ``a + b`` holds the terms of both, a product ``a * b`` every product of one of each;
-``WeakPDELibrary(function_library=...)`` around one of them asks for the weak form. ``inputs=[speed, drive]`` keeps a
-library to some inputs. The names of pysindy's classes will do as well, with their arguments.
+``identity``. A sum ``a + b`` has the terms of both, a product ``a * b`` all products of one term of each.
+``WeakPDELibrary(function_library=...)`` selects the weak form. ``inputs=[speed, drive]`` restricts a library to some
+inputs. pysindy's class names and arguments are accepted as well.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Term: TypeAlias = tuple[str, ...]
 
 
 class TermLibrary(Protocol):
-    """A library: what gives candidate terms."""
+    """A library of candidate terms."""
 
     def terms(self, features: Features) -> list[Term]:
         """Return the candidate terms over ``features``, in the order of pysindy's library."""
@@ -39,12 +39,12 @@ class TermLibrary(Protocol):
 
 @dataclass(frozen=True)
 class InputSelection:
-    """Which features a library sees: all, or those of the channels or features called ``names``."""
+    """The features of a library: all, or those of the channels or features called ``names``."""
 
     names: tuple[str, ...] = ()
 
     def of(self, features: Features) -> list[str]:
-        """Return the names of the features. Raises `InvalidArgument` if one of ``names`` is not there."""
+        """Return the names of the features. Raises `InvalidArgument` for an unknown name."""
         system = features.system
         periodic = [n for n, c in zip(system.state_names, system.states, strict=True) if c.period is not None]
         owners: dict[str, set[str]] = {}
@@ -81,7 +81,7 @@ class Polynomial:
 
 @dataclass(frozen=True)
 class Fourier:
-    """pysindy's FourierLibrary; of a periodic state the harmonics of its own period."""
+    """pysindy's FourierLibrary; periodic states use the harmonics of their own period."""
 
     n_frequencies: int = 1
     include_sin: bool = True
@@ -112,7 +112,7 @@ class Fourier:
 
 @dataclass(frozen=True)
 class Custom:
-    """pysindy's CustomLibrary of functions of one input, out of `FUNCTIONS`, each perhaps of a multiple: sin(2*x)."""
+    """pysindy's CustomLibrary of functions of one input, from `FUNCTIONS`, optionally of a multiple: sin(2*x)."""
 
     functions: tuple[str, ...] = ()
     include_bias: bool = False
@@ -168,7 +168,7 @@ class Product:
 
 @dataclass(frozen=True)
 class ParsedLibrary:
-    """What a text names: candidate terms, and the weak form if it asks for one."""
+    """The content of a text: candidate terms, and the weak form if requested."""
 
     terms: TermLibrary
     weak: WeakForm | None = None
@@ -176,7 +176,7 @@ class ParsedLibrary:
 
 @dataclass(frozen=True)
 class Basis:
-    """Terms as exponents (T, n) of features and of further ``functions`` of (carry, control), which follow them."""
+    """Terms as exponents (T, n) of the features followed by further ``functions`` of (carry, control)."""
 
     functions: tuple[str, ...]
     exponents: IntArray
@@ -184,7 +184,7 @@ class Basis:
 
 @lru_cache(maxsize=256)
 def basis_of(text: str, features: Features) -> Basis:
-    """Return the terms that the library ``text`` has over ``features``."""
+    """Return the terms of the library ``text`` over ``features``."""
     terms = read_library(text).terms.terms(features)
     further = {name: ChannelFunction.read(name) for term in terms for name in term if name not in features.names}
     functions = [function for function in further.values() if function is not None]
@@ -203,7 +203,7 @@ KINDS: Mapping[str, type[Polynomial] | type[Fourier] | type[Custom]] = {
     "custom": Custom,
 }
 REFUSED: Mapping[str, str] = {
-    "pde": "there is no space here to differentiate in",
+    "pde": "there are no spatial derivatives in these systems",
     "sindypi": "an implicit equation cannot be stepped",
     "parameterized": "write the product of two libraries with inputs=[...] instead",
     "generalized": "write sums and products of libraries with inputs=[...] instead",
@@ -213,12 +213,12 @@ Kind: TypeAlias = "type[Polynomial] | type[Fourier] | type[Custom]"
 
 @lru_cache(maxsize=256)
 def read_library(text: str) -> ParsedLibrary:
-    """Return what ``text`` names. Raises `InvalidArgument` that says what is expected."""
+    """Return the library described by ``text``. Raises `InvalidArgument` with the expected form."""
     try:
         return _read(text, ast.parse(text.strip(), mode="eval").body)
     except SyntaxError as error:
         raise InvalidArgument(f"library: {text!r} cannot be read: {error.msg}; {EXAMPLE}") from error
-    except (RecursionError, MemoryError):  # how Python's parser, or what reads its result, gives up
+    except (RecursionError, MemoryError):  # raised by the parser or by the walk over its result
         raise InvalidArgument(f"library: {text[:80]!r} ... is nested too deep; {EXAMPLE}") from None
 
 
@@ -226,7 +226,7 @@ def _read(text: str, node: ast.expr) -> ParsedLibrary:
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Add, ast.Mult)):
         sides = (_read(text, node.left), _read(text, node.right))
         if any(side.weak is not None for side in sides):
-            raise InvalidArgument(f"library: the weak form goes around the whole library, got {text!r}")
+            raise InvalidArgument(f"library: the weak form must enclose the whole library, got {text!r}")
         join: Callable[[tuple[TermLibrary, ...]], TermLibrary] = Sum if isinstance(node.op, ast.Add) else Product
         return ParsedLibrary(join((sides[0].terms, sides[1].terms)))
     if not isinstance(node, (ast.Call, ast.Name)):
@@ -240,7 +240,7 @@ def _read(text: str, node: ast.expr) -> ParsedLibrary:
     if name in ("concat", "tensored"):
         return ParsedLibrary((Sum if name == "concat" else Product)(_parts(spec)))
     if name in REFUSED:
-        raise InvalidArgument(f"library: {spec.name} is of no use here: {REFUSED[name]}")
+        raise InvalidArgument(f"library: {spec.name} is not supported: {REFUSED[name]}")
     if name not in KINDS:
         known = ", ".join([*KINDS, "identity", "WeakPDELibrary"])
         raise InvalidArgument(f"library: expected one of {known}, or a sum or product of these, got {spec.name!r}")
@@ -287,7 +287,7 @@ def _texts(spec: Spec, name: str, values: Any) -> tuple[str, ...]:
 
 
 def _checked(spec: Spec, kind: type[Any], given: Mapping[str, Any]) -> Any:
-    """Return ``kind`` made with what is given, each of the type of its default. Raises `InvalidArgument`."""
+    """Return ``kind`` made with the given arguments, after a check of their types. Raises `InvalidArgument`."""
     usual = kind()
     for name, value in given.items():
         if name not in usual.__dataclass_fields__:
@@ -303,7 +303,7 @@ def _checked(spec: Spec, kind: type[Any], given: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class WeakForm:
-    """How the weak form tests an equation: windows of half width ``H_xt`` s, test functions (1 - s^2)^``p``.
+    """Parameters of the weak form: windows of half width ``H_xt`` s, test functions (1 - s^2)^``p``.
 
     ``K`` windows, spread evenly over the data; None for one every quarter of a window.
     """
@@ -318,8 +318,8 @@ def testing_functions(sample: IntArray, dt: float, weak: WeakForm) -> csr_array:
 
     With phi(s) = (1 - s^2)^p on a window, sum phi_k (x_{k+1} - x_k) = -sum (phi_k - phi_{k-1}) x_k: the difference
     moves from the noisy states to the smooth phi (summation by parts; Messenger and Bortz 2021, and pysindy's
-    WeakPDELibrary), while controls stay held over every step. ``sample`` (N,) numbers the steps: those of a window
-    follow each other without a gap. Raises `InvalidData` if there is no such window.
+    WeakPDELibrary), with controls held over every step. ``sample`` (N,) numbers the steps: those of a window are
+    consecutive. Raises `InvalidData` if there is no such window.
     """
     width = max(2, 2 * round(weak.H_xt / dt))
     rises = np.diff(sample) == 1
@@ -327,7 +327,7 @@ def testing_functions(sample: IntArray, dt: float, weak: WeakForm) -> csr_array:
     starts = np.arange(len(sample) - width + 1)
     starts = starts[unbroken[starts + width - 1] == unbroken[starts]] if len(starts) > 0 else starts
     if not len(starts):
-        raise InvalidData(f"weak form: no {width} steps follow each other; take a shorter H_xt than {weak.H_xt:g} s")
+        raise InvalidData(f"weak form: there are no {width} consecutive steps; use H_xt below {weak.H_xt:g} s")
     count = len(starts) if weak.K is None else min(weak.K, len(starts))
     step = max(1, width // 4)
     chosen = starts[::step] if weak.K is None else starts[np.linspace(0, len(starts) - 1, count).astype(np.int64)]

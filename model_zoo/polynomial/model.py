@@ -1,4 +1,4 @@
-"""The base of polynomial families: monomials, step, equations in words, compiled form, stability."""
+"""Base class of polynomial families: monomials, step, printed equations, compiled form, stability."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class Regression:
-    """Regressors (N, n), n at least nx, and targets (N, nx); what was ``measured``: features (N, n), states (N, nx).
+    """Regressors (N, n >= nx), targets (N, nx), and measurements: features ``measured`` (N, n), ``states`` (N, nx).
 
-    ``added`` (nx,) says of which states the targets are changes. ``sample`` (N,) numbers the steps, with a gap where
-    one does not follow the one before.
+    ``added`` (nx,) marks states whose targets are changes. ``sample`` (N,) numbers the steps, with a gap between steps
+    that are not consecutive.
     """
 
     regressors: Array
@@ -52,12 +52,12 @@ class Regression:
 
 
 class PolynomialModel(StochasticModel):
-    """A family that steps by a polynomial of features of (carry, control), clipped to the training range.
+    """A family whose step is a polynomial of features of (carry, control), clipped to the training range.
 
-    The polynomial is the next state, or the change of an integral, see `integrals`; a differential equation says so
-    in its own `regression`, `left_sides`, `next_state` and `predictor`. Its variables may be functions of the inputs.
-    An offset is subtracted from channels far from zero, such as a map coordinate or a temperature in kelvin: monomials
-    of 1e6 + x are nearly collinear, so that neither fits nor thresholds can separate them.
+    The polynomial gives the next state, or the change of an integral (`integrals`). A differential equation overrides
+    `regression`, `left_sides`, `next_state` and `predictor`. An offset is subtracted from channels far from zero, such
+    as a map coordinate or a temperature in kelvin: monomials of 1e6 + x are nearly collinear, so that neither fits nor
+    thresholds can separate them.
     """
 
     model_class = "polynomial"
@@ -75,16 +75,16 @@ class PolynomialModel(StochasticModel):
         return tuple(getattr(self, "offsets_", ()))
 
     def features_of(self, system: System, lags: tuple[int, int]) -> Features:
-        """Return what the polynomial sees of (carry, control), also before the lags are chosen."""
+        """Return the features of the polynomial, also before the lags are chosen."""
         return Features(system, lags, offsets=self.offsets)
 
     @property
     def features(self) -> Features:
-        """What the polynomial sees of (carry, control)."""
+        """The features of the polynomial."""
         return self.features_of(self.system, self.lags)
 
     def regression(self, dataset: Dataset, lags: tuple[int, int]) -> Regression:
-        """Return what the polynomial is fitted to."""
+        """Return regressors and targets for the polynomial."""
         data = dataset.transitions(state_lags=lags[0], control_lags=lags[1], moving=True)
         features, added = self.features_of(dataset.system, lags), integrals(dataset)
         seen = features(data.carry, data.control)
@@ -93,13 +93,13 @@ class PolynomialModel(StochasticModel):
         return found[np.flatnonzero(between_limits(dataset.system, data.after))]
 
     def zero_of(self, added: Array | BoolArray) -> Array:
-        """Return from where targets (nx,) are measured: changes of the states ``added`` from 0, others from offsets."""
+        """Return the zero points (nx,) of the targets: 0 for changes (``added``), offsets for the others."""
         return np.where(added, 0.0, self.offsets[: len(added)] or 0.0)
 
     def set_learned(self, data: Regression, coefficients: Array, exponents: IntArray) -> None:
-        """Make the terms with a coefficient the right-hand side, in the range of ``data``."""
+        """Store the terms with a coefficient as right-hand side, with the range of ``data``."""
         zero = self.zero_of(data.added)
-        if zero.any():  # what was taken from the targets is a constant
+        if zero.any():  # offsets of the targets become a constant
             if exponents.any(axis=1).all():
                 exponents = np.concatenate([np.zeros_like(exponents[:1]), exponents])
                 coefficients = np.concatenate([np.zeros_like(coefficients[:1]), coefficients])
@@ -121,12 +121,12 @@ class PolynomialModel(StochasticModel):
             "high_": (seen,),
             "added_": (nx,),
             "offsets_": Numbers(nx + self.system.nu, optional=True),
-            "state_bounds_": Numbers(2, nx, infinite=True, rising=True),  # its `stability` asks for both
+            "state_bounds_": Numbers(2, nx, infinite=True, rising=True),  # its `stability` needs both
             "training_sample_": ("pairs", nx + self.system.nu),
         }
 
     def kept_features(self, exponents: IntArray) -> IntArray:
-        """Return which features to go on with, those of terms with ``exponents`` (T, n) among them; by default all."""
+        """Return which features to keep, including those of terms with ``exponents`` (T, n); by default all."""
         return np.arange(exponents.shape[1])
 
     def polynomial(self, carry: Array, control: Array) -> Array:
@@ -165,13 +165,13 @@ class PolynomialModel(StochasticModel):
 
     @cached_property
     def stability(self) -> Stability:
-        """How disturbances grow and how free runs end; found when it is asked for."""
+        """Growth of disturbances and outcome of simulations; computed on first use."""
         return stability(self.variant(stochastic=False))
 
     @property
     def fit_note(self) -> str:
-        """What there is to say of the data that it learned from, and of an equation that runs away."""
-        return ", and ".join(part for part in (super().fit_note, self.stability.sentence) if part)
+        """Notes on the training data, and on an unstable equation."""
+        return "; ".join(part for part in (super().fit_note, self.stability.sentence) if part)
 
     def left_sides(self) -> list[tuple[str, str]]:
         """Return the left side of each equation and its unit."""
@@ -197,15 +197,15 @@ class PolynomialModel(StochasticModel):
 
 
 HIGHEST = 99
-"""Largest exponent accepted from a file: a guess, far beyond any degree that data support."""
+"""Largest exponent accepted from a file, far beyond any degree that data support."""
 DEGREES = (2, 3)
 """Degrees that are tried if none is given."""
 MAX_TERMS: Mapping[str, int] = {"all": 250, "few": 150}
-"""Terms of the largest library that is tried, by how many lags are."""
+"""Terms of the largest library that is tried, by `lag_search`."""
 
 
 def library_size(n_inputs: int, degree: int) -> int:
-    """Return how many monomials up to ``degree`` there are."""
+    """Return the number of monomials up to ``degree``."""
     return math.comb(n_inputs + degree, degree)
 
 
@@ -220,23 +220,23 @@ def monomials(n_inputs: int, degree: int) -> IntArray:
 
 
 def evaluate(inputs: Array, exponents: IntArray) -> Array:
-    """Return the monomials (B, T) of ``inputs`` (B, n): factor by factor, for all terms at once."""
+    """Return the monomials (B, T) of ``inputs`` (B, n), computed factor by factor for all terms at once."""
     rows = np.concatenate([inputs.T, np.ones((1, len(inputs)))])
     used = exponents.cumsum(axis=1)
     degree = int(used[:, -1].max(initial=0)) if used.size else 0
     terms = rows[np.sum(used <= 0, axis=1)]
     for power in range(1, degree):
-        terms *= rows[np.sum(used <= power, axis=1)]  # past its last factor a term is multiplied by 1
+        terms *= rows[np.sum(used <= power, axis=1)]  # after its last factor a term is multiplied by 1
     return terms.T
 
 
 def term_name(exponents: IntArray, names: Sequence[str]) -> str:
-    """Return one monomial in words, such as ``forward_speed^2 steer``; ``1`` for the constant."""
+    """Return one monomial as text, such as ``forward_speed^2 steer``; ``1`` for the constant."""
     return " ".join(factors(exponents, names)) or "1"
 
 
 def factors(exponents: IntArray, names: Sequence[str]) -> list[str]:
-    """Return the factors of one monomial in words, such as ``forward_speed^2``."""
+    """Return the factors of one monomial as text, such as ``forward_speed^2``."""
     return [name if power == 1 else f"{name}^{power}" for name, power in zip(names, exponents, strict=True) if power]
 
 
@@ -256,27 +256,27 @@ def equation(
 
 
 TRIAL = 25.0
-"""Seconds of a free run."""
+"""Length of a simulation in s."""
 MAX_STEPS = 1000
 RUNS = 32
 HELD = 10
-"""Steps for which a free run holds each control."""
+"""Steps for which a simulation holds each control."""
 STATES = 64
-"""Visited states at which the equation is linearised."""
+"""Recorded states at which the equation is linearised."""
 GROWS = 0.1
-"""Growth per second that is worth a sentence."""
+"""Growth rate in 1/s above which it is reported."""
 MOST = 0.5
-"""Share of recorded states with such growth that is worth one."""
+"""Share of recorded states with such growth above which it is reported."""
 STEP = 1e-4
 
 
 @dataclass(frozen=True)
 class Stability:
-    """Growth rates of small disturbances in 1/s, and how free runs from recorded states end.
+    """Growth rates of small disturbances in 1/s, and outcome of simulations from recorded states.
 
-    ``at_rest`` is that of the neutral state under neutral controls, ``visited`` (N,) those at recorded states under
-    recorded controls; below 0 disturbances die out. ``escaped`` is the share of free runs of ``seconds`` under
-    recorded controls, in random order, that reach the state_bounds.
+    ``at_rest`` is the rate at the neutral state and control, ``visited`` (N,) those at recorded states and controls;
+    disturbances decay if it is below 0. ``escaped`` is the share of simulations of ``seconds`` under recorded controls,
+    in random order, that reach the state bounds.
     """
 
     at_rest: float
@@ -286,23 +286,23 @@ class Stability:
 
     @property
     def sentence(self) -> str:
-        """What there is to say against the model; empty if nothing."""
+        """The warnings about the model; empty if there are none."""
         found = []
         if self.escaped > 0:
             found.append(
-                f"is unstable: {100 * self.escaped:.0f} % of free runs of {self.seconds:g} s from recorded states "
-                "reach the state_bounds"
+                f"unstable: {100 * self.escaped:.0f} % of simulations of {self.seconds:g} s from recorded states "
+                "reach the state bounds"
             )
         if self.at_rest > GROWS:
-            found.append(f"lets small disturbances at rest grow by {self.at_rest:.1f} 1/s")
+            found.append(f"small disturbances at rest grow by {self.at_rest:.1f} 1/s")
         share = float((self.visited > GROWS).mean())
         if share > MOST:
-            found.append(f"lets small disturbances grow at {100 * share:.0f} % of recorded states")
-        return ", and ".join(found)
+            found.append(f"small disturbances grow at {100 * share:.0f} % of recorded states")
+        return "; ".join(found)
 
 
 def stability(model: DynamicsModel) -> Stability:
-    """Return the `Stability` of a fitted model; the same every time."""
+    """Return the `Stability` of a fitted model; deterministic."""
     system, rng = model.system, np.random.default_rng(0)
     nx = system.nx
     states, controls = model.training_sample_[:, :nx], model.training_sample_[:, nx:]
@@ -326,7 +326,7 @@ def stability(model: DynamicsModel) -> Stability:
 
 
 def growth(model: DynamicsModel, states: Array, controls: Array) -> Array:
-    """Return how fast (N,) in 1/s the fastest small disturbance of the carry grows, under held controls."""
+    """Return the growth rate (N,) in 1/s of the fastest small disturbance of the carry, under held controls."""
     system, lags = model.system, model.n_lags
     carry = model.start(np.repeat(states[:, None], lags + 1, axis=1), np.repeat(controls[:, None], lags, axis=1))
     spread = np.where(np.isfinite(np.ptp(carry, axis=0)), np.ptp(carry, axis=0), 0.0)

@@ -1,4 +1,4 @@
-"""Family narx: a polynomial whose terms are chosen one by one by orthogonal least squares."""
+"""Family narx: a polynomial whose terms are selected one by one by orthogonal least squares."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ ROWS = 8192
 
 @register_model("narx")
 class Narx(PolynomialModel):
-    """x_{k+1} = sum of ``terms`` monomials of lagged states and controls, one selection for each state.
+    """Polynomial of lagged states and controls whose terms are selected one by one (NARX).
 
-    Terms enter in the order of their error reduction ratio, the share of the target's energy that a
-    candidate explains once it is made orthogonal to those chosen (Chen, Billings, Luo 1989, forward
-    orthogonal least squares). ``degree``, ``terms`` and lags left at None are chosen by the simulation error
-    over one second on held-out blocks of time; with ``lag_search="few"`` among none, (0, 3) and (1, 3). Inputs are
-    clipped to the training range; a periodic state stands as its sine and cosine; of an integral (`integrals`) the
-    change is predicted.
+    x_{k+1} = sum of ``terms`` monomials up to ``degree``, selected for each state by forward orthogonal least squares
+    (Chen, Billings, Luo 1989): terms enter in the order of their error reduction ratio, the share of the target's
+    energy explained by a candidate made orthogonal to the terms before it. ``degree``, ``terms`` and lags left at None
+    are chosen by the simulation error over one second on held-out blocks of time; with ``lag_search="few"`` among no
+    lags, (0, 3) and (1, 3). Inputs are clipped to the training range; periodic states enter as sine and cosine; of an
+    integral (`integrals`) the change is predicted.
     """
 
     knowledge = "black"
@@ -66,7 +66,7 @@ class Narx(PolynomialModel):
 
         def learned(part: Dataset, count: int, lags: tuple[int, int], degree: int) -> DynamicsModel:
             data, key = self.regression(part, lags), (lags, degree, part.names)
-            if key not in chosen:  # the order of the terms does not depend on how many are taken
+            if key not in chosen:  # the order does not depend on the number of terms
                 compressed = Compressed.of(data, degree)
                 chosen[key] = compressed, compressed.selection(max(counts))
             trial = self.variant(terms=count, degree=degree, state_lags=lags[0], control_lags=lags[1])
@@ -85,7 +85,7 @@ class Narx(PolynomialModel):
         return self
 
     def _libraries(self, dataset: Dataset, pairs: list[tuple[int, int]]) -> list[tuple[tuple[int, int], int]]:
-        """Return lags and degrees to try; large libraries are left out if a smaller one is there."""
+        """Return lags and degrees to try, without large libraries if there is a smaller one."""
         if self.degree is not None:
             return [(lags, self.degree) for lags in pairs]
         every = [(lags, degree) for lags in pairs for degree in DEGREES]
@@ -107,11 +107,11 @@ class Narx(PolynomialModel):
 
 @dataclass(frozen=True)
 class Compressed:
-    """A least-squares problem in few rows: what a QR decomposition leaves of N rows of monomials and targets.
+    """A least-squares problem in few rows: the QR decomposition of N rows of monomials and targets.
 
-    Every inner product of the columns of ``library`` (n, T) and ``targets`` (n, nx) is that of all rows, and so are
-    all least-squares fits and their errors; n is at most T + nx. The library holds monomials with ``exponents``
-    (T, inputs) of inputs divided by their size; ``sizes`` (T,) are what that divides each monomial by.
+    All inner products of the columns of ``library`` (n, T) and ``targets`` (n, nx), and so all least-squares fits and
+    their errors, equal those of all N rows; n is at most T + nx. The library holds monomials with ``exponents`` (T,
+    inputs) of inputs divided by their size; ``sizes`` (T,) are the resulting divisors of the monomials.
     """
 
     library: Array

@@ -18,24 +18,24 @@ NAMES = (
     "STLSQ", "SR3", "ConstrainedSR3", "FROLS", "SSR", "MIOSR", "SBR", "EnsembleOptimizer", "WrappedOptimizer",
 )  # fmt: skip
 NEEDS: Mapping[str, str] = {"ConstrainedSR3": "cvxpy", "MIOSR": "gurobipy", "SBR": "numpyro"}
-"""What must be installed beside pysindy."""
+"""Packages required in addition to pysindy."""
 REFUSED: Mapping[str, str] = {
-    "StableLinearSR3": "what it guarantees is lost where states have units of their own and controls act",
-    "TrappingSR3": "what it guarantees holds for quadratic systems without controls",
+    "StableLinearSR3": "its guarantee does not hold for states in different units and with controls",
+    "TrappingSR3": "its guarantee holds only for quadratic systems without controls",
     "SINDyPI": "an implicit equation cannot be stepped",
 }
 ROWS_COUNT = ("EnsembleOptimizer", "SBR", "WrappedOptimizer")
-"""Those that draw single samples, or whose penalty depends on how many there are."""
+"""Optimisers that draw single samples, or whose penalty depends on the number of samples."""
 AGGREGATORS = {"mean": lambda fits: np.mean(fits, axis=0), "median": lambda fits: np.median(fits, axis=0)}
 NEGLIGIBLE = 1e-6
-"""What a solver leaves of a coefficient that is zero, of quantities divided by their root mean squares."""
+"""Size of a zero coefficient after a solver, for quantities divided by their RMS."""
 
 
 def read_optimizer(text: str) -> Spec:
     """Return the name, as pysindy writes it, and the arguments. Raises `InvalidArgument`; imports nothing."""
     spec = Spec.parse(text)
     if spec.name in REFUSED:
-        raise InvalidArgument(f"optimizer: {spec.name} is of no use here: {REFUSED[spec.name]}")
+        raise InvalidArgument(f"optimizer: {spec.name} is not supported: {REFUSED[spec.name]}")
     for name in NAMES:
         if name.lower() == spec.name.lower():
             return Spec(name, spec.parameters)
@@ -43,7 +43,7 @@ def read_optimizer(text: str) -> Spec:
 
 
 def make_optimizer(text: str, **further: Any) -> Any:
-    """Return pysindy's optimiser. Raises `InvalidArgument` if it refuses its arguments, or a package is missing."""
+    """Return pysindy's optimiser. Raises `InvalidArgument` if its arguments are wrong, or a package is missing."""
     spec = read_optimizer(text)
     needed = NEEDS.get(spec.name)
     try:
@@ -67,9 +67,9 @@ def make_optimizer(text: str, **further: Any) -> Any:
 
 
 def _value(spec: Spec, name: str, value: Any) -> Any:
-    """Return an argument; an optimiser, an estimator of scikit-learn and an aggregator are named by text."""
+    """Return an argument; an optimiser, an estimator of scikit-learn and an aggregator are given by name."""
     if name.startswith("constraint_") or name in ("initial_guess", "sparse_ind"):
-        raise InvalidArgument(f"optimizer: {spec.name}: {name} is an array; say constraints=['TERM in STATE <= 0']")
+        raise InvalidArgument(f"optimizer: {spec.name}: {name} is an array; use constraints=['TERM in STATE <= 0']")
     if name == "opt" and isinstance(value, str):
         return make_optimizer(value)
     if name == "ensemble_aggregator" and value is not None:
@@ -91,18 +91,18 @@ def _value(spec: Spec, name: str, value: Any) -> Any:
 
 
 def counts_rows(text: str) -> bool:
-    """Whether what the optimiser finds depends on single rows, not on the products of columns alone."""
+    """Whether the result depends on single rows, not only on the products of columns."""
     spec = read_optimizer(text)
     return spec.name in ROWS_COUNT or bool(spec.parameters.get("trimming_fraction"))
 
 
 def run(optimizer: Any, terms: Array, targets: Array, seed: int) -> Array:
-    """Return what pysindy's ``optimizer`` finds, (T, nx); it draws from NumPy's own generator, which is seeded here."""
-    before = np.random.get_state()  # noqa: NPY002  # pysindy knows no other generator
+    """Return the result of pysindy's ``optimizer``, (T, nx); it uses NumPy's global generator, which is seeded here."""
+    before = np.random.get_state()  # noqa: NPY002  # pysindy has no other generator
     np.random.seed(seed)  # noqa: NPY002
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+            warnings.simplefilter("ignore")  # an empty equation is a valid result
             optimizer.fit(terms, targets)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise InvalidArgument(f"optimizer: {type(optimizer).__name__} fails on these terms: {error}") from error

@@ -40,24 +40,24 @@ from sysid_evo.validation.held_out import HeldOutError, best_candidate, count_fi
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 
 Setting: TypeAlias = tuple[int, float, tuple[int, int]]
-"""Degree (0 with a library of its own), threshold, lags."""
+"""Degree (0 if a library is given), threshold, lags."""
 SEED = 0
-"""Of optimisers that draw, while settings are tried."""
+"""Seed of optimisers that use random numbers, while settings are tried."""
 
 
 class SparsePolynomial(PolynomialModel):
-    """A polynomial whose terms pysindy finds.
+    """A polynomial whose terms are selected by pysindy.
 
-    The features are `Features`: the plain (carry, control), sine and cosine of periodic states, and the
-    ``functions`` asked for, such as "abs(speed)". ``degree``, ``threshold`` and lags left at None are chosen by the
-    simulation error over one second on held-out blocks of time: the setting with the fewest terms among those
-    within 5 % of the best. Settings that diverge there are never chosen if one does not. With ``lag_search="few"``
-    only none, and lags that are enough for dead time and slow actuators, are tried.
+    The features (`Features`) are (carry, control), sine and cosine for periodic states, and the ``functions`` that are
+    given, such as "abs(speed)". ``degree``, ``threshold`` and lags left at None are chosen by the simulation error over
+    one second on held-out blocks of time: of the settings within 5 % of the lowest error, the one with the fewest
+    terms. Settings that diverge are chosen only if all do. ``lag_search="few"`` tries only no lags and lags that cover
+    dead time and slow actuators.
 
-    ``library`` and ``optimizer`` name what pysindy's users know, with arguments (see `libraries`, `optimizers`), such
-    as "polynomial(degree=2) + fourier(n_frequencies=2)" and "SR3(reg_weight_lam=0.1)". An optimiser sees
-    quantities divided by their root mean squares.
-    ``constraints`` says what is known of coefficients: "damping of yaw_rate <= 0", "steer in forward_speed = 0".
+    ``library`` and ``optimizer`` are written as in pysindy, with arguments (see `libraries`, `optimizers`):
+    "polynomial(degree=2) + fourier(n_frequencies=2)", "SR3(reg_weight_lam=0.1)". The optimiser works on quantities
+    divided by their RMS. ``constraints`` are known properties of coefficients: "damping of yaw_rate <= 0", "steer in
+    forward_speed = 0".
     """
 
     knowledge = "dark grey"
@@ -91,13 +91,13 @@ class SparsePolynomial(PolynomialModel):
         if self.library is not None:
             named_terms = read_library(self.library)
             if self.degree is not None:
-                raise InvalidArgument(f"degree={self.degree}: say it in the library: polynomial(degree={self.degree})")
+                raise InvalidArgument(f"degree={self.degree}: give it in the library, polynomial(degree={self.degree})")
             if named_terms.weak is not None and not self.has_weak_form:
-                raise InvalidArgument(f"{type(self).__name__} has no weak form; sindy has")
+                raise InvalidArgument(f"{type(self).__name__} has no weak form; use sindy")
         if self.optimizer is not None:
             read_optimizer(self.optimizer)
             if self.threshold is not None:
-                raise InvalidArgument(f"threshold: say it in the optimizer: STLSQ(threshold={self.threshold})")
+                raise InvalidArgument(f"threshold: give it in the optimizer, STLSQ(threshold={self.threshold})")
 
     def check_system(self, system: System) -> None:
         (fewest, few), (most, many) = np.sort(self._lag_candidates(), axis=0)[[0, -1]].tolist()
@@ -117,7 +117,7 @@ class SparsePolynomial(PolynomialModel):
 
     @property
     def features(self) -> Features:
-        """What the polynomial sees of (carry, control): of a library's functions those that it has a term of."""
+        """The features of the polynomial; of a library's functions only those in its terms."""
         if self.library is None:
             return super().features
         return Features(self.system, self.lags, tuple(self.used_functions_), self.offsets)
@@ -145,7 +145,7 @@ class SparsePolynomial(PolynomialModel):
         return Library.of(data, exponents, weak=weak, dt=self.system.dt, rows=rows)
 
     def sampled(self, dataset: Dataset, lags: tuple[int, int]) -> IntArray | None:
-        """Return the numbers (N,) of the steps that are learned from, for the weak form; None without it."""
+        """Return the numbers (N,) of the training steps, for the weak form; None without it."""
         if self.library is None or read_library(self.library).weak is None:
             return None
         history = max(lags)
@@ -192,7 +192,7 @@ class SparsePolynomial(PolynomialModel):
     ) -> dict[Setting, tuple[float, int]]:
         """Return the error on held-out blocks and the size of the model of each setting.
 
-        Those of the same degree and lags share the monomials of every block.
+        Settings of the same degree and lags share the monomials of every block.
         """
         blocks, found = HeldOutError.of(dataset), dict[Setting, tuple[float, int]]()
         for kind in dict.fromkeys((degree, lags) for degree, _, lags in settings):
@@ -209,7 +209,7 @@ class SparsePolynomial(PolynomialModel):
         own = {} if self.library is not None else {"degree": degree}
         searched = {} if self.optimizer is not None else {"threshold": threshold}
         trial = self.variant(**own, **searched, state_lags=lags[0], control_lags=lags[1])
-        size = FOLDS * trial.n_carry  # what has to be remembered counts too
+        size = FOLDS * trial.n_carry  # the size of the carry counts too
 
         def learned(part: Dataset) -> DynamicsModel:
             nonlocal size
@@ -224,7 +224,7 @@ class SparsePolynomial(PolynomialModel):
         return blocks.error(learned, told=counter.advance), size
 
     def _settings(self, dataset: Dataset) -> list[Setting]:
-        """Return every (degree, threshold, lags) to try; large libraries are left out if a smaller one is there."""
+        """Return every (degree, threshold, lags) to try, without large libraries if there is a smaller one."""
         degrees = DEGREES if self.degree is None else (self.degree,)
         thresholds = THRESHOLDS if self.threshold is None else (self.threshold,)
         degrees = (0,) if self.library is not None else degrees
@@ -245,23 +245,23 @@ class SparsePolynomial(PolynomialModel):
 
 @dataclass(frozen=True)
 class Library:
-    """The monomials of a regression, with no more rows than that takes: least squares see only their products.
+    """The monomials of a regression, compressed to as few rows as least squares need.
 
-    ``terms`` (R, T) and ``targets`` (R, nx) are the triangular factor of the QR decomposition of the monomials and
-    targets, of quantities divided by their root mean squares; the data themselves if they have fewer rows than terms.
+    ``terms`` (R, T) and ``targets`` (R, nx) are the triangular factor of the QR decomposition of monomials and targets,
+    both of quantities divided by their RMS; or the data themselves if they have fewer rows than terms.
     """
 
     terms: Array
     targets: Array
     exponents: IntArray
     unit: Array
-    """What a coefficient of each term and target (T, nx) is measured in."""
+    """Unit of the coefficient of each term and target (T, nx)."""
 
     @classmethod
     def of(
         cls, data: Regression, exponents: IntArray, *, weak: WeakForm | None = None, dt: float = 0.0, rows: bool = False
     ) -> Library:
-        """Return the monomials with ``exponents``, perhaps in the weak form, with ``rows`` of the data as they are.
+        """Return the monomials with ``exponents``, optionally in the weak form, uncompressed if ``rows``.
 
         Raises `InvalidData` if there are fewer than two steps.
         """
@@ -280,29 +280,29 @@ class Library:
         return cls(terms, targets, exponents, unit)
 
     def coefficients(self, threshold: float, ridge: float) -> Array:
-        """Return the coefficients (T, nx) of the raw quantities that pysindy's STLSQ finds, zeros included.
+        """Return the coefficients (T, nx) of raw quantities found by pysindy's STLSQ, zeros included.
 
         ``threshold`` is a share of a target's size.
         """
         from pysindy.optimizers import STLSQ
         from sklearn import config_context
 
-        start = np.ones((self.targets.shape[1], self.terms.shape[1]))  # nothing but that all terms are there counts
-        unchecked = {"check_input": False, "solver": "cholesky"}  # checks took longer than the regressions
+        start = np.ones((self.targets.shape[1], self.terms.shape[1]))  # only the presence of all terms matters
+        unchecked = {"check_input": False, "solver": "cholesky"}  # checks take longer than the regressions
         search = STLSQ(threshold=threshold, alpha=ridge, initial_guess=start, ridge_kw=unchecked)
         with warnings.catch_warnings(), config_context(assume_finite=True, skip_parameter_validation=True):
-            warnings.simplefilter("ignore")  # a threshold that leaves an equation empty is an outcome here
+            warnings.simplefilter("ignore")  # an empty equation is a valid result
             search.fit(self.terms, self.targets)
         return np.asarray(search.coef_.T * self.unit, dtype=np.float64)
 
     def found_by(self, optimizer: str, seed: int) -> Array:
-        """Return the coefficients (T, nx) of the raw quantities that an optimiser of pysindy finds."""
+        """Return the coefficients (T, nx) of raw quantities found by an optimiser of pysindy."""
         return run(make_optimizer(optimizer), self.terms, self.targets, seed) * self.unit
 
     def found_within(self, optimizer: str, low: Array, high: Array, ridge: float, seed: int) -> Array:
-        """Return the coefficients (T, nx) between ``low`` and ``high`` of the terms that an optimiser finds.
+        """Return coefficients (T, nx) between ``low`` and ``high`` of the terms selected by an optimiser.
 
-        An optimiser that takes constraints is given them; the terms that it leaves are fitted anew within the bounds.
+        The constraints are passed to optimisers that support them; the selected terms are refitted within the bounds.
         """
         low, high = low / self.unit, high / self.unit
         found = np.zeros_like(low)
@@ -319,12 +319,12 @@ class Library:
 
 
 def _as_matrices(optimizer: str, low: Array, high: Array) -> dict[str, object]:
-    """Return the constraints of one equation as ConstrainedSR3 takes them; nothing for other optimisers."""
+    """Return the constraints of one equation in the form of ConstrainedSR3; empty for other optimisers."""
     spec = read_optimizer(optimizer)
     below, above = np.isfinite(high), np.isfinite(low)
     if spec.name != "ConstrainedSR3" or not (below.any() or above.any()):
         return {}
-    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty, and its solver more rounds
+    usual = {"regularizer": "l1", "max_iter": 10_000}  # bounds need a convex penalty and more iterations
     each = np.eye(len(low))
     return {
         "constraint_lhs": np.concatenate([each[below], -each[above]]),
@@ -348,8 +348,8 @@ def bounds(
 ) -> tuple[Array, Array]:
     """Return the lowest and highest value (T, nx) of every coefficient. Raises `InvalidArgument`.
 
-    ``exponents`` (T, n) are those of the features ``names``. The damping of a state is the coefficient of the state
-    itself in its own equation. With ``as_far_as_there`` a sentence on a term that is not among these says nothing.
+    ``exponents`` (T, n) are those of the features ``names``. The damping of a state is the coefficient of the state in
+    its own equation. With ``as_far_as_there`` a constraint on a missing term is ignored.
     """
     low, high = np.full((len(exponents), len(states)), -np.inf), np.full((len(exponents), len(states)), np.inf)
     for sentence in sentences:
@@ -377,7 +377,7 @@ def bounds(
 def _meant(
     what: str, sentence: str, exponents: IntArray, names: Sequence[str], states: Sequence[str]
 ) -> tuple[BoolArray, int]:
-    """Return which terms (T,) of which state's equation are meant."""
+    """Return the terms (T,) of a constraint, and its state."""
     damping = re.fullmatch(r"damping of (.+)", what)
     term, _, state = (damping[1], "", damping[1]) if damping else what.rpartition(" in ")
     if state.strip() not in states or not term:
@@ -392,7 +392,7 @@ def _meant(
 
 
 def _spellings(powers: IntArray, names: Sequence[str]) -> set[str]:
-    """Return every way to write a term without blanks: its factors in any order."""
+    """Return all spellings of a term without blanks: its factors in any order."""
     parts = factors(powers, names)
     return {re.sub(r"[\s*]", "", "".join(order)) for order in permutations(parts)} if parts else {"1"}
 

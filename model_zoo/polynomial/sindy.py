@@ -1,4 +1,4 @@
-"""Families sindy and sindy_discrete; how a differential equation continues outside the data."""
+"""Families sindy and sindy_discrete; the continuation of a differential equation outside the data."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 @register_model("sindy")
 class Sindy(SparsePolynomial):
-    """dx/dt = Theta(x, u) Xi + w(x), Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
+    """Differential equation with few, readable polynomial terms (SINDy), found by sparse regression with pysindy.
 
-    w is the rotation of a planar body's frame, (r v, -r u, 0); without one it is zero. The derivative
-    is the difference over one step, the state the mean of its two ends, the control the one held:
-    correct to second order in dt. Sequentially thresholded least squares drops coefficients below
-    ``threshold`` (of quantities divided by their RMS) and shrinks by ``ridge``; what is left open is chosen by
-    free runs, as `SparsePolynomial` says, which also tells of periodic states and of ``functions``. Stepped with the
-    fourth-order Runge-Kutta method, controls held; inputs are clipped to the training range. Outside it the equation
-    goes on bounded, see `continued`: a polynomial that pushes outwards there cannot run away. Integrals run on.
+    dx/dt = Theta(x, u) Xi + w(x), Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016); w is the rotation
+    of a planar body's frame, (r v, -r u, 0), else zero. The derivative is the difference over one step, taken at the
+    mean of its two ends and the control held (second order in dt). Sequentially thresholded least squares drops
+    coefficients below ``threshold`` (of quantities divided by their RMS) with the L2 penalty ``ridge``.
+    Settings left at None are chosen by the simulation error over one second on held-out blocks of time: the fewest
+    terms within 5 % of the best. docs/models.md describes ``functions``, ``library``, ``optimizer``, ``constraints``.
+
+    A step is one fourth-order Runge-Kutta step with held controls; inputs are clipped to the training range. Outside
+    this range the equation is bounded (`continued`), so that a polynomial which grows there cannot diverge. Integrals
+    are not bounded.
     """
 
     knowledge = "dark grey"
@@ -51,7 +54,7 @@ class Sindy(SparsePolynomial):
         self.continuation_ = continuation_limits(data.states, data.targets, data.added)
 
     def zero_of(self, added: Array | BoolArray) -> Array:
-        return np.zeros(len(added))  # rates are no smaller far from zero
+        return np.zeros(len(added))  # rates have no offset
 
     def learned_arrays(self) -> Mapping[str, Declared]:
         return {"continuation_": Numbers(5, self.system.nx, infinite=True)}
@@ -79,11 +82,12 @@ class Sindy(SparsePolynomial):
 
 @register_model("sindy_discrete")
 class SindyDiscrete(SparsePolynomial):
-    """x_{k+1} = Theta(x_k, u_k) Xi with all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016).
+    """Difference equation with few, readable polynomial terms (discrete-time SINDy), found with pysindy.
 
-    Sequentially thresholded least squares drops coefficients below ``threshold`` (of quantities
-    divided by their RMS) and shrinks by ``ridge``; inputs are clipped to the training range. What is left
-    open is chosen by free runs, as `SparsePolynomial` says. Of an integral the change is predicted, see `integrals`.
+    x_{k+1} = Theta(x_k, u_k) Xi, Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016). Sequentially
+    thresholded least squares drops coefficients below ``threshold`` (of quantities divided by their RMS) with the L2
+    penalty ``ridge``; inputs are clipped to the training range. `SparsePolynomial` describes how settings left at None
+    are chosen. Of an integral the change is predicted (`integrals`).
     """
 
     requires = ("pysindy",)
@@ -95,14 +99,14 @@ class SindyDiscrete(SparsePolynomial):
 
 
 MARGIN = 0.1
-"""Share of the range of a state within which what drives it further out fades away."""
+"""Width of the margin outside the range of a state in which outward rates fade to zero, as a share of the range."""
 
 
 def continuation_limits(states: Array, rates: Array, endless: BoolArray) -> Array:
-    """Return what bounds the continuation (5, nx): lowest and highest state, 1 / margin, lowest and highest rate.
+    """Return the bounds of the continuation (5, nx): lowest and highest state, 1 / margin, lowest and highest rate.
 
-    ``states`` and ``rates`` (N, nx) are those of the training data; a state that is ``endless`` (nx,), such as a
-    position, has no bounds.
+    ``states`` and ``rates`` (N, nx) are the training data; an ``endless`` (nx,) state, such as a position, has no
+    bounds.
     """
     low, high = states.min(axis=0), states.max(axis=0)
     width = np.where(high > low, high - low, 1.0)
@@ -114,10 +118,9 @@ def continuation_limits(states: Array, rates: Array, endless: BoolArray) -> Arra
 def continued(rate: Array, turning: Array, state: Array, bounds: Array, dt: float) -> Array:
     """Return dx/dt (B, nx) of a learned ``rate`` and the known ``turning`` of the frame.
 
-    The rate stays within those of the data. Of a state above its range, what drives it further up fades to nothing
-    over a tenth of the range, and the excess decays with the time constant dt; likewise below. So beyond the margin
-    every state moves back, whatever the polynomial says there, and no state gets further than the margin and what
-    one step of bounded rates adds.
+    The rate is clipped to that of the data. Above the range of a state, rates upwards fade to zero over a tenth of the
+    range and the excess decays with the time constant dt; likewise below. Beyond the margin every state therefore
+    returns, whatever the polynomial is, and none gets further than the margin plus one step of bounded rates.
     """
     low, high, per_margin, slowest, fastest = bounds
     total = np.clip(rate, slowest, fastest) + turning

@@ -1,1 +1,1 @@
-"""State spaces whose state is not measured: how they are started, trained, observed and stepped."""
+"""State spaces with unmeasured states: initial states, training, observers and steps."""

@@ -17,25 +17,27 @@ from sysid_evo.data.trajectory import WindowIndex, Windows
 from sysid_evo.types import Array, BoolArray
 
 SHORT, MIDDLE = 100, 300
-"""Steps of the first free runs, and of those that follow: a long one of a poor model says little."""
+"""Steps of the first and the following simulations: long ones of a poor model carry little information."""
 UNSTABLE, STABLE = 1.0005, 0.999
-"""Spectral radius from which a linear space is unstable, and what it is then brought to."""
+"""Spectral radius above which a linear space is unstable, and its value after stabilisation."""
 MAX_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
-"""Steps under controls in other orders, the blocks that change places, how often they do, and how many times the
-largest recorded output is too far."""
+"""Steps under reordered controls, length of the permuted blocks, number of permutations, and the multiple of the
+largest recorded output that counts as divergence."""
 SLOWER, LOUDER = 2, 1.25
-"""How many times longer controls are held, and how many times farther from their mean they are, within their range."""
+"""Factors by which controls are held longer, and by which their distance from the mean is larger, within their
+range."""
 ALONE, APART = 5.0, 0.1
-"""A space that is so many times as far from the median of three or more as is usual, and so many deviations."""
+"""A space diverges if its distance from the median exceeds this multiple of the typical one, and this many
+deviations."""
 LOST = 1.0
-"""A root mean square residual, in deviations, from which a training begins anew at the linear start."""
+"""Root mean square residual, in deviations, above which training restarts from the linear space."""
 
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """Recordings in units of deviation, and segments of at most ``horizon`` steps of them.
+    """Recordings in units of deviation, and windows of at most ``horizon`` steps of them.
 
-    With ``flow`` what learns from them is a differential equation.
+    With ``flow`` the models are differential equations.
     """
 
     scales: Scales
@@ -45,14 +47,14 @@ class EstimationProblem:
 
     @classmethod
     def of(cls, dataset: Dataset, horizon: int, *, flow: bool = False) -> Self:
-        """Prepare ``dataset`` in its own units of deviation."""
+        """Scale ``dataset`` to units of its own deviation."""
         scales = Scales.of(dataset)
         parts = [ScaledEpisode(scales.outputs(one.states), scales.controls(one.controls)) for one in dataset.episodes]
         return cls(scales, parts, horizon, flow)
 
     @cached_property
     def subspace(self) -> Subspace:
-        """What the past tells of the outputs."""
+        """The states predicted from the past."""
         return Subspace.of(self.parts)
 
     @cached_property
@@ -68,45 +70,45 @@ class EstimationProblem:
         return ShootingWindows.of(self.parts, self.horizon) if self.horizon > SHORT else self.short
 
     def linear(self, order: int) -> StateSpaceBatch:
-        """Return the linear space that the subspace gives, made stable if it is not."""
+        """Return the linear space from the subspace, stabilised if necessary."""
         rates, pace = linear_space(self.subspace, order)
         rates = flowing(rates) if self.flow else rates
         return stabilised(StateSpaceBatch.linear((rates / pace[:, None])[None], pace, flow=self.flow))
 
-    def linear_trained(self, order: int, short: int, long: int, told: Callable[[], None]) -> Trained:
-        """Train a linear space on short and on long free runs; where that makes it unstable, on long ones alone."""
+    def linear_trained(self, order: int, short: int, long: int, report: Callable[[], None]) -> Trained:
+        """Train a linear space on short and on long simulations; if that makes it unstable, on long ones alone."""
         start = self.linear(order)
-        trained = self.learned(start, self.blank(self.short, start), short, told)
+        trained = self.learned(start, self.blank(self.short, start), short, report)
         if radius(trained.spaces) > UNSTABLE:
             trained = self.learned(start, self.blank(self.short, start), 1, lambda: None)
-        trained = self.lengthened(trained, start, long, told)
+        trained = self.lengthened(trained, start, long, report)
         if radius(trained.spaces) <= UNSTABLE:
             return trained
         stable = stabilised(trained.spaces)
         return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
 
     def blank(self, segments: ShootingWindows, spaces: StateSpaceBatch) -> Array:
-        """Return initial states (S, B, n) of which the outputs alone are known."""
+        """Return initial states (S, B, n) with the measured outputs and zeros for the rest."""
         starts = np.zeros((len(spaces), len(segments), spaces.n))
         ny = segments.outputs.shape[2]
         starts[:, :, :ny] = segments.outputs[:, 0]
         return starts
 
     def states(self, trained: Trained, segments: ShootingWindows) -> Array:
-        """Return the states (S, N, n) of the runs at all samples that count, in a row."""
+        """Return the states (S, N, n) of the runs at all samples that count, in sequence."""
         runs = trained.spaces.run(trained.starts, segments.controls)
         return np.stack([segments.rows(run) for run in runs])
 
-    def learned(self, spaces: StateSpaceBatch, starts: Array, iterations: int, told: Callable[[], None]) -> Trained:
-        """Train on short free runs, which begin at ``starts`` (S, B, n)."""
-        return train(spaces, self.short, starts, iterations, told)
+    def learned(self, spaces: StateSpaceBatch, starts: Array, iterations: int, report: Callable[[], None]) -> Trained:
+        """Train on short simulations that start at ``starts`` (S, B, n)."""
+        return train(spaces, self.short, starts, iterations, report)
 
     def lengthened(
-        self, trained: Trained, fallback: StateSpaceBatch, iterations: int, told: Callable[[], None]
+        self, trained: Trained, fallback: StateSpaceBatch, iterations: int, report: Callable[[], None]
     ) -> Trained:
-        """Go on with longer and longer free runs, ``iterations`` in all.
+        """Continue the training on longer and longer simulations, ``iterations`` in all.
 
-        Spaces that lose their way there begin at ``fallback`` (one space) again.
+        Spaces that diverge there restart from ``fallback`` (one space).
         """
         before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
         later = later[:1] if later and later[0] is later[-1] else later
@@ -123,29 +125,30 @@ class EstimationProblem:
                 spaces = replace(spaces, outer=outer)
                 starts[lost] = self.blank(segments, spaces)[lost]
             share = iterations * (number + 1) // len(later) - iterations * number // len(later)
-            trained, before = train(spaces, segments, starts, share, told), segments
+            trained, before = train(spaces, segments, starts, share, report), segments
         for _ in range(0 if later else iterations):
-            told()
+            report()
         return trained
 
     def at_length(self, trained: Trained) -> Trained:
-        """Return a training on short free runs with the initial states of long ones."""
+        """Return a training on short simulations with the initial states of long ones."""
         return replace(trained, starts=self.states(trained, self.short)[:, self.long.begins])
 
     def observers(self, trained: Trained) -> list[StateObserver]:
-        """Return an observer of every space of a training on long free runs."""
+        """Return an observer of every space of a training on long simulations."""
         runs, outputs = self.states(trained, self.long), self.long.rows(self.long.outputs)
         return [observer(trained.spaces[[s]], runs[s], outputs, self.parts) for s in range(len(runs))]
 
     def judged(self, trained: Trained) -> tuple[list[StateObserver], Array]:
-        """Return the observers of a training on long free runs, and the errors (S,) of runs that begin with them."""
+        """Return the observers of a training on long simulations, and the errors (S,) of simulations with them."""
         found = self.observers(trained)
         return found, np.array([self.from_history(trained.spaces[[s]], own) for s, own in enumerate(found)])
 
     def from_history(self, space: StateSpaceBatch, own: StateObserver) -> float:
-        """Return the mean square error of one space on long free runs that begin where its observer finds it.
+        """Return the mean square error of one space on long simulations that start from its observer's estimate.
 
-        In training the initial states are free, which hides a slow or unstable state that no history tells.
+        In training the initial states are free, which hides slow or unstable states that the history does not
+        determine.
         """
         outputs, controls = self.long.outputs, self.long.controls
         ny, history = outputs.shape[2], min(own.history, controls.shape[1] // 2)
@@ -159,12 +162,12 @@ class EstimationProblem:
         return float(off.sum() / max(counts.sum() * ny, 1.0))
 
     def escapes(self, spaces: StateSpaceBatch, observers: list[StateObserver]) -> BoolArray:
-        """Return which spaces (S,) go astray under controls that the system might meet as well.
+        """Return which spaces (S,) diverge under plausible other controls.
 
-        Backwards in time, and in blocks that change places, no output goes far beyond the recorded ones: what is
-        unstable shows there. Among three or more, one is astray too that is far from what most of them say, there,
-        where controls are held longer, or where they are larger: beyond the recorded outputs a network may run away,
-        and only the others tell that the system would not.
+        The recorded controls are reversed and permuted in blocks; a space diverges if an output goes far beyond the
+        recorded ones. Of three or more spaces, one also diverges if it is far from the median of all, under these
+        controls, under controls held longer, or under larger ones: only the other spaces show that the system itself
+        would not.
         """
         longest = max(self.parts, key=len)
         ny, controls = longest.outputs.shape[1], longest.controls[:MAX_REORDERED]
@@ -183,15 +186,15 @@ class EstimationProblem:
 
         reordered = runs([controls[order] for order in orders])
         limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
-        astray = (np.abs(reordered) > limit).any(axis=(1, 2, 3))
-        for found in (reordered, runs(slower), runs([louder])):  # of two, both are as far from the middle
+        diverged = (np.abs(reordered) > limit).any(axis=(1, 2, 3))
+        for found in (reordered, runs(slower), runs([louder])):  # two spaces are equally far from the median
             apart = np.sqrt(((found - np.median(found, axis=0)) ** 2).mean(axis=(1, 2, 3)))
-            astray |= apart > max(ALONE * float(np.median(apart)), APART)
-        return np.asarray(astray)
+            diverged |= apart > max(ALONE * float(np.median(apart)), APART)
+        return np.asarray(diverged)
 
 
 def joined(one: Trained, other: Trained) -> Trained:
-    """Return the spaces of both trainings, which are alike but for their weights, side by side."""
+    """Return the spaces of both trainings, which differ only in their weights, as one batch."""
     spaces = replace(
         one.spaces,
         outer=np.concatenate([one.spaces.outer, other.spaces.outer]),
@@ -210,7 +213,7 @@ def radius(space: StateSpaceBatch) -> float:
 
 
 def stabilised(space: StateSpaceBatch) -> StateSpaceBatch:
-    """Return a linear space whose modes that grow are kept from growing; a stable one as it is."""
+    """Return a linear space whose unstable modes are made stable; a stable one unchanged."""
     if radius(space) <= UNSTABLE:
         return space
     one = np.zeros((space.n, space.n)) if space.flow else np.eye(space.n)
@@ -226,23 +229,23 @@ def stabilised(space: StateSpaceBatch) -> StateSpaceBatch:
 
 
 RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
-"""Noise of the state in one step, in units of its usual change, to noise of the output in units of its deviation."""
+"""Ratios of state noise in one step (in units of its typical change) to output noise (in units of its deviation)."""
 RICCATI_STEPS, SETTLED = 400, 1e-6
 HORIZON, MAX_WINDOWS = 30, 300
 FORGOTTEN = 0.02
-"""Share of a wrong first guess that may be left after the history."""
+"""Share of an error of the first guess that may remain after the history."""
 SHORTEST, LONGEST = 4, 64
-"""Samples of history."""
+"""Shortest and longest history in samples."""
 EPISODE_SHARE = 12
-"""A history takes at most one part in so many of the longest episode."""
+"""A history is at most this fraction (1 / n) of the longest episode."""
 RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
 class StateObserver:
-    """What corrects the states of one space by the output: ``gain`` (n, ny); the first guess is ``first`` (n, ny + 1).
+    """Observer of one space: ``gain`` (n, ny); the first guess is ``first`` (n, ny + 1).
 
-    ``history`` samples are enough to forget the first guess.
+    After ``history`` samples the first guess has no effect.
     """
 
     gain: Array
@@ -251,9 +254,9 @@ class StateObserver:
 
 
 def observer(space: StateSpaceBatch, runs: Array, outputs: Array, parts: list[ScaledEpisode]) -> StateObserver:
-    """Return the observer of one space, with the ratio of noises that makes free runs best.
+    """Return the observer of one space, with the noise ratio of the lowest simulation error.
 
-    ``runs`` (N, n) are states of the training runs and ``outputs`` (N, ny) what was measured then.
+    ``runs`` (N, n) are states of the training runs and ``outputs`` (N, ny) the measurements then.
     """
     ny = outputs.shape[1]
     regressors = np.concatenate([outputs, np.ones((len(outputs), 1))], axis=1)
@@ -274,7 +277,7 @@ def observer(space: StateSpaceBatch, runs: Array, outputs: Array, parts: list[Sc
     best = int(np.argmin(errors))
     closed = slope.copy()
     closed[:, :ny] -= gains[best]
-    kept = float(np.abs(np.linalg.eigvals(closed)).max())  # of an error, from sample to sample
+    kept = float(np.abs(np.linalg.eigvals(closed)).max())  # share of an error that remains after a sample
     memory = LONGEST if kept >= 1.0 else np.log(FORGOTTEN) / np.log(max(kept, 1e-3))
     return StateObserver(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
 
@@ -295,7 +298,7 @@ def _riccati(slope: Array, pace: Array, ny: int) -> Array:
 
 
 def _errors(space: StateSpaceBatch, gains: Array, first: Array, windows: Windows) -> Array:
-    """Return the mean square error (G,) of free runs from what each of the ``gains`` (G, n, ny) finds."""
+    """Return the mean square error (G,) of simulations from the estimates of each of the ``gains`` (G, n, ny)."""
     ny, many = first.shape[1] - 1, space[np.zeros(len(gains), dtype=np.int64)]
     past, history = windows.past_states, windows.past_controls.shape[1]
     states = past[:, 0] @ first[:, :ny].T + first[:, ny]

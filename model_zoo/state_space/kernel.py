@@ -1,4 +1,4 @@
-"""Compiled step of several state spaces behind one output, with an observer."""
+"""Compiled step of several state spaces with one common output and an observer."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HEAD = Layout("ny", "nu", "n", "members", "far", "held", "limited", "output", "r
 MEMBER = Layout("n", "units", "next", align=CACHE_LINE)
 
 UNBOUNDED = 1e30
-"""More than any rate."""
+"""Larger than any rate."""
 
 
 def state_space_kernel(
@@ -47,7 +47,7 @@ def state_space_kernel(
 ) -> DynamicsKernel:
     """Return the kernel of a `StateSpaceModel`; ``rest`` is band, hidden band, neutral state, hidden rest, control.
 
-    Of a ``flow`` the weights give rates, as `flow_step` says.
+    With ``flow`` the weights give rates, see `flow_step`.
     """
     blocks, at, ny, total = [], 0, system.nx, sum(len(one) for one in outer)
     check_shape("offset", offset, (ny,))
@@ -89,7 +89,7 @@ def state_space_kernel(
 
 
 def flow_step(carry, control, noise, parameters, scratch):
-    """Step every member by the method of Runge and Kutta, correct by what the output was off, and write the output."""
+    """Step every member by a Runge-Kutta step, correct by the output error, and write the output."""
     ny, nu, n = int(parameters[HEAD.ny]), int(parameters[HEAD.nu]), int(parameters[HEAD.n])
     states, fresh = view(carry, ny * LANES), view(scratch, ny * LANES)
     none, trial, slope = view(fresh, n * LANES), view(fresh, (n + ny) * LANES), view(fresh, (2 * n + ny) * LANES)
@@ -118,7 +118,7 @@ def flow_step(carry, control, noise, parameters, scratch):
 
 
 def step(carry, control, noise, parameters, scratch):
-    """Correct by what the output is off, step every member, and write the output."""
+    """Correct by the output error, step every member, and write the output."""
     ny, nu, n = int(parameters[HEAD.ny]), int(parameters[HEAD.nu]), int(parameters[HEAD.n])
     states, fresh = view(carry, ny * LANES), view(scratch, ny * LANES)
     room, output = view(scratch, (ny + n) * LANES), view(parameters, int(parameters[HEAD.output]))
@@ -133,14 +133,14 @@ def step(carry, control, noise, parameters, scratch):
 
 
 def off_by(carry, output, ny, n, off):
-    """Write how far the outputs are from those of the hidden states."""
+    """Write the differences between the outputs and those of the hidden states."""
     observe(view(carry, ny * LANES), output, ny, n, off)
     for row in range(ny):
         store(off, row * LANES, load(carry, row * LANES) - load(off, row * LANES))
 
 
 def conclude(carry, control, parameters, ny, nu, n, scratch):
-    """Write the carry from the next hidden states, which stand in scratch after room for the outputs."""
+    """Write the carry from the next hidden states, which follow the outputs in scratch."""
     observe(view(scratch, ny * LANES), view(parameters, int(parameters[HEAD.output])), ny, n, scratch)
     if parameters[HEAD.limited] > 0.0:
         limits = view(parameters, int(parameters[HEAD.limits]))
@@ -202,7 +202,7 @@ def advance(x, u, off, p, ny, nu, far, after, room):
 
 
 def correct(after, off, p, ny, nu, far):
-    """Add to the next states of one member what ``off`` says, and keep them within ``far``."""
+    """Add the correction ``off`` to the next states of one member, and clip them to ``far``."""
     n, count = int(p[MEMBER.n]), int(p[MEMBER.units])
     seen = n + nu + 1
     gain = view(p, MEMBER.size + count + count * seen + n * (seen + count))
@@ -214,7 +214,7 @@ def correct(after, off, p, ny, nu, far):
 
 
 def hold(carry, control, p, rows, nu, after):
-    """Put the lanes that rest under neutral control back to rest; p: bands, what rests (rows each), the control."""
+    """Return the lanes at rest under neutral control to rest; p: bands, rest values (rows each), the control."""
     moves = splat(0.0)
     for row in range(nu):
         moves = moves + abs(load(control, row * LANES) - p[2 * rows + row])

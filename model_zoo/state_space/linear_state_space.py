@@ -16,23 +16,24 @@ from sysid_evo.validation.held_out import best_candidate, count_fits
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 MOST = 8
-"""Order up to which is tried; two more than there are outputs if that is higher."""
+"""Highest order that is tried; the number of outputs plus two if that is higher."""
 
 STEPS = 60
-"""Of the free runs that choose the order."""
+"""Length of the simulations that choose the order."""
 TRIAL_SHARE = 0.4
-"""Of the iterations, for a trial of an order."""
+"""Share of the iterations used to try an order."""
 
 
 @register_model("linear_state_space")
 class LinearStateSpace(StateSpaceModel):
-    """x' = A x + B u + c + K (y - C x - d), y = C x + d: the innovation form, trained as an output-error model.
+    """Linear state space with hidden states and a Kalman observer, for systems with unmeasured states.
 
-    A predictor-based subspace method (Chiuso 2007) gives A, B and C; Levenberg-Marquardt with analytic gradients
-    then fits free runs, of 100 and at last of ``horizon`` steps, each with an initial state of its own. K is the gain
-    of the Kalman predictor for the ratio of noises with which free runs are best. An ``order`` (number of states) left
-    at None is chosen from the number of outputs to 8 by free runs on held-out blocks of time, the smallest that is
-    within 5 % of the best.
+    x' = A x + B u + c + K (y - C x - d), y = C x + d: the innovation form, trained as an output-error model. A
+    predictor-based subspace method (Chiuso 2007) gives A, B and C; Levenberg-Marquardt with analytic gradients then
+    fits simulations of 100 and finally of ``horizon`` steps, each with its own initial state, for ``iterations``
+    iterations. K is the gain of the Kalman predictor for the noise ratio with the lowest simulation error. An ``order``
+    (number of states) left at None is the smallest one, from the number of outputs to 8, whose simulation error on
+    ``folds`` held-out blocks of time is within 5 % of the best.
     """
 
     knowledge = "black"
@@ -53,13 +54,13 @@ class LinearStateSpace(StateSpaceModel):
         short = max(1, round(TRIAL_SHARE * self.iterations))
         counter = Counter(progress, count_fits(orders) * self.folds * short + 2 * self.iterations + 1)
         pairs = [time_fold(dataset, fold, FOLDS) for fold in range(self.folds)] if count_fits(orders) else []
-        lessons = [EstimationProblem.of(learned, self.horizon) for learned, _ in pairs]
+        problems = [EstimationProblem.of(learned, self.horizon) for learned, _ in pairs]
 
         def error(order: int) -> float:
             total = 0.0
-            for lesson, (_, held) in zip(lessons, pairs, strict=True):
+            for problem, (_, held) in zip(problems, pairs, strict=True):
                 trial = self.variant(order=order)
-                trial._learn(lesson, order, short, 0, counter)
+                trial._learn(problem, order, short, 0, counter)
                 total += simulation_error(trial, error_windows(held, trial.n_lags, fewest=STEPS))
             return total
 
@@ -68,7 +69,7 @@ class LinearStateSpace(StateSpaceModel):
         counter.advance()
         return self
 
-    def _learn(self, lesson: EstimationProblem, order: int, short: int, long: int, counter: Counter) -> None:
-        """Fit one space with so many iterations on short and on long free runs."""
-        trained = lesson.linear_trained(order, short, long, counter.advance)
-        self.set_learned(lesson.scales, [trained.spaces], lesson.observers(trained), np.ones(1))
+    def _learn(self, problem: EstimationProblem, order: int, short: int, long: int, counter: Counter) -> None:
+        """Fit one space with ``short`` iterations on short and ``long`` iterations on long simulations."""
+        trained = problem.linear_trained(order, short, long, counter.advance)
+        self.set_learned(problem.scales, [trained.spaces], problem.observers(trained), np.ones(1))

@@ -1,4 +1,4 @@
-"""The base of state-space families: an observer in the carry, the step, rest."""
+"""The base class of state-space families: an observer in the carry, the step, rest."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from sysid_evo.models.parameters import Limit, at_least
 from sysid_evo.types import Array
 
 SETTLING = 300
-"""Steps after which a body that is left alone rests."""
+"""Steps after which a body without commands is at rest."""
 
 
 class StateSpaceModel(DynamicsModel):
-    """A family whose states are outputs alone; the carry is (outputs y, hidden states x of all members).
+    """A family with unmeasured states; the carry is (outputs y, hidden states x of all members).
 
         x' = outer (x, u, 1, units(inner (x, u, 1))) + gain (y - output x - offset),  y' = output x' + offset
 
-    Of a flow the first term is dx/dt, time in samples, and x' the state after one Runge-Kutta step of it, plus the
-    correction. Each member has states of its own; the output is their weighted mean. In a free run y is the model's
-    own, and the gain corrects nothing. Where y is overwritten, by a measurement, a limit, or another model, it corrects
-    the hidden states. `start` runs this observer over the last ``n_lags_`` samples. Samples that were only repeated
-    before the first are left out there: the first state again under neutral controls.
+    For a flow the first term is dx/dt, time in samples, and x' is one Runge-Kutta step of it plus the correction. Each
+    member has its own states; the output is their weighted mean. In a simulation y is the model's own output, and the
+    correction is zero. If y is replaced, by a measurement, a limit or another model, it corrects the hidden states.
+    `start` runs this observer over the last ``n_lags_`` samples, except copies of the first state under neutral
+    controls.
     """
 
     knowledge = "black"
@@ -53,13 +53,13 @@ class StateSpaceModel(DynamicsModel):
 
     @property
     def flows(self) -> bool:
-        """Whether what was learned is a differential equation."""
+        """Whether the model is a differential equation."""
         return bool(getattr(self, "flow_", False))
 
     def set_learned(
         self, scales: Scales, members: list[StateSpaceBatch], observers: list[StateObserver], weights: Array
     ) -> None:
-        """Learn the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
+        """Store the ``members``, each one space, in raw units; the output is their mean with ``weights``."""
         ny = len(scales.output_scale)
         if members[0].flow:
             self.flow_ = True
@@ -89,7 +89,7 @@ class StateSpaceModel(DynamicsModel):
         ny, nu, n = self.system.nx, self.system.nu, sum(len(outer) for outer in self.outer_)
         sizes = [(len(outer), len(inner)) for outer, inner in zip(self.outer_, self.inner_, strict=True)]
         if any(kinds[:1] == UNITS.index("gate") for kinds in self.kinds_ if len(kinds)):
-            raise ShapeError("kinds_: expected no gate first, which multiplies the unit before it")
+            raise ShapeError("kinds_: expected no gate first, because a gate multiplies the unit before it")
         return {
             "outer_": [(order, order + nu + 1 + units) for order, units in sizes],
             "inner_": [(units, order + nu + 1) for order, units in sizes],
@@ -148,7 +148,7 @@ class StateSpaceModel(DynamicsModel):
 
     @property
     def _rest(self) -> tuple[Array, Array]:
-        """The carry (n_carry,) at rest, and how near to it counts as rest."""
+        """The carry (n_carry,) at rest, and the distances that count as rest."""
         band = self.dead_band_size
         outer = np.zeros(self.system.nx) if band is None else band
         return (
@@ -157,7 +157,7 @@ class StateSpaceModel(DynamicsModel):
         )
 
     def _advanced(self, outputs: Array, hidden: Array, control: Array) -> Array:
-        """Return the next hidden states (B, n), corrected by how far ``outputs`` (B, ny) are off."""
+        """Return the next hidden states (B, n), corrected by the errors of ``outputs`` (B, ny)."""
         off = outputs - hidden @ self.output_.T - self.offset_
         after = rk4(lambda at: self._rates(at, control), hidden, 1.0) if self.flows else self._rates(hidden, control)
         return np.clip(after + off @ self.gain_.T, -FAR, FAR)

@@ -2,8 +2,8 @@
 
     x' = x + pace (Outer (x, u, 1, units(Inner (x, u, 1)))),  y = the first states
 
-or the flow of dx/dt = pace (...), time in samples, by one step of the classical Runge-Kutta method. The Jacobian comes
-from forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
+or the flow of dx/dt = pace (...), time in samples, by one step of the classical Runge-Kutta method. The Jacobian is
+computed by forward sensitivities: S' = (dx'/dx) S + dx'/dparameters.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from sysid_evo.models.dynamics import rk4
 from sysid_evo.types import Array, BoolArray, IntArray
 
 FAR = 30.0
-"""Deviations from the centre at which a run has diverged."""
+"""Distance from the centre, in deviations, at which a simulation has diverged."""
 START_PRIOR = 0.05
-"""Weight of the squares of initial states beside the residuals' in units of the noise."""
+"""Weight of squared initial states relative to that of residuals in units of the noise."""
 LINEAR_PRIOR = 1e-4
 MAX_MEMORY = 3.0
-"""Residuals that are alike for so long count once, at most."""
+"""Largest number of correlated residuals that count as one."""
 EASIER, HARDER = 0.3, 5.0
 STIFFEST = 1e8
 SAME, LOOSE = 1e-5, 1e-2
-"""A share of the objective that is not worth another step, unless steps are damped more than that."""
+"""Relative improvement of the objective below which training stops, unless steps are damped more than the second."""
 
 
 @dataclass(frozen=True)
 class StateSpaceBatch:
     """S spaces: ``outer`` (S, n, n + nu + 1 + h), ``inner`` (S, h, n + nu + 1), ``rate_scale`` (n,), ``kinds`` (S, h).
 
-    They step by the change in one sample, or with ``flow`` by a differential equation.
+    They are difference equations, or with ``flow`` differential equations.
     """
 
     outer: Array
@@ -78,14 +78,14 @@ class StateSpaceBatch:
 
     @property
     def prior(self) -> Array:
-        """The weight (P,) of every parameter's square: that of the linear part is next to none."""
+        """L2 penalty of each parameter, shape (P,); close to zero for the linear part."""
         outer = np.ones(self.outer.shape[1:])
         outer[:, : self.inner.shape[2]] = LINEAR_PRIOR
         return np.concatenate([outer.ravel(), np.ones(self.inner[0].size)])
 
     @property
     def blind(self) -> BoolArray:
-        """Which parameters (S, P) stay as they are: weights into units that are nothing, and those of such a unit."""
+        """Which parameters (S, P) are fixed: those of units without effect."""
         nothing = self.inner == 0.0
         outer = np.zeros(self.outer.shape, dtype=bool)
         outer[..., self.inner.shape[2] :] = nothing.all(axis=2)[:, None, :]
@@ -98,14 +98,14 @@ class StateSpaceBatch:
         return states + self.rates(states, controls)
 
     def rates(self, states: Array, controls: Array) -> Array:
-        """Return the change of the states (S, B, n) in one sample, of a flow if it went on as it begins."""
+        """Return the change of the states (S, B, n) in one sample; of a flow at its initial rate."""
         regressors = self._regressors(states, controls)
         inside = regressors @ self.inner.swapaxes(1, 2)
         units = np.stack([values(own, s) for own, s in zip(self.kinds, inside, strict=True)])
         return self.rate_scale * (np.concatenate([regressors, units], axis=2) @ self.outer.swapaxes(1, 2))
 
     def run(self, states: Array, controls: Array) -> Array:
-        """Return the states (S, B, H + 1, n) of free runs under ``controls`` (B, H, nu)."""
+        """Return the states (S, B, H + 1, n) of simulations under ``controls`` (B, H, nu)."""
         out = np.empty((*states.shape[:2], controls.shape[1] + 1, self.n))
         room = np.empty(self._room + 2 * self.n)
         compiled = compiled_run(flow=self.flow)
@@ -147,7 +147,7 @@ class StateSpaceBatch:
         return self.outer.shape[2] + 2 * self.inner.shape[1]
 
     def _arguments(self, s: int, starts: Array, controls: Array, n_outputs: int) -> tuple[Any, ...]:
-        """Return what the compiled functions take first, of space ``s`` from ``starts`` (B, n)."""
+        """Return the first arguments of the compiled functions, for space ``s`` from ``starts`` (B, n)."""
         pieces, steps, nu = controls.shape
         sizes = np.array([pieces, steps, self.n, nu, self.inner.shape[1], n_outputs])
         numbers = (self.outer[s], self.inner[s], self.kinds[s], self.rate_scale, starts, controls)
@@ -156,8 +156,8 @@ class StateSpaceBatch:
     def sensitivities(self, s: int, starts: Array, segments: ShootingWindows) -> tuple[Array, Array]:
         """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
 
-        States are not bounded here, for a bound has no slope. The derivatives are (B, H + 1, ny, P + n), nothing where
-        a sample does not count; the last n are those by the start.
+        States are not bounded here, because a bound has no slope. The derivatives are (B, H + 1, ny, P + n), zero for
+        samples that do not count; the last n are those by the start.
         """
         ny = segments.outputs.shape[2]
         size = self.outer[s].size + self.inner[s].size + self.n
@@ -191,7 +191,7 @@ class Trained:
 
 @dataclass
 class _Objective:
-    """What is minimised: residuals in units of the noise, priors on parameters and initial states."""
+    """The objective: residuals in units of the noise, priors on parameters and initial states."""
 
     segments: ShootingWindows
     prior: Array
@@ -204,7 +204,7 @@ class _Objective:
         return np.asarray((residuals**2).sum(axis=(1, 2, 3)) / count)
 
     def scale(self, residuals: Array) -> Array:
-        """Return what a squared residual counts, (S,): less if residuals are alike for long."""
+        """Return the weight of a squared residual, (S,): smaller if residuals are correlated."""
         power = (residuals**2).sum(axis=(1, 2, 3))
         alike = (residuals[:, :, 1:] * residuals[:, :, :-1]).sum(axis=(1, 2, 3)) / np.maximum(power, 1e-300)
         memory = np.clip((1.0 + alike) / np.maximum(1.0 - alike, 1e-3), 1.0, MAX_MEMORY)
@@ -217,17 +217,17 @@ class _Objective:
         return np.where(np.isfinite(total), total, np.inf)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a space that runs away counts as the worst there is
+@np.errstate(over="ignore", invalid="ignore")  # a space that diverges counts as the worst
 def train(
     spaces: StateSpaceBatch,
     segments: ShootingWindows,
     starts: Array,
     iterations: int,
-    told: Callable[[], None] = lambda: None,
+    report: Callable[[], None] = lambda: None,
 ) -> Trained:
-    """Fit all parameters and the initial states ``starts`` (S, B, n) by Levenberg-Marquardt, each space for itself.
+    """Fit all parameters and the initial states ``starts`` (S, B, n) by Levenberg-Marquardt, each space independently.
 
-    ``told`` is called after each iteration, ``iterations`` times whatever happens.
+    ``report`` is called after each iteration, always ``iterations`` times.
     """
     objective, ny = _Objective(segments, spaces.prior), segments.outputs.shape[2]
     damping, going = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
@@ -241,7 +241,7 @@ def train(
                 own, starts[rows], damping[rows], objective, ny
             )
             spaces = spaces.with_flat(flat)
-        told()
+        report()
     outputs = spaces.run(starts, segments.controls)[..., :ny]
     return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
 
@@ -253,7 +253,7 @@ TRIES = 6
 def _improve(
     spaces: StateSpaceBatch, starts: Array, damping: Array, objective: _Objective, ny: int
 ) -> tuple[Array, Array, Array, BoolArray]:
-    """Return parameters (S, P), initial states, damping after one iteration, and which are worth going on with."""
+    """Return parameters (S, P), initial states, damping after one iteration, and which spaces still improve."""
     flat, damping = spaces.flat.copy(), damping.copy()
     starts = starts.copy()
     outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
@@ -293,7 +293,7 @@ def _improve(
 
 @dataclass(frozen=True)
 class _Normal:
-    """The normal equations of one space: parameters (P), and B initial states (n) that are eliminated."""
+    """The normal equations of one space: parameters (P), and B eliminated initial states (n)."""
 
     square: Array
     gradient: Array
@@ -319,7 +319,7 @@ class _Normal:
         )
 
     def solve(self, damping: float) -> tuple[Array, Array]:
-        """Return the steps of parameters (P,) and initial states (B, n), both to be taken away."""
+        """Return the steps of parameters (P,) and initial states (B, n), to be subtracted."""
         square = self.square + damping * np.diag(np.diag(self.square))
         own = self.own * (1.0 + damping * np.eye(self.own.shape[1]))
         inverse = np.linalg.inv(own)

@@ -1,8 +1,8 @@
-"""Compiled simulations of state spaces and their sensitivities, for training; whatever `SYSID_EVO_ENGINE` names.
+"""Compiled simulations of state spaces and their sensitivities, for training, independent of `SYSID_EVO_ENGINE`.
 
-The space is that of `model_zoo.state_space.shooting.StateSpaceBatch`; all arrays are flat. ``sizes`` are the numbers of
-pieces, steps, states, controls, units and outputs. The step is that of a difference equation, or one of the classical
-Runge-Kutta method a sample, whose derivatives are those of the step.
+The spaces are `model_zoo.state_space.shooting.StateSpaceBatch`; all arrays are flat. ``sizes`` are the numbers of
+windows, steps, states, controls, units and outputs. A step is that of a difference equation, or a classical Runge-Kutta
+step per sample, with the derivatives of the step.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sysid_evo.kernels import INTEGERS, KernelSource, Signature, view
 
 @functools.cache
 def compiled_run(*, flow: bool) -> Any:
-    """Return `run` compiled, with ``flow`` that of a differential equation."""
+    """Return `run` compiled, with ``flow`` for a differential equation."""
     return _compiled(KernelSource(run, {"step": flow_step} if flow else {}))
 
 
 @functools.cache
 def compiled_sensitivities(*, flow: bool) -> Any:
-    """Return `sensitivities` compiled, with ``flow`` those of a differential equation."""
+    """Return `sensitivities` compiled, with ``flow`` for a differential equation."""
     return _compiled(KernelSource(sensitivities, {"pushing_step": pushing_flow_step} if flow else {}))
 
 
@@ -34,7 +34,7 @@ def _compiled(source: KernelSource) -> Any:
 
 
 def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room):
-    """Write the states of free runs, kept within the limit; room: n + nu + 1 + 3 units, and what `step` takes."""
+    """Write the states of simulations, clipped to the limit; room: n + nu + 1 + 3 units, and that of `step`."""
     pieces, steps, n, nu, units = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     far = limit[0]
     for piece in range(pieces):
@@ -50,9 +50,9 @@ def run(sizes, outer, inner, kinds, pace, starts, controls, limit, states, room)
 def sensitivities(
     sizes, outer, inner, kinds, pace, starts, controls, counts, limit, states, derivatives, now, after, room
 ):
-    """Write the states of free runs, and of the outputs the derivatives times the counts.
+    """Write the states of simulations, and the derivatives of the outputs times the counts.
 
-    room: n + nu + 1 + 3 units, n units, n n, and what `pushing_step` takes; now and after: n (parameters + n).
+    room: n + nu + 1 + 3 units, n units, n n, and that of `pushing_step`; now and after: n (parameters + n).
     """
     pieces, steps, n, nu, units, ny = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4], sizes[5]
     seen = n + nu + 1
@@ -81,13 +81,13 @@ def sensitivities(
 
 
 def step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room):
-    """Write the states after those at a place."""
+    """Write the next states after those at position ``at``."""
     look(states, at, controls, place, inner, kinds, n, nu, units, room)
     advance(states, at, outer, pace, n, n + nu + 1 + units, far, room)
 
 
 def pushing_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, now, after, room):
-    """Write the states after those at a place, and the derivatives after those now."""
+    """Write the next states after those at position ``at``, and the derivatives ``after`` from those ``now``."""
     seen = n + nu + 1
     look(states, at, controls, place, inner, kinds, n, nu, units, room)
     push(outer, inner, kinds, pace, n, seen, units, 1.0, now, after, room)
@@ -95,7 +95,7 @@ def pushing_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, 
 
 
 def push(outer, inner, kinds, pace, n, seen, units, kept, now, after, room):
-    """Write the derivatives after those now: of the rates where `look` looked, and ``kept`` times of the states."""
+    """Write the derivatives ``after`` of the rates from those ``now``, plus ``kept`` times those of the states."""
     width = seen + units
     before = n * width
     size = before + units * seen + n
@@ -129,7 +129,7 @@ def push(outer, inner, kinds, pace, n, seen, units, kept, now, after, room):
 
 
 def look(states, at, controls, place, inner, kinds, n, nu, units, room):
-    """Write states, controls, 1, the values of the units, their slopes, and those by which a gate passes them on."""
+    """Write states, controls, 1, the values of the units, their slopes, and their factors for gates."""
     seen = n + nu + 1
     width = seen + units
     for i in range(n):
@@ -164,7 +164,7 @@ def look(states, at, controls, place, inner, kinds, n, nu, units, room):
 
 
 def advance(states, at, outer, pace, n, width, far, room):
-    """Write the states after those where `look` looked."""
+    """Write the next states from the values of `look`."""
     for i in range(n):
         total = 0.0
         for j in range(width):
@@ -173,7 +173,7 @@ def advance(states, at, outer, pace, n, width, far, room):
 
 
 def flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, room):
-    """Write the states after those at a place; takes 2 n of the room."""
+    """Write the next states after those at position ``at``; needs 2 n of the room."""
     width = n + nu + 1 + units
     rates = width + 2 * units
     trial = rates + n
@@ -192,9 +192,9 @@ def flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, uni
 
 
 def pushing_flow_step(states, at, controls, place, outer, inner, kinds, pace, n, nu, units, far, now, after, room):
-    """Write the states after those at a place, and the derivatives after those now.
+    """Write the next states after those at position ``at``, and the derivatives ``after`` from those ``now``.
 
-    Takes 2 n and twice n (parameters + n) of the room.
+    Needs 2 n and twice n (parameters + n) of the room.
     """
     seen = n + nu + 1
     width = seen + units
@@ -225,17 +225,17 @@ def pushing_flow_step(states, at, controls, place, outer, inner, kinds, pace, n,
 
 
 def ahead(stage):
-    """Return how far a stage looks ahead along the rates of the one before, in samples."""
+    """Return the time of a stage in samples, along the rates of the stage before."""
     return 1.0 if stage == 3 else 0.5
 
 
 def weight(stage):
-    """Return what the rates of a stage count."""
+    """Return the weight of the rates of a stage."""
     return 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
 
 
 def rate(outer, pace, n, width, room, rates):
-    """Write the rates at the place where `look` looked."""
+    """Write the rates from the values of `look`."""
     for i in range(n):
         total = 0.0
         for j in range(width):

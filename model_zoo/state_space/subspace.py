@@ -11,19 +11,19 @@ from model_zoo.state_space.recordings import ScaledEpisode
 from sysid_evo.types import Array
 
 MAX_PAST = 20
-"""Samples of the past that tell the state."""
+"""Samples of the past from which the state is estimated."""
 SHARE = 4
-"""Samples for each coefficient of the predictor, at least."""
+"""Samples per coefficient of the predictor, at least."""
 RIDGE = 1e-8
 FASTEST = 0.1
-"""What is left of the fastest mode of a differential equation after a sample, at least."""
+"""Smallest remainder, after one sample, of the fastest mode of a differential equation."""
 
 
 @dataclass(frozen=True)
 class Subspace:
-    """States (N, n) that predict the outputs, in the order of how much, and which samples (N,) of a record follow.
+    """States (N, n) that predict the outputs, in order of importance, with ``controls`` and ``outputs``.
 
-    ``controls`` (N, nu) and ``outputs`` (N, ny) belong to the same times; ``follows`` says where the next row is
+    ``controls`` (N, nu) and ``outputs`` (N, ny) belong to the same times; ``follows`` (N,) is true if the next row is
     the next sample.
     """
 
@@ -36,8 +36,8 @@ class Subspace:
     def of(cls, parts: list[ScaledEpisode]) -> Self:
         """Find the states by the predictor-based subspace method (Chiuso 2007, PBSID).
 
-        Outputs are regressed on ``past`` samples of outputs and controls; the coefficients, shifted one sample a
-        row, predict the outputs to come from the past, and the principal components of that are the states.
+        Outputs are regressed on ``past`` samples of outputs and controls. The coefficients, shifted by one sample per
+        row, predict future outputs from the past; the principal components of these predictions are the states.
         """
         ny, nu = parts[0].outputs.shape[1], parts[0].controls.shape[1]
         total = sum(len(part) for part in parts)
@@ -47,7 +47,7 @@ class Subspace:
         follows = np.concatenate([np.arange(len(row[1])) < len(row[1]) - 1 for row in rows])
         flat = before.reshape(len(before), -1)
         markov = np.linalg.solve(flat.T @ flat + RIDGE * len(flat) * np.eye(flat.shape[1]), flat.T @ outputs)
-        lagged = markov.reshape(past, ny + nu, ny)  # of the sample that is 1, 2, ... old
+        lagged = markov.reshape(past, ny + nu, ny)  # of the sample 1, 2, ... steps ago
         ahead = [np.concatenate([lagged[i:], np.zeros((i, ny + nu, ny))]).reshape(-1, ny) for i in range(past)]
         predicted = flat @ np.concatenate(ahead, axis=1)
         left, sizes, _ = np.linalg.svd(predicted, full_matrices=False)
@@ -55,11 +55,11 @@ class Subspace:
 
 
 def linear_space(sequence: Subspace, order: int) -> tuple[Array, Array]:
-    """Return the rates and the pace of the linear state space of ``order`` states, at least one for each output.
+    """Return rates and pace of the linear state space of ``order`` states, at least one for each output.
 
-    It steps by x' = x + rates (x, u, 1), with rates (n, n + nu + 1); the pace (n,) is the usual change of each state in
-    a step. The first states are what the subspace says of the outputs, the others its next components, made independent
-    of them and of deviation 1.
+    It steps by x' = x + rates (x, u, 1), with rates (n, n + nu + 1); the pace (n,) is the typical change of each state
+    in a step. The first states are the predicted outputs, the others the next components, made independent of them and
+    scaled to deviation 1.
     """
     ny = sequence.outputs.shape[1]
     found = sequence.states[:, :order]
@@ -78,10 +78,10 @@ def linear_space(sequence: Subspace, order: int) -> tuple[Array, Array]:
 
 
 def flowing(rates: Array) -> Array:
-    """Return the rates of the differential equation that steps as x' = x + ``rates`` (n, n + nu + 1) (x, u, 1) does.
+    """Return the rates of the differential equation equivalent to x' = x + ``rates`` (n, n + nu + 1) (x, u, 1).
 
-    No differential equation has modes that change their sign from sample to sample, or that are over at once: in
-    their place are modes that decay fast and end where those end.
+    Modes that alternate in sign or vanish within a sample have no continuous equivalent; they are replaced by fast
+    decaying modes with the same final value.
     """
     n = len(rates)
     modes, vectors = np.linalg.eig(np.eye(n) + rates[:, :n])
@@ -95,9 +95,9 @@ def flowing(rates: Array) -> Array:
 
 
 def _with_past(part: ScaledEpisode, past: int) -> tuple[Array, Array, Array]:
-    """Return controls and outputs of the ``past`` samples, newest first, the output and the control now."""
+    """Return controls and outputs of the ``past`` samples, newest first, and the present output and control."""
     both = np.concatenate([part.controls, part.outputs[:-1]], axis=1)
     windows = np.lib.stride_tricks.sliding_window_view(both, past, axis=0)[..., ::-1]
     before = np.ascontiguousarray(np.moveaxis(windows, 2, 1))
-    # the window that ends at sample k - 1 tells of sample k; the last has no control
+    # the window that ends at k - 1 predicts sample k; the last sample has no control
     return before[:-1], part.outputs[past:-1], part.controls[past:]

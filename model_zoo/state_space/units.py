@@ -1,4 +1,4 @@
-"""Hidden units: what each kind does, its slope, and the mixtures that are tried."""
+"""Hidden units of state spaces: functions, slopes, and the mixtures that are tried."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from sysid_evo.types import Array, IntArray
 UNITS = ("smooth", "kinked", "sharp", "cubic", "gate")
 
 SHARP_WIDTH = 0.1
-"""How wide the kink of a sharp unit is, where that of a kinked one is 1."""
+"""Width of the kink of a sharp unit; that of a kinked one is 1."""
 BOUND = 3.0
-"""A cube stands still beyond it, so that nothing runs away."""
+"""A cube is constant beyond this input, so that nothing diverges."""
 
 
 def values(kinds: IntArray, s: Array) -> Array:
-    """Return of each column of ``s`` (..., h) what its kind makes of it.
+    """Return the outputs of units of these ``kinds`` for inputs ``s`` (..., h).
 
-    That is tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP_WIDTH`, s^3 / 3, or s times what the unit
-    before it gives; cubes and gates take s within `BOUND`. The kinks are the smooth ramp of Barron (2021) without
-    s / 2, which the linear part holds.
+    They are tanh s, (sqrt(s^2 + w^2) - w) / 2 with a width w of 1 or `SHARP_WIDTH`, s^3 / 3, or s times the output of
+    the unit before it; cubes and gates clip s to `BOUND`. The kinks are the smooth ramp of Barron (2021) without s / 2,
+    which belongs to the linear part.
     """
     out = np.empty_like(s)
     for h, kind in enumerate(kinds):
@@ -40,7 +40,7 @@ def values(kinds: IntArray, s: Array) -> Array:
 
 
 def slopes(kinds: IntArray, s: Array) -> Array:
-    """Return the derivatives (..., h, h) of all `values` by all that goes into them."""
+    """Return the derivatives (..., h, h) of `values` by all inputs."""
     found = values(kinds, s)
     out = np.zeros((*s.shape, s.shape[-1]))
     for h, kind in enumerate(kinds):
@@ -60,7 +60,7 @@ def slopes(kinds: IntArray, s: Array) -> Array:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit of a kind in `UNITS`; with ``controls`` it sees the controls alone, as a dead band at the input does."""
+    """A unit of a kind in `UNITS`; with ``controls`` it depends on controls alone, as a dead band of the input does."""
 
     kind: str
     controls: bool = False
@@ -81,4 +81,4 @@ MIXTURES: tuple[Mixture, ...] = (
     (SHARP_INPUT, GATE, SHARP_INPUT, GATE, SMOOTH, SMOOTH),
     (SMOOTH, KINKED, CUBIC),
 )
-"""The units of a network take turns; None is no unit, for a smaller network is told by fewer data."""
+"""The units of a network repeat the mixture; None is no unit, since a smaller network needs fewer data."""

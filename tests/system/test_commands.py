@@ -116,7 +116,7 @@ def test_fit_without_models_fits_auto_and_says_what_was_chosen(call, stored_data
     assert "fit auto" in call.works("fit", stored_data, "--dry-run").stdout
     chosen = "auto(candidates=[linear(state_lags=1), 'linear(ridge=1e5)'])"
     fitted = call.works("fit", stored_data, "--models", chosen, "--out", "mine")
-    assert "kept 1 of 2 candidates and is their mean: linear(state_lags=1) (" in " ".join(fitted.stdout.split())
+    assert "mean of 1 of 2 candidates: linear(state_lags=1) (" in " ".join(fitted.stdout.split())
     (stored,) = (call.folder / "mine" / "models").glob("auto-*.json")
     card = call.told("models", "show", stored, "--json")
     assert [row["weight"] for row in card["candidates"]] == ["1.00", ""]

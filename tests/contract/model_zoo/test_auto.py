@@ -10,8 +10,8 @@ from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candid
 from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import PROCESSORS, SHARE, Auto
 from model_zoo.auto.selection import (
-    REFINED,
-    UNPROMISING,
+    BASE_BEHIND,
+    REPLACED,
     UNTRIED,
     CandidateSelection,
     affordable,
@@ -140,38 +140,38 @@ def test_every_model_has_a_class_of_structure(spec, structure):
     assert structure_of(make_model(spec).fit(example_dataset(episodes=1), rng=0)) == structure
 
 
-def test_what_is_far_worse_than_the_best_or_diverges_is_dropped_with_the_reason():
+def test_candidates_far_worse_than_the_best_or_diverging_are_dropped_with_the_reason():
     model = make_model("auto", candidates=[*FEW, "nearest_neighbour", "narx(state_lags=500, control_lags=0)"])
     model.fit(DATA, rng=0)
     rows = {row["candidate"]: row for row in model.candidate_ranking()}
     assert rows[FEW[0]]["weight"] == "1.00"
-    assert rows["linear(state_lags=0)"]["remark"].endswith("x the best in the first of 3 turns")
-    assert "of its free runs diverge" in rows["nearest_neighbour"]["remark"]
+    assert rows["linear(state_lags=0)"]["remark"].endswith("x the lowest error in the first of 3 folds")
+    assert "of its simulations diverge" in rows["nearest_neighbour"]["remark"]
     assert "no episode is longer than 500 steps" in rows["narx(state_lags=500, control_lags=0)"]["remark"]
-    assert "kept 1 of 4 candidates" in model.fit_note
-    assert "every other candidate fell out in the first turn" in model.fit_note
+    assert "mean of 1 of 4 candidates" in model.fit_note
+    assert "all other candidates were dropped after the first fold" in model.fit_note
 
 
-def test_what_is_far_behind_in_the_first_turn_is_fitted_once_and_else_in_every_turn():
-    """With a wide gate the same candidate is judged in all turns."""
-    for gate, remark in ((1.25, "5.2 x the best in the first of 3 turns"), (5.0, "above")):
-        model = make_model("auto", candidates=FEW, gate=gate)
+def test_a_candidate_far_behind_in_the_first_fold_is_fitted_once_and_otherwise_in_every_fold():
+    """With a wide cutoff the same candidate is judged in all folds."""
+    for gate, remark in ((1.25, "5.2 x the lowest error in the first of 3 folds"), (5.0, "above")):
+        model = make_model("auto", candidates=FEW, cutoff=gate)
         model.fit(DATA, rng=0)
         row = next(row for row in model.candidate_ranking() if row["candidate"] == "linear(state_lags=0)")
         assert row["remark"].startswith(remark)
-    assert "do differ significantly" in model.fit_note
+    assert "second best candidate differ significantly" in model.fit_note
 
 
 @pytest.mark.parametrize(
-    ("steps", "neighbour"), [(130, "above 1.00 x the best"), (260, "2.2 x the best in the first of")]
+    ("steps", "neighbour"), [(130, "above 1.00 x the lowest error"), (260, "2.2 x the lowest error in the first of")]
 )
-def test_what_may_be_behind_by_chance_is_judged_in_every_turn(steps, neighbour):
-    """In the first turn of 130 steps one candidate is 1.3 times as far off as the best, another 1.7, by chance."""
+def test_a_candidate_that_may_be_behind_by_chance_is_judged_in_every_fold(steps, neighbour):
+    """In the first fold of 130 steps one candidate has 1.3 times the lowest error, another 1.7 times, by chance."""
     near = "linear(state_lags=1, control_lags=2)"
-    model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], gate=1.0)
+    model = make_model("auto", candidates=["linear(state_lags=0)", near, "nearest_neighbour"], cutoff=1.0)
     model.fit(example_dataset(seed=1, episodes=1, steps=steps), rng=0)
     remarks = {row["candidate"]: row["remark"] for row in model.candidate_ranking()}
-    assert "turns" not in remarks[near]
+    assert "folds" not in remarks[near]
     assert remarks["nearest_neighbour"].startswith(neighbour)
 
 
@@ -183,7 +183,7 @@ def test_what_may_be_behind_by_chance_is_judged_in_every_turn(steps, neighbour):
             InvalidData,
             r"got none: narx\(state_lags=500.*no episode is longer",
         ),
-        (["linear", "auto"], InvalidArgument, "would try itself"),
+        (["linear", "auto"], InvalidArgument, "would contain itself"),
     ],
 )
 def test_candidates_of_which_none_can_be_fitted_or_one_is_itself_are_refused(candidates, error, said, data):
@@ -194,7 +194,7 @@ def test_candidates_of_which_none_can_be_fitted_or_one_is_itself_are_refused(can
 def test_if_no_candidate_can_describe_the_system_the_reasons_are_told():
     turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
     data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
-    with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it is not periodic, and angle comes round"):
+    with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it does not support periodic states .angle"):
         make_model("auto", candidates=["linear"]).fit(data, rng=0)
 
 
@@ -377,7 +377,7 @@ def test_with_noise_it_spreads_as_far_as_it_errs():
     ("families", "said"),
     [
         ([], "families: expected at least one family, got none"),
-        (["narx", "average"], "families: expected other families, got average, which would hold itself"),
+        (["narx", "average"], "families: expected other families, got average, which would contain itself"),
         (["nrax"], "narx"),
         (["narx(term=4)"], "term"),
     ],
@@ -388,7 +388,7 @@ def test_wrong_families_are_refused_at_once(families, said):
 
 
 def test_a_family_that_does_not_fit_the_system_is_named():
-    with pytest.raises(IncompatibleSystem, match=r"families: linear is not periodic, and angle comes round"):
+    with pytest.raises(IncompatibleSystem, match=r"families: linear does not support periodic states .angle"):
         make_model("average(families=[narx, linear])").check_system(make_robot("pendulum").system)
     with pytest.raises(IncompatibleSystem, match="Parametrised describes a planar body"):
         make_model("average", families=["parametrised"]).check_system(make_robot("thermal").system)
@@ -481,14 +481,14 @@ BEHIND, PLAIN, BROKEN = "linear(state_lags=0)", "narx(terms=6, state_lags=0, con
 @pytest.mark.parametrize(
     ("rough", "better", "budget", "left", "reasons"),
     [
-        (PLAIN, PLAIN, 100.0, "ac", ["", REFINED, ""]),
+        (PLAIN, PLAIN, 100.0, "ac", ["", REPLACED, ""]),
         (PLAIN, NARX, 100.0, "abc", ["", "", ""]),
-        (NARX, PLAIN, 100.0, "ac", ["", REFINED, ""]),
-        (PLAIN, BEHIND, 100.0, "ab", ["", "", "x the best in the first of 3 turns"]),
+        (NARX, PLAIN, 100.0, "ac", ["", REPLACED, ""]),
+        (PLAIN, BEHIND, 100.0, "ab", ["", "", "x the lowest error in the first of 3 folds"]),
         (PLAIN, BROKEN, 100.0, "ab", ["", "", "no episode is longer than 500 steps"]),
-        (BEHIND, PLAIN, 100.0, "a", ["", "x the best in the first of 3 turns", UNPROMISING]),
+        (BEHIND, PLAIN, 100.0, "a", ["", "x the lowest error in the first of 3 folds", BASE_BEHIND]),
         (PLAIN, PLAIN, 9.0, "ab", ["", "", UNTRIED]),
-        (PLAIN, PLAIN, 5.0, "a", ["", UNTRIED, UNPROMISING]),
+        (PLAIN, PLAIN, 5.0, "a", ["", UNTRIED, BASE_BEHIND]),
     ],
 )
 def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes_its_place_unless_it_is_worse(

@@ -17,7 +17,7 @@ def test_the_maximum_is_the_one_that_scikit_learn_finds():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # two inputs do not matter: their lengths are at the bound
         theirs = GaussianProcessRegressor(kernel).fit(inputs, targets)
-    ours = maximise_likelihood(inputs, targets, told=lambda: None)
+    ours = maximise_likelihood(inputs, targets, report=lambda: None)
     logarithms = np.log([ours.amplitude**2, *ours.lengths, ours.noise**2])
     value, _ = negative_log_likelihood(logarithms, inputs, targets)
     np.testing.assert_allclose(-value, theirs.log_marginal_likelihood_value_, atol=1e-4)

@@ -116,10 +116,10 @@ def test_a_differential_equation_that_grows_is_brought_back():
 
 
 def test_a_unit_of_the_controls_never_sees_states_and_none_is_no_unit():
-    lesson = EstimationProblem.of(one_output(0, bend=0.03), 100)
-    linear = lesson.linear_trained(2, 3, 3, lambda: None)
+    problem = EstimationProblem.of(one_output(0, bend=0.03), 100)
+    linear = problem.linear_trained(2, 3, 3, lambda: None)
     begun = networks(linear.spaces, [(SHARP_INPUT, GATE, None)], 3, np.random.default_rng(0))
-    trained = lesson.learned(begun, lesson.blank(lesson.short, begun), 3, lambda: None).spaces
+    trained = problem.learned(begun, problem.blank(problem.short, begun), 3, lambda: None).spaces
     assert np.abs(trained.outer[0, :, 4:6]).min() > 0.0
     assert (trained.inner[0, 0] == 0.0).tolist() == [True, True, False, False]
     assert (trained.inner[0, 1] != begun.inner[0, 1]).all()
@@ -154,12 +154,12 @@ def test_an_unstable_space_is_found_and_brought_back():
 
 
 def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_does_not():
-    lesson = EstimationProblem.of(one_output(0), 100)
-    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    problem = EstimationProblem.of(one_output(0), 100)
+    trained = problem.linear_trained(2, 3, 3, lambda: None)
     growing = trained.spaces.outer.copy()
     growing[0, 0, 0] += 0.5 / trained.spaces.rate_scale[0]
     both = StateSpaceBatch.linear(np.concatenate([trained.spaces.outer, growing]), trained.spaces.rate_scale)
-    assert lesson.escapes(both, lesson.observers(trained) * 2).tolist() == [False, True]
+    assert problem.escapes(both, problem.observers(trained) * 2).tolist() == [False, True]
 
 
 def quiet_recording():
@@ -184,28 +184,28 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
 
     Of a sharp unit, |s| / 2, and of s / 2 beside it a ramp is made.
     """
-    lesson, steep = EstimationProblem.of(data, 100), 4.0
-    trained = lesson.linear_trained(2, 3, 3, lambda: None)
-    observers = lesson.observers(trained) * 3
+    problem, steep = EstimationProblem.of(data, 100), 4.0
+    trained = problem.linear_trained(2, 3, 3, lambda: None)
+    observers = problem.observers(trained) * 3
     three = networks(trained.spaces, [(SHARP,)] * 3, 1, np.random.default_rng(0))
     three.inner[2, 0] = [1.0, 0.0, 0.0, -place]
     three.outer[2, 0] += [steep / 2, 0.0, 0.0, -steep * place / 2, steep]
     told = getattr(estimation, name)
     for other, none in (("SLOWER", 1), ("LOUDER", 1), ("SHUFFLES", 0)):
         monkeypatch.setattr(estimation, other, none)
-    assert not lesson.escapes(three, observers).any()
+    assert not problem.escapes(three, observers).any()
     monkeypatch.setattr(estimation, name, told)
-    assert lesson.escapes(three, observers).tolist() == [False, False, True]
-    assert not lesson.escapes(three[[0, 2]], observers[:2]).any()
+    assert problem.escapes(three, observers).tolist() == [False, False, True]
+    assert not problem.escapes(three[[0, 2]], observers[:2]).any()
 
 
 def test_a_space_that_says_what_no_other_says_is_astray():
-    lesson = EstimationProblem.of(one_output(0), 100)
-    trained = lesson.linear_trained(2, 3, 3, lambda: None)
+    problem = EstimationProblem.of(one_output(0), 100)
+    trained = problem.linear_trained(2, 3, 3, lambda: None)
     outer = trained.spaces.outer.repeat(3, axis=0)
     outer[2, :, 2] *= 1.3
     three = StateSpaceBatch.linear(outer, trained.spaces.rate_scale)
-    assert lesson.escapes(three, lesson.observers(trained) * 3).tolist() == [False, False, True]
+    assert problem.escapes(three, problem.observers(trained) * 3).tolist() == [False, False, True]
 
 
 def test_a_space_that_runs_away_is_trained_without_a_warning():
