@@ -1,7 +1,5 @@
-"""Candidates of `auto`: families with their settings, in a fixed order, and their expected fit times.
-
-Those of the zoo are the rows of ``candidates.toml``.
-"""
+"""Candidates of `auto` (rows of ``candidates.toml``): families with settings, in a fixed order, and expected fit
+times."""
 
 from __future__ import annotations
 
@@ -93,10 +91,7 @@ def fit_seconds(family: str) -> float | None:
 
 
 def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
-    """Return the candidates for ``system`` in their order, and the reasons against others.
-
-    Plugins that declare a ``model_class`` come first.
-    """
+    """Return the candidates for ``system``, plugins with a ``model_class`` first, and the reasons against others."""
     reasons = [(candidate, unusable(candidate, system)) for candidate in (*plugins(), *SHIPPED)]
     return [candidate for candidate, reason in reasons if not reason], [
         f"{candidate.name}: {reason}" for candidate, reason in reasons if reason

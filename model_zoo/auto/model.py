@@ -107,10 +107,7 @@ class Auto(MeanModel):
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
-        """Return the candidates, and the reasons why others are not used.
-
-        Raises what the registry raises for wrong names.
-        """
+        """Return the candidates, and why others are not used. Raises what the registry raises for wrong names."""
         if self.candidates is None:
             return candidates_for(dataset.system)
         reasons = [(one, unusable(one, dataset.system)) for one in candidates_named(self.candidates)]
