@@ -264,10 +264,7 @@ def squared_exponential(left: Array, right: Array) -> Array:
 
 
 def quadratic_form(rows: Array, matrix: Array) -> Array:
-    """Return k M k^T for each row k of ``rows`` (B, n) and a symmetric ``matrix`` M (n, n), (B,).
-
-    Only one triangle of M is multiplied, which halves the work.
-    """
+    """Return k M k^T (B,) for each row k of ``rows`` (B, n) and a symmetric ``matrix`` M (one triangle is used)."""
     product = blas.dtrmm(1.0, matrix.T, rows.T, lower=0)
     product *= 2.0
     product -= np.diag(matrix)[:, None] * rows.T

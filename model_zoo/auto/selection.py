@@ -67,10 +67,7 @@ class CandidateSelection:
     work: FitWork
 
     def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
-        """Return the candidates kept within the cutoff ``gate``; ``mean`` makes a model of several.
-
-        Raises `InvalidData` if no candidate can be used.
-        """
+        """Return the candidates within the cutoff ``gate`` (`InvalidData` if none); ``mean`` averages models."""
         folds = range(len(self.pairs))
         outcomes, errors, reasons = self._first_fold(DROP_FACTOR * gate)
         remaining = [number for number, reason in enumerate(reasons) if not reason]

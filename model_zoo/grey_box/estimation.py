@@ -319,10 +319,7 @@ class FitWindows:
         return off.reshape(*off.shape[:2], -1)
 
     def hidden_from_history(self, structure: GreyBoxEquation, p: Array) -> Array:
-        """Return the hidden states (n, P, W) at the start of the windows, after a history that begins at rest.
-
-        All other states are the measured ones.
-        """
+        """Return the hidden states (n, P, W) at the start of the windows, propagated through the history from rest."""
         w, rows = self.cut, structure.hidden_rows
         rest = np.array([hidden.initial for hidden in structure.hidden])[:, None, None]
         with np.errstate(all="ignore"):

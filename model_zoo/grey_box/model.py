@@ -437,10 +437,7 @@ def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: 
 def known_rates(
     model: DynamicsModel, speeds: Mapping[str, str], system: System, accelerates: bool
 ) -> tuple[tuple[int, int], ...]:
-    """Return the positions of each key and value of ``speeds`` in ``system``.
-
-    Raises `InvalidArgument` unless the family writes accelerations.
-    """
+    """Return the positions of each key and value of ``speeds``. Raises `InvalidArgument` for a family with `rate`."""
     if not speeds:
         return ()
     if not accelerates:

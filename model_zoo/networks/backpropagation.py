@@ -139,10 +139,7 @@ class DifferentiableSimulation(ABC):
         plan: TrainingSchedule,
         trainings: ResumableTrainings,
     ) -> tuple[Array32, Array]:
-        """Train each member on the first part of its split.
-
-        Returns the parameters with the lowest simulation error on the second part, and that error (M,).
-        """
+        """Train on the first parts of the splits; return the best parameters and their errors (M,) on the others."""
         history = self.layout.n_lags
         held = []
         for _, part in splits:

@@ -242,10 +242,7 @@ class MlpEnsemble(StochasticModel):
 
 
 class DifferenceNetworks(DifferentiableSimulation):
-    """M networks of (carry, control, flag) that give the change of the state in one step.
-
-    ``flag`` (M, B, 1) is 1 for data as recorded and -1 for mirrored data.
-    """
+    """M networks that give the change of the state in one step from (carry, control, flag); -1 for mirrored data."""
 
     def prepare(self, horizon: int) -> None:
         self.accelerations: Array32 = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)

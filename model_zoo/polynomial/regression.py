@@ -280,10 +280,7 @@ class Library:
         return cls(terms, targets, exponents, unit)
 
     def coefficients(self, threshold: float, ridge: float) -> Array:
-        """Return the coefficients (T, nx) of raw quantities found by pysindy's STLSQ, zeros included.
-
-        ``threshold`` is a share of a target's size.
-        """
+        """Return the coefficients (T, nx) of raw quantities by STLSQ; ``threshold`` is relative to the target."""
         from pysindy.optimizers import STLSQ
         from sklearn import config_context
 

@@ -35,10 +35,7 @@ LOST = 1.0
 
 @dataclass(frozen=True)
 class EstimationProblem:
-    """Recordings in units of deviation, and windows of at most ``horizon`` steps of them.
-
-    With ``flow`` the models are differential equations.
-    """
+    """Scaled recordings in windows of at most ``horizon`` steps; with ``flow`` for differential equations."""
 
     scales: Scales
     parts: list[ScaledEpisode]
@@ -106,10 +103,7 @@ class EstimationProblem:
     def lengthened(
         self, trained: Trained, fallback: StateSpaceBatch, iterations: int, report: Callable[[], None]
     ) -> Trained:
-        """Continue the training on longer and longer simulations, ``iterations`` in all.
-
-        Spaces that diverge there restart from ``fallback`` (one space).
-        """
+        """Continue on longer simulations for ``iterations``; spaces that diverge restart from ``fallback``."""
         before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
         later = later[:1] if later and later[0] is later[-1] else later
         for number, segments in enumerate(later):
@@ -243,10 +237,7 @@ RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class StateObserver:
-    """Observer of one space: ``gain`` (n, ny); the first guess is ``first`` (n, ny + 1).
-
-    After ``history`` samples the first guess has no effect.
-    """
+    """Observer of one space: ``gain`` (n, ny), ``first`` guess (n, ny + 1), ``history`` samples to forget the guess."""
 
     gain: Array
     first: Array

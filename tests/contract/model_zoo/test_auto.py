@@ -136,8 +136,8 @@ def test_a_class_of_structure_weighs_as_the_root_of_how_many_are_in_it_and_these
         ("average(families=[nearest_neighbour, linear])", "several structures"),
     ],
 )
-def test_every_model_has_a_class_of_structure(spec, structure):
-    assert structure_of(make_model(spec).fit(example_dataset(episodes=1), rng=0)) == structure
+def test_every_model_belongs_to_a_model_class(spec, model_class):
+    assert structure_of(make_model(spec).fit(example_dataset(episodes=1), rng=0)) == model_class
 
 
 def test_candidates_far_worse_than_the_best_or_diverging_are_dropped_with_the_reason():
@@ -283,8 +283,8 @@ def test_the_model_is_the_same_for_any_number_of_processes(data):
             np.testing.assert_array_equal(mine, other)
 
 
-@pytest.mark.parametrize("chooses_families", [True, False])
-def test_what_chooses_among_families_does_not_choose_anew_for_an_adaptation(chooses, data):
+@pytest.mark.parametrize("chooses", [True, False])
+def test_a_family_that_chooses_among_others_is_not_refitted_for_an_adaptation(chooses, data):
     class Choosing(Linear):
         pass
 
@@ -507,16 +507,16 @@ def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes
 
 @pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
 def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_without_a_fold(
-    monkeypatch, gate, folds, data
+    monkeypatch, cutoff, folds, data
 ):
     """Both are polynomials, so each weighs a half; the second is a committee."""
     tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, keep_fold_models=name == "b") for name in "ab"]
     monkeypatch.setattr("model_zoo.auto.model.candidates_for", lambda _: (tried, []))
-    model = make_model("auto", gate=gate).fit(data, rng=0)
+    model = make_model("auto", cutoff=cutoff).fit(data, rng=0)
     assert isinstance(model, Auto)
     size = len(folds) + 1
     np.testing.assert_allclose(model.weights_, [0.5, *[0.5 / size] * size])
-    assert [row["weight"] for row in model.standing()] == ["0.50", "0.50"]
+    assert [row["weight"] for row in model.candidate_ranking()] == ["0.50", "0.50"]
     windows, parts = data.windows(1, history=2), [data, data, *(make_folds(data, 3)[fold][0] for fold in folds)]
     for member, part in zip(model.members_, parts, strict=True):
         again = make_model(PLAIN).fit(part, rng=0)
