@@ -19,6 +19,8 @@ INCLUDED = re.compile(r'^--8<-- "(docs/results/tables/\w+\.md)"$', re.MULTILINE)
 """A line that includes a table of results."""
 ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
 """The first line of a table of results: command, commit, date."""
+PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
+"""A line in place of the file that this command writes."""
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
 """The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
 FORWARDS = {
@@ -48,10 +50,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: object) -> str:
-    """Adapt links to the site, and write above each table of results how it was made."""
+    """Adapt links to the site, show the plugins that are written, and write above each table how it was made."""
+    from sysid_evo.testing.template import plugin_text
+
     up = "../" * page.file.src_uri.count("/")
     markdown = FIRMWARE_LINK.sub(f"]({up}firmware.md", markdown)
     markdown = FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
+    markdown = PLUGIN.sub(lambda found: plugin_text(found[1], found[2]), markdown)
     root = Path(config.config_file_path).parent
     return INCLUDED.sub(lambda found: origin(root / found[1]) + found[0], markdown)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import keyword
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -78,6 +79,13 @@ def write_plugin(name: str, folder: Path, kind: str = "model") -> list[Path]:
         text = Template(files("sysid_evo.plugin_template").joinpath(source).read_text()).substitute(values)
         write_atomically(path, partial(Path.write_text, data=text))
     return list(targets.values())
+
+
+def plugin_text(name: str, kind: str) -> str:
+    """Return the source file that `write_plugin` writes, for a page that shows it."""
+    with tempfile.TemporaryDirectory() as folder:
+        path, *_ = write_plugin(name, Path(folder), kind)
+        return path.read_text(encoding="utf-8")
 
 
 def _refuse_a_name_in_use(name: str, kind: str) -> None:

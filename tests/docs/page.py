@@ -16,12 +16,15 @@ from types import ModuleType
 from typing import Any
 
 from sysid_evo.registry.plugins import PREFIX
+from sysid_evo.testing.template import plugin_text
 from tests.fixtures.commands import forgetting, run_here
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 IMAGES = DOCS / "images"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
+"""A line in place of the file that this command writes, see docs/site/pages.py."""
 IMAGE = re.compile(r"!\[[^\]]*\]\(\.\./images/(\w+)-([\w-]+)\.svg\)")
 QUICK = {
     "compare": ("--generations", "2", "--trials", "2"),
@@ -66,8 +69,9 @@ class Page:
 
     @cached_property
     def text(self) -> str:
-        """All of the page."""
-        return self.path.read_text(encoding="utf-8")
+        """All of the page, with the plugins that it shows as `sysid-evo plugin new` writes them."""
+        text = self.path.read_text(encoding="utf-8")
+        return PLUGIN.sub(lambda found: plugin_text(found[1], found[2]), text)
 
     @cached_property
     def all_blocks(self) -> list[Block]:
