@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from evaluation.experiment import BUDGETS
@@ -36,6 +35,7 @@ from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 
 def pendulum(x, u, p):
@@ -132,6 +132,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--ids", default=",".join(EQUATIONS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--trials", type=int, default=100)
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     heads = ("environment", "achieved", "one search", "floor", "proc. s", "clock s")
     table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials", box=None)
@@ -143,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
         other = one_search(made.champion, name, robot.system, given.seed)
         figures = (f"{achieved(one, robot, given.trials):.1f}" for one in (made.champion, other, rest))
         table.add_row(name, *figures, f"{made.processor:.0f}", f"{made.clock:.0f}")
-    Console().print(table)
+    print_tables([table], given.markdown)
     return 0
 
 

@@ -28,6 +28,7 @@ from sysid_evo.evolution import Champion
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.tasks.task import make_task
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 ROBOT = "emulated_car"
 TRIALS = 300
@@ -197,12 +198,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tests.benchmarks.paper", description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=3)
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     reports = [
         compare(out=given.out / f"seed-{seed}", robot=ROBOT, preset="paper", transfer_trials=TRIALS, seed=seed)
         for seed in range(given.seeds)
     ]
-    Console(width=120).print(table(reports))
+    print_tables([table(reports)], given.markdown, Console(width=120))
     return 0
 
 

@@ -38,6 +38,7 @@ from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.tasks import Task
 from sysid_evo.types import Array
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 MODELS = "sindy,mlp_ensemble,nearest_neighbour"
 ENGINES: tuple[Engine, ...] = ("reference", "auto")
@@ -80,6 +81,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=6.0)
     parser.add_argument("--trials", type=int, default=30)
     parser.add_argument("--generations", type=int, default=300)
+    add_markdown(parser)
     options = parser.parse_args(arguments)
     console = Console()
     names = options.models.split(",")
@@ -112,7 +114,7 @@ def main(arguments: list[str] | None = None) -> int:
             champion = evolve_controller(name, runners, car.system, settings, seed=0)
             table.add_row("evolved", name, *achieved(make_controller(champion.controller), champion.parameters))
     table.add_row("pursuit", "", *achieved(Pursuit(), np.zeros(4)))
-    console.print(table)
+    print_tables([table], options.markdown, console)
     console.print(f"20 Hz leaves {PERIOD:.0f} ms for a decision.")
     return 0
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from gymnasium import spaces
-from rich.console import Console
 from rich.table import Table
 from stable_baselines3 import PPO, SAC
 
@@ -26,6 +25,7 @@ from sysid_evo.models import Dynamics
 from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.tasks.task import make_task
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 COPIES = 16
 ALGORITHMS: Mapping[str, Any] = {"ppo": PPO, "sac": SAC}
@@ -100,6 +100,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--trials", type=int, default=5)
     parser.add_argument("--judged", type=int, default=100, help="trials in which every controller is run at the end")
     parser.add_argument("--seed", type=int, default=0)
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     robot = find_robot(given.robot)
     data = robot.record(seed=given.seed, duration=60.0 * given.minutes).dataset
@@ -120,7 +121,7 @@ def main(arguments: list[str] | None = None) -> None:
         achieved = matrix.cell(entry.champion.name, robot.name).mean
         figures = (f"{claimed:.1f}", f"{achieved:.1f}", f"{entry.seconds:.1f}", f"{entry.samples:,}")
         table.add_row(entry.champion.name, *figures)
-    Console().print(table)
+    print_tables([table], given.markdown)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from sysid_evo.evolution.controller_evolution import selection_seeds
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.registry import make_robot
 from sysid_evo.types import Array
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 PLAIN_CANDIDATES, PLAIN_TRIALS = 100, 10
 REACHED = 0.95
@@ -128,6 +129,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--strategies", default=",".join(STRATEGIES).replace(", ", "; "))
     parser.add_argument("--reference", type=float, default=0.0)
     parser.add_argument("--json", type=Path)
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     names = [name.replace("; ", ", ") for name in given.strategies.split(",")]
     stored = json.loads(given.json.read_text()) if given.json and given.json.is_file() else []
@@ -144,7 +146,7 @@ def main(arguments: list[str] | None = None) -> int:
                     if given.json:
                         given.json.write_text(json.dumps([asdict(one) for one in runs], indent=1))
     best = {car: max([given.reference, *(one.achieved for one in runs if one.car == car)]) for car in cars}
-    console.print(table(runs, best))
+    print_tables([table(runs, best)], given.markdown, console)
     return 0
 
 

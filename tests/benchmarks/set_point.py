@@ -13,7 +13,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from evaluation import compare
@@ -28,6 +27,7 @@ from sysid_evo import (
 )
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.types import Array
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 EVOLVED = ("pid", "linear", "feed_forward", "recurrent")
 TASK = "set_point"
@@ -40,6 +40,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--robot", default="thermal")
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--generations", type=int, default=60)
+    add_markdown(parser)
     options = parser.parse_args(arguments)
     compare(out=options.out, robot=options.robot, models=["linear"], stop_after="fit")
     file = next((options.out / "models").glob("linear-*.json"))
@@ -65,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
             runners = {where: DynamicsRunner(dynamics)}
             champion = evolve_controller(controller, runners, robot.system, settings, seed=0)
             add(controller, where, controller, champion.parameters)
-    Console().print(table)
+    print_tables([table], options.markdown)
     return 0
 
 

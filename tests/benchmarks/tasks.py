@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evaluation import ComparisonResults, compare
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 CASES = "pendulum/swing_up,cart_pole/balance,thermal/set_point"
 COLUMNS = ("robot", "task", "seed", "recommended", "achieved", "search on the robot", "processor time, s")
@@ -50,6 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--minutes", type=float, default=6.0)
     parser.add_argument("--generations", type=int, help="of each evolution (default: the preset's)")
+    add_markdown(parser)
     options = parser.parse_args(arguments)
     console, table = Console(), Table(title="evolved on models only, and on the emulated robot itself")
     for number, heading in enumerate(COLUMNS):
@@ -70,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
             row = row_of(report, robot, task, seed, time.process_time() - began)
             console.print(*row)
             table.add_row(*row)
-    console.print(table)
+    print_tables([table], options.markdown, console)
     return 0
 
 

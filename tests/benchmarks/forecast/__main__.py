@@ -42,6 +42,7 @@ from tests.benchmarks.forecast.judging import (
 )
 from tests.benchmarks.forecast.looking import look
 from tests.benchmarks.forecast.points import complete_points, compute_points, look_at
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 FIGURES: Mapping[str, Callable[[Seen], float]] = {
     "forecast": lambda one: one.forecast,
@@ -142,6 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--compute", type=int, metavar="JOBS", help="first compute what the store lacks")
     parser.add_argument("--models", help="labels, separated by commas: ask these alone, of controllers evolved in them")
     console, runs = Console(width=120), {}
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     if (given.study is None) != (given.store is None):
@@ -164,8 +166,7 @@ def main(arguments: list[str] | None = None) -> int:
     everyone = [one for found in runs.values() for one in found]
     console.print(f"{len(everyone)} controllers in {len(runs)} runs of {len({car for car, _ in runs})} cars")
     terms = (term_table(runs),) if all(one.terms for one in everyone) else ()
-    for table in (figure_table(runs), cover_table(runs), missed_table(runs), *terms):
-        console.print(table)
+    print_tables((figure_table(runs), cover_table(runs), missed_table(runs), *terms), given.markdown, console)
     low, high = calibrated(everyone, FORECAST_RULE.share)
     console.print(
         f"of all cars: low={low:.1f}, high={high:.1f}; in the code: low={FORECAST_RULE.low}, high={FORECAST_RULE.high}"

@@ -30,6 +30,7 @@ from sysid_evo.errors import DataWarning
 from sysid_evo.models import DynamicsModel
 from sysid_evo.types import Array
 from tests.benchmarks.hidden.systems import SYSTEMS, HiddenSystem
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 BEGIN = 64
 """Sample of the test record from which models run free."""
@@ -57,6 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, help="of the recording, by default as many as each system has")
     parser.add_argument("--preset", help="of the families, such as quick")
     parser.add_argument("--out", type=Path)
+    add_markdown(parser)
     options = parser.parse_args(arguments)
     warnings.simplefilter("ignore", DataWarning)
     families = options.families or [TRUE, *FAMILIES]
@@ -72,8 +74,8 @@ def main(arguments: list[str] | None = None) -> int:
                 if options.out is not None:
                     with options.out.open("a") as file:
                         file.write(json.dumps([family, name, seed, error, seconds]) + "\n")
-    for shown in tables(known, families, options.systems, range(options.seeds)):
-        Console(width=WIDTH).print(shown)
+    shown = list(tables(known, families, options.systems, range(options.seeds)))
+    print_tables(shown, options.markdown, Console(width=WIDTH))
     return 0
 
 

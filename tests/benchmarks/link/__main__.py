@@ -13,9 +13,9 @@ import subprocess
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
+from tests.benchmarks.markdown import add_markdown, print_tables
 from tests.system.rig.build import build_c
 
 SOURCE = Path(__file__).with_name("corruption.c")
@@ -52,12 +52,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=10**7, help="for each rate")
     parser.add_argument("--seed", type=int, default=1)
+    add_markdown(parser)
     arguments = parser.parse_args()
     found = [damage(arguments.frames, rate, arguments.seed) for rate in RATES]
     table = Table("bytes damaged", *(f"{rate:.1%}" for rate in RATES))
     for field in fields(Damage):
         table.add_row(field.name.replace("_", " "), *(f"{getattr(one, field.name):,}" for one in found))
-    Console().print(table)
+    print_tables([table], arguments.markdown)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ bootstrap over blocks of three seconds (95 %). What was decided after 30 s stand
 stands to what is demanded. With ``--keep`` fitted models are kept in a folder, and are not fitted again.
 
 ``--out`` writes a row for each case, family and seed as JSON; ``--read FILE ...`` measures nothing, but prints the
-tables of all such rows together.
+tables of all such rows together, and writes them with ``--markdown``.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.registry import Spec
 from sysid_evo.types import Array
 from sysid_evo.validation.estimates import Draws, drawn_rms
+from tests.benchmarks.markdown import add_markdown, write_markdown
 from tests.benchmarks.shift.recordings import GROUPS, Case, cases
 from tests.benchmarks.shift.rows import MARKED, Row, errors_table, read_rows, verdicts_table, write_rows
 
@@ -164,13 +165,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--read", type=Path, nargs="+", default=[])
+    add_markdown(parser)
     options = parser.parse_args(arguments)
     if options.keep is not None:
         options.keep.mkdir(parents=True, exist_ok=True)
     write = sys.stdout.write
     rows = read_rows(options.read)
     if rows:
-        write(f"{errors_table(rows)}\n\n{verdicts_table(rows)}\n")
+        found = f"{errors_table(rows)}\n\n{verdicts_table(rows)}"
+        write(f"{found}\n")
+        if options.markdown is not None:
+            write_markdown(options.markdown, found)
         return 0
     for name in options.families:
         fits = Fits(name, options.preset, options.keep)
