@@ -21,6 +21,8 @@ ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
 """The first line of a table of results: command, commit, date."""
 PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
 """A line in place of the file that this command writes."""
+FAMILIES = "<!-- sysid-evo models list --format markdown -->"
+"""The line of a page in place of which the table of all families is shown."""
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
 """The beginning of a link whose text is the name of a file, as on a page that is read without the site."""
 FORWARDS = {
@@ -57,6 +59,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     markdown = FIRMWARE_LINK.sub(f"]({up}firmware.md", markdown)
     markdown = FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
     markdown = PLUGIN.sub(lambda found: plugin_text(found[1], found[2]), markdown)
+    if FAMILIES in markdown:
+        markdown = markdown.replace(FAMILIES, families())
     root = Path(config.config_file_path).parent
     return INCLUDED.sub(lambda found: origin(root / found[1]) + found[0], markdown)
 
@@ -68,6 +72,13 @@ def origin(table: Path) -> str:
         raise PluginError(f"{table}: expected '<!-- COMMAND; commit COMMIT; DATE -->' in its first line")
     command = f"`{found[1]}`" if found[1].startswith(("python", "sysid-evo")) else found[1]
     return f"*{command}, commit {found[2]}, {found[3]}*\n\n"
+
+
+def families() -> str:
+    """Return the table of all families, as ``sysid-evo models list --format markdown`` prints it."""
+    from sysid_evo.cli.plugins import families_as_markdown
+
+    return families_as_markdown()
 
 
 def forward(old: str, new: str) -> str:
