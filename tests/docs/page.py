@@ -15,6 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import nbformat
+
 from sysid_evo.registry.plugins import PREFIX
 from sysid_evo.testing.template import plugin_text
 from tests.fixtures.commands import forgetting, run_here
@@ -26,6 +28,8 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
 """A line in place of the file that this command writes, see docs/site/pages.py."""
 IMAGE = re.compile(r"!\[[^\]]*\]\(\.\./images/(\w+)-([\w-]+)\.svg\)")
+SHELL = "%%sh -e"
+"""The first line of a cell of commands."""
 QUICK = {
     "compare": ("--generations", "2", "--trials", "2"),
     "evolve": ("--generations", "2", "--trials", "2"),
@@ -157,6 +161,21 @@ class Page:
                         yield from _run(line, folder, options)
 
 
+def notebook_of(page: Page, options: Mapping[str, tuple[str, ...]]) -> Any:
+    """Return the notebook of a page as the site makes it; ``options`` are added to the commands of these names."""
+    spec = importlib.util.spec_from_file_location("notebooks", DOCS / "site" / "notebooks.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    made = nbformat.reads(hook.notebook(page.text), nbformat.NO_CONVERT)
+    for cell in made.cells:
+        if cell.source.startswith(SHELL):
+            lines = [" ".join([line, *_more(shlex.split(line), options)]) for line in _commands(cell.source)[1:]]
+            cell.source = "\n".join([SHELL, *lines])
+    return made
+
+
 _FOUND = [
     Page(path.relative_to(DOCS).as_posix(), path)
     for path in sorted(DOCS.rglob("*.md"))
@@ -200,7 +219,11 @@ def _run(line: str, folder: Path, options: Mapping[str, tuple[str, ...]]) -> Ite
         subprocess.run([program, *words], cwd=folder, check=True)
         return
     assert program == "sysid-evo", line
-    more = () if "--stop-after" in words else options.get(words[0], ())  # no controller is evolved there
-    done = run_here(*words, *more, cwd=folder)
+    done = run_here(*words, *_more([program, *words], options), cwd=folder)
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     yield Printed(line, done.stdout)
+
+
+def _more(words: list[str], options: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the options to add to a command; none if no controller is evolved there."""
+    return () if words[0] != "sysid-evo" or "--stop-after" in words else options.get(words[1], ())

@@ -1,9 +1,12 @@
-"""Tutorials and the page for a system of one's own, from an empty folder: files, commands and Python in their order."""
+"""Tutorials and the page for a system of one's own, from an empty folder, as pages and as notebooks."""
 
 import os
 import re
 import subprocess
+import sys
+from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
 
@@ -12,7 +15,7 @@ from sysid_evo import Champion, load_plugin, make_controller, make_task, trial_s
 from sysid_evo.data import Dataset
 from sysid_evo.export.exported_controller import exported_controller
 from sysid_evo.export.python_file import python_text
-from tests.docs.page import PAGES, QUICK, importable, picture, words_of
+from tests.docs.page import PAGES, QUICK, importable, notebook_of, picture, words_of
 from tests.fixtures.commands import forgetting
 
 OWN_SYSTEM = "your_own_system.md"
@@ -51,6 +54,19 @@ def test_a_page_works_from_an_empty_folder(name, tmp_path, monkeypatch):
         assert words_of(picture(run, figure)) == words_of(made), "make pictures"
     if name == OWN_SYSTEM:
         of_a_system_of_ones_own(tmp_path, printed)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", [name for name in PAGES if name.startswith("tutorials/")])
+def test_a_tutorial_runs_as_the_notebook_that_is_offered(name, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
+    notebook = notebook_of(PAGES[name], QUICK)
+    assert {cell.cell_type for cell in notebook.cells} == {"code", "markdown"}
+    nbformat.write(notebook, tmp_path / "tutorial.ipynb")
+    execute = "from nbclient.cli import main; main()"
+    command = [sys.executable, "-c", execute, "--inplace", "--kernel_name", "python3", "tutorial.ipynb"]
+    subprocess.run(command, cwd=tmp_path, check=True)
 
 
 def test_controls_at_rest_do_not_win_the_task_of_ones_own(tmp_path):
