@@ -64,7 +64,7 @@ class GreyBox(DynamicsModel):
 
     A family declares ``parameters`` and writes `rate` in plain numbers: its arguments are the tuples of ``states``,
     ``controls`` (all of the system's by default, in its order) and parameters, and it returns a tuple of one rate per
-    state. It may use what kernels may use (docs/kernels.md): it runs on arrays during the fit and compiled in
+    state. It may use what kernels may use (docs/extending/kernels.md): it runs on arrays during the fit and compiled in
     evolution. For a system with a motion, the rotation of the body frame is added. A family of positions and speeds may
     write `acceleration` instead and map each position to its speed in ``rate_of``; it returns the rates of all states
     but the positions. ``hidden_states`` are unmeasured states, arguments of `rate` after the others; they are estimated
