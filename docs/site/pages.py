@@ -19,7 +19,7 @@ INCLUDED = re.compile(r'^--8<-- "(docs/results/tables/\w+\.md)"$', re.MULTILINE)
 """A line that includes a table of results."""
 ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
 """The first line of a table of results: command, commit, date."""
-PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
+PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)` writes\n", re.MULTILINE)
 """A line in place of the file that this command writes."""
 FAMILIES = "<!-- sysid-evo models list --format markdown -->"
 """The line of a page in place of which the table of all families is shown."""

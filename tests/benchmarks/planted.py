@@ -40,6 +40,7 @@ from sysid_evo.evolution import Champion, ControllerEvolution, evolve_controller
 from sysid_evo.models import Dynamics
 from sysid_evo.registry import Spec, make_robot
 from tests.benchmarks.cars import recording
+from tests.benchmarks.markdown import add_markdown, print_tables
 from tests.fixtures.faults import FAULTS, Fault, driven, equations
 
 TASKS = {
@@ -167,8 +168,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--only", choices=("faults", "sound"), help="one of the two tables")
     parser.add_argument("--fault", help="the faults whose names hold this")
+    add_markdown(parser)
     arguments = parser.parse_args()
-    console, well = Console(width=160), True
+    console, well, tables = Console(width=160), True, []
     if arguments.only != "sound":
         table = Table(title="claimed in the model → achieved on the robot as it is")
         for head in ("fault", "to be named", "at random", "champion", "named", "search", "size", "named", "also named"):
@@ -179,7 +181,7 @@ def main() -> None:
                 row, right = planted_row(fault, shown[fault.robot], arguments.generations)
                 table.add_row(*row, style=None if right else "red")
                 well &= right
-        console.print(table)
+        tables.append(table)
     if arguments.only != "faults":
         table = Table("sound robot", "random commands, or as recorded", "evolved in it", title="false alarms")
         for kind in TASKS:
@@ -191,7 +193,8 @@ def main() -> None:
         for name, named in recorded(LOG):
             table.add_row(name, ", ".join(sorted(named)) or "–", "")
             well &= not named
-        console.print(table)
+        tables.append(table)
+    print_tables(tables, arguments.markdown, console)
     console.print(f"{time.process_time():.0f} s of processor time")
     sys.exit(0 if well else 1)
 

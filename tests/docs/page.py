@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 IMAGES = DOCS / "images"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-PLUGIN = re.compile(r'^--8<-- "plugin new (\w+) --kind (\w+)"\n', re.MULTILINE)
+PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)` writes\n", re.MULTILINE)
 """A line in place of the file that this command writes, see docs/site/pages.py."""
 IMAGE = re.compile(r"!\[[^\]]*\]\(\.\./images/(\w+)-([\w-]+)\.svg\)")
 SHELL = "%%sh -e"

@@ -276,7 +276,7 @@ def test_the_example_of_a_kind_is_what_plugin_new_writes(kind, page, name, tmp_p
 
 def test_the_glossary_has_the_words_and_sentences_of_the_report():
     groups = tomllib.loads((ROOT / "evaluation/report/page/glossary.toml").read_text(encoding="utf-8"))
-    rows = re.findall(r"^\| \*\*(.+?)\*\* \| (.+) \|$", PAGES["glossary.md"].text, re.MULTILINE)
+    rows = re.findall(r"^- \*\*(.+?)\*\*: (.+)$", PAGES["glossary.md"].text, re.MULTILINE)
     assert dict(rows) == {word: sentence for group in groups.values() for word, sentence in group.items()}
 
 

@@ -11,10 +11,10 @@ STRICTER = "# mypy: warn-return-any, no-warn-unreachable\n"
 """What ``mypy --strict`` asks of a user beyond our own settings."""
 WITHOUT_TYPES = """
 [[tool.mypy.overrides]]
-module = ["cma.*", "recommended"]
+module = ["recommended"]
 ignore_missing_imports = true
 """
-"""A library and an exported file."""
+"""An exported file."""
 HAS = """
 import numpy as np
 import pandas as pd
