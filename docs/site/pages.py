@@ -21,6 +21,8 @@ ORIGIN = re.compile(r"<!-- (.+); commit (\w+); ([\d-]+) -->")
 """The first line of a table of results: command, commit, date."""
 PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)` writes\n", re.MULTILINE)
 """A line in place of the file that this command writes."""
+EXAMPLE = re.compile(r"^# the file docs/(examples/\w+\.py)\n", re.MULTILINE)
+"""A line in place of this file."""
 FAMILIES = "<!-- sysid-evo models list --format markdown -->"
 """The line of a page in place of which the table of all families is shown."""
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
@@ -59,6 +61,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
     markdown = FIRMWARE_LINK.sub(f"]({up}firmware.md", markdown)
     markdown = FILE_NAMED.sub(lambda found: f"[{found[1].replace('_', ' ')}](", markdown)
     markdown = PLUGIN.sub(lambda found: plugin_text(found[1], found[2]), markdown)
+    docs = Path(config.docs_dir)
+    markdown = EXAMPLE.sub(lambda found: (docs / found[1]).read_text(encoding="utf-8"), markdown)
     if FAMILIES in markdown:
         markdown = markdown.replace(FAMILIES, families())
     root = Path(config.config_file_path).parent

@@ -28,6 +28,8 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)` writes\n", re.MULTILINE)
 """A line in place of the file that this command writes, see docs/site/pages.py."""
 IMAGE = re.compile(r"!\[[^\]]*\]\(\.\./images/(\w+)-([\w-]+)\.svg\)")
+EXAMPLE = re.compile(r"^# the file docs/(examples/\w+\.py)\n", re.MULTILINE)
+"""A line in place of this file."""
 SHELL = "%%sh -e"
 """The first line of a cell of commands."""
 QUICK = {
@@ -73,8 +75,9 @@ class Page:
 
     @cached_property
     def text(self) -> str:
-        """All of the page, with the plugins that it shows as `sysid-evo plugin new` writes them."""
+        """All of the page, with the plugins that it shows as `sysid-evo plugin new` writes them, and its examples."""
         text = self.path.read_text(encoding="utf-8")
+        text = EXAMPLE.sub(lambda found: (DOCS / found[1]).read_text(encoding="utf-8"), text)
         return PLUGIN.sub(lambda found: plugin_text(found[1], found[2]), text)
 
     @cached_property
