@@ -67,9 +67,6 @@ BUDGETS = {
     },
     "evolving.md": {
         "(generations=10, trials=4)": f"({SMALL})",
-        'generations=8, trials=4, controller="recurrent(hidden=10)", strategy="niches"': (
-            f"generations=2, trials=2, {SMALL_TASK}, strategy='niches'"
-        ),
         "generations=12, trials=4, repeats=2": f"{SMALL}, repeats=2",
         "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
         "generations=20)": "generations=2)",
