@@ -84,6 +84,7 @@ def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str
 def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> None:
     """Write how often the intervals hold in the condition of the fit and in others, before and after adaptation."""
     from evaluation.prediction import PredictionProtocol, measured_cases
+    from sysid_evo.models.adaptation import NONE
     from tests.benchmarks.shift.recordings import cases
 
     for name in families:
@@ -97,7 +98,7 @@ def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: 
                     fitted[key] = uncertain(name, preset).fit(case.training, rng=seed)
                 there = fitted[key].adapt(case.first(ADAPTED), rng=seed)
                 sys.stdout.write(f"{line('as it was', fitted[key], measured)}\n")
-                if there.fit_note.startswith("took no correction"):
+                if vars(there)["chosen_"] == NONE:
                     sys.stdout.write("  nothing was learned there\n")
                 else:
                     sys.stdout.write(f"{line('adapted', there, measured)}\n    {there.fit_note}\n")
