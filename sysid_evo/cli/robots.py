@@ -122,7 +122,7 @@ def record(
             if manoeuvres is None
             else partial(machine.record_manoeuvres, manoeuvres)
         )
-        recorded = drive(seed=seed or 0, folder=journal, stops=stops, progress=bars.advance)
+        recorded = drive(seed=seed or 0, folder=journal, stop=stops, progress=bars.advance)
         ended = recorded.report.sentence if recorded.report.reason.is_fault else None
         bars.end(title, ended)
     dataset = recorded.dataset
