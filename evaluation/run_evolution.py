@@ -106,7 +106,7 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     on_models = all(column.robot is None for column in columns)
     claims = tuple(map(on, columns))
     elsewhere = tuple(on(column) for column in first if on_models and column.label not in labels)
-    judged = (*claims, *elsewhere) if len(claims) + len(elsewhere) > 1 else ()
+    judged = (*claims, *elsewhere) if on_models else ()
     predictions = [found for run in judged if (found := run.settings.column.prediction) is not None]
     plan = Plan.of([champion, *claims, *elsewhere, *predictions])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
