@@ -97,9 +97,9 @@ class Average(MeanModel):
 
 def _share(counter: Counter) -> Progress:
     """Return a callback that reports the progress of one fit to ``counter``, in `PARTS` steps."""
-    begun = counter.done
+    before = counter.done
 
     def progress(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # the note of a fit is not shown
-        counter.advance(max(0, begun + PARTS * min(done, total) // max(1, total) - counter.done))
+        counter.advance(max(0, before + PARTS * min(done, total) // max(1, total) - counter.done))
 
     return progress

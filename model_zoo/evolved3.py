@@ -106,7 +106,7 @@ class Evolved3(DynamicsModel):
 
     @property
     def _cut(self) -> IntArray:
-        """Where a parameter vector is cut into first weights, their biases, last weights, and their biases."""
+        """Positions at which a parameter vector is split into first weights, biases, last weights, biases."""
         nx = self.system.nx
         return np.cumsum([nx * self.hidden * len(self.centre_), nx * self.hidden, nx * self.hidden])
 

@@ -123,7 +123,7 @@ class Features:
 
     @property
     def shown_names(self) -> list[str]:
-        """The name of every feature in an equation, such as ``(temperature - 293)``."""
+        """The name of every feature in a printed equation, such as ``(temperature - 293)``."""
         pairs = zip(self.names, self.rows, strict=True)
         return [f"({less(name, row.offset)})" if row.offset else name for name, row in pairs]
 

@@ -124,7 +124,7 @@ class GaussianProcess(StochasticModel):
         return with_angles(bumps, self.system, self.lags)
 
     def predicted(self, carry: Array, control: Array, *, with_variance: bool = True) -> tuple[Array, Array]:
-        """Return mean and variance (B, nx) of the acceleration; without variance, zeros for it."""
+        """Return mean and variance (B, nx) of the acceleration; the variance is 0 unless ``with_variance``."""
         inputs = Features(self.system, self.lags)(carry, control)
         mean = np.empty((len(inputs), self.system.nx))
         variance = np.zeros_like(mean)
@@ -246,7 +246,7 @@ AMPLITUDE, LENGTH, NOISE = (1.0, 1e-2, 1e2), (3.0, 0.3, 100.0), (0.1, 1e-4, 1.0)
 
 
 @dataclass(frozen=True)
-class Likely:
+class Hyperparameters:
     """Amplitude, lengths (n,) and noise of a process, in units of targets and inputs."""
 
     amplitude: float
@@ -298,7 +298,7 @@ def negative_log_likelihood(logarithms: Array, inputs: Array, targets: Array) ->
     return float(value), np.concatenate([[0.5 * apart.sum()], moments, [by_noise]])
 
 
-def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], None]) -> Likely:
+def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], None]) -> Hyperparameters:
     """Return the maximum of the marginal likelihood within the bounds; ``report`` is called before every evaluation."""
 
     def objective(logarithms: Array) -> tuple[float, Array]:
@@ -307,7 +307,7 @@ def maximise_likelihood(inputs: Array, targets: Array, *, report: Callable[[], N
 
     start, low, high = np.log([AMPLITUDE, *[LENGTH] * inputs.shape[1], NOISE]).T
     found = np.exp(minimize(objective, start, method="L-BFGS-B", jac=True, bounds=Bounds(low, high)).x)
-    return Likely(float(np.sqrt(found[0])), found[1:-1], float(np.sqrt(found[-1])))
+    return Hyperparameters(float(np.sqrt(found[0])), found[1:-1], float(np.sqrt(found[-1])))
 
 
 def cholesky_with_jitter(matrix: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Family auto: a choice among families by simulation of held-out data, and the mean of those that are kept."""
+"""Family auto: the mean of the families that simulate held-out data best."""

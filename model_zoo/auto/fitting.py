@@ -112,7 +112,7 @@ class FitWork:
             raise stopped.cause from None
         return found
 
-    def still(self) -> None:
+    def report_alive(self) -> None:
         """Report that the work continues."""
         self._advance(0.0)
 

@@ -103,7 +103,7 @@ class Auto(MeanModel):
         nothing_held_out = any(seen is held for seen, held in pairs)
         self.held_out_error_ = None if nothing_held_out else held_out_error(cases)
         if self.stochastic:
-            self.calibrate(cases, rng, work.still)
+            self.calibrate(cases, rng, work.report_alive)
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
@@ -132,12 +132,12 @@ class Auto(MeanModel):
 
     def candidate_ranking(self) -> list[dict[str, str]]:
         """Return a row for every candidate, the best first: held-out error, weight, remark."""
-        found = CandidateRanking.known_to(self)
+        found = CandidateRanking.stored_in(self)
         return [] if found is None else found.rows()
 
     @property
     def fit_note(self) -> str:
-        found = CandidateRanking.known_to(self)
+        found = CandidateRanking.stored_in(self)
         return "; ".join(filter(None, (super().fit_note, "" if found is None else found.sentence())))
 
 
@@ -202,7 +202,7 @@ class CandidateRanking:
         return {f"{name}_": value for name, value in vars(self).items()}
 
     @classmethod
-    def known_to(cls, model: Any) -> Self | None:
+    def stored_in(cls, model: Any) -> Self | None:
         """Undo `learned`: return the ranking stored in a fitted ``model``; None before its fit."""
         if not hasattr(model, "evaluated_on_"):
             return None

@@ -86,7 +86,7 @@ class CandidateSelection:
             return [outcome.model for outcome in rough[number] if outcome.model is not None]
 
         def mean_error(group: list[int]) -> float:
-            self.work.still()
+            self.work.report_alive()
             fold_models = [[models(numbers[i])[fold] for i in group] for fold in folds]
             means = [mean(parts) for parts in fold_models]
             return self.judge.errors([t.run(one) for t, one in zip(self.judge.trials, means, strict=True)]).mean
@@ -116,14 +116,14 @@ class CandidateSelection:
 
         The first was fitted to all folds and each of the others to all but one, so hard folds affect all equally.
         """
-        self.work.still()
+        self.work.report_alive()
         errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
         return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
 
     def _first_fold(self, gate: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
-        The time saved by candidates that are dropped (`_thinned`) is spent on the next ones. A refinement waits until
+        The time saved by candidates that are dropped (`_screened`) is spent on the next ones. A refinement waits until
         its shorter version was tried. Returns the outcomes, the errors, and why a candidate is not tried in the other
         folds; empty if it is.
         """
@@ -136,7 +136,7 @@ class CandidateSelection:
         while batch:
             outcomes |= self._fits(batch, [0])
             tried = [number for number, _ in sorted(outcomes)]
-            found = self._thinned([outcomes[number, 0] for number in tried], gate)
+            found = self._screened([outcomes[number, 0] for number in tried], gate)
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
@@ -159,7 +159,7 @@ class CandidateSelection:
         found = errors[self._refined[number]]
         return found is not None and found.mean <= REFINE_FACTOR * min(one.mean for one in errors if one is not None)
 
-    def _thinned(self, outcomes: Sequence[FitOutcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+    def _screened(self, outcomes: Sequence[FitOutcome], gate: float) -> tuple[list[Errors | None], list[str]]:
         """Return the errors in the first fold, and why a candidate is dropped; empty if it is not.
 
         It is dropped if its error is above ``gate`` times the lowest and significantly so (paired bootstrap).

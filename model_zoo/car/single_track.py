@@ -57,7 +57,7 @@ def pacejka_rate(state: Any, control: Any, p: Any) -> Any:
     front_grip, rear_grip = grips(state, control, p)
     front = front_grip * magic(p[P.front_stiffness] * front_slip, p[P.tyre_shape], p[P.tyre_curvature])
     rear = rear_grip * magic(p[P.rear_stiffness] * rear_slip, p[P.tyre_shape], p[P.tyre_curvature])
-    return pushed(state, control, p, front, rear)
+    return body_rates(state, control, p, front, rear)
 
 
 def tanh_rate(state: Any, control: Any, p: Any) -> Any:
@@ -66,7 +66,7 @@ def tanh_rate(state: Any, control: Any, p: Any) -> Any:
     front_grip, rear_grip = grips(state, control, p)
     front = front_grip * math.tanh(p[P.front_stiffness] * front_slip)
     rear = rear_grip * math.tanh(p[P.rear_stiffness] * rear_slip)
-    return pushed(state, control, p, front, rear)
+    return body_rates(state, control, p, front, rear)
 
 
 def magic(slip: Any, shape: Any, curvature: Any) -> Any:
@@ -93,7 +93,7 @@ def grips(state: Any, control: Any, p: Any) -> Any:
     return front, rear
 
 
-def pushed(state: Any, control: Any, p: Any, front: Any, rear: Any) -> Any:
+def body_rates(state: Any, control: Any, p: Any, front: Any, rear: Any) -> Any:
     """Return the rates under sideways forces per mass, without the rotation of the frame."""
     u, _, _ = state
     angle = steering_angle(control, p)

@@ -265,7 +265,7 @@ class FitWindows:
         return len(self.cut)
 
     def __getitem__(self, rows: IntArray) -> FitWindows:
-        """Return some of the windows."""
+        """Return the windows with these numbers."""
         return replace(self, cut=self.cut[rows], group=self.group[rows], order=self.order[rows])
 
     def runs(self, structure: GreyBoxEquation, p: Array, hidden: Array) -> Array:
@@ -302,7 +302,7 @@ class FitWindows:
         )
 
     def _stepped(self, structure: GreyBoxEquation, p: Array, carry: Array) -> Array:
-        """Return the same in NumPy, from carries (n_carry, P, W)."""
+        """Return the simulations in NumPy, from carries (n_carry, P, W)."""
         controls, nx = self.cut.controls, structure.system.nx
         low, high = (side.reshape(-1, 1, 1) for side in self.limits)
         out = np.empty((*carry.shape[1:], controls.shape[1], nx))
@@ -344,23 +344,23 @@ def starts_of(first: LeastSquares, count: int, rng: np.random.Generator) -> list
     return [guess, *drawn[np.argsort(costs, kind="stable")[: count - 1]]]
 
 
-def best_of(last: LeastSquares, begun: Sequence[Array]) -> LeastSquaresFit:
+def best_of(last: LeastSquares, results: Sequence[Array]) -> LeastSquaresFit:
     """Return the best least squares from the best of these results of the first fit."""
-    costs = [float(last.cost(place[None])[0]) for place in begun]
+    costs = [float(last.cost(place[None])[0]) for place in results]
     found: list[LeastSquaresFit] = []
     for i in np.argsort(costs, kind="stable"):
-        if all(np.abs(begun[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
-            found.append(last.solve(begun[i], evaluations=LAST_EVALUATIONS))
+        if all(np.abs(results[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
+            found.append(last.solve(results[i], evaluations=LAST_EVALUATIONS))
     return min(found, key=lambda one: one.cost)
 
 
-def sureness_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCovariance:
+def covariance_of(problem: LeastSquares, best: LeastSquaresFit) -> ParameterCovariance:
     """Return the covariance of the parameters at the end of a fit."""
-    known = known_variances(problem.structure.parameters, best.places)
+    known = prior_variances(problem.structure.parameters, best.places)
     return parameter_covariance(best.errors, best.jacobian, best.by_hidden, problem.windows.order, known=known)
 
 
-def known_variances(parameters: Sequence[Parameter], places: Array) -> Array:
+def prior_variances(parameters: Sequence[Parameter], places: Array) -> Array:
     """Return the variance (n,) of each parameter in the cube without data: of its prior, or of its bounds alone."""
     slopes = ParameterBounds.of(parameters).slopes(places)
     spreads = np.array([math.inf if p.spread is None else p.spread for p in parameters]) / slopes
@@ -376,17 +376,19 @@ LEAST = 1e-4
 
 
 def fit_random_effects(
-    problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance, varied: Sequence[int]
+    problem: LeastSquares, best: LeastSquaresFit, covariances: ParameterCovariance, varied: Sequence[int]
 ) -> tuple[LeastSquaresFit, Array]:
     """Return the estimate in which some parameters have a normal offset in each group.
 
     The second result is the standard deviation (k,) of these offsets in the cube. It is estimated by
     expectation-maximisation (Laird and Ware 1982): its square is the mean of offset^2 + the remaining variance of the
-    offset. Groups with little data have offsets near zero. Correlated errors count ``sure.inflation`` times less.
+    offset. Groups with little data have offsets near zero. Correlated errors count ``covariances.inflation`` times less.
     """
     spreads, found = np.full(len(varied), FIRST_SPREAD), best
     for _ in range(ROUNDS):
-        varying = replace(problem, varied=tuple(varied), spreads=spreads, noise=sure.noise, inflation=sure.inflation)
+        varying = replace(
+            problem, varied=tuple(varied), spreads=spreads, noise=covariances.noise, inflation=covariances.inflation
+        )
         found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
         unknown = _unknown(varying, found)
         spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)

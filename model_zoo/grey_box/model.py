@@ -18,10 +18,10 @@ from model_zoo.grey_box.estimation import (
     LeastSquares,
     LeastSquaresFit,
     best_of,
+    covariance_of,
     fit_random_effects,
-    known_variances,
+    prior_variances,
     starts_of,
-    sureness_of,
 )
 from model_zoo.grey_box.parameters import (
     HiddenState,
@@ -152,8 +152,8 @@ class GreyBox(DynamicsModel):
     def channel_indices(self, system: System) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Return the positions of the states and controls of `law` in ``system``. Raises `IncompatibleSystem`."""
         return (
-            named_places(self, "state", self.states, system.state_names),
-            named_places(self, "control", self.controls, system.control_names),
+            positions_of(self, "state", self.states, system.state_names),
+            positions_of(self, "control", self.controls, system.control_names),
         )
 
     def check_parameters(self) -> None:
@@ -199,7 +199,7 @@ class GreyBox(DynamicsModel):
         found = self._structure_on(self.system)
         return found.shorter(float(self.parameters_[-1])) if hasattr(self, "parameters_") else found
 
-    def _informed(self, structure: GreyBoxEquation, dataset: Dataset) -> GreyBoxEquation:
+    def _with_priors(self, structure: GreyBoxEquation, dataset: Dataset) -> GreyBoxEquation:
         """Return the structure with guesses and priors from the manoeuvres of ``dataset``, if there are any."""
         guesses = self.initial_guesses({one.name: one for one in manoeuvre_results(dataset)})
         self.informed_ = [parameter.name for parameter in structure.own if parameter.name in guesses]
@@ -211,7 +211,7 @@ class GreyBox(DynamicsModel):
         return replace(structure, own=own)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        structure = self._informed(self._structure_on(dataset.system), dataset)
+        structure = self._with_priors(self._structure_on(dataset.system), dataset)
         total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + KEPT * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
 
@@ -221,24 +221,24 @@ class GreyBox(DynamicsModel):
 
         horizon = max(10, round(self.seconds / dataset.system.dt))
         longest = max(len(episode) for episode in dataset.episodes)
-        history = min(PAST, longest // 4) if self._remembers else 0
-        history = max(structure.delay, self.past_samples if self._remembers else 0, history)
+        history = min(PAST, longest // 4) if self._needs_history else 0
+        history = max(structure.delay, self.past_samples if self._needs_history else 0, history)
         most = max(1, round(self.windows * HIDDEN_SHARE)) if structure.hidden else self.windows
         windows = [
             FitWindows.of(dataset, steps, history=history, most=most, limits=self.state_bounds_)
             for steps in (-(-horizon // SHORT), horizon)
         ]
         first, last = (LeastSquares(structure, some, report, self.robust) for some in windows)
-        begun = [
+        results = [
             first.solve(place, evaluations=FIRST_EVALUATIONS).places for place in starts_of(first, self.starts, rng)
         ]
-        best = best_of(last, begun)
+        best = best_of(last, results)
         if any(parameter.spread is not None for parameter in structure.parameters):
-            sure = sureness_of(last, best)
-            last = replace(last, noise=sure.noise, inflation=sure.inflation)
+            found = covariance_of(last, best)
+            last = replace(last, noise=found.noise, inflation=found.inflation)
             best = last.solve(best.places, evaluations=LAST_EVALUATIONS)
         if self.random_effects is not None and len(last.windows.groups) > 1:
-            best = self._learn_offsets(last, best, sureness_of(last, best))
+            best = self._learn_offsets(last, best, covariance_of(last, best))
         self._learn(last, best)
         if self.residual:
             self._learn_residual(dataset, rng, report)
@@ -267,17 +267,17 @@ class GreyBox(DynamicsModel):
         return found
 
     @property
-    def _remembers(self) -> bool:
+    def _needs_history(self) -> bool:
         """Whether the carry holds values that only the past determines."""
         return bool(self.hidden_states) or self.actuator_lag
 
     def _learn_offsets(
-        self, problem: LeastSquares, best: LeastSquaresFit, sure: ParameterCovariance
+        self, problem: LeastSquares, best: LeastSquaresFit, covariances: ParameterCovariance
     ) -> LeastSquaresFit:
         """Return the estimate of the common parameters; store the offsets of each recording, in units."""
         box, names = problem.structure.box, [parameter.name for parameter in problem.structure.parameters]
         varied = [names.index(name) for name in self.random_effects or []]
-        found, spreads = fit_random_effects(problem, best, sure, varied)
+        found, spreads = fit_random_effects(problem, best, covariances, varied)
         common = box.values(found.places)
         of_each = np.repeat(found.places[None], len(problem.windows.groups), axis=0)
         of_each[:, varied] += found.offsets
@@ -294,12 +294,12 @@ class GreyBox(DynamicsModel):
     def _learn(self, problem: LeastSquares, best: LeastSquaresFit) -> None:
         structure = problem.structure
         parameters, box = structure.parameters, structure.box
-        known = known_variances(parameters, best.places)
-        sure = sureness_of(problem, best)
+        known = prior_variances(parameters, best.places)
+        found = covariance_of(problem, best)
         slopes = box.slopes(best.places)
-        self.undetermined_, determined = undetermined_parameters(parameters, best.places, sure.covariance, known)
+        self.undetermined_, determined = undetermined_parameters(parameters, best.places, found.covariance, known)
         self.determined_ = [bool(one) for one in determined]
-        self.covariance_ = sure.covariance * np.outer(slopes, slopes)
+        self.covariance_ = found.covariance * np.outer(slopes, slopes)
         self.standard_errors_ = np.sqrt(np.diag(self.covariance_))
         if structure.hidden:
             self.hidden_mean_, self.hidden_spread_ = best.hidden.mean(axis=1), best.hidden.std(axis=1) + 1e-9
@@ -311,8 +311,8 @@ class GreyBox(DynamicsModel):
     def _learn_residual(self, dataset: Dataset, rng: np.random.Generator, report: Callable[[], None]) -> None:
         """Fit the residual of the physics; keep the share with the lowest simulation error on held-out blocks."""
         learned, held = time_fold(dataset)
-        shape, noise = learned_shape(self.integrated, *self._left_of(learned), self.residual_points, rng, report)
-        tried, errors = conditioned(shape, noise, *self._left_of(learned)), []
+        shape, noise = learned_shape(self.integrated, *self._residual_data(learned), self.residual_points, rng, report)
+        tried, errors = conditioned(shape, noise, *self._residual_data(learned)), []
         windows = error_windows(held, self.n_lags)
         for share in SHARES:
             report()
@@ -321,13 +321,13 @@ class GreyBox(DynamicsModel):
         better = np.array(errors) * np.where(np.array(SHARES) == 0.0, BETTER, 1.0)
         self.residual_share_ = SHARES[int(np.argmin(better))]
         self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
-        self._keep(conditioned(shape, noise, *self._left_of(dataset)).times(self.residual_share_))
+        self._keep(conditioned(shape, noise, *self._residual_data(dataset)).times(self.residual_share_))
 
     def _keep(self, residual: ResidualNetwork) -> None:
         self.residual_points_, self.residual_lengths_ = residual.points, residual.lengths
         self.residual_weights_ = residual.weights
 
-    def _left_of(self, dataset: Dataset) -> tuple[Array, Array]:
+    def _residual_data(self, dataset: Dataset) -> tuple[Array, Array]:
         """Return inputs (N, n) of the residual at single steps, and the residual of the rates there (N, nx)."""
         windows = dataset.windows(1, history=self.n_lags, moving=True)
         windows = windows if len(windows) else dataset.windows(1, history=self.n_lags)
@@ -378,7 +378,7 @@ class GreyBox(DynamicsModel):
 
     @property
     def n_lags(self) -> int:
-        return max(self.layout.control_lags, self.past_samples if self._remembers else 0)
+        return max(self.layout.control_lags, self.past_samples if self._needs_history else 0)
 
     def start(self, states: Array, controls: Array, draws: Array | None = None) -> Array:
         structure, hidden = self.integrated, np.empty((0, len(states)))
@@ -424,7 +424,7 @@ class GreyBox(DynamicsModel):
         return structure_kernel(structure, self.parameters_, dead_band_size=self._extended_band, extra=extra)
 
 
-def named_places(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:
+def positions_of(model: DynamicsModel, what: str, wanted: Sequence[str], there: Sequence[str]) -> tuple[int, ...]:
     """Return the positions of the ``wanted`` channels in ``there``; all of them if none are named."""
     for name in wanted:
         if name not in there:
@@ -446,6 +446,6 @@ def known_rates(
             "acceleration(state, control, p) instead"
         )
     positions, rates = (
-        named_places(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())
+        positions_of(model, "state", tuple(names), system.state_names) for names in (speeds, speeds.values())
     )
     return tuple(zip(positions, rates, strict=True))

@@ -171,18 +171,18 @@ class DifferentiableSimulation(ABC):
 
     def begin_with(self, network: Network) -> None:
         """Undo `network`: start from networks that do not use the ``further`` input."""
-        begun = network.unfolded(self.centre, self.scale, self.rates)
+        scaled = network.unfolded(self.centre, self.scale, self.rates)
         more = self.layers.sizes[0] - len(self.centre)
-        first = np.pad(begun.weights[0], ((0, 0), (0, more), (0, 0)))
-        flat = self.layers.flat(Network([first, *begun.weights[1:]], begun.biases))
+        first = np.pad(scaled.weights[0], ((0, 0), (0, more), (0, 0)))
+        flat = self.layers.flat(Network([first, *scaled.weights[1:]], scaled.biases))
         self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
 
     def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
         """Continue training of all members on the whole ``dataset``; return the parameters (M, P)."""
-        shots = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
+        windows = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
         return train(
             self,
-            [shots] * self.layers.members,
+            [windows] * self.layers.members,
             plan,
             state_scale=self.standard.state_scale,
             change_scale=self.standard.change,

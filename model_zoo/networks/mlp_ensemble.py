@@ -115,7 +115,7 @@ class MlpEnsemble(StochasticModel):
         def trained(
             data: Dataset, lags: tuple[int, int], members: int, plan: TrainingSchedule
         ) -> tuple[Network, Array]:
-            """Return members that each learned what is left without its blocks of time, and their errors there."""
+            """Return members, each trained without its blocks of time, and their errors on these blocks."""
             splits = [time_fold(data, member, self.folds) for member in range(members)]
             hidden, mirror = self.hidden or HIDDEN, Mirror.of(dataset.system, self.steering)
             model = DifferenceNetworks(

@@ -174,8 +174,8 @@ class Equation:
         """
         learned, held = time_fold(dataset, 0, FOLDS)
         history, module = self.layout.n_lags, self.module
-        shots, windows = TrainingWindows.of(learned, horizon, history), error_windows(held, history)
-        batches, scale = Batches([shots], history), torch.from_numpy(standard.state_scale)
+        training, windows = TrainingWindows.of(learned, horizon, history), error_windows(held, history)
+        batches, scale = Batches([training], history), torch.from_numpy(standard.state_scale)
         single = round(ON_SINGLE_STEPS * updates)
         plan = TrainingSchedule(single, updates - single, horizon, learning_rate=learning_rate)
 
@@ -188,8 +188,8 @@ class Equation:
         )
         best, lowest = copy.deepcopy(module.state_dict()), math.inf
         for update in range(updates):
-            steps, size, rate = schedule(plan, update, shots.horizon)
-            samples = batches.of([rng.integers(0, len(shots), size)], steps)[:, 0]
+            steps, size, rate = schedule(plan, update, training.horizon)
+            samples = batches.of([rng.integers(0, len(training), size)], steps)[:, 0]
             now = torch.from_numpy(np.moveaxis(samples, 0, 1).astype(np.float64))
             noise = plan.input_noise * standard.change * rng.standard_normal((size, history + 1, self.layout.nx))
             for group in optimiser.param_groups:

@@ -38,7 +38,7 @@ REPORT_EVERY = 10
 FLOOR = 0.002
 """Squared relative error below which the weight of a step does not rise (the noise of the measurement)."""
 
-PIECE = 256
+CHUNK = 256
 """Windows scored at once."""
 
 
@@ -79,10 +79,10 @@ class TrainingWindows:
 class Batches:
     """Batches of the windows of all members, taken from one array of all samples."""
 
-    def __init__(self, shots: Sequence[TrainingWindows], history: int) -> None:
-        first = np.cumsum([0, *(len(one.samples) for one in shots)])
-        self.samples = np.concatenate([one.samples for one in shots])
-        self.starts = [one.starts + begin for one, begin in zip(shots, first, strict=False)]
+    def __init__(self, windows: Sequence[TrainingWindows], history: int) -> None:
+        first = np.cumsum([0, *(len(one.samples) for one in windows)])
+        self.samples = np.concatenate([one.samples for one in windows])
+        self.starts = [one.starts + begin for one, begin in zip(windows, first, strict=False)]
         self.history = history
 
     def of(self, rows: Sequence[IntArray], horizon: int) -> Array32:
@@ -144,7 +144,7 @@ class TrainingSchedule:
 
 def train(
     model: TrainableSimulation,
-    shots: Sequence[TrainingWindows],
+    windows: Sequence[TrainingWindows],
     plan: TrainingSchedule,
     *,
     state_scale: Array,
@@ -152,7 +152,7 @@ def train(
     trainings: ResumableTrainings,
     judge: Callable[[Array32], Array] | None = None,
 ) -> Array32:
-    """Train ``model`` on one set of ``shots`` for each member and return its averaged parameters (M, P).
+    """Train ``model`` on one set of ``windows`` for each member and return its averaged parameters (M, P).
 
     ``judge`` gives the validation error (M,) of parameters; each member then keeps its best ones. ``state_scale`` and
     ``change_scale`` (nx,) are the units of errors and noise. ``trainings`` resumes a training that was interrupted and
@@ -162,17 +162,17 @@ def train(
     if done is not None:
         trainings.report(plan.total)
         return done
-    rng, layout, batches = trainings.rng, model.layout, Batches(shots, model.layout.n_lags)
+    rng, layout, batches = trainings.rng, model.layout, Batches(windows, model.layout.n_lags)
     state = TrainingState.at(model.parameters)
     scale, noise = state_scale.astype(np.float32), (plan.input_noise * change_scale).astype(np.float32)
-    longest = min(shot.horizon for shot in shots)
+    longest = min(one.horizon for one in windows)
     present = slice(layout.n_lags - layout.state_lags, layout.n_lags + 1)
     first = reported = trainings.resume(state)
     if first:
         trainings.report(first)
     for update in range(first, plan.total):
         horizon, size, rate = schedule(plan, update, longest)
-        batch = batches.of([rng.integers(0, len(shot), size) for shot in shots], horizon)
+        batch = batches.of([rng.integers(0, len(one), size) for one in windows], horizon)
         batch = model.augmented(batch, rng)
         truth = batch[layout.n_lags + 1 :, ..., : layout.nx].copy()
         if plan.input_noise:
@@ -211,17 +211,17 @@ def judged(
     trained, layout, batches = model.parameters, model.layout, Batches(held, model.layout.n_lags)
     model.as_recorded()
     model.parameters = parameters
-    most, longest = max(len(shots) for shots in held), max(shots.horizon for shots in held)
-    square: list[Array] = [np.zeros((shots.horizon, layout.nx)) for shots in held]
-    for begin in range(0, most, PIECE):
-        rows = np.arange(begin, min(begin + PIECE, most))
-        batch = batches.of([rows % len(shots) for shots in held], longest)
+    most, longest = max(len(windows) for windows in held), max(windows.horizon for windows in held)
+    square: list[Array] = [np.zeros((windows.horizon, layout.nx)) for windows in held]
+    for begin in range(0, most, CHUNK):
+        rows = np.arange(begin, min(begin + CHUNK, most))
+        batch = batches.of([rows % len(windows) for windows in held], longest)
         with np.errstate(all="ignore"):
             off = ((model.run(batch) - batch[layout.n_lags + 1 :, ..., : layout.nx]) / state_scale) ** 2
-        for member, shots in enumerate(held):
-            square[member] += off[: shots.horizon, member, : max(0, len(shots) - begin)].sum(axis=1)
+        for member, windows in enumerate(held):
+            square[member] += off[: windows.horizon, member, : max(0, len(windows) - begin)].sum(axis=1)
     model.parameters = trained
-    errors = [float(np.sqrt(sums / len(shots)).mean()) for sums, shots in zip(square, held, strict=True)]
+    errors = [float(np.sqrt(sums / len(windows)).mean()) for sums, windows in zip(square, held, strict=True)]
     return np.where(np.isfinite(errors), errors, np.inf)
 
 

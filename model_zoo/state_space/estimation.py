@@ -84,17 +84,17 @@ class EstimationProblem:
         stable = stabilised(trained.spaces)
         return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
 
-    def blank(self, segments: ShootingWindows, spaces: StateSpaceBatch) -> Array:
+    def blank(self, windows: ShootingWindows, spaces: StateSpaceBatch) -> Array:
         """Return initial states (S, B, n) with the measured outputs and zeros for the rest."""
-        starts = np.zeros((len(spaces), len(segments), spaces.n))
-        ny = segments.outputs.shape[2]
-        starts[:, :, :ny] = segments.outputs[:, 0]
+        starts = np.zeros((len(spaces), len(windows), spaces.n))
+        ny = windows.outputs.shape[2]
+        starts[:, :, :ny] = windows.outputs[:, 0]
         return starts
 
-    def states(self, trained: Trained, segments: ShootingWindows) -> Array:
+    def states(self, trained: Trained, windows: ShootingWindows) -> Array:
         """Return the states (S, N, n) of the runs at all samples that count, in sequence."""
-        runs = trained.spaces.run(trained.starts, segments.controls)
-        return np.stack([segments.rows(run) for run in runs])
+        runs = trained.spaces.run(trained.starts, windows.controls)
+        return np.stack([windows.rows(run) for run in runs])
 
     def learned(self, spaces: StateSpaceBatch, starts: Array, iterations: int, report: Callable[[], None]) -> Trained:
         """Train on short simulations that start at ``starts`` (S, B, n)."""
@@ -106,20 +106,20 @@ class EstimationProblem:
         """Continue on longer simulations for ``iterations``; spaces that diverge restart from ``fallback``."""
         before, later = self.short, [one for one in (self.middle, self.long) if one is not self.short]
         later = later[:1] if later and later[0] is later[-1] else later
-        for number, segments in enumerate(later):
-            starts = self.states(trained, before)[:, segments.begins]
+        for number, windows in enumerate(later):
+            starts = self.states(trained, before)[:, windows.begins]
             spaces = trained.spaces
-            runs = spaces.run(starts, segments.controls)[..., : segments.outputs.shape[2]]
-            off = ((runs - segments.outputs) ** 2 * segments.counts[:, :, None]).sum(axis=(1, 2, 3))
-            lost = off > LOST**2 * segments.counts.sum() * runs.shape[3]
+            runs = spaces.run(starts, windows.controls)[..., : windows.outputs.shape[2]]
+            off = ((runs - windows.outputs) ** 2 * windows.counts[:, :, None]).sum(axis=(1, 2, 3))
+            lost = off > LOST**2 * windows.counts.sum() * runs.shape[3]
             if lost.any():
                 outer = spaces.outer.copy()
                 outer[lost] = 0.0
                 outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
                 spaces = replace(spaces, outer=outer)
-                starts[lost] = self.blank(segments, spaces)[lost]
+                starts[lost] = self.blank(windows, spaces)[lost]
             share = iterations * (number + 1) // len(later) - iterations * number // len(later)
-            trained, before = train(spaces, segments, starts, share, report), segments
+            trained, before = train(spaces, windows, starts, share, report), windows
         for _ in range(0 if later else iterations):
             report()
         return trained

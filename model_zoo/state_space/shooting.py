@@ -153,21 +153,21 @@ class StateSpaceBatch:
         numbers = (self.outer[s], self.inner[s], self.kinds[s], self.rate_scale, starts, controls)
         return sizes, *(np.ascontiguousarray(own).reshape(-1) for own in numbers)
 
-    def sensitivities(self, s: int, starts: Array, segments: ShootingWindows) -> tuple[Array, Array]:
+    def sensitivities(self, s: int, starts: Array, windows: ShootingWindows) -> tuple[Array, Array]:
         """Return the outputs (B, H + 1, ny) of space ``s`` from ``starts`` (B, n), and their derivatives.
 
         States are not bounded here, because a bound has no slope. The derivatives are (B, H + 1, ny, P + n), zero for
         samples that do not count; the last n are those by the start.
         """
-        ny = segments.outputs.shape[2]
+        ny = windows.outputs.shape[2]
         size = self.outer[s].size + self.inner[s].size + self.n
-        states = np.empty((*segments.counts.shape, self.n))
-        derivatives = np.empty((*segments.counts.shape, ny, size))
+        states = np.empty((*windows.counts.shape, self.n))
+        derivatives = np.empty((*windows.counts.shape, ny, size))
         room = np.empty(self._room + self.n * (self.inner.shape[1] + self.n + 2 + 2 * size * self.flow))
         compiled = compiled_sensitivities(flow=self.flow)
         compiled(
-            *self._arguments(s, starts, segments.controls, ny),
-            segments.counts.reshape(-1),
+            *self._arguments(s, starts, windows.controls, ny),
+            windows.counts.reshape(-1),
             np.array([np.inf]),
             states.reshape(-1),
             derivatives.reshape(-1),
@@ -179,7 +179,7 @@ class StateSpaceBatch:
 
 @dataclass(frozen=True)
 class Trained:
-    """Spaces after training, the initial states (S, B, n) of the segments, and the mean square residual (S,)."""
+    """Spaces after training, the initial states (S, B, n) of the windows, and the mean square residual (S,)."""
 
     spaces: StateSpaceBatch
     starts: Array
@@ -193,14 +193,14 @@ class Trained:
 class _Objective:
     """The objective: residuals in units of the noise, priors on parameters and initial states."""
 
-    segments: ShootingWindows
+    windows: ShootingWindows
     prior: Array
 
     def residuals(self, outputs: Array) -> Array:
-        return (outputs - self.segments.outputs) * self.segments.counts[:, :, None]
+        return (outputs - self.windows.outputs) * self.windows.counts[:, :, None]
 
     def error(self, residuals: Array) -> Array:
-        count = self.segments.counts.sum() * residuals.shape[3]
+        count = self.windows.counts.sum() * residuals.shape[3]
         return np.asarray((residuals**2).sum(axis=(1, 2, 3)) / count)
 
     def scale(self, residuals: Array) -> Array:
@@ -220,7 +220,7 @@ class _Objective:
 @np.errstate(over="ignore", invalid="ignore")  # a space that diverges counts as the worst
 def train(
     spaces: StateSpaceBatch,
-    segments: ShootingWindows,
+    windows: ShootingWindows,
     starts: Array,
     iterations: int,
     report: Callable[[], None] = lambda: None,
@@ -229,7 +229,7 @@ def train(
 
     ``report`` is called after each iteration, always ``iterations`` times.
     """
-    objective, ny = _Objective(segments, spaces.prior), segments.outputs.shape[2]
+    objective, ny = _Objective(windows, spaces.prior), windows.outputs.shape[2]
     damping, going = np.full(len(spaces), 1e-2), np.ones(len(spaces), dtype=bool)
     starts = starts.copy()
     for _ in range(iterations):
@@ -242,7 +242,7 @@ def train(
             )
             spaces = spaces.with_flat(flat)
         report()
-    outputs = spaces.run(starts, segments.controls)[..., :ny]
+    outputs = spaces.run(starts, windows.controls)[..., :ny]
     return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
 
 
@@ -256,10 +256,10 @@ def _improve(
     """Return parameters (S, P), initial states, damping after one iteration, and which spaces still improve."""
     flat, damping = spaces.flat.copy(), damping.copy()
     starts = starts.copy()
-    outputs = np.empty((len(spaces), *objective.segments.outputs.shape))
+    outputs = np.empty((len(spaces), *objective.windows.outputs.shape))
     tangents = []
     for member, blind in enumerate(spaces.blind):
-        outputs[member], derivatives = spaces.sensitivities(member, starts[member], objective.segments)
+        outputs[member], derivatives = spaces.sensitivities(member, starts[member], objective.windows)
         derivatives[..., np.flatnonzero(blind)] = 0.0
         tangents.append(derivatives)
     residuals = objective.residuals(outputs)
@@ -278,7 +278,7 @@ def _improve(
         new_flat = flat[rows] - np.stack([step for step, _ in moved])
         new_starts = starts[rows] - np.stack([step for _, step in moved])
         with np.errstate(all="ignore"):
-            run = spaces[rows].with_flat(new_flat).run(new_starts, objective.segments.controls)
+            run = spaces[rows].with_flat(new_flat).run(new_starts, objective.windows.controls)
         tried = objective.value(objective.residuals(run[..., :ny]), scale[rows], new_flat, new_starts)
         for i, s in enumerate(rows):
             if tried[i] < value[s]:

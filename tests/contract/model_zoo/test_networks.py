@@ -101,8 +101,8 @@ def test_the_gradient_of_a_free_run_is_its_derivative(make, record):
     dataset, rng = record(), np.random.default_rng(3)
     model = make(dataset)
     count, size = model.parameters.shape
-    shots = TrainingWindows.of(dataset, 6, model.layout.history)
-    batch = Batches([shots] * count, model.layout.history).of(rng.integers(0, len(shots), (count, 9)), 6)
+    shots = TrainingWindows.of(dataset, 6, model.layout.n_lags)
+    batch = Batches([shots] * count, model.layout.n_lags).of(rng.integers(0, len(shots), (count, 9)), 6)
     batch = model.augmented(batch, rng)
     weights = rng.standard_normal((6, count, 9, dataset.system.nx)).astype(np.float32)
     model.run(batch)

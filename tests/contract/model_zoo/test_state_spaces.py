@@ -35,14 +35,14 @@ def linear_growth(rate):
 def test_derivatives_are_those_of_finite_differences(flow):
     """By every parameter and every initial state, of each kind of unit."""
     many, rng = spaces(flow=flow), np.random.default_rng(1)
-    segments = ShootingWindows(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
+    windows = ShootingWindows(np.zeros((2, 7, 1)), rng.standard_normal((2, 6, 1)), np.ones((2, 7)))
     starts = rng.standard_normal((2, 2))
     flat, step = many.flat, 1e-6
     for s in range(len(many)):
-        outputs, derivatives = many.sensitivities(s, starts, segments)
+        outputs, derivatives = many.sensitivities(s, starts, windows)
 
         def run(flat, starts, s=s):
-            return many.with_flat(flat).run(starts[None].repeat(4, axis=0), segments.controls)[s, ..., :1]
+            return many.with_flat(flat).run(starts[None].repeat(4, axis=0), windows.controls)[s, ..., :1]
 
         np.testing.assert_allclose(outputs, run(flat, starts))
         for place in range(flat.shape[1]):
@@ -55,11 +55,11 @@ def test_derivatives_are_those_of_finite_differences(flow):
 
 def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not():
     """A bound has no slope, and training would stop at it."""
-    growing, segments = linear_growth(0.5), ShootingWindows(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
-    outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), segments)
+    growing, windows = linear_growth(0.5), ShootingWindows(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
+    outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), windows)
     np.testing.assert_allclose(outputs[0, :, 0], 10.0 * 1.5 ** np.arange(7))
     np.testing.assert_allclose(derivatives[0, :, 0, -1], 1.5 ** np.arange(7))
-    assert growing.run(np.array([[[10.0]]]), segments.controls).max() == FAR
+    assert growing.run(np.array([[[10.0]]]), windows.controls).max() == FAR
 
 
 @FORMS
@@ -81,11 +81,11 @@ def test_training_finds_the_space_that_made_the_data():
     true = StateSpaceBatch.linear(outer, np.array([0.3, 0.2]))
     controls = rng.standard_normal((1, 200, 1))
     outputs = true.run(np.zeros((1, 1, 2)), controls)[0, :, :, :1]
-    segments = ShootingWindows.of([ScaledEpisode(outputs[0], controls[0])], 50)
+    windows = ShootingWindows.of([ScaledEpisode(outputs[0], controls[0])], 50)
     off = true.with_flat(true.flat + 0.05 * rng.standard_normal(true.flat.shape))
-    starts = np.zeros((1, len(segments), 2))
-    starts[..., 0] = segments.outputs[:, 0, 0]
-    trained = train(off, segments, starts, 40)
+    starts = np.zeros((1, len(windows), 2))
+    starts[..., 0] = windows.outputs[:, 0, 0]
+    trained = train(off, windows, starts, 40)
     assert trained.error[0] < 1e-8
 
 
@@ -141,9 +141,9 @@ def test_a_sample_counts_once_whatever_the_segments():
         ScaledEpisode(np.arange(11.0)[:, None], np.zeros((10, 1))),
         ScaledEpisode(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
     ]
-    segments = ShootingWindows.of(parts, 4)
-    assert segments.rows(segments.outputs)[:, 0].tolist() == [*range(11), *range(20, 25)]
-    assert segments.rows(segments.outputs)[segments.begins, 0].tolist() == segments.outputs[:, 0, 0].tolist()
+    windows = ShootingWindows.of(parts, 4)
+    assert windows.rows(windows.outputs)[:, 0].tolist() == [*range(11), *range(20, 25)]
+    assert windows.rows(windows.outputs)[windows.begins, 0].tolist() == windows.outputs[:, 0, 0].tolist()
 
 
 def test_an_unstable_space_is_found_and_brought_back():
@@ -210,10 +210,10 @@ def test_a_space_that_says_what_no_other_says_is_astray():
 
 def test_a_space_that_runs_away_is_trained_without_a_warning():
     steps = 700
-    segments = ShootingWindows(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
+    windows = ShootingWindows(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        train(linear_growth(1.0), segments, np.ones((1, 1, 1)), 2)
+        train(linear_growth(1.0), windows, np.ones((1, 1, 1)), 2)
 
 
 @pytest.fixture(scope="module")

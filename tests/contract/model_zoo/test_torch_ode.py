@@ -102,8 +102,8 @@ def test_numpy_torch_and_adaptive_steps_agree(data):
 
 def test_the_adjoint_equation_gives_the_gradients_of_the_steps(data):
     model = fitted(data)
-    shots = TrainingWindows.of(data, 4, 0)
-    samples = np.moveaxis(Batches([shots], 0).of([np.arange(9)], 4)[:, 0], 0, 1).astype(np.float64)
+    windows = TrainingWindows.of(data, 4, 0)
+    samples = np.moveaxis(Batches([windows], 0).of([np.arange(9)], 4)[:, 0], 0, 1).astype(np.float64)
     states, controls = torch.from_numpy(samples[..., :3]), torch.from_numpy(samples[..., 3:])
     found = []
     for adjoint in (False, True):
@@ -160,8 +160,8 @@ def test_the_gradient_of_a_flow_by_hand_is_that_of_torch_through_torchdiffeq(dat
     system = data.system.with_dt(0.01)
     dataset = Dataset.from_arrays(system, [e.states for e in data], [e.controls for e in data])
     flow = OdeSimulation(dataset, (0, 1), hidden=[5, 4], rng=np.random.default_rng(0))
-    shots = TrainingWindows.of(dataset, 5, 1)
-    samples = Batches([shots], 1).of([np.arange(0, 70, 7)], 5)
+    windows = TrainingWindows.of(dataset, 5, 1)
+    samples = Batches([windows], 1).of([np.arange(0, 70, 7)], 5)
     weights = np.random.default_rng(1).standard_normal((5, 1, 10, 3)).astype(np.float32)
     states = flow.run(samples)
     found = flow.gradient(weights)[0]
