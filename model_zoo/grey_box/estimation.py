@@ -382,7 +382,7 @@ def fit_random_effects(
 
     The second result is the standard deviation (k,) of these offsets in the cube. It is estimated by
     expectation-maximisation (Laird and Ware 1982): its square is the mean of offset^2 + the remaining variance of the
-    offset. Groups with little data have offsets near zero. Correlated errors count ``covariances.inflation`` times less.
+    offset. Groups with little data have offsets near zero. Correlated errors count ``inflation`` times less.
     """
     spreads, found = np.full(len(varied), FIRST_SPREAD), best
     for _ in range(ROUNDS):
