@@ -39,13 +39,13 @@ def adapted(base):
     return base.adapt(drive(OTHER, seconds=30.0, seed=3))
 
 
-def test_thirty_seconds_of_another_floor_take_at_least_two_fifths_of_the_error(base, adapted):
+def test_thirty_seconds_on_another_floor_reduce_the_error_by_at_least_40_per_cent(base, adapted):
     test = drive(OTHER, seconds=40.0, seed=4)
     assert adapted.score(test) > 0.6 * base.score(test)
     assert "better than none on 3 blocks it did not learn from" in adapted.fit_note
 
 
-def test_where_nothing_has_changed_the_model_stays_what_it_is(base, training):
+def test_without_a_change_of_conditions_the_model_is_not_adapted(base, training):
     same = base.adapt(drive(FloorCar(), seconds=15.0, seed=5))
     windows = training.windows(20, stride=50, history=base.n_lags)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
@@ -54,7 +54,7 @@ def test_where_nothing_has_changed_the_model_stays_what_it_is(base, training):
     assert "no correction: the best" in same.fit_note
 
 
-def test_a_recording_too_short_to_hold_a_block_back_changes_nothing(base):
+def test_a_recording_too_short_for_a_held_out_block_changes_nothing(base):
     short = base.adapt(drive(OTHER, seconds=2.0, seed=3))
     assert "too short to hold a block back" in short.fit_note
     assert not np.any(short.coefficients_)
@@ -83,7 +83,7 @@ def test_with_the_training_data_a_refit_is_tried_as_well(base, adapted, training
     assert REFIT not in adapted.candidates_
 
 
-def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_same_gate(training):
+def test_a_bad_model_is_refitted_if_that_passes_the_same_acceptance_test(training):
     data = drive(OTHER, seconds=30.0, seed=3)
     backward = replace(data.episodes[0], controls=-data.episodes[0].controls[:, ::-1])
     useless = make_model("narx", degree=2, terms=8).fit(data.with_episodes([backward]), rng=0)
@@ -94,7 +94,7 @@ def test_a_model_that_is_no_use_there_is_fitted_anew_if_that_is_better_by_the_sa
     assert found.score(test) > 0.5 * useless.score(test)
 
 
-def test_the_envelope_covers_both_recordings(base, adapted):
+def test_the_state_bounds_cover_both_recordings(base, adapted):
     weak = make_model("linear").fit(drive(FloorCar(thrust=2.0), seconds=40.0, seed=1), rng=0)
     wide = weak.adapt(drive(FloorCar(), seconds=12.0, seed=3))
     assert wide.coefficients_.any()
@@ -122,7 +122,7 @@ NETWORKS = {
 
 
 @pytest.mark.parametrize("family", NETWORKS)
-def test_a_network_goes_on_learning_where_it_ended(family, training):
+def test_fine_tuning_a_network_continues_from_its_weights(family, training):
     model = make_model(family, **NETWORKS[family], updates=20, horizon=10).fit(training, rng=0)
     there, rng = drive(OTHER, seconds=20.0, seed=3), np.random.default_rng(0)
     hardly, further = (model.fine_tuned(there, updates, rng=rng) for updates in (1, 100))
@@ -133,7 +133,7 @@ def test_a_network_goes_on_learning_where_it_ended(family, training):
     assert further.score(test) > 0.7 * model.score(test)
 
 
-def test_a_family_without_updates_is_not_trained_further(base, training):
+def test_a_family_without_updates_is_not_fine_tuned(base, training):
     assert base.fine_tuned(training, 10, rng=np.random.default_rng(0)) is None
 
 
@@ -144,7 +144,7 @@ def between(training):
     return network.adapt(drive(OTHER, seconds=20.0, seed=3, noise=0.05), rng=0)
 
 
-def test_a_mean_of_a_correction_and_another_way_is_judged_and_taken(between):
+def test_the_mean_of_a_correction_and_another_candidate_is_tried_and_accepted(between):
     assert between.chosen_.count(AND) == 1
     correction, way = between.chosen_.split(AND)
     assert {correction, way} <= set(between.candidates_)
@@ -171,7 +171,7 @@ def lines(training):
     return noisy, noisy.adapt(there, rng=0), plain.adapt(there, rng=0)
 
 
-def test_of_a_model_that_draws_noise_no_mean_is_tried(lines):
+def test_no_mean_is_tried_for_a_model_with_process_noise(lines):
     _, noisy, plain = lines
     means = [name for name in plain.candidates_ if AND in name]
     assert means == [name for name in plain.candidates_ if name.endswith(AND + ANEW)]
@@ -286,7 +286,7 @@ def test_a_correction_is_part_of_the_step(steady, parts):
     ("chosen", "anew"),
     [(NONE, False), (ANEW, False), (REFIT, False), ("linear, ridge 3", True), ("trained further, 50 updates", True)],
 )
-def test_what_was_fitted_anew_and_what_did_not_change_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
+def test_refitted_and_unchanged_models_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
     learned = uncorrected(steady, None)
     found = Adaptation(learned, AdaptationDecision(10.0, 3, 0.5, (), chosen), (uncorrected(steady, parts[0]),))
     monkeypatch.setattr(module, "adaptation", lambda *_, **__: found)
@@ -309,7 +309,7 @@ def polynomial(thrust):
         (1.6, 3, True, True),
     ],
 )
-def test_a_way_is_given_up_after_a_block_in_which_neither_it_nor_its_mean_is_better(
+def test_a_candidate_is_dropped_after_a_block_in_which_neither_it_nor_its_mean_is_better(
     thrust, blocks, of_way, of_mean, monkeypatch
 ):
     model, further, called = polynomial(3.0), polynomial(thrust), Counter()

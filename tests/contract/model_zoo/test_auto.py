@@ -118,7 +118,7 @@ def test_a_member_with_a_memory_and_noise_of_its_own_keeps_both(data):
         assert carry[0, [6, 10]].tolist() == [total, total]
 
 
-def test_a_class_of_structure_weighs_as_the_root_of_how_many_are_in_it_and_these_weigh_alike():
+def test_the_weight_of_a_model_class_is_the_root_of_its_size_and_is_shared_equally():
     found = weights_of(["network", "polynomial", "network", "neighbours", "network", "network"])
     np.testing.assert_allclose(found, [1 / 8, 1 / 4, 1 / 8, 1 / 4, 1 / 8, 1 / 8])
 
@@ -191,14 +191,14 @@ def test_candidates_of_which_none_can_be_fitted_or_one_is_itself_are_refused(can
         make_model("auto", candidates=candidates).fit(data, rng=0)
 
 
-def test_if_no_candidate_can_describe_the_system_the_reasons_are_told():
+def test_if_no_candidate_can_describe_the_system_the_reasons_are_given():
     turning = System((Channel("angle", "rad", period=2.0 * np.pi),), (Channel("u", low=-1.0, high=1.0),), dt=0.05)
     data = Dataset.from_arrays(turning, [np.zeros((50, 1))], [np.zeros((49, 1))])
     with pytest.raises(IncompatibleSystem, match=r"got none: linear.*it does not support periodic states .angle"):
         make_model("auto", candidates=["linear"]).fit(data, rng=0)
 
 
-def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse():
+def test_the_cutoff_is_reduced_if_the_mean_of_more_candidates_is_worse():
     errors = [0.30, 0.20, 0.24, 0.9]
     for mean_error, kept, gate in (
         ((0.20, 0.20), [0, 1, 2], 1.5),
@@ -210,12 +210,12 @@ def test_the_gate_is_narrowed_where_the_mean_of_more_is_worse():
         assert dict(passed.compared) == {1.5: mean_error[0], 1.25: mean_error[1], 1.125: 0.20, 1.0: 0.20}
 
 
-def test_what_is_as_good_as_the_best_for_all_that_is_known_is_kept_by_every_gate_but_the_widest():
+def test_candidates_not_significantly_worse_than_the_best_are_kept_within_the_widest_cutoff():
     group, _ = chosen([0.30, 0.20, 0.24, 0.9], 1.5, lambda group: 0.1 * len(group), ties=[1, 2, 3])
     assert group == [1, 2], "the last is outside the widest gate"
 
 
-def test_a_plugin_that_declares_a_structure_is_a_candidate(register, data):
+def test_a_plugin_that_declares_a_model_class_is_a_candidate(register, data):
     class Zero(DynamicsModel):
         """The state stays as it is."""
 
@@ -233,7 +233,7 @@ def test_a_plugin_that_declares_a_structure_is_a_candidate(register, data):
     assert structure_of(model.members_[0]) == "nothing moves"
 
 
-def test_with_noise_the_intervals_hold_most_of_what_was_held_out():
+def test_with_noise_the_intervals_contain_most_held_out_samples():
     model = learned(stochastic=True)
     assert model.n_noise == 3
     assert model.kernel() is None
@@ -297,7 +297,7 @@ def test_a_family_that_chooses_among_others_is_not_refitted_for_an_adaptation(ch
     assert Auto.chooses_families
 
 
-def test_what_was_held_out_tells_how_far_off_it_is_at_home_and_there_nothing_is_adapted(tmp_path, data):
+def test_the_held_out_error_is_known_and_within_it_nothing_is_adapted(tmp_path, data):
     """The mean of what learned without each fold runs free there, with the weights of the whole."""
     model = learned()
     means = []
@@ -321,7 +321,7 @@ def shares_of(model):
     return [float(model.shares_[model.candidates_.index(name)]) for name in FEW]
 
 
-def test_where_nothing_was_held_out_it_does_not_know_how_far_off_it_is(data):
+def test_without_held_out_data_the_held_out_error_is_unknown(data):
     short = data.with_episodes([data.episodes[0][:40]])
     assert make_folds(short, 3)[0][0] is short
     model = make_model("auto", candidates=["linear"], horizons=[5]).fit(short, rng=0)
@@ -351,7 +351,7 @@ def test_it_is_stored_with_its_members_and_names_what_it_uses(average, data, tmp
     assert make_model("average").families_used() == ("narx", "k_neighbours")
 
 
-def test_fitted_models_are_put_together_with_the_widest_envelope():
+def test_fitted_models_are_combined_with_the_widest_state_bounds():
     slow, fast = (
         make_model("linear").fit(drive(FloorCar(thrust=thrust), seconds=20.0, seed=1), rng=0) for thrust in (1.0, 3.0)
     )
@@ -363,7 +363,7 @@ def test_fitted_models_are_put_together_with_the_widest_envelope():
     assert made.system == slow.system
 
 
-def test_with_noise_it_spreads_as_far_as_it_errs():
+def test_the_noise_of_the_mean_matches_its_errors():
     learned, test = (drive(FloorCar(), seconds=40.0, seed=seed, noise=0.05) for seed in (1, 2))
     model = make_model("average(families=[linear, narx(terms=4)], stochastic=true)").fit(learned, rng=0)
     windows = test.windows(20, stride=9, history=model.n_lags)
@@ -418,7 +418,7 @@ def test_all_that_is_shipped_is_offered_to_a_car():
 
 
 @pytest.mark.parametrize(("outputs", "budget"), [(1, 60.0), (2, 60.0), (3, 300.0)])
-def test_networks_with_hidden_states_are_tried_of_few_outputs_with_any_budget(outputs, budget):
+def test_networks_with_hidden_states_are_tried_for_few_outputs_with_any_budget(outputs, budget):
     names = [f"{kind}{i}" for kind in "yu" for i in range(outputs)]
     system = System(tuple(names[:outputs]), tuple(names[outputs:]), dt=0.1)
     found, _ = candidates_for(system)
@@ -464,7 +464,7 @@ def choice_among(candidates, budget=100.0):
 
 
 @pytest.mark.parametrize(("budget", "tried"), [(2.0, "a"), (8.0, "abd"), (8.7, "abc"), (99.0, "abcd")])
-def test_a_budget_is_spent_by_expected_time_and_what_falls_behind_makes_room_for_others(budget, tried):
+def test_a_budget_is_spent_by_expected_time_and_dropped_candidates_make_room_for_others(budget, tried):
     """Each is expected to take so many seconds four times: in three folds and for all data; b falls behind in one."""
     specs = {"a": (NARX, 1.0), "b": ("linear(state_lags=0)", 1.0)}
     specs |= {"c": ("linear(state_lags=1, ridge=0.1)", 0.9), "d": ("linear(state_lags=2)", 0.7)}
@@ -491,7 +491,7 @@ BEHIND, PLAIN, BROKEN = "linear(state_lags=0)", "narx(terms=6, state_lags=0, con
         (PLAIN, PLAIN, 5.0, "a", ["", UNTRIED, BASE_BEHIND]),
     ],
 )
-def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes_its_place_unless_it_is_worse(
+def test_a_refinement_is_tried_if_its_shorter_version_is_near_the_best_and_replaces_it_unless_it_is_worse(
     rough, better, budget, left, reasons
 ):
     """The best is a; c refines b; each is expected to take a second four times."""
@@ -506,7 +506,7 @@ def test_what_refines_another_is_tried_where_that_one_is_near_the_best_and_takes
 
 
 @pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
-def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_without_a_fold(
+def test_a_committee_has_the_weight_of_one_model_and_contains_the_good_fold_models(
     monkeypatch, cutoff, folds, data
 ):
     """Both are polynomials, so each weighs a half; the second is a committee."""
@@ -524,7 +524,7 @@ def test_a_committee_weighs_as_much_as_a_single_model_and_holds_what_is_as_good_
         np.testing.assert_allclose(*now)
 
 
-def test_what_is_named_is_tried_even_if_it_refines_another():
+def test_a_named_refinement_is_tried():
     assert any(one.successor_of for one in SHIPPED)
     found = candidates_named(["nonlinear_state_space"])
     assert len(found) == 2
@@ -537,7 +537,7 @@ def test_an_average_that_is_named_alone_is_that_of_its_own_families():
     assert any(one.spec.name == "average" and one.successor_of for one in SHIPPED)
 
 
-def test_a_refinement_that_is_shipped_stands_behind_what_it_refines():
+def test_a_refinement_follows_its_shorter_version_in_the_list():
     names = [one.name for one in SHIPPED]
     assert len(set(names)) == len(names)
     for number, one in enumerate(SHIPPED):

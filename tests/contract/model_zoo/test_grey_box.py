@@ -102,7 +102,7 @@ def test_lag_and_delay_of_the_actuator_are_found():
     assert values["lag of torque"] + 0.05 * values["delay of commands"] == pytest.approx(0.17, abs=0.01)
 
 
-def test_a_pressure_that_nobody_measures_is_found_with_its_parameters_and_from_a_history():
+def test_an_unmeasured_pressure_is_estimated_with_its_parameters_and_from_a_history():
     """The free run of a second is then nearly as good as the noise; without the pressure it is not."""
     learned, held = cylinder().split(0.3)
     model = Cylinder(**QUICK).fit(learned, rng=0)
@@ -126,7 +126,7 @@ def test_a_grey_box_keeps_the_contract(family, options, dataset):
     assert not broken
 
 
-def test_standard_errors_cover_the_truth_as_often_as_they_say():
+def test_standard_errors_cover_the_truth_at_their_nominal_rate():
     """In 14 recordings, 3 parameters are off by less than 2 standard errors 40 times on average; 34 is 4 deviations."""
     inside = 0
     for seed in range(14):
@@ -257,7 +257,7 @@ def several(gains=GAINS):
     return Dataset(PENDULUM, tuple(episodes))
 
 
-def test_what_differs_from_recording_to_recording_is_told_and_the_common_value_predicts():
+def test_differences_between_recordings_are_listed_and_the_common_value_predicts():
     model = Pendulum(random_effects=["gain", "friction"], **QUICK).fit(several(), rng=0)
     assert found(model)["gain"] == pytest.approx(2.0, abs=0.06)
     rows = [row["offset"] for row in model.random_effects_table() if row["parameter"] == "gain"]
@@ -300,7 +300,7 @@ GUESS = tuple(parameter.guess for parameter in (*PARAMETERS, *MAGIC))
 
 
 @pytest.mark.nightly
-def test_what_a_recording_tells_of_the_emulated_car_is_found(monkeypatch):
+def test_the_parameters_of_the_emulated_car_are_found(monkeypatch):
     """Within a fifth: thrust, grip of the front, where the rear axle is; the lags within 30 ms, with the delay 15 ms.
 
     The car has battery sag, play, noise and other drags, which this one has not.

@@ -154,7 +154,7 @@ def test_intervals_hold_nine_in_ten_at_all_four_horizons_of_recordings_never_see
     assert not (np.abs(np.array(held(growing, recorded(2))).mean(axis=1) - 0.9) < 0.05).all()
 
 
-def test_the_lasting_share_is_told_from_white_and_from_measurement_noise():
+def test_the_lasting_share_is_distinguished_from_white_and_measurement_noise():
     rng = np.random.default_rng(0)
     sample = np.concatenate([np.arange(20) + 100 * run for run in range(2000)])
     lasting = np.repeat(rng.standard_normal((2000, 2)) * [1.0, 0.5], 20, axis=0)

@@ -96,7 +96,7 @@ def swinging():
     ("make", "record"),
     [(members, example_dataset), (flow, example_dataset), (hybrid, example_dataset), (flow, swinging)],
 )
-def test_the_gradient_of_a_free_run_is_its_derivative(make, record):
+def test_the_gradient_of_a_simulation_is_its_derivative(make, record):
     """Of a random sum of all states of all steps, by every eleventh parameter and the last nine."""
     dataset, rng = record(), np.random.default_rng(3)
     model = make(dataset)
@@ -277,7 +277,7 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
 
 
 @pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode"])
-def test_left_turns_teach_something_of_right_turns(family, training, monkeypatch):
+def test_right_turns_are_predicted_better_after_training_on_left_turns(family, training, monkeypatch):
     model = make_model(family, **{**FAMILIES[family], "one_step_updates": 300, "updates": 20}).fit(training, rng=0)
     other, steps, rng = FloorCar(turn=2.0), 300, np.random.default_rng(3)
     controls = np.repeat(rng.uniform([0.3, 0.2], 1.0, (steps // 5, 2)), 5, axis=0)
@@ -296,7 +296,7 @@ def recorded(car, controls):
     return Dataset.from_arrays(car.system, states, controls)
 
 
-def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(training, there):
+def test_fine_tuning_a_mean_keeps_its_weights_and_members_without_updates(training, there):
     rng = np.random.default_rng(0)
     network = make_model("mlp_ensemble", **FAMILIES["mlp_ensemble"]).fit(training, rng=rng)
     linear = make_model("auto", candidates=["linear"], folds=2).fit(training, rng=rng)
@@ -310,7 +310,7 @@ def test_of_a_mean_the_shares_stay_and_a_member_without_updates_is_the_same(trai
     assert mean.members_[0] is network
 
 
-def test_the_steps_of_a_free_run_weigh_by_the_inverse_of_their_error_to_the_power_of_2_5():
+def test_the_steps_of_a_simulation_are_weighted_by_their_error_to_the_power_of_minus_2_5():
     error = np.array([[0.1, 0.3], [0.4, 0.4], [0.9, 1.1]])
     weight = (np.array([0.2, 0.4, 1.0]) + FLOOR) ** -SHARPNESS
     np.testing.assert_allclose(step_weights(error), weight / weight.sum(), rtol=1e-5)

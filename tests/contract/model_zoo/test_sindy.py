@@ -81,7 +81,7 @@ def test_a_discrete_system_is_recovered_exactly(model):
     assert set(expected) <= set(found)
 
 
-def test_a_differential_equation_is_recovered_and_said_with_units():
+def test_a_differential_equation_is_recovered_and_printed_with_units():
     model = Sindy(degree=2, threshold=0.05, ridge=1e-6, **NO_LAGS)
     model.fit(recording_of(through_rk4), rng=0)
     expected = {(0, 0, 1): [2.0, 0.0], (1, 0, 0): [-1.5, 0.0], (0, 1, 0): [0.0, -3.0], (1, 0, 1): [0.0, 4.0]}
@@ -112,7 +112,7 @@ def test_states_far_from_zero_are_learned_as_well_as_those_near_it(family, found
 
 
 @pytest.mark.parametrize("settings", [{"degree": 1}, {"library": "custom(functions=[abs]) + identity"}])
-def test_an_equation_far_from_zero_says_from_where_it_counts(settings):
+def test_an_equation_far_from_zero_shows_its_offset(settings):
     """A tank that cools down to 293 K: what is printed is what is stepped, also where the library has no constant."""
     system = System((Channel("temperature", "K"),), (Channel("heater", "W", low=0.0, high=1.0),), dt=1.0)
     heater, states = np.repeat(np.random.default_rng(0).uniform(size=40), 10), [300.0]
@@ -282,7 +282,7 @@ def test_an_optimiser_by_name_finds_what_pysindys_own_finds(optimizer, theirs):
     np.testing.assert_allclose(library.found_by(optimizer, 0) / library.unit, expected, atol=1e-5)
 
 
-def test_bagging_hangs_on_the_seed_of_the_fit_alone():
+def test_bagging_depends_only_on_the_seed_of_the_fit():
     data = dragged(noise=0.02)
     bagged = "EnsembleOptimizer(opt=STLSQ(threshold=0.1), bagging=true, n_models=3, ensemble_aggregator=mean)"
     first, again, other = (
@@ -370,7 +370,7 @@ def moved(matrix, episodes=20, steps=30):
     return Dataset.from_arrays(PLAIN, list(states), list(control))
 
 
-def test_beyond_the_margin_every_state_moves_back_whatever_the_polynomial_says():
+def test_beyond_the_margin_every_state_returns_whatever_the_polynomial_is():
     rng = np.random.default_rng(1)
     states, rates = rng.uniform(-1.0, 1.0, (50, 3)), rng.uniform(-5.0, 5.0, (50, 3))
     bounds = continuation_limits(states, rates, np.array([False, False, True]))
@@ -393,7 +393,7 @@ def test_inside_the_data_the_continuation_changes_nothing():
 @pytest.mark.parametrize(
     ("car", "duration"), [(2, 60.0), *(pytest.param(n, 360.0, marks=pytest.mark.nightly) for n in range(5))]
 )
-def test_a_cubic_equation_of_a_car_runs_free_for_a_whole_trial_without_diverging(car, duration):
+def test_the_simulation_of_a_cubic_equation_of_a_car_does_not_diverge_in_a_whole_trial(car, duration):
     robot = make_robot(f"emulated_car:{car}" if car else "emulated_car")
     data = robot.record(seed=0, duration=duration).dataset
     model = make_model("sindy", degree=3, threshold=0.01, control_lags=0).fit(data)
@@ -418,7 +418,7 @@ def test_growth_is_that_of_the_equation_also_with_lags():
         assert model.fit_note == ""
 
 
-def test_an_equation_that_grows_at_rest_is_said_to():
+def test_an_equation_that_is_unstable_at_rest_is_reported():
     model = make_model("sindy_discrete", degree=1, threshold=1e-3, **NO_LAGS)
     model.fit(moved(np.array([[2.0, 0.0], [0.0, -3.0]])))
     assert "small disturbances at rest grow by" in model.fit_note

@@ -70,7 +70,7 @@ def test_coverage_is_that_of_the_noise_and_errors_are_those_without(tmp_path):
         ((), ""),
     ],
 )
-def test_intervals_that_do_not_hold_what_they_should_are_said_in_words(shares, said):
+def test_intervals_with_wrong_coverage_are_reported_in_words(shares, said):
     made_up = prediction({"persistence": 0.9, "linear": 0.3})
     held = tuple(Coverage(h, 100, 0.9, np.full(3, share)) for h, share in zip((1, 20), shares, strict=False))
     model = replace(made_up.model("linear"), coverage=held)

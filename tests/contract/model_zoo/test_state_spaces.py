@@ -53,7 +53,7 @@ def test_derivatives_are_those_of_finite_differences(flow):
             np.testing.assert_allclose(derivatives[..., flat.shape[1] + state], found, atol=1e-4)
 
 
-def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not():
+def test_a_simulation_is_bounded_and_its_derivatives_are_those_without_bounds():
     """A bound has no slope, and training would stop at it."""
     growing, windows = linear_growth(0.5), ShootingWindows(np.zeros((1, 7, 1)), np.zeros((1, 6, 1)), np.ones((1, 7)))
     outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), windows)
@@ -63,7 +63,7 @@ def test_a_free_run_is_bounded_and_what_its_derivatives_are_taken_of_is_not():
 
 
 @FORMS
-def test_compiled_free_runs_are_chained_steps_and_the_slope_is_their_difference(flow):
+def test_compiled_simulations_are_chained_steps_and_the_slope_is_their_difference(flow):
     many, rng = spaces(flow=flow), np.random.default_rng(1)
     starts, controls = rng.standard_normal((4, 3, 2)), rng.standard_normal((3, 5, 1))
     states, chained = starts, [starts]
@@ -136,7 +136,7 @@ def test_the_first_guess_of_the_states_does_not_depend_on_how_often_the_data_are
     np.testing.assert_allclose(once, twice, rtol=1e-11)
 
 
-def test_a_sample_counts_once_whatever_the_segments():
+def test_a_sample_counts_once_whatever_the_windows():
     parts = [
         ScaledEpisode(np.arange(11.0)[:, None], np.zeros((10, 1))),
         ScaledEpisode(np.arange(20.0, 25.0)[:, None], np.ones((4, 1))),
@@ -153,7 +153,7 @@ def test_an_unstable_space_is_found_and_brought_back():
     assert stabilised(calm) is calm
 
 
-def test_a_space_that_goes_astray_under_other_controls_is_told_from_one_that_does_not():
+def test_spaces_that_diverge_under_other_controls_are_detected():
     problem = EstimationProblem.of(one_output(0), 100)
     trained = problem.linear_trained(2, 3, 3, lambda: None)
     growing = trained.spaces.outer.copy()
@@ -177,7 +177,7 @@ def quiet_recording():
     [(one_output(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
     ids=["longer", "larger"],
 )
-def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothing_shows_within(
+def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(
     data, name, place, monkeypatch
 ):
     """One of three equal spaces grows from a ``place`` on that no output reaches under the controls as recorded.
@@ -199,7 +199,7 @@ def test_a_space_that_runs_away_beyond_what_was_recorded_is_astray_though_nothin
     assert not problem.escapes(three[[0, 2]], observers[:2]).any()
 
 
-def test_a_space_that_says_what_no_other_says_is_astray():
+def test_a_space_far_from_all_others_counts_as_diverged():
     problem = EstimationProblem.of(one_output(0), 100)
     trained = problem.linear_trained(2, 3, 3, lambda: None)
     outer = trained.spaces.outer.repeat(3, axis=0)
@@ -208,7 +208,7 @@ def test_a_space_that_says_what_no_other_says_is_astray():
     assert problem.escapes(three, problem.observers(trained) * 3).tolist() == [False, False, True]
 
 
-def test_a_space_that_runs_away_is_trained_without_a_warning():
+def test_a_space_that_diverges_is_trained_without_a_warning():
     steps = 700
     windows = ShootingWindows(np.zeros((1, steps + 1, 1)), np.zeros((1, steps, 1)), np.ones((1, steps + 1)))
     with warnings.catch_warnings():
@@ -236,7 +236,7 @@ def test_the_order_is_found():
     assert model.gain_.shape == (2, 1)
 
 
-def test_a_measured_output_corrects_the_hidden_state_and_a_free_run_does_not(linear):
+def test_a_measured_output_corrects_the_hidden_state_and_a_simulation_does_not(linear):
     """From a wrong hidden state, a model that is told the outputs finds the way back; its own output tells nothing."""
     run = one_output(2).episodes[0]
     wrong = np.concatenate([run.states[:1], np.full((1, 2), 2.0)], axis=1)
@@ -272,7 +272,7 @@ def test_rest_is_left_by_a_control_and_kept_without(linear):
 FEW = {"order": 2, "members": 2, "mixtures": 3, "trial": 3, "iterations": 2, "horizon": 100}
 
 
-def test_networks_of_which_a_record_tells_too_little_are_not_taken_and_the_note_says_so():
+def test_a_record_too_short_for_networks_gives_a_linear_space_and_a_note():
     model = make_model("nonlinear_state_space", gated=False, **FEW)
     short = model.fit(one_output(0, 120, bend=0.01, noise=0.05), rng=0)
     assert "this is a linear state space of order 2" in short.fit_note
@@ -298,7 +298,7 @@ def test_networks_become_wider_only_where_that_pays():
 
 
 @pytest.mark.parametrize("family", ["nonlinear_state_space", pytest.param("latent_ode", marks=pytest.mark.nightly)])
-def test_a_gate_lets_networks_of_a_short_record_pass_only_if_they_predict_it_better(family, monkeypatch):
+def test_networks_of_a_short_record_are_accepted_only_if_they_predict_better(family, monkeypatch):
     """Asked for the impossible, it gives the linear state space, and networks again when refitted."""
     data = one_output(0, 300, bend=0.03)
     passed, stopped = (make_model(family, **FEW) for _ in range(2))

@@ -90,7 +90,7 @@ def test_all_that_changes_in_a_training_is_stored_and_comes_back():
     assert kept["steps"] == 4.0
 
 
-def test_ctrl_c_keeps_the_updates_that_were_told(tmp_path):
+def test_ctrl_c_keeps_the_updates_that_were_reported(tmp_path):
     def interrupted(done, total, note=""):
         if done == 41:
             raise KeyboardInterrupt
@@ -124,7 +124,7 @@ def test_a_state_that_makes_no_sense_is_ignored(tmp_path):
         assert_same(fitted("neural_ode", file), fitted("neural_ode"))
 
 
-def test_every_family_that_is_trained_by_gradients_can_go_on():
+def test_every_family_trained_by_gradients_is_resumable():
     trained = [name for name in models.names() if "one_step_updates" in make_model(name).get_params()]
     assert {*FAMILIES} <= {*trained}
     assert all(models.get(name).resumable for name in trained)

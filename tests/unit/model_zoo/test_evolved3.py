@@ -9,7 +9,7 @@ from tests.fixtures.systems import DRIVEN
 
 
 @pytest.mark.filterwarnings("ignore::sysid_evo.errors.DataWarning")
-def test_evolved3_looks_as_many_steps_ahead_as_its_horizon(monkeypatch):
+def test_evolved3_predicts_as_many_steps_as_its_horizon(monkeypatch):
     asked: list[int] = []
     error = model_evolution.final_error
 

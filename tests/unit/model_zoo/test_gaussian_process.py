@@ -29,7 +29,7 @@ def test_the_gradient_of_the_likelihood_is_its_derivative():
         np.testing.assert_allclose(gradient[place], (ahead - back) / 2e-6, atol=1e-6)
 
 
-def test_the_squared_exponential_is_what_it_says():
+def test_the_squared_exponential_equals_its_formula():
     left, right = np.random.default_rng(1).standard_normal((2, 5, 3))
     apart = left[:, None] - right
     np.testing.assert_allclose(squared_exponential(left, right), np.exp(-0.5 * np.sum(apart**2, axis=2)), rtol=1e-12)
@@ -61,7 +61,7 @@ def test_rows_are_different_and_sorted_and_as_many_as_asked_for_or_there_are():
     assert inducing_rows(inputs, np.ones((1, 2)), 80, np.random.default_rng(1)).tolist() == list(range(50))
 
 
-def test_they_leave_less_unknown_than_random_ones_where_data_are_thin():
+def test_inducing_points_leave_less_variance_than_random_ones_where_data_are_sparse():
     rng = np.random.default_rng(0)
     inputs = np.concatenate([rng.normal(0.0, 0.1, (900, 2)), rng.uniform(-3.0, 3.0, (100, 2))])
     length = 1.0

@@ -45,7 +45,7 @@ def test_a_position_on_a_hill_is_an_integral_although_it_decides_how_fast_it_wil
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_cart_runs_on_where_the_recordings_turned_back(family):
+def test_a_cart_continues_where_the_recordings_turned_back(family):
     dataset = cart()
     farthest = max(episode.states[:, 0].max() for episode in dataset)
     model = make_model(family, **QUICK[family]).fit(dataset, rng=0)
@@ -64,7 +64,7 @@ def test_no_cart_runs_beyond_the_limits_of_its_channel(family):
     assert simulated[:, 0].max() == farthest + 0.05
 
 
-def test_what_stands_at_a_limit_is_not_learned_as_what_drove_it_there():
+def test_samples_at_a_limit_are_not_used_for_the_fit():
     """A cart without drag, faster than its speed can show: its pull is learned from where the speed is free."""
     rng = np.random.default_rng(0)
     system = replace(CART, states=(CART.states[0], Channel("speed", "m/s", -0.5, 0.5)))
@@ -85,6 +85,6 @@ def test_what_stands_at_a_limit_is_not_learned_as_what_drove_it_there():
         np.testing.assert_allclose(simulated, [0.4, 0.5, 0.5, 0.5, 0.5, 0.5], atol=0.01, err_msg=family)
 
 
-def test_where_everything_stands_at_a_limit_everything_is_learned_from():
+def test_if_all_samples_are_at_a_limit_all_are_used():
     system = replace(CART, states=(CART.states[0], Channel("speed", "m/s", 0.0, 0.5)))
     assert between_limits(system, np.zeros((4, 2))).all()

@@ -178,7 +178,7 @@ def test_without_controls_the_distance_of_k_neighbours_weighs_states_fully_and_e
     np.testing.assert_allclose(model.metric_[2:] / model.metric_[:2], 0.5)
 
 
-def test_neighbours_never_leave_what_they_did(car_data):
+def test_predictions_stay_within_the_range_of_the_neighbours(car_data):
     model = KNeighbours(neighbours=8, state_lags=0, control_lags=0).fit(car_data, rng=0)
     edge = np.tile(model.high_, (4, 1))
     after = model.next_state(edge, np.ones((4, 2)))

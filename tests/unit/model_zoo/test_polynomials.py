@@ -23,7 +23,7 @@ def pysindy():
     return pytest.importorskip("pysindy")
 
 
-def test_a_periodic_state_stands_as_sine_and_cosine_with_its_lags():
+def test_a_periodic_state_enters_as_sine_and_cosine_with_its_lags():
     features = Features(SWING, (1, 1))
     carry, control = np.array([[0.5, 2.0, 0.25, 3.0, 7.0]]), np.array([[8.0]])
     expected = [np.sin(0.5), np.cos(0.5), 2.0, np.sin(0.25), np.cos(0.25), 3.0, 7.0, 8.0]
