@@ -131,7 +131,7 @@ class GreyBoxEquation:
                 "If a state is the rate of another one, name both in rate_of"
             )
         if not np.isfinite(values).all():
-            raise InvalidArgument(f"{name}(state, control, p): the rates at rest with the first guess are {values}")
+            raise InvalidArgument(f"{name}(state, control, p): expected finite rates at rest, got {values}")
 
     def acting(self, p: Array, controls: list[Array]) -> Array:
         """Return the delayed controls (n, ...) of the law from present and earlier ones (nu, ...), newest first."""

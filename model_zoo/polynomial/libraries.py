@@ -288,16 +288,16 @@ def _texts(spec: Spec, name: str, values: Any) -> tuple[str, ...]:
 
 def _checked(spec: Spec, kind: type[Any], given: Mapping[str, Any]) -> Any:
     """Return ``kind`` made with the given arguments, after a check of their types. Raises `InvalidArgument`."""
-    usual = kind()
+    defaults = kind()
     for name, value in given.items():
-        if name not in usual.__dataclass_fields__:
-            known = ", ".join(usual.__dataclass_fields__)
+        if name not in defaults.__dataclass_fields__:
+            known = ", ".join(defaults.__dataclass_fields__)
             raise InvalidArgument(f"library: {spec.name} has no parameter {name!r}; it has {known}")
-        expected = getattr(usual, name)
+        expected = getattr(defaults, name)
         right = isinstance(value, type(expected)) or (isinstance(expected, float) and type(value) is int)
         right = right or (expected is None and (value is None or type(value) is int))
         if not right or (isinstance(value, bool) and not isinstance(expected, bool)):
-            raise InvalidArgument(f"library: {spec.name}: {name}={value!r} is of the wrong type")
+            raise InvalidArgument(f"library: {spec.name}: expected {name} as in {name}={expected!r}, got {value!r}")
     return kind(**given)
 
 

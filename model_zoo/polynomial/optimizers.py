@@ -52,7 +52,7 @@ def make_optimizer(text: str, **further: Any) -> Any:
         family = getattr(importlib.import_module("pysindy.optimizers"), spec.name)
     except (ImportError, AttributeError) as error:
         raise InvalidArgument(
-            f"optimizer: {spec.name} needs the package {needed}: pip install {needed}, or take another of "
+            f"optimizer: {spec.name} needs the package {needed}: pip install {needed}, or use one of "
             f"{', '.join(name for name in NAMES if name not in NEEDS)}"
         ) from error
     given = {name: _value(spec, name, value) for name, value in spec.parameters.items()}

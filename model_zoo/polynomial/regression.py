@@ -266,7 +266,7 @@ class Library:
         Raises `InvalidData` if there are fewer than two steps.
         """
         if len(data.regressors) < 2:
-            raise InvalidData("data set: a sparse regression needs at least two steps")
+            raise InvalidData("data set: expected at least two steps for a sparse regression")
         scale, target_scale = root_mean_square(data.regressors), root_mean_square(data.targets)
         terms, targets = evaluate(data.regressors / scale, exponents), data.targets / target_scale
         unit = target_scale / np.prod(scale**exponents, axis=1)[:, None]
@@ -356,7 +356,7 @@ def bounds(
         chosen, state = _meant(found["what"], sentence, exponents, names, states)
         if not chosen.any() and not as_far_as_there:
             some = ", ".join(term_name(row, names) for row in exponents[:8])
-            raise InvalidArgument(f"constraints: no such term: {sentence!r}; there are {some}, ...")
+            raise InvalidArgument(f"constraints: expected a term out of {some}, ...; got {sentence!r}")
         number = float(found["number"])
         if found["sign"] != "<=":
             low[chosen, state] = np.maximum(low[chosen, state], number)
@@ -365,7 +365,7 @@ def bounds(
     if (low > high).any():
         row, state = np.argwhere(low > high)[0]
         raise InvalidArgument(
-            f"constraints: nothing is allowed for {term_name(exponents[row], names)} in {states[state]}: "
+            f"constraints: contradiction for {term_name(exponents[row], names)} in {states[state]}: "
             f"at least {low[row, state]:g} and at most {high[row, state]:g}"
         )
     return low, high
