@@ -105,7 +105,7 @@ def test_a_family_works_on_a_small_system_or_says_why_not(family, case):
 @pytest.mark.parametrize("family", CARS)
 def test_a_car_without_controls_is_refused_in_a_sentence(family):
     channels = (Channel("forward_speed"), Channel("lateral_speed"), Channel("yaw_rate"))
-    with pytest.raises(IncompatibleSystem, match="there is no 'drive' among no controls; name it with drive="):
+    with pytest.raises(IncompatibleSystem, match="expected 'drive', got no controls; name yours with drive="):
         make_model(family).check_system(System(channels, (), 0.05, PlanarBody()))
 
 

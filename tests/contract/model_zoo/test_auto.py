@@ -506,9 +506,7 @@ def test_a_refinement_is_tried_if_its_shorter_version_is_near_the_best_and_repla
 
 
 @pytest.mark.parametrize(("cutoff", "folds"), [(3.0, [0, 1, 2]), (1.25, [0, 2])])
-def test_a_committee_has_the_weight_of_one_model_and_contains_the_good_fold_models(
-    monkeypatch, cutoff, folds, data
-):
+def test_a_committee_has_the_weight_of_one_model_and_contains_the_good_fold_models(monkeypatch, cutoff, folds, data):
     """Both are polynomials, so each weighs a half; the second is a committee."""
     tried = [Candidate(Spec.parse(f"{name}={PLAIN}"), 1.0, keep_fold_models=name == "b") for name in "ab"]
     monkeypatch.setattr("model_zoo.auto.model.candidates_for", lambda _: (tried, []))

@@ -142,7 +142,7 @@ def test_what_the_data_do_not_determine_is_named(heavy):
     together = [sentence for sentence in model.undetermined_ if "combination" in sentence]
     assert len(together) == 1
     assert re.search("(motor and inertia|inertia and motor) may grow together", together[0])
-    assert any("do not determine unused" in sentence for sentence in model.undetermined_)
+    assert any("unused is not determined by the data" in sentence for sentence in model.undetermined_)
     assert [row["parameter"] for row in model.parameters_table() if row["determined"]][:2] == ["stiffness", "friction"]
     assert "unused" in model.fit_note
 
@@ -194,17 +194,17 @@ def half(state, control, p):
     [
         (
             Pendulum,
-            {"hidden": (HiddenState("warmth", "K"),)},
+            {"hidden_states": (HiddenState("warmth", "K"),)},
             InvalidArgument,
             "rates from 3 states.*too many values to",
         ),
         (Pendulum, {"rate": staticmethod(half)}, InvalidArgument, "expected 2 rates, of angle, spin; got 1"),
         (Pendulum, {"controls": ("force",)}, IncompatibleSystem, "needs the control 'force': the system has torque"),
         (Pendulum, {"states": ("spin",)}, IncompatibleSystem, "lacks angle"),
-        (Pendulum, {"speeds": {"angle": "spin"}}, InvalidArgument, "rate gives those of all states"),
+        (Pendulum, {"rate_of": {"angle": "spin"}}, InvalidArgument, "rate returns those of all states"),
         (
             Accelerated,
-            {"speeds": {}},
+            {"rate_of": {}},
             InvalidArgument,
             r"of angle, spin; got 1\. .* name both in rate_of",
         ),
@@ -265,7 +265,7 @@ def test_differences_between_recordings_are_listed_and_the_common_value_predicts
     spreads = dict(zip(("gain", "friction"), model.offset_spreads_, strict=True))
     assert spreads["gain"] == pytest.approx(np.std(GAINS), rel=0.3)
     assert spreads["friction"] < 0.05
-    assert "there differ gain by 0.2" in model.fit_note
+    assert "standard deviation between recordings: gain 0.2" in model.fit_note
     assert all(row["unit"] for row in model.random_effects_table())
 
 
@@ -287,7 +287,7 @@ def test_an_offset_of_what_is_no_parameter_is_refused():
 
 def test_the_card_of_a_stored_grey_box_prints_its_parameters(heavy, tmp_path):
     card = model_card(save_model(heavy, tmp_path / "model"))
-    assert "do not determine unused" in card["note"]
+    assert "unused is not determined by the data" in card["note"]
     console = Console(width=100, record=True, file=io.StringIO())
     for part in card_table(card):
         console.print(part)

@@ -177,9 +177,7 @@ def quiet_recording():
     [(one_output(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
     ids=["longer", "larger"],
 )
-def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(
-    data, name, place, monkeypatch
-):
+def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(data, name, place, monkeypatch):
     """One of three equal spaces grows from a ``place`` on that no output reaches under the controls as recorded.
 
     Of a sharp unit, |s| / 2, and of s / 2 beside it a ramp is made.

@@ -173,7 +173,7 @@ def test_a_system_without_the_roles_is_refused(car):
     model = make_model("parametrised", drive="throttle")
     dataset = Dataset.from_arrays(car, [np.zeros((30, 3))], [np.zeros((29, 2))])
     with pytest.raises(
-        IncompatibleSystem, match="role drive: there is no 'throttle' among drive, steer; name it with drive="
+        IncompatibleSystem, match="role drive: expected 'throttle', got drive, steer; name yours with drive="
     ):
         model.fit(dataset, rng=0)
     still = dataclasses.replace(car, motion=None)
