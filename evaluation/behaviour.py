@@ -1,8 +1,8 @@
-"""How a controller behaves in recorded trials: numbers, differences between systems, sentences.
+"""Behaviour of a controller in recorded trials: numbers, differences between systems, sentences.
 
-A `DrivingSummary` holds the numbers of all recorded trials of a controller on one system: for any system, and more of a
-body on a plane, of targets and of markers. They are named by channels and plain words. A `BehaviourDifference` compares
-shares of the time on two systems, to find what no probe of single steps can see.
+A `DrivingSummary` holds the numbers of all recorded trials of a controller on one system, named by channels and plain
+words. Some apply to every system, others to planar bodies, targets or markers. A `BehaviourDifference` compares shares
+of the time on two systems, which shows differences that no probe of single steps detects.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sysid_evo.validation.estimates import paired
 
 @dataclass(frozen=True)
 class Measure:
-    """The mean over ``trials`` that have the number, and its interval (nan for a single trial)."""
+    """Mean over the ``trials`` that have the number, and its interval (NaN for a single trial)."""
 
     value: float
     low: float
@@ -34,13 +34,13 @@ class Measure:
     trials: int
 
     def differs(self, other: Measure) -> bool:
-        """Whether the intervals of both lie apart."""
+        """True if the two intervals do not overlap."""
         return self.low > other.high or self.high < other.low
 
 
 @dataclass(frozen=True)
 class DrivingSummary:
-    """How ``controller`` went about its task on ``column`` in ``trials`` recorded trials, each number by its name."""
+    """Behaviour of ``controller`` on ``column`` in ``trials`` recorded trials, as numbers with names."""
 
     controller: str
     column: str
@@ -48,13 +48,13 @@ class DrivingSummary:
     measures: Mapping[str, Measure]
 
     def value(self, name: str) -> float:
-        """Return a measure's mean, nan if there is none."""
+        """Return the mean of a measure, NaN if it is not there."""
         found = self.measures.get(name)
         return float("nan") if found is None else found.value
 
 
 def driving_summaries(matrix: TransferMatrix) -> tuple[DrivingSummary, ...]:
-    """Return the manner of every controller on the robots and on what it was evolved against, as far as recorded."""
+    """Return a summary of every recorded controller on the robots and on the models it was evolved against."""
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
     kept = {key: cell.traces for key, cell in matrix.cells.items() if cell.traces}
     if system is None or not kept:
@@ -67,16 +67,18 @@ def driving_summaries(matrix: TransferMatrix) -> tuple[DrivingSummary, ...]:
         for column in dict.fromkeys((*champion.against, *robots) if champion.against else matrix.columns):
             traces = kept.get((champion.name, column), ())
             if traces:
-                found.append(manner_of(champion.name, column, traces, system, fastest))
+                found.append(driving_summary(champion.name, column, traces, system, fastest))
     return tuple(found)
 
 
 USUAL = 0.75
-"""Share of the trials that are slower than what counts as fast: a single exploited model may be faster than all."""
+"""Quantile of the trials that defines a high speed: a single exploited model may be faster than all others."""
 
 
-def manner_of(controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array) -> DrivingSummary:
-    """Return the manner of these trials; ``fastest`` (nx,) is the largest size that each state has anywhere."""
+def driving_summary(
+    controller: str, column: str, traces: Sequence[Trace], system: System, fastest: Array
+) -> DrivingSummary:
+    """Return the summary of these trials; ``fastest`` (nx,) is the largest absolute value of each state anywhere."""
     found = [trial_measures(trace, system, fastest) for trace in traces]
     names = dict.fromkeys(name for one in found for name in one)
     measures = {}
@@ -89,7 +91,7 @@ def manner_of(controller: str, column: str, traces: Sequence[Trace], system: Sys
 
 
 UNITS = (("per second", "1/s"), ("per minute", "1/min"), ("speed", "m/s"), ("settling time", "s"), ("miss in", "s"))
-"""By the end of a measure's name; all others are shares."""
+"""Unit by the end of a measure's name; all other measures are shares."""
 
 
 def unit_of(name: str) -> str:
@@ -98,21 +100,21 @@ def unit_of(name: str) -> str:
 
 
 SWITCH = 0.1
-"""A control switches where it changes by more than this share of its range within one step."""
+"""A control switches if it changes by more than this share of its range within one step."""
 LIMIT = 0.01
-"""It is at a limit within this share of its range."""
+"""A control is at a limit within this share of its range."""
 MOVING = 0.1
 """A body moves above this share of its largest speed, and turns above this share of its largest yaw rate."""
 STOP = 0.2
-"""Seconds at rest that make a stop."""
+"""Duration at rest (s) that counts as a stop."""
 SETTLED = 0.1
-"""A trial has settled if nothing leaves the tolerance in this last share of it."""
+"""A trial has settled if no state leaves its tolerance in this last share of it."""
 
 
 def trial_measures(trace: Trace, system: System, fastest: Array) -> Mapping[str, float]:
-    """Return the numbers of one trial by their names, nan where the trial has none.
+    """Return the numbers of one trial by their names, NaN where the trial has none.
 
-    ``fastest`` (nx,) is the largest size that each state has anywhere.
+    ``fastest`` (nx,) is the largest absolute value of each state in all trials.
     """
     found: dict[str, float] = {}
     run = trace.trajectory
@@ -142,7 +144,7 @@ def _at_limit(channel: Channel, values: Array) -> BoolArray:
 
 
 def _targets(trace: Trace) -> dict[str, float]:
-    """Return how long all states took to come within their tolerances for good, and how long they are there."""
+    """Return the time until all states stay within their tolerances, and the share of the time within them."""
     run = trace.trajectory
     outside = np.zeros(len(run.states), dtype=bool)
     for target in trace.targets:
@@ -172,7 +174,7 @@ def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array
         "backwards": float((ahead[moving] < 0.0).mean()) if moving.any() else np.nan,
         "turning left": float((run.states[turning, yaw] > 0.0).mean()) if turning.any() else np.nan,
         "stops per minute": 60.0 * _stops(~moving, max(1, round(STOP / run.dt))) / run.duration,
-        "standing": float((~moving).mean()),
+        "at rest": float((~moving).mean()),
     }
     if len(trace.waypoints) and run.pose is not None:
         hunt = chase(run.pose[:, :2], trace.waypoints, trace.waypoint_radius, ahead, run.dt, still=still)
@@ -187,24 +189,24 @@ def _on_a_plane(trace: Trace, system: System, motion: PlanarBody, fastest: Array
     return found
 
 
-def _stops(standing: BoolArray, least: int) -> int:
-    """Return how often it stands for ``least`` samples or more after it moved."""
-    moved = np.flatnonzero(~standing)
+def _stops(resting: BoolArray, least: int) -> int:
+    """Return the number of times that it rests for ``least`` samples or more after it moved."""
+    moved = np.flatnonzero(~resting)
     if not len(moved):
         return 0
-    after = np.concatenate([[False], standing[moved[0] :], [False]]).astype(np.int64)
+    after = np.concatenate([[False], resting[moved[0] :], [False]]).astype(np.int64)
     begins, ends = np.flatnonzero(np.diff(after) == 1), np.flatnonzero(np.diff(after) == -1)
     return int((ends - begins >= least).sum())
 
 
 NEAR = 2.5
-"""A marker is missed if a body that came towards it passes it this close, in radii of the marker, and goes away."""
+"""A marker is missed if a body that approached it passes within this distance (radii of the marker) and leaves."""
 CAME = 0.5
-"""In radii: how much nearer it must have come before, and how much farther it must be after."""
+"""Minimum distance (radii) by which it must have approached before, and have left afterwards."""
 AFTER = 2.0
-"""Seconds after a miss that count as what follows it."""
+"""Time (s) after a miss in which the reaction is observed."""
 LONGEST = 10.0
-"""Seconds within which a full turn around a marker is an orbit."""
+"""Longest time (s) of a full turn around a marker that counts as an orbit."""
 
 Reaction: TypeAlias = Literal["drives on", "stops", "turns back"]
 REACTIONS: tuple[Reaction, ...] = ("drives on", "stops", "turns back")
@@ -212,10 +214,10 @@ REACTIONS: tuple[Reaction, ...] = ("drives on", "stops", "turns back")
 
 @dataclass(frozen=True)
 class WaypointApproach:
-    """One trial: how many markers came up and were ``reached``, and what followed each miss (``reactions``).
+    """Markers of one trial: how many came up and were ``reached``, and the reaction to each miss (``reactions``).
 
-    ``missed`` counts the markers that were missed at least once, ``after`` holds for every miss whose marker was then
-    reached how long that took (s), and ``orbiting`` is the share of the time spent in full turns around a marker.
+    ``missed`` counts the markers that were missed at least once. ``after`` holds the time (s) to the marker for every
+    miss whose marker was then reached. ``orbiting`` is the share of the time in full turns around a marker.
     """
 
     markers: int
@@ -227,9 +229,9 @@ class WaypointApproach:
 
 
 def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float, *, still: float) -> WaypointApproach:
-    """Return how a body at ``place`` (T + 1, 2) m went for ``markers`` (k, 2), one after the other.
+    """Return how a body at ``place`` (T + 1, 2) m approached ``markers`` (k, 2), one after the other.
 
-    ``forward`` (T + 1,) is its signed speed, and it stands below ``still``, in m/s.
+    ``forward`` (T + 1,) is its signed speed; below ``still`` (m/s) it is at rest.
     """
     begin, reached, missed = 0, 0, 0
     reactions: list[Reaction] = []
@@ -264,7 +266,7 @@ def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float
 
 
 def _misses(distance: Array, radius: float) -> list[int]:
-    """Return the steps at which a body that had come nearer passed by and went away again."""
+    """Return the steps at which a body that had approached passed by and left again."""
     found: list[int] = []
     farthest, nearest, step, coming = distance[0], distance[0], 0, False
     for k, now in enumerate(distance):
@@ -282,7 +284,7 @@ def _misses(distance: Array, radius: float) -> list[int]:
 
 
 def _reaction(forward: Array, still: float) -> Reaction:
-    """Return what a body with these speeds does: it turns back once it moves the other way."""
+    """Return the reaction of a body with these speeds; it turns back if it moves in the other direction."""
     moving = forward[np.abs(forward) > still]
     if len(moving) and np.sign(moving[-1]) != np.sign(moving[0]):
         return "turns back"
@@ -290,7 +292,7 @@ def _reaction(forward: Array, still: float) -> Reaction:
 
 
 def _orbits(off: Array, longest: int) -> BoolArray:
-    """Return which samples lie within a full turn around the origin that takes at most ``longest`` steps."""
+    """Return which samples lie within a full turn around the origin of at most ``longest`` steps."""
     angle = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
     marked = np.zeros(len(angle), dtype=bool)
     if np.ptp(angle) < TURN:
@@ -303,28 +305,28 @@ def _orbits(off: Array, longest: int) -> BoolArray:
 
 
 MOSTLY, HARDLY = 0.5, 0.1
-"""Shares from which on, and below which, something is worth its words."""
+"""Shares from which something is mentioned, and below which it is rare."""
 SIDED = 0.75
-"""Share of the turns to one side from which on it is told."""
+"""Share of the turns to one side from which it is mentioned."""
 APART = 0.15
-"""Difference of two shares, or of two rates as a share of the larger, that is told between two systems."""
+"""Difference of two shares, or relative difference of two rates, that is mentioned between two systems."""
 
 
-def driving_sentences(manners: Sequence[DrivingSummary], robot: str | None) -> dict[str, str]:
-    """Return what each controller does: on the robot, or else where it was evolved, and what it does otherwise."""
+def driving_sentences(summaries: Sequence[DrivingSummary], robot: str | None) -> dict[str, str]:
+    """Return sentences on each controller: on the robot, or else in its models, and the differences elsewhere."""
     found: dict[str, list[DrivingSummary]] = {}
-    for manner in manners:
-        found.setdefault(manner.controller, []).append(manner)
-    told = {}
+    for summary in summaries:
+        found.setdefault(summary.controller, []).append(summary)
+    sentences = {}
     for controller, several in found.items():
         here = next((one for one in several if one.column == robot), several[0])
         place = "on the robot" if here.column == robot else f"in {here.column}"
-        told[controller] = driving_sentence(here, [one for one in several if one is not here], place=place)
-    return {controller: text for controller, text in told.items() if text}
+        sentences[controller] = driving_sentence(here, [one for one in several if one is not here], place=place)
+    return {controller: text for controller, text in sentences.items() if text}
 
 
 def driving_sentence(here: DrivingSummary, there: Sequence[DrivingSummary] = (), *, place: str = "") -> str:
-    """Return what a controller does on one system, and what it does otherwise on others.
+    """Return sentences on a controller: its behaviour on one system, and the differences on others.
 
     ``place`` are the words for the system ("on the robot").
     """
@@ -334,8 +336,8 @@ def driving_sentence(here: DrivingSummary, there: Sequence[DrivingSummary] = (),
     return " ".join(filter(None, (text, *others)))
 
 
-def _driving(manner: DrivingSummary) -> list[str]:
-    speed, back, left = (manner.value(name) for name in ("speed", "backwards", "turning left"))
+def _driving(summary: DrivingSummary) -> list[str]:
+    speed, back, left = (summary.value(name) for name in ("speed", "backwards", "turning left"))
     if not np.isfinite(speed):
         return []
     parts = []
@@ -346,61 +348,61 @@ def _driving(manner: DrivingSummary) -> list[str]:
         parts.append("hardly moves")
     if np.isfinite(left) and max(left, 1.0 - left) >= SIDED:
         parts.append(f"turns {'left' if left > MOSTLY else 'right'} in {percent(max(left, 1.0 - left))} of its turns")
-    stops, standing = manner.value("stops per minute"), manner.value("standing")
+    stops, resting = summary.value("stops per minute"), summary.value("at rest")
     if stops >= 1.0:
         parts.append(f"stops {stops:.0f} times a minute")
-    if standing >= HARDLY:
-        parts.append(f"stands {percent(standing)} of the time")
+    if resting >= HARDLY:
+        parts.append(f"is at rest {percent(resting)} of the time")
     return parts
 
 
-def _chasing(manner: DrivingSummary) -> list[str]:
-    missed, orbiting = manner.value("missed at first"), manner.value("orbiting")
+def _chasing(summary: DrivingSummary) -> list[str]:
+    missed, orbiting = summary.value("missed at first"), summary.value("orbiting")
     parts = []
     if np.isfinite(missed):
         if missed < HARDLY / 2:
             parts.append("hardly ever misses a waypoint")
         else:
-            parts.append(f"misses {percent(missed)} of the waypoints at first{_after(manner)}")
+            parts.append(f"misses {percent(missed)} of the waypoints at first{_after(summary)}")
     if np.isfinite(orbiting) and orbiting > HARDLY / 10:
         parts.append(f"orbits a waypoint {percent(orbiting)} of the time")
     return parts
 
 
-def _after(manner: DrivingSummary) -> str:
-    """Return what follows a miss, most often first."""
-    shares = {what: manner.value(f"{what} after a miss") for what in REACTIONS}
+def _after(summary: DrivingSummary) -> str:
+    """Return the reactions to a miss, the most frequent first."""
+    shares = {what: summary.value(f"{what} after a miss") for what in REACTIONS}
     known = {what: share for what, share in shares.items() if np.isfinite(share) and share >= HARDLY}
-    told = [f"{what} ({percent(share)})" for what, share in sorted(known.items(), key=lambda pair: -pair[1])]
-    delay = manner.value("reached after a miss in")
-    back = f", and is there {delay:.1f} s later" if np.isfinite(delay) else ""
-    return f", then {' or '.join(told)}{back}" if told else ""
+    parts = [f"{what} ({percent(share)})" for what, share in sorted(known.items(), key=lambda pair: -pair[1])]
+    delay = summary.value("reached after a miss in")
+    back = f", and reaches it {delay:.1f} s later" if np.isfinite(delay) else ""
+    return f", then {' or '.join(parts)}{back}" if parts else ""
 
 
-def _settling(manner: DrivingSummary) -> list[str]:
-    settled, seconds, within = (manner.value(name) for name in ("settled", "settling time", "within tolerance"))
+def _settling(summary: DrivingSummary) -> list[str]:
+    settled, seconds, within = (summary.value(name) for name in ("settled", "settling time", "within tolerance"))
     if not np.isfinite(settled):
         return []
     parts = [f"is within tolerance {percent(within)} of the time"]
     if settled < HARDLY:
-        return [*parts, "never settles" if settled == 0.0 else f"settles in {percent(settled)} of the trials only"]
+        return [*parts, "never settles" if settled == 0.0 else f"settles in only {percent(settled)} of the trials"]
     return [*parts, f"settles after {seconds:.1f} s in {percent(settled)} of the trials"]
 
 
-def _switching(manner: DrivingSummary) -> list[str]:
+def _switching(summary: DrivingSummary) -> list[str]:
     ending = " switches per second"
-    rates = {name.removesuffix(ending): one.value for name, one in manner.measures.items() if name.endswith(ending)}
+    rates = {name.removesuffix(ending): one.value for name, one in summary.measures.items() if name.endswith(ending)}
     parts = [f"{name} {rate:.1f} times" for name, rate in rates.items() if rate >= HARDLY]
-    told = [f"switches {' and '.join(parts)} a second"] if parts else []
+    parts = [f"switches {' and '.join(parts)} a second"] if parts else []
     for name in rates:
-        limit = manner.value(f"{name} at a limit")
+        limit = summary.value(f"{name} at a limit")
         if HARDLY <= limit < 1.0:
-            told.append(f"holds {name} at a limit {percent(limit)} of the time")
-    return told
+            parts.append(f"holds {name} at a limit {percent(limit)} of the time")
+    return parts
 
 
 def _otherwise(here: DrivingSummary, other: DrivingSummary) -> str:
-    """Return what differs clearly on another system, the most different first; empty if nothing does."""
+    """Return the clear differences on another system, the largest first; empty if there are none."""
     found = []
     for name, one in other.measures.items():
         own = here.measures.get(name)
@@ -410,29 +412,29 @@ def _otherwise(here: DrivingSummary, other: DrivingSummary) -> str:
         if unit_of(name):
             size /= max(one.value, own.value)
         if size >= APART:
-            found.append((size, f"{name} {_told(name, one.value)} instead of {_told(name, own.value)}"))
+            found.append((size, f"{name} {_value_text(name, one.value)} instead of {_value_text(name, own.value)}"))
     listed = [text for _, text in sorted(found, key=lambda pair: -pair[0])[:3]]
     return f"In {other.column}: {', '.join(listed)}." if listed else ""
 
 
-def _told(name: str, value: float) -> str:
+def _value_text(name: str, value: float) -> str:
     unit = unit_of(name)
     if " per " in name:
         return f"{value:.1f}"
     return f"{value:.1f} {unit}" if unit else percent(value)
 
 
-STILL = "stand still"
+STILL = "are at rest"
 QUIET = 0.05
-"""A state counts as neutral within this share of the largest size it has in the data."""
+"""A state is neutral within this share of its largest absolute value in the data."""
 
 LEAST_DIFFERENCE = 0.25
-"""Difference of two shares of the time that is worth telling."""
+"""Difference of two shares of the time that is reported."""
 
 
 @dataclass(frozen=True)
 class BehaviourDifference:
-    """One behaviour: its share of the time in the model (``here``) and elsewhere (``there``)."""
+    """Share of the time of one behaviour in the model (``here``) and elsewhere (``there``)."""
 
     name: str
     here: float
@@ -440,20 +442,20 @@ class BehaviourDifference:
 
     @property
     def size(self) -> float:
-        """How far apart the two shares are."""
+        """Difference of the two shares."""
         return abs(self.here - self.there)
 
     def sentence(self, elsewhere: str) -> str:
-        """Return the difference in words that go on after: its controllers ...; ``elsewhere`` says where that is."""
+        """Return the difference in words that follow "its controllers"; ``elsewhere`` names the other systems."""
         return f"{self.name} {percent(self.here)} of the time here, {percent(self.there)} {elsewhere}"
 
 
 def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array) -> Mapping[str, float]:
-    """Return each behaviour's share of the time over all ``trajectories``, in [0, 1]; empty without any.
+    """Return the share of the time of each behaviour over all ``trajectories``, in [0, 1]; empty without any.
 
-    Behaviours are how long each state and each control is above and below neutral, and how long everything stands
-    still, for any system and by the names of its channels; a task may add measures of its own (`Task.measures`).
-    ``largest`` (nx,) is the largest size off neutral that each state has in the training data.
+    Behaviours are each state and each control above and below neutral, and everything at rest, for any system and
+    named by its channels; a task may add measures of its own (`Task.measures`). ``largest`` (nx,) is the largest
+    deviation of each state from neutral in the training data.
     """
     if not trajectories:
         return {}
@@ -473,17 +475,17 @@ def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array
 def behaviour_differences(
     here: Mapping[str, float], there: Sequence[Mapping[str, float]]
 ) -> tuple[BehaviourDifference, ...]:
-    """Return the behaviours that differ by a quarter of the time or more from the median of ``there``, most first.
+    """Return the behaviours that differ from the median of ``there`` by a quarter of the time or more, largest first.
 
-    Of a channel only the side that differs more is told.
+    Of each channel only the side that differs more is returned.
     """
     known = [one for one in there if one]
     if not here or not known:
         return ()
     elsewhere = {name: float(np.median([one[name] for one in known])) for name in here}
     found = [BehaviourDifference(name, here[name], elsewhere[name]) for name in here]
-    told: dict[str, BehaviourDifference] = {}
+    largest: dict[str, BehaviourDifference] = {}
     for difference in sorted(found, key=lambda one: -one.size):
         if difference.size >= LEAST_DIFFERENCE:
-            told.setdefault(difference.name.rsplit(" ", 2)[0], difference)
-    return tuple(told.values())
+            largest.setdefault(difference.name.rsplit(" ", 2)[0], difference)
+    return tuple(largest.values())

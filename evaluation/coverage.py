@@ -1,4 +1,4 @@
-"""What the recordings do not cover of where controllers drive: shares, gaps, boxes to record next."""
+"""States and controls that controllers use and recordings do not cover: shares, gaps, boxes to record next."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
 
 MOST = 5
-"""Regions that are told."""
+"""Maximum number of regions that are returned."""
 LEAST_SHARE = 0.002
-"""A region that is visited less than this is not told."""
+"""A region that is visited less than this is left out."""
 PERIODIC_BINS, CONTROL_BINS = 12, 3
 ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 
@@ -29,7 +29,7 @@ ROUND = np.array([1.0, 2.0, 5.0, 10.0])
 class UncoveredBox:
     """A box: the lowest and highest value of each state and control in their units, ``low`` and ``high`` (nx + nu,).
 
-    ``share`` of all steps that were driven lie in it, outside the data. A switch has one value.
+    It contains the share ``share`` of all driven steps, outside the data. A switch has one value.
     """
 
     channels: tuple[Channel, ...]
@@ -39,7 +39,7 @@ class UncoveredBox:
 
     @property
     def sentence(self) -> str:
-        """The region in words, and how much of the driving lies in it."""
+        """The region in words, with its share of the driven steps."""
         return f"{self.words}: {percent(self.share)} of the steps"
 
     @property
@@ -57,8 +57,8 @@ def suggest_recordings(
 ) -> tuple[UncoveredBox, ...]:
     """Return the boxes of states and controls in which ``driven`` is most often outside the data.
 
-    States are cut into boxes about one standard deviation of the data wide, at round numbers; a switch has a box for
-    each position, a continuous control three. The most visited box comes first; rare ones are left out.
+    States are divided into boxes about one standard deviation of the data wide, at round numbers; a switch has a box
+    for each position, a continuous control three. The most visited box comes first; rare ones are left out.
     """
     system = support.system
     steps = driven if isinstance(driven, Steps) else Steps.of(system, driven)
@@ -70,7 +70,7 @@ def suggest_recordings(
         values[:, i] -= period * np.round(values[:, i] / period)
     channels = (*system.states, *system.controls)
     width = _widths(support)
-    # the first box of a channel begins at its lowest value, or so that one begins at 0; one without an end has no last
+    # the first box of a channel begins at its lowest value, or a multiple of the width; an open range has no last box
     begin = np.array([c.low if np.isfinite(c.low) and not c.period else 0.0 for c in channels])
     end = np.array([np.inf if c.period else c.high for c in channels])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -87,7 +87,7 @@ def suggest_recordings(
 
 
 def _widths(support: Support) -> Array:
-    """Return how wide the boxes are in each channel (nx + nu,), 0 for a switch."""
+    """Return the width of the boxes in each channel (nx + nu,), 0 for a switch."""
     system = support.system
     spread = dict(zip((*system.regressor_names, *system.control_names), support.scale, strict=True))
     states = [c.period / PERIODIC_BINS if c.period else _rounded(spread[c.name]) for c in system.states]
@@ -108,9 +108,9 @@ def _rounded(width: float) -> float:
 
 
 ASKED = 0.05
-"""Share of the time at one place from which on it matters: a twentieth."""
+"""Share of the steps in one region from which it matters: a twentieth."""
 RARELY = 0.1
-"""A place is missing if the data spend less than this part of that share there: a tenth of what uniform data would."""
+"""A region is missing if its share of the data is below this part of that share: a tenth of uniform data."""
 
 EDGES = (1.0, 20.0, 50.0, 80.0, 99.0)
 """Percentiles of the data at which a continuous channel is cut."""
@@ -120,7 +120,7 @@ FEWEST_STEPS, MOST_STEPS = 200, 20_000
 
 @dataclass(frozen=True)
 class CoverageGap:
-    """A place, of one or two channels, where the share ``asked`` of steps lies and the share ``seen`` of the data."""
+    """A region of one or two channels, with the share ``asked`` of steps in it and the share ``seen`` of the data."""
 
     place: tuple[Region, ...]
     asked: float
@@ -136,7 +136,7 @@ class CoverageGap:
 
 
 def largest_gap(seen: Steps, asked: Steps) -> CoverageGap | None:
-    """Return the place with the largest share of ``asked`` among those that ``seen`` hardly holds; None without one."""
+    """Return the region with the largest share of ``asked`` that ``seen`` rarely contains; None without one."""
     seen, asked = seen.thinned(MOST_STEPS), asked.thinned(MOST_STEPS)
     if len(seen) < FEWEST_STEPS or len(asked) < FEWEST_STEPS:
         return None
@@ -147,13 +147,13 @@ def largest_gap(seen: Steps, asked: Steps) -> CoverageGap | None:
 
 
 UNTRIED = 0.03
-"""An untried pair matters from this share on: of the time of a state times that of a command."""
+"""Share from which an untried pair matters: that of the state in the time, times that of the command."""
 
 
 def untried_pair(seen: Steps) -> CoverageGap | None:
-    """Return the state and the command that each occur in ``seen``, and hardly together; None without one.
+    """Return a state and a command that both occur in ``seen``, but rarely together; None without one.
 
-    Its share ``asked`` is what it would be if every command were tried everywhere.
+    Its share ``asked`` is the share it would have if every command were given in every state.
     """
     if len(seen) < FEWEST_STEPS or not seen.system.nu:
         return None
@@ -165,9 +165,9 @@ def untried_pair(seen: Steps) -> CoverageGap | None:
 
 
 def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, there: Array) -> CoverageGap | None:
-    """Return the pair of regions with the largest share ``wanted`` among ``candidates`` that are hardly ``there``.
+    """Return the pair of regions with the largest share ``wanted`` among ``candidates`` that are rarely ``there``.
 
-    All three are (regions, regions). One region says it more simply, if its share is nearly as large.
+    All three are (regions, regions). A single region is simpler, and returned if its share is nearly as large.
     """
     size = np.where(candidates & (there <= RARELY * wanted), wanted, 0.0)
     if not size.any():

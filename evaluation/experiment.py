@@ -1,4 +1,4 @@
-"""What a comparison is asked to do: the content of ``experiment.toml``, validated."""
+"""Settings of a comparison: the content of ``experiment.toml``, validated."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from sysid_evo.registry import Spec, make_robot
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
 USUAL_TASK = "point_to_point"
-"""Where neither the user nor the robot names a task."""
+"""The task if neither the user nor the robot names one."""
 NONE = "none"
-"""As noise: none, also where the task has a usual one."""
+"""Value of ``noise`` for none, also if the task has a default."""
 
 Positive = Annotated[int, Field(ge=1)]
 
 
 Procedure: TypeAlias = Literal["recommended", "plain"]
-"""How a controller comes about: searched in single models, chosen by others and polished on all, or evolved at once."""
+"""Search procedure: searched in single models, scored by others and polished on all, or evolved on all at once."""
 
 
 class Budget(BaseModel):
-    """How controllers are evolved, and how long evolution may think; see `ControllerEvolution`.
+    """Settings and duration of controller evolution; see `ControllerEvolution`.
 
-    With the ``procedure`` "recommended" controllers are chosen by models of other families, and one more is made
-    of the best of all, by ``polish_generations`` generations against all models at once.
+    With the ``procedure`` "recommended" controllers are chosen by models of other families, and the best of all are
+    polished by ``polish_generations`` generations against all models at once.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -52,29 +52,33 @@ BUDGETS: dict[str, Budget] = {
         generations=300, trials=10, repeats=2, controller="recurrent", strategy="mu_plus_lambda", procedure="plain"
     ),
 }
-"""Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
+"""Budgets of controller evolution by preset; families define their own as `DynamicsModel.presets`."""
 
 
 class Experiment(BaseModel):
-    """A comparison: which models on which data, which controllers on which robot, how long, from which seed.
+    """Settings of a comparison: models, data, controllers, robot, duration and seed.
 
-    Everything that has a name is a text in the grammar of `Spec`. Without ``data`` (logs, or a folder
-    that holds a data set) the ``robot`` is recorded for ``minutes``. ``test`` names the episodes held
-    back, by default the last ``held_out`` share of each. With ``leave_out`` every family is also fitted without each
-    condition of the recordings (`Dataset.label_conditions`) in turn, and tested there. Every model is an ensemble of
-    one; ``ensembles`` lists further ones, labels of models joined by ``+``; None leaves the choice to
-    `plan_comparison`, as it does for ``models``. A ``task`` of None is the robot's own (`Robot.usual_task`), else
-    `USUAL_TASK`. ``controller``, ``strategy``, ``procedure``, ``generations``,
-    ``trials``, ``repeats`` and ``polish_generations`` are those of the ``preset`` where they are None, see `Budget`.
-    The ``schedule`` holds easier stages that come before the task, see `Stage`. With ``reference`` a controller is also
-    evolved on the robot itself, if that is simulated, by one search no longer than those in models: a reference for
-    comparison, not an upper limit. None: only if this run records an emulated robot and follows the recommended
-    procedure. ``stop_after`` stops after the models ("fit") or after their prediction errors ("prediction").
-    Controllers get a state that is ``estimator_delay`` s old. They are evolved with ``noise`` (`DomainRandomisation`)
-    and the uncertainty penalty ``penalty`` (`UncertaintyPenalty`), neither of which counts in their claims; "none"
-    switches one off. ``noise`` None is `Task.default_noise`, which applies to models only: robots have their own.
-    ``baselines`` names controllers that need no evolution (`Champion.baseline`), each a row of the matrix.
-    ``data_digest`` is written by the program: the cell of the data, by which a run finds its own again.
+    Names are texts in the grammar of `Spec`. None means that the value is derived from the other settings.
+
+    - ``data``: logs, or a folder with a data set; without it the ``robot`` is recorded for ``minutes``.
+    - ``test``: names of the held-out episodes; by default the last ``held_out`` share of each is held out.
+    - ``leave_out``: also fit every family without each condition of the recordings (`Dataset.label_conditions`) in
+      turn, and test it there.
+    - ``models``, ``ensembles``: models to fit, and ensembles of them, labels joined by ``+``; every model is also an
+      ensemble of one. None leaves the choice to `plan_comparison`.
+    - ``stop_after``: stop after the models ("fit") or after their prediction errors ("prediction").
+    - ``task``: None is the robot's own (`Robot.usual_task`), else `USUAL_TASK`.
+    - ``controller``, ``strategy``, ``procedure``, ``generations``, ``trials``, ``repeats``, ``polish_generations``:
+      None is the value of the ``preset``, see `Budget`.
+    - ``schedule``: easier stages before the task, see `Stage`.
+    - ``noise``, ``penalty``: `DomainRandomisation` and `UncertaintyPenalty` during evolution; neither counts in claimed
+      fitness, and "none" switches one off. None is `Task.default_noise`, which applies to models only.
+    - ``estimator_delay``: age of the state that controllers get, in s.
+    - ``reference``: also evolve a controller on the robot itself, if it is simulated, by one search no longer than
+      those in models. It is a reference, not an upper limit. None: only if this run records an emulated robot and
+      follows the recommended procedure.
+    - ``baselines``: controllers that need no evolution (`Champion.baseline`), each a row of the matrix.
+    - ``data_digest``: written by the program: the cell of the data, by which a run finds its own data again.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -129,7 +133,7 @@ class Experiment(BaseModel):
         settings = read_toml(file, "an experiment")
         try:
             cls.of(settings)
-            if "data_digest" not in settings:  # the program writes all settings, a person those that are to matter
+            if "data_digest" not in settings:  # the program writes all settings, a user only the relevant ones
                 refuse_meaningless(MEANINGLESS, settings, settings)
         except InvalidArgument as error:
             raise InvalidArgument(f"{file}: {error}") from error
@@ -141,7 +145,7 @@ class Experiment(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The budget of the preset, where it is not overridden; a polish is no longer than the search before it."""
+        """The budget of the preset with the given changes; a polish is no longer than the search before it."""
         if self.preset not in BUDGETS:
             raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
         given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
@@ -152,7 +156,7 @@ class Experiment(BaseModel):
 
 
 class Settings(TypedDict, total=False):
-    """What `Experiment` can be given by a caller in Python, for type checkers; see there."""
+    """Settings of an `Experiment` as keyword arguments, for type checkers."""
 
     title: str | None
     columns: str | Path | None
@@ -199,25 +203,25 @@ MEANINGLESS = (
     Meaningless(OF_CONTROLLERS, "no controller is evolved or run", NO_CONTROLLERS),
     Meaningless(("robot",), "nothing is run on a robot", {**NO_CONTROLLERS, "data": ()}),
     Meaningless(("leave_out", "held_out"), "nothing is tested", {"stop_after": ("fit",)}),
-    Meaningless(("held_out",), "these episodes are held back instead", {"test": ()}),
+    Meaningless(("held_out",), "these episodes are held out instead", {"test": ()}),
     Meaningless(("minutes",), "no robot is recorded", {"data": ()}),
     Meaningless(("columns",), "no logs are read", unless=("data",)),
     Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
 )
-"""Settings that others make meaningless: giving both is refused."""
+"""Settings that others make meaningless; giving both is an error."""
 
 
 def meaningful(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``settings`` updated with those ``given``, without any that have no effect next to these."""
+    """Return ``settings`` updated with those ``given``, without those that have no effect next to these."""
     whole = {**settings, **given}
     idle = meaningless(MEANINGLESS, settings, whole)
     return {name: value for name, value in whole.items() if name in given or name not in idle}
 
 
 def check_settings(experiment: Experiment, *, has_data: bool) -> None:
-    """Raise `InvalidArgument` if a setting that was asked for has no effect; one settled by the program has them all.
+    """Raise `InvalidArgument` if a given setting has no effect; an experiment written by the program has all settings.
 
-    ``has_data`` says that there are recordings, also those that the experiment does not name.
+    ``has_data`` is true if there are recordings, also those that the experiment does not name.
     """
     if experiment.data_digest is None:
         asked = {name: getattr(experiment, name) for name in experiment.model_fields_set}
@@ -236,7 +240,7 @@ def with_task(experiment: Experiment, robots: Iterable[Spec | None]) -> Experime
 
 
 def _sentence(error: Any) -> str:
-    """Return one finding of pydantic as: what, what is wrong, what came."""
+    """Return one finding of pydantic as a sentence: setting, expectation, value."""
     where = ".".join(map(str, error["loc"]))
     if error["type"] == "extra_forbidden":
         return f"{where} {no_setting(where)}"
@@ -250,7 +254,7 @@ def no_setting(name: str) -> str:
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:
-    """Return what stands in a TOML file, which is expected to be ``what``. Raises `InvalidArgument`."""
+    """Return the content of a TOML file; ``what`` is the expected content in words. Raises `InvalidArgument`."""
     try:
         return parsed_toml(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""How numbers, shares, intervals and names are written, in tables, on plots and in sentences."""
+"""Text of numbers, shares, intervals and names, in tables, on plots and in sentences."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ if TYPE_CHECKING:  # the command line imports this module before it knows what e
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """Return ``value`` with that many decimals, a dash for None and nan. A value that rounds to zero has no sign."""
+    """Return ``value`` with that many decimals, a dash for None and NaN. A value that rounds to zero has no sign."""
     if value is None or not np.isfinite(value):
         return "–"
     return f"{value:z.{digits}f}"
 
 
 def three_digits(value: float | None) -> str:
-    """Return ``value`` with about three digits: 0.123, 1.23, 12.3, 123; a dash for None and nan."""
+    """Return ``value`` with about three digits: 0.123, 1.23, 12.3, 123; a dash for None and NaN."""
     size = abs(value or 0.0)
     return number(value, 3 if size < 0.9995 else 2 if size < 9.995 else 1 if size < 99.95 else 0)
 
 
 MOST_DECIMALS = 6
-"""A guess of what a reader can use: a smaller error is shown as zero."""
+"""Maximum number of decimals: a smaller error is shown as zero."""
 
 
 def by_error(value: float | None, error: float) -> str:
-    """Return ``value`` with the decimals that its standard ``error`` leaves: two digits of one that begins with 1.
+    """Return ``value`` with as many decimals as its standard ``error`` allows: two digits if the error begins with 1.
 
-    With no error (zero, nan) it has about three digits.
+    Without an error (zero, NaN) it has about three digits.
     """
     return three_digits(value) if (digits := _decimals(error)) is None else number(value, digits)
 
@@ -45,7 +45,7 @@ def _decimals(error: float) -> int | None:
 
 
 def percent(share: float | None) -> str:
-    """Return a share as per cent, with a decimal below ten."""
+    """Return a share in percent, with a decimal below ten."""
     if share is None or not np.isfinite(share):
         return "–"
     if 0 < share < 0.0005:
@@ -54,7 +54,7 @@ def percent(share: float | None) -> str:
 
 
 def plus_minus(estimate: Estimate | None) -> str:
-    """Return ``11.5 ±0.3``, the value and its standard error, where it is known; a dash for None."""
+    """Return ``11.5 ±0.3``, the value and its standard error, if it is known; a dash for None."""
     if estimate is None:
         return "–"
     error = estimate.standard_error
@@ -63,7 +63,7 @@ def plus_minus(estimate: Estimate | None) -> str:
 
 
 def value_of(estimate: Estimate) -> str:
-    """Return ``11.5``, the value alone with the digits that its standard error leaves."""
+    """Return ``11.5``, the value alone with the digits that its standard error allows."""
     return by_error(estimate.value, estimate.standard_error)
 
 
@@ -78,11 +78,11 @@ def within(estimate: Estimate | None) -> str:
 
 
 ERRORS_WIDE = 3.9
-"""Standard errors in the width of a 95 % interval of a normal figure."""
+"""Width of a 95 % interval of a normal distribution in standard errors."""
 
 
 def with_interval(value: float, low: float, high: float) -> str:
-    """Return ``11.5 (11.2 to 11.9)``; the value alone where the interval is not known or has no width."""
+    """Return ``11.5 (11.2 to 11.9)``; the value alone if the interval is unknown or has no width."""
     error = (high - low) / ERRORS_WIDE
     if not error > 0.0:
         return three_digits(value)
@@ -90,14 +90,14 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 
 def horizon_name(horizon: int | None, dt: float) -> str:
-    """Return ``20 steps (1 s)`` for steps of ``dt`` seconds, or ``free run`` over whole episodes for None."""
+    """Return ``20 steps (1 s)`` for steps of ``dt`` seconds, or ``whole episode`` for None."""
     if horizon is None:
-        return "free run"
+        return "whole episode"
     return f"{horizon} {'step' if horizon == 1 else 'steps'} ({horizon * dt:g} s)"
 
 
 def few(names: Sequence[str], most: int = 4) -> str:
-    """Return ``names`` in a row; of more than ``most`` and one the first ``most``, and how many more there are."""
+    """Return ``names`` with commas, if there are more than ``most`` + 1 only ``most`` and the number of others."""
     more = len(names) - most
     return ", ".join(names[:most]) + f" and {more} more" if more > 1 else ", ".join(names)
 

@@ -1,4 +1,4 @@
-"""Which models, robots and controllers names, files and run folders stand for, and whether they fit each other."""
+"""Resolves names to models, robots, controllers, files and run folders, and checks that they fit each other."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
 CONTROLLER_KINDS = ("baseline", "evolve", "select", "polish")
-"""Kinds of cells whose result is a controller; of the same name the later kind counts."""
+"""Kinds of cells whose result is a controller; of two with the same name the later kind counts."""
 
 
 @dataclass(frozen=True)
 class TransferTarget:
-    """A system to run controllers on: its label in the matrix, and the run folder whose models it is one of."""
+    """A system to run controllers on: its label in the matrix, and the run folder that it belongs to."""
 
     label: str
     column: Plant
@@ -45,7 +45,7 @@ class TransferTarget:
 
     @property
     def runner(self) -> Runner:
-        """How controllers are run there. Raises `InvalidArgument` for a physical robot."""
+        """Return the runner of controllers there. Raises `InvalidArgument` for a physical robot."""
         if self.column.robot is not None:
             return runner_of(self.column.robot)
         return DynamicsRunner(dynamics_of(self.store, self.column))
@@ -60,9 +60,9 @@ class StoredController:
 
 
 def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTarget, ...]:
-    """Return the systems that ``names`` stand for: run folders, files of models, robots, models of ``run``.
+    """Return the systems named by ``names``: run folders, files of models, robots, models of ``run``.
 
-    A run folder stands for all its models. Raises `InvalidArgument` for what there is not.
+    A run folder means all its models. Raises `InvalidArgument` for unknown names.
     """
     found: list[TransferTarget] = []
     for name in names:
@@ -70,13 +70,13 @@ def transfer_targets(names: Sequence[str], run: Path | None) -> tuple[TransferTa
             store = Store(Path(name))
             fitted = fitted_models(store)
             if not fitted:
-                raise InvalidArgument(f"--on: the run {name} holds no fitted model")
+                raise InvalidArgument(f"--on: the run {name} contains no fitted model")
             found += [TransferTarget(one.name, column_of(store, one), store) for one in fitted]
         else:
             store = Store(latest_run_folder(run) if is_model_of_a_run(name) else run or Path())
             column = find_column(store, name)
             found.append(TransferTarget(column.label, column, store))
-    labels = _told_apart([(place.label, place.store.path.name) for place in found])
+    labels = _unique_names([(place.label, place.store.path.name) for place in found])
     return tuple(replace(place, label=label) for place, label in zip(found, labels, strict=True))
 
 
@@ -85,9 +85,9 @@ def contenders(
 ) -> tuple[StoredController, ...]:
     """Return the controllers named by ``names``: run folders, files, specs of baseline controllers.
 
-    A run folder gives all its controllers. All perform ``task``; without one, each the task that it was evolved for,
-    and a baseline controller that of the first, else that of the first of ``robots``. Raises `InvalidArgument` if
-    these tasks differ.
+    A run folder gives all its controllers. All perform ``task``; without one, each performs the task that it was
+    evolved for, and a baseline controller that of the first, else that of the first of ``robots``. Raises
+    `InvalidArgument` if these tasks differ.
     """
     found: list[StoredController] = []
     written: list[str] = []
@@ -105,10 +105,10 @@ def contenders(
     others = [one.champion for one in found if one.champion.task != goal]
     if others:
         raise InvalidArgument(
-            f"{found[0].champion.name} does {goal}, {others[0].name} does {others[0].task}: what they score cannot be "
+            f"{found[0].champion.name} does {goal}, {others[0].name} does {others[0].task}: their scores cannot be "
             "compared. Name one task for all with --task"
         )
-    labels = _told_apart([(one.champion.name, one.run.name if one.run else "") for one in found])
+    labels = _unique_names([(one.champion.name, one.run.name if one.run else "") for one in found])
     return tuple(
         replace(one, champion=replace(one.champion, name=label)) for one, label in zip(found, labels, strict=True)
     )
@@ -128,15 +128,15 @@ def check_fit(controllers: Sequence[StoredController], systems: Sequence[Transfe
             law = make_controller(champion.controller).bind_to(make_task(champion.task).bind(system))
             if law.n_parameters != len(champion.parameters):
                 raise InvalidArgument(
-                    f"{champion.name} cannot do {champion.task}: there it needs {law.n_parameters} parameters and it "
-                    f"has {len(champion.parameters)}, as it was evolved with other observations"
+                    f"{champion.name} cannot do {champion.task}: it needs {law.n_parameters} parameters there and has "
+                    f"{len(champion.parameters)}, because it was evolved with other observations"
                 )
 
 
 def with_models(one: StoredController, systems: Sequence[TransferTarget]) -> tuple[Champion, dict[str, str]]:
-    """Return the controller with what it was evolved against named as in ``systems``, and the families of the rest.
+    """Return the controller with its members named as in ``systems``, and the families of those not among them.
 
-    A model is the same if its content is; those that are not among ``systems`` keep their name behind that of the run.
+    Models are compared by content; those that are not among ``systems`` get the name of their run as a prefix.
     """
     against, families = [], {}
     robots = {place.column.label: place.label for place in systems if place.column.robot is not None}
@@ -146,7 +146,7 @@ def with_models(one: StoredController, systems: Sequence[TransferTarget]) -> tup
         if one.run is not None and label not in robots:
             try:
                 record = find_model(Store(one.run), label)
-            except InvalidArgument:  # a robot, or a model that was removed since
+            except InvalidArgument:  # a robot, or a model that has been removed
                 record = None
         name = robots.get(label) if record is None else digests.get(record.digest)
         if name is None:
@@ -157,7 +157,7 @@ def with_models(one: StoredController, systems: Sequence[TransferTarget]) -> tup
 
 
 def _of_run(run: Path) -> list[Champion]:
-    """Return the controllers of a run: the rows of its matrix, and of what was evolved since what nothing needs."""
+    """Return the controllers of a run: the rows of its matrix, and later ones that no other cell needs."""
     store = Store(run)
     matrix = comparison_of(run)[0].matrix if (run / FILE).is_file() else None
     rows = [] if matrix is None else [cell for cell in matrix.controllers if store.done(cell)]
@@ -170,21 +170,21 @@ def _of_run(run: Path) -> list[Champion]:
     others.sort(key=lambda record: CONTROLLER_KINDS.index(record.kind))
     found += [store.load(stored(record)) for record in others]
     if not found:
-        raise InvalidArgument(f"the run {run} holds no controller: evolve one first")
+        raise InvalidArgument(f"the run {run} contains no controller: evolve one first")
     return found
 
 
-def _told_apart(names: Sequence[tuple[str, str]]) -> list[str]:
-    """Return each name alone if no other is like it, else behind its run, and numbered where that does not help."""
+def _unique_names(names: Sequence[tuple[str, str]]) -> list[str]:
+    """Return unique names: a repeated one gets the name of its run as a prefix, and a number if that is not enough."""
     plain = [name for name, _ in names]
     found = [name if plain.count(name) == 1 or not run else f"{run}/{name}" for name, run in names]
     return [name if found.count(name) == 1 else f"{name}#{found[:i].count(name) + 1}" for i, name in enumerate(found)]
 
 
 def check_evolution(store: Store, columns: tuple[Plant, ...], evolution: ControllerEvolution) -> tuple[str, ...]:
-    """Check that all members have one system, and that task and controller fit it. Raises what does not.
+    """Check that all members have one system, and that task and controller fit it. Raises the errors of these checks.
 
-    Returns why the task cannot be done well by the first of them whose equations are known, in sentences.
+    Returns sentences on limits of the task for the first member whose equations are known.
     """
     systems = {column.label: system_of(store, column) for column in columns}
     (first, system), *others = systems.items()
@@ -201,7 +201,7 @@ def check_evolution(store: Store, columns: tuple[Plant, ...], evolution: Control
 
 
 def other_models(store: Store, columns: tuple[Plant, ...]) -> tuple[Plant, ...]:
-    """Return the models of the run that are of one system with ``columns`` and not among them."""
+    """Return the models of the run that have the system of ``columns`` and are not among them."""
     system = system_of(store, columns[0])
     taken = {column.model.digest for column in columns if column.model is not None}
     others = [column_of(store, record) for record in fitted_models(store) if record.digest not in taken]
@@ -229,7 +229,7 @@ def is_model_of_a_run(name: str) -> bool:
 
 
 def find_column(store: Store, name: str) -> Plant:
-    """Return the model or emulated robot that ``name`` stands for. Raises `InvalidArgument`, `ArtefactError`."""
+    """Return the model or emulated robot called ``name``. Raises `InvalidArgument`, `ArtefactError`."""
     if is_stored_dataset(name, "model"):
         file = stored_file(name, "model")
         own = record_of_file(store, file)
@@ -245,7 +245,7 @@ def find_column(store: Store, name: str) -> Plant:
 
 
 def column_of(store: Store, record: CellRecord) -> Plant:
-    """Return the model of a run as a column, with the cell of how well it predicts what was held back of its data."""
+    """Return the model of a run as a column, with the cell of its prediction error on held-out data."""
     model, family = stored(record), record.inputs["model"]["name"]
     data = data_of(store, record)
     if data is None or not any(data.settings.inputs()["split"].values()):
@@ -255,19 +255,19 @@ def column_of(store: Store, record: CellRecord) -> Plant:
 
 
 def data_of(store: Store, model: CellRecord) -> Cell | None:
-    """Return the cell of the data that a model of a run was fitted to, None where they are not in the run."""
+    """Return the cell of the data that a model of a run was fitted to, None if they are not in the run."""
     found = (store.find(digest) for digest in model.needs)
     return next((stored(one) for one in found if one is not None and one.status == "done"), None)
 
 
 def record_of_file(store: Store, file: Path) -> CellRecord | None:
-    """Return the record of the run's model that stands in ``file``, None if it is no model of the run."""
+    """Return the record of the run's model in ``file``, None if it is no model of the run."""
     stem = file.with_suffix("").resolve()
     return next((one for one in fitted_models(store) if (store.path / one.artefact).resolve() == stem), None)
 
 
 def find_model(store: Store, name: str) -> CellRecord:
-    """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that names those there are."""
+    """Return the record of the model called ``name`` in a run. Raises `InvalidArgument` that lists the known ones."""
     models = fitted_models(store)
     files = {Path(record.artefact).name: record for record in models}
     if name in files:
@@ -277,13 +277,13 @@ def find_model(store: Store, name: str) -> CellRecord:
         return fitting[0]
     if fitting:
         several = ", ".join(Path(record.artefact).name for record in fitting)
-        raise InvalidArgument(f"{name!r} stands for several models of {store.path}: {several}; name one of these")
+        raise InvalidArgument(f"{name!r} names several models of {store.path}: {several}; name one of these")
     known = ", ".join(dict.fromkeys(record.name for record in models)) or "none"
     raise InvalidArgument(f"{name!r} is not among the models of {store.path}: {known}")
 
 
 def has_dynamics(column: Plant) -> bool:
-    """Whether the equations behind a column can be stepped: a model's and an emulated robot's, no environment's."""
+    """Whether the equations of a column can be stepped: those of models and emulated robots, not of environments."""
     return column.robot is None or make_robot(column.robot).dynamics is not None
 
 
@@ -306,7 +306,7 @@ def dynamics_of(store: Store, column: Plant) -> Dynamics:
 
 
 TRACES = 10
-"""Trials of each cell whose trajectories are kept, for how controllers behave."""
+"""Number of trials of each cell whose trajectories are kept, for the behaviour of controllers."""
 
 
 def matrix_of(

@@ -1,4 +1,4 @@
-"""From an experiment to its cells, with every check that needs no computing; the same plan from a run folder."""
+"""Makes the cells of an experiment, with every check that needs no computing; the same plan from a run folder."""
 
 from __future__ import annotations
 
@@ -62,9 +62,9 @@ from sysid_evo.types import Array
 
 @dataclass(frozen=True)
 class Comparison:
-    """An experiment with everything settled, and the cells of which it is made.
+    """An experiment with all settings resolved, and its cells.
 
-    ``experiment`` names all that was left open. Cells stand by the label of their model.
+    ``experiment`` names everything that was left open. Cells are keyed by the label of their model.
     """
 
     experiment: Experiment
@@ -80,7 +80,7 @@ class Comparison:
 
     @property
     def title(self) -> str:
-        """What the report is called."""
+        """Title of the report."""
         models = ", ".join(self.fits) if len(self.fits) <= 7 else f"{len(self.fits)} models"
         return self.experiment.title or f"{self.data.name}: {models}"
 
@@ -92,13 +92,12 @@ def plan_comparison(
     held: tuple[Cell, System] | None = None,
     measured: Sequence[MeasuredResult] = (),
 ) -> Comparison:
-    """Return the cells of ``experiment``; ``dataset`` holds its recordings, read already, if it has ``data``.
+    """Return the cells of ``experiment``; ``dataset`` are its recordings, already read, if it has ``data``.
 
-    ``held`` is the cell of data that a run holds already, and their system; it stands for recordings and robot.
-
-    Nothing is computed, and a robot is not connected to. Raises what is wrong with the experiment: names
-    and parameters (`UnknownName`, `InvalidArgument`, `MissingExtra`), what does not fit together
-    (`IncompatibleSystem`, `IncompatibleTask`, `InvalidArgument`), data that are of no use (`InvalidData`).
+    ``held`` is the cell of data that a run already has, and their system; it replaces recordings and robot.
+    Nothing is computed, and no robot is connected. Raises errors in the experiment: names and parameters
+    (`UnknownName`, `InvalidArgument`, `MissingExtra`), parts that do not fit together (`IncompatibleSystem`,
+    `IncompatibleTask`, `InvalidArgument`), unusable data (`InvalidData`).
     """
     remarks: list[str] = []
     check_settings(experiment, has_data=dataset is not None or held is not None)
@@ -139,11 +138,11 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _by_hand(experiment, evolution, system, fits),
+            _baselines(experiment, evolution, system, fits),
             reference=reference,
         )
         if column is not None and column.timed:
-            experiment = experiment.model_copy(update={"reference": reference})  # it is not decided again elsewhere
+            experiment = experiment.model_copy(update={"reference": reference})  # not decided again elsewhere
         exploitability = AssessExploitability(matrix, data, experiment.seed).cell()
     judged = {label: JudgeFit(fit).cell() for label, fit in fits.items()} if experiment.stop_after == "fit" else {}
     several = _conditions(experiment, dataset)
@@ -167,7 +166,7 @@ def plan_comparison(
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
-    """Return the comparison that a run folder holds, and remarks; its data are those in the folder.
+    """Return the comparison of a run folder, and remarks; its data are those in the folder.
 
     Raises `InvalidArgument` if it is no run, `ArtefactError` if its data are missing or damaged, `PluginError` if it
     names a plugin that is not trusted.
@@ -179,7 +178,7 @@ def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
 
 
 def comparison_in(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[str, ...]]:
-    """Return the comparison whose data stand in the folder ``run``, and remarks on what is damaged there.
+    """Return the comparison whose data are in the folder ``run``, and remarks on damaged files there.
 
     Raises `ArtefactError` if the data are missing or damaged.
     """
@@ -194,7 +193,7 @@ def comparison_in(experiment: Experiment, run: Path) -> tuple[Comparison, tuple[
 
 
 def check_experiment(experiment: Experiment) -> None:
-    """Raise what is wrong with the names and parameters of ``experiment``: all that needs no data to be read."""
+    """Raise errors in the names and parameters of ``experiment``: all checks that need no data."""
     check_settings(experiment, has_data=experiment.data is not None)
     robot = _robot(experiment, has_data=experiment.data is not None)
     if robot is not None:
@@ -208,9 +207,9 @@ def check_experiment(experiment: Experiment) -> None:
 
 
 def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return stored settings without what their preset brought, so that another preset brings its own.
+    """Return stored settings without the values of their preset, so that another preset applies its own.
 
-    Raises what the registry of models says about wrong names.
+    Raises the errors of the registry of models for wrong names.
     """
     experiment = Experiment.of(settings)
     budget = BUDGETS[experiment.preset].model_dump()
@@ -222,14 +221,14 @@ def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _constructible(evolution: ControllerEvolution) -> None:
-    """Make what can be made without a system, so that wrong values are found now."""
+    """Make everything that needs no system, so that wrong values are found now."""
     for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
         made(registry, spec)
     make_aggregate(evolution.aggregate)
 
 
 def _check_control(evolution: ControllerEvolution, system: System) -> None:
-    """Raise what keeps task, controller and strategy from ``system``, and say what can be done without them."""
+    """Raise if task, controller and strategy do not fit ``system``, with the alternative without controllers."""
     try:
         task = evolution.make_task(system)
     except IncompatibleTask as error:
@@ -240,9 +239,9 @@ def _check_control(evolution: ControllerEvolution, system: System) -> None:
 
 
 def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
-    """Return how far the states go in the recordings, else on the emulated robot; None if neither can be known yet.
+    """Return the range of the states in the recordings, else on the emulated robot; None if neither is known yet.
 
-    A robot that is too slow to be tried is not.
+    A robot that is too slow is not driven for this.
     """
     if dataset is not None:
         return recorded_state_range(dataset)
@@ -252,10 +251,10 @@ def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:
 
 
 SLOW = 1e-3
-"""Seconds of a step from which on a robot is not driven before a plan is shown: 1 s for two controls, 24 for five."""
+"""Duration of a step (s) from which a robot is not driven for a plan: 1 s for two controls, 24 s for five."""
 
-LONGEST_YARDSTICK = 600.0
-"""Seconds, about, that evolution on the robot itself may take to be part of a comparison without being asked for."""
+LONGEST_REFERENCE = 600.0
+"""Approximate time (s) up to which evolution on the robot itself is part of a comparison by default."""
 
 
 def _has_reference(experiment: Experiment, robot: Plant | None, remarks: list[str], *, recorded: bool) -> bool:
@@ -265,17 +264,17 @@ def _has_reference(experiment: Experiment, robot: Plant | None, remarks: list[st
     usual = recorded and experiment.budget.procedure == "recommended" and make_robot(robot.robot).dynamics is not None
     own = Evolve((robot,), evolution_on(experiment, (robot,)), experiment.seed)
     about = own.cell().expected_seconds if usual else 0.0
-    if about > LONGEST_YARDSTICK:
+    if about > LONGEST_REFERENCE:
         remarks.append(
             f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
             f"so this would take about {about / 3600.0:.1f} hours. Use --reference to do it anyway"
         )
-    return usual and about <= LONGEST_YARDSTICK
+    return usual and about <= LONGEST_REFERENCE
 
 
 @lru_cache(maxsize=64)
 def _farthest_driven(_factory: Callable[..., Any], robot: str) -> Array | None:
-    """Return how far the states go on ``robot``, once for all plans of a study; its factory tells namesakes apart."""
+    """Return the range of the states on ``robot``, once for all plans of a study; the factory is part of the key."""
     dynamics = make_robot(robot_spec(robot)).dynamics
     return None if dynamics is None else simulated_state_range(dynamics)
 
@@ -311,7 +310,7 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
     share = 0.0 if experiment.stop_after == "fit" and experiment.test is None else experiment.held_out
     split = HoldOut(experiment.test, share)
     if dataset is None and experiment.test is not None:
-        raise InvalidArgument("test: a robot that is recorded has no named episodes yet; give --data for that")
+        raise InvalidArgument("test: a recording that is still to be made has no named episodes; use --data for that")
     if share == 0.0 and experiment.test is None and experiment.stop_after != "fit":
         raise InvalidArgument("held_out: expected a share above 0, so that models can be tested")
     if dataset is None:
@@ -324,14 +323,14 @@ def _data(experiment: Experiment, robot: Spec | None, dataset: Dataset | None) -
         cases = measured_cases(parts.training, parts.test, PredictionProtocol())
         if not cases.horizons:
             raise InvalidData(
-                f"test: no model can be measured on the part held back: {cases.notes[0]}. "
+                f"test: no model can be evaluated on the held-out part: {cases.notes[0]}. "
                 "Record more, or name a longer episode with --test"
             )
     return GivenData(dataset, split).cell()
 
 
 def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
-    """Return how many conditions are left out in turn, 0 for none. Raises `InvalidArgument` if there is only one."""
+    """Return the number of conditions that are left out in turn, 0 for none. Raises `InvalidArgument` for only one."""
     if experiment.leave_out is None:
         return 0
     found = () if dataset is None else dataset.conditions
@@ -343,17 +342,17 @@ def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
     return len(found)
 
 
-def _by_hand(
+def _baselines(
     experiment: Experiment,
     evolution: ControllerEvolution,
     system: System,
     fits: Mapping[str, Cell[Fit]],
 ) -> tuple[ControllerCell, ...]:
-    """Return the cells of controllers that need no evolution. Raises why one cannot be made, or cannot do the task.
+    """Return the cells of controllers that need no evolution. Raises if one cannot be made, or cannot do the task.
 
-    Whether one can do the task with a model that is still to be fitted inside is found when it is made. Controls at
-    rest are among them, unless they are known to bring nothing: who is no better is of no use, and shares are measured
-    from there.
+    Controllers with a model inside that is still to be fitted are checked when they are made. Controls at rest are
+    included, unless their fitness is known to be zero: a controller that is no better is useless, and shares are
+    measured from there.
     """
     specs = check_labels(tuple(Spec.parse(text) for text in experiment.baselines))
     task = evolution.make_task(system)
@@ -428,24 +427,24 @@ ALL = "all"
 
 PAPER_FAMILIES = ("backprop27", "evolved3", "nearest_neighbour", "parametrised")
 OTHER_FAMILIES = (*PAPER_FAMILIES, "sindy", "narx", "mlp_ensemble")
-"""What is compared when no family is named; with the preset ``paper`` only the paper's own."""
+"""Families that are compared by default; with the preset ``paper`` only those of the paper."""
 TURNING_FAMILIES = ("backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble")
-"""What is compared where a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
+"""Default families if a state is periodic: those that predict well on the emulated pendulum and cart-pole."""
 DEFAULT_ENSEMBLES = (("evolved3", "nearest_neighbour"), ("backprop27", "nearest_neighbour", "parametrised"))
-"""The paper's two multi-model controllers, mm1c and, as far as its text says, mm2c."""
+"""The two multi-model controllers of the paper, mm1c and, as far as its text describes it, mm2c."""
 
 
 def asked_models(experiment: Experiment) -> tuple[Spec, ...] | None:
-    """Return the specs of the models that are asked for by name, None if the choice is left open."""
+    """Return the specs of the models that are named, None if the choice is left open."""
     if experiment.models is None or experiment.models == (ALL,):
         return None
     if not experiment.models:
-        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the usual ones")
+        raise InvalidArgument("models: expected at least one family, got none; leave --models out for the default ones")
     return check_labels(tuple(Spec.parse(text) for text in experiment.models))
 
 
 def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tuple[Spec, ...]:
-    """Return the specs of the models, complete with the preset; families by default that cannot run are remarks."""
+    """Return the specs of the models, complete with the preset; default families that cannot run give remarks."""
     asked = asked_models(experiment)
     if asked is not None:
         return tuple(_usable(spec, experiment.preset, system) for spec in asked)
@@ -453,7 +452,7 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
     if system.periods and usual is OTHER_FAMILIES and experiment.models is None:
         usual = TURNING_FAMILIES
         turning = ", ".join(channel.name for channel in system.states if channel.period)
-        remarks.append(f"evolved3 is left out: it predicts badly where {turning} comes round. Name it to have it")
+        remarks.append(f"evolved3 is left out: it predicts badly where {turning} wraps around. Name it to include it")
     found = []
     for name in models.names() if experiment.models == (ALL,) else usual:
         try:
@@ -461,19 +460,19 @@ def models_of(experiment: Experiment, system: System, remarks: list[str]) -> tup
         except (MissingExtra, IncompatibleSystem) as error:
             remarks.append(f"{name} is left out: {error}")
     if not found:
-        raise InvalidArgument(f"none of the usual families can be compared here: {'; '.join(remarks)}")
+        raise InvalidArgument(f"none of the default families can be compared here: {'; '.join(remarks)}")
     return tuple(found)
 
 
 def _usable(spec: Spec, preset: str, system: System) -> Spec:
-    """Return ``spec`` with its preset. Raises why it cannot be made, or cannot describe ``system``."""
+    """Return ``spec`` with its preset. Raises if it cannot be made, or cannot describe ``system``."""
     whole, model = made_model(spec, preset)
     model.check_system(system)
     return whole
 
 
 def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
-    """Return ``spec`` with its preset, and the model that it makes. Raises why it cannot be made here."""
+    """Return ``spec`` with its preset, and the model that it makes. Raises if it cannot be made here."""
     models.check(spec)
     lacking = models.missing_package(spec.name)
     if lacking is not None:
@@ -484,7 +483,7 @@ def made_model(spec: Spec, preset: str) -> tuple[Spec, DynamicsModel]:
 
 
 def ensembles_of(experiment: Experiment, labels: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
-    """Return the members of each ensemble; those that are asked for in two orders are one."""
+    """Return the members of each ensemble; ensembles that differ only in order are one."""
     if experiment.stop_after is not None:
         return ()
     if experiment.ensembles is None:
@@ -499,7 +498,7 @@ def _ensemble(text: str, labels: tuple[str, ...]) -> tuple[str, ...]:
     if len(members) < 2:
         raise InvalidArgument(
             f"ensemble {text!r}: expected two or more models joined by +, such as {'+'.join(labels[:2])}; "
-            "every model alone is compared anyway"
+            "every single model is compared anyway"
         )
     unknown = [member for member in members if member not in labels]
     if unknown:
@@ -519,7 +518,7 @@ def made(registry: Registry[Any], spec: Spec) -> Any:
 
 
 def with_preset(spec: Spec, preset: str) -> Spec:
-    """Return the spec of a model with what the preset of its family changes; its own parameters win."""
+    """Return the spec of a model with the values of its family's preset; its own parameters take precedence."""
     family: Any = models.get(spec.name)
     return spec.with_parameters(**family.presets.get(preset, {}))
 

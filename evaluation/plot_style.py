@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Colour:
-    """One colour by its ``name``; plots are drawn with the light form, the page swaps it where it is dark."""
+    """One colour by its ``name``; plots use the light form, and the page replaces it in dark mode."""
 
     name: str
     light: str
@@ -31,7 +31,7 @@ class Colour:
 
     @property
     def variable(self) -> str:
-        """The colour as the page's style sheet knows it."""
+        """The CSS variable of the colour."""
         return f"var(--{self.name})"
 
 
@@ -89,14 +89,14 @@ STYLE: dict[Any, Any] = {
 
 
 def style_sheet() -> str:
-    """Return the colours as CSS variables: dark ones on a screen that asks for them, light ones on paper."""
+    """Return the colours as CSS variables: dark ones on a screen in dark mode, light ones on paper."""
     light, dark = (" ".join(f"--{c.name}: {getattr(c, form)};" for c in THEME) for form in ("light", "dark"))
     return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw in the style of the report; names are never taken for mathematics."""
+    """Draw in the style of the report; names are never read as mathematical text."""
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
@@ -104,7 +104,7 @@ def style() -> Iterator[None]:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of that size in inches, laid out so that nothing overlaps."""
+    """Return an empty figure of that size in inches, with a layout without overlaps."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -119,13 +119,13 @@ def axes_or_new(ax: Axes | None, width: float = 7.0, height: float = 3.6) -> Axe
 
 
 def line_style(number: int) -> dict[str, Any]:
-    """Return colour and dashes of line ``number``: 24 that can be told apart."""
+    """Return colour and dashes of line ``number``, one of 24 combinations."""
     return {"color": COLOURS[number % len(COLOURS)], "linestyle": tuple(DASHES)[number // len(COLOURS) % len(DASHES)]}
 
 
 @dataclass(frozen=True)
 class Band:
-    """The interval ``low`` to ``high`` (n,) about the line called ``name``; what is drawn of it is a ``shape``."""
+    """The interval ``low`` to ``high`` (n,) of the line called ``name``; ``shape`` is its drawn form."""
 
     name: str
     low: Array
@@ -134,7 +134,7 @@ class Band:
 
 
 def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, *, color: str, alpha: float) -> None:
-    """Draw an interval (n,) about the line called ``name`` at the same places ``x`` (n,); `bands` finds it again."""
+    """Draw an interval (n,) around the line called ``name`` at the same places ``x`` (n,); `bands` finds it again."""
     from matplotlib.collections import PolyCollection
 
     known = np.isfinite(low) & np.isfinite(high)
@@ -150,7 +150,7 @@ def draw_band(ax: Axes, name: str, x: Array, low: Array, high: Array, *, color: 
 
 
 def bands(ax: Axes) -> dict[str, Band]:
-    """Return the intervals that `draw_band` put on ``ax``, by the name of their line."""
+    """Return the intervals that `draw_band` drew on ``ax``, by the name of their line."""
     return {band.name: band for shape in ax.collections if (band := vars(shape).get("band")) is not None}
 
 

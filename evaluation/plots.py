@@ -35,7 +35,7 @@ MARKS = (
 def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
     """Draw mean fitness (and standard deviation over trials) of every controller on every system.
 
-    A black frame marks the models a controller was evolved against; a line sets the robot apart.
+    A black frame marks the models a controller was evolved against; a line separates the robot.
     """
     from matplotlib.patches import Rectangle
 
@@ -113,7 +113,7 @@ REACH = 0.62
 """Rows over which the groups of one name are spread."""
 
 MeanAndInterval = tuple[float, float, float]
-"""A mean, and the low and high end of its interval; both are the mean where there is none."""
+"""A mean, and the low and high end of its interval; both equal the mean if there is none."""
 
 
 def plot_spreads(
@@ -149,7 +149,7 @@ def plot_spreads(
 
 
 def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") -> Axes:
-    """Draw best, mean and worst fitness of each generation, as the evolution saw them."""
+    """Draw best, mean and worst fitness of each generation of the evolution."""
     from matplotlib.ticker import MaxNLocator
 
     ax = axes_or_new(ax, 4.0, 2.8)
@@ -166,10 +166,11 @@ def plot_fitness(champion: Champion, ax: Axes | None = None, *, unit: str = "") 
 
 
 LOWEST_N = 1e-3
-"""The N from which on the axis is drawn, which is logarithmic."""
+"""Lowest N on the logarithmic axis."""
 
 OPAQUE = 0.13
 """How opaque an interval is drawn."""
+"""Opacity of an interval."""
 
 
 def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
@@ -215,10 +216,10 @@ def plot_free_run(
     seconds: tuple[float, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw one state channel as measured and as predicted in free run from the start of an episode.
+    """Draw one state channel as measured and as simulated from the start of an episode.
 
-    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three
-    half ranges of what was measured there are cut off. The models ``besides`` are drawn too, as far as they fit.
+    ``seconds`` is the part to show (default: 15 s from the first movement); values beyond three half ranges of the
+    measurement there are cut off. The models ``besides`` are drawn, too, if their values are in that range.
     """
     ax = axes_or_new(ax)
     cases = prediction.cases
@@ -261,7 +262,7 @@ def _continuous(system: System, states: Array, channel: int) -> Array:
 
 
 def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple[float, float]:
-    """Return the first and last second of ``length`` seconds from the first movement of a free run."""
+    """Return the first and last second of ``length`` seconds from the first movement of a simulation."""
     case, dt = prediction.cases.free_runs[run], prediction.cases.system.dt
     moving = np.flatnonzero(case.moving)
     offset = prediction.cases.protocol.first + 1
@@ -270,7 +271,7 @@ def excerpt(prediction: Prediction, run: int = 0, length: float = 15.0) -> tuple
 
 
 def model_style(prediction: Prediction, name: str) -> dict[str, Any]:
-    """Return how a model is drawn in every plot; persistence is grey."""
+    """Return the line style of a model, the same in every plot; persistence is grey."""
     if name == PERSISTENCE:
         return {"color": REFERENCE, "linestyle": "--"}
     return line_style([other for other in prediction.names if other != PERSISTENCE].index(name))
@@ -326,9 +327,9 @@ def plot_trace(trace: Trace, ax: Axes | None = None) -> Axes:
 
 
 def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None) -> Axes:
-    """Draw one state over time (blue), what it was to be (grey) and the tolerance about that.
+    """Draw one state over time (blue), its target (grey) and the tolerance around the target.
 
-    A periodic state is drawn within half a period of what it was to be, and its line breaks where it jumps.
+    A periodic state is drawn within half a period of its target, and its line breaks where it jumps.
     """
     ax = axes_or_new(ax, 3.4, 1.6)
     channel, values = system.states[place], trace.trajectory.states[:, place].copy()
@@ -352,22 +353,22 @@ def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None)
 
 
 SHOWN_STATES = 3
-"""States that are drawn of a trial without targets."""
+"""Number of states that are drawn for a trial without targets."""
 
 
 def plotted_states(trace: Trace, system: System) -> tuple[int, ...]:
-    """Return which states of a trial are drawn: those that were led to a target, else the first ones."""
+    """Return the states of a trial to draw: those with a target, else the first ones."""
     return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
 
 
 FAINTEST = 0.1
-"""The share, in per cent, from which on a cell is painted."""
+"""Share, in percent, from which a cell is coloured."""
 
 
 def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -> Axes:
-    """Draw the share of visited steps beyond what the data show, in per cent, by model and probe.
+    """Draw the share of visited steps beyond the limits of the data, in percent, by model and probe.
 
-    A last row shows held-out driving. Shares below 0.1 % stay white; the colours are logarithmic.
+    A last row shows held-out data. Shares below 0.1 % stay white; the colours are logarithmic.
     """
     names = [probe.name for probe in models[0].probes]
     rows = [model.model for model in models] + ["held-out data"]
@@ -393,7 +394,7 @@ def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -
 
 
 def _as_table(ax: Axes, columns: Sequence[str], rows: Sequence[str]) -> None:
-    """Name columns above and rows beside a heat map, without ticks, grid and frame."""
+    """Name columns above and rows next to a heat map, without ticks, grid and frame."""
     ax.set_xticks(range(len(columns)), columns)
     ax.set_yticks(range(len(rows)), rows)
     ax.xaxis.tick_top()

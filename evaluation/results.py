@@ -1,4 +1,4 @@
-"""All that a comparison found, as plain data; `evaluation.report` shows it."""
+"""Results of a comparison as plain data; `evaluation.report` shows them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from sysid_evo.system import System
 
 @dataclass(frozen=True, repr=False)
 class ComparisonResults(Displayed):
-    """Everything a comparison found. Parts that were not computed are None or empty.
+    """Results of a comparison. Parts that were not computed are None or empty.
 
-    ``failures`` are those outside ``prediction`` and ``matrix``, which hold their own. ``timings``
-    are in seconds and the only thing that differs between two equal runs. ``controllers`` gives the file
-    of each controller, relative to the folder of the run. ``conditions`` are the errors of each model within and
-    across conditions, if these were left out.
+    ``failures`` are those outside ``prediction`` and ``matrix``, which contain their own. ``timings`` are in seconds
+    and the only part that differs between two equal runs. ``controllers`` gives the file of each controller, relative
+    to the folder of the run. ``conditions`` are the errors of each model within and across conditions, if these were
+    left out.
     """
 
     title: str
@@ -52,14 +52,14 @@ class ComparisonResults(Displayed):
 
     @cached_property
     def transfer(self) -> TransferSummary | None:
-        """Claimed and achieved fitness of every controller, and which one to drive, by its forecast."""
+        """Claimed and achieved fitness of every controller, and the recommended one, by its forecast."""
         if self.matrix is None or not self.matrix.champions:
             return None
         return chosen_by(summarise(self.matrix), self.forecasts)
 
     @cached_property
     def forecasts(self) -> Mapping[str, Forecast]:
-        """What every controller is expected to achieve on the robot, by its name."""
+        """Expected fitness of every controller on the robot, by its name."""
         if self.matrix is None:
             return {}
         models = () if self.prediction is None else self.prediction.models
@@ -67,17 +67,17 @@ class ComparisonResults(Displayed):
 
     @cached_property
     def model_forecasts(self) -> Mapping[str, ModelForecast]:
-        """What controllers evolved in each model are expected to achieve, by the name of the model."""
+        """Expected fitness of controllers evolved in each model, by the name of the model."""
         return {} if self.matrix is None else model_forecasts(self.matrix, self.forecasts)
 
     @cached_property
-    def manners(self) -> tuple[DrivingSummary, ...]:
-        """How every controller goes about its task, on robots and where it was evolved."""
+    def driving_summaries(self) -> tuple[DrivingSummary, ...]:
+        """Behaviour of every controller, on robots and where it was evolved."""
         return () if self.matrix is None else driving_summaries(self.matrix)
 
     @property
     def all_failures(self) -> tuple[Failure, ...]:
-        """Everything that failed, in the order in which it would have been computed."""
+        """All failures, in the order of computation."""
         found = list(self.failures)
         if self.prediction is not None:
             found += [Failure(f"prediction of {m.name}", m.reason) for m in self.prediction.models if m.failed]
@@ -87,7 +87,7 @@ class ComparisonResults(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the data, the prediction test and its models have to say."""
+        """Notes on the data, the prediction test and its models."""
         found = list(self.data.notes)
         if self.prediction is not None:
             found += self.prediction.cases.notes
@@ -122,7 +122,7 @@ def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """One episode: ``duration`` in s, ``moving`` is the share of its samples that do not stand still."""
+    """One episode: ``duration`` in s, and ``moving``, the share of its samples in motion."""
 
     name: str
     steps: int
@@ -132,7 +132,7 @@ class EpisodeSummary:
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """One model: its family, how much prior ``knowledge`` it holds, and its hyper-parameters."""
+    """One model: its family, the amount of prior ``knowledge`` in it, and its hyper-parameters."""
 
     name: str
     family: str
@@ -147,7 +147,7 @@ class ModelSummary:
 
 @dataclass(frozen=True)
 class Failure:
-    """Something that could not be computed, and why; the rest of the report does without it."""
+    """A step that failed, and why; the report is made without it."""
 
     what: str
     reason: str

@@ -1,4 +1,4 @@
-"""One controller evolved, or one exploit searched, on members of a run: its plan and its result."""
+"""Evolution of one controller, or search for one exploit, on members of a run: its plan and its result."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ from sysid_evo.tasks.task import make_task
 CLAIM_TRIALS = 100
 
 TRIALS = 10
-"""Trials in each model that show where a controller drives."""
+"""Number of trials in each model that show where a controller drives."""
 
 
 @dataclass(frozen=True)
 class EvolutionPlan:
-    """The cell of a controller against ``columns``, those of its claims there, and on the run's other models.
+    """Cells of a controller against ``columns``, of its claims there, and of its runs on the run's other models.
 
-    ``remarks`` say why its task cannot be done well there, in sentences.
+    ``remarks`` are sentences on limits of its task there.
     """
 
     columns: tuple[Plant, ...]
@@ -63,10 +63,10 @@ class EvolutionPlan:
 
 @dataclass(frozen=True)
 class EvolutionResult:
-    """What became of an evolution: the claims by column, their unit, and the forecast, None where there is none.
+    """Result of an evolution: the claims by column, their unit, and the forecast, None if there is none.
 
-    ``chosen`` is from how many finalists the controller was chosen by their forecasts, 0 where it was not. ``remarks``
-    say what to record next.
+    ``chosen`` is the number of finalists that the controller was chosen from by their forecasts, 0 if it was not.
+    ``remarks`` advise what to record next.
     """
 
     claims: Mapping[str, TransferResult]
@@ -77,20 +77,20 @@ class EvolutionResult:
 
     @property
     def forecast_sentence(self) -> str:
-        """What is expected on the robot, by how many models, and how many finalists were chosen from by that."""
+        """The expected fitness on the robot, with the number of models and of finalists, in words."""
         if self.forecast is None:
             return ""
         found = self.forecast
         size = f"{with_interval(found.value, found.low, found.high)} {self.unit}".rstrip()
-        among = f"; it was chosen among {self.chosen} finalists by their forecasts" if self.chosen > 1 else ""
+        among = f"; chosen from {self.chosen} finalists by their forecasts" if self.chosen > 1 else ""
         return f"Forecast for the robot, by {len(found.weights)} models: {size}{among}"
 
 
 def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str]) -> EvolutionPlan:
-    """Return the plan of a controller against ``members`` of a run, its claims, and the forecast of it elsewhere.
+    """Return the plan of a controller against ``members`` of a run, of its claims, and of its forecast elsewhere.
 
-    What is evolved on a robot is run nowhere else: there is nothing to forecast. Nothing is computed. Raises what
-    `find_column` and `check_evolution` do.
+    A controller evolved on a robot is run nowhere else and has no forecast. Nothing is computed. Raises the errors of
+    `find_column` and `check_evolution`.
     """
     columns = tuple(find_column(store, member) for member in members)
     experiment = with_task(experiment, [column.robot for column in columns])
@@ -113,7 +113,7 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
-    """Return what ``store`` has of an evolution whose controller is there."""
+    """Return the results in ``store`` of an evolution whose controller is there."""
     champion, columns = store.outcome(planned.champion).value, planned.columns
     claims = {
         cell.settings.column.label: claim for cell in planned.claims if (claim := store.outcome(cell).value) is not None
@@ -133,7 +133,7 @@ def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:
 
 
 def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -> Forecast | None:
-    """Return the forecast of ``champion`` by what ``store`` has of its ``runs`` in models, None for fewer than two."""
+    """Return the forecast of ``champion`` from its ``runs`` in models that ``store`` has, None for fewer than two."""
     found = {
         run.settings.column.label: (run.settings.column, cell)
         for run in runs
@@ -154,7 +154,7 @@ def forecast_from(store: Store, champion: Champion, runs: Sequence[Cell[Run]]) -
 
 
 def _what_to_record(champion: Champion, models: Mapping[str, Dynamics]) -> tuple[Remark, ...]:
-    """Return where ``champion`` drives outside the data of the first of ``models`` that was fitted to some."""
+    """Return remarks on where ``champion`` leaves the data of the first of ``models`` that was fitted to data."""
     fitted = [
         model for model in models.values() if isinstance(model, DynamicsModel) and hasattr(model, "training_sample_")
     ]
@@ -167,7 +167,7 @@ def _what_to_record(champion: Champion, models: Mapping[str, Dynamics]) -> tuple
 
 
 def _driven(champion: Champion, models: Mapping[str, Dynamics]) -> Iterator[Trajectory]:
-    """Yield what ``champion`` drives in those of ``models`` that were fitted to data."""
+    """Yield the trials of ``champion`` in those of ``models`` that were fitted to data."""
     task, law, seeds = make_task(champion.task), make_controller(champion.controller), transfer_seeds(0, TRIALS)
     for label, model in models.items():
         if isinstance(model, DynamicsModel):
@@ -176,7 +176,7 @@ def _driven(champion: Champion, models: Mapping[str, Dynamics]) -> Iterator[Traj
 
 
 def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:
-    """Return what the controller in a file of a run drives in the models that it was evolved in.
+    """Return trials of the controller in a file of a run, in the models that it was evolved in.
 
     Raises `InvalidArgument` if they are not in its run, `IncompatibleSystem` if it drives another ``system``.
     """
@@ -185,7 +185,7 @@ def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:
     folder = run_of_controller(controller)
     if folder is None:
         raise InvalidArgument(
-            f"--controller: expected a file in controllers/ of a run, which holds its models too, got {controller}"
+            f"--controller: expected a file in controllers/ of a run that contains its models, too, got {controller}"
         )
     store = Store(folder)
     return tuple(
@@ -195,7 +195,7 @@ def driven_by(controller: Path, system: System) -> tuple[Trajectory, ...]:
 
 @dataclass(frozen=True)
 class ExploitPlan:
-    """The cell of a controller that gains most in the model ``target``, and the models that it is compared with."""
+    """The cell of a controller that gains most in the model ``target``, and the models for comparison."""
 
     target: Plant
     others: tuple[Plant, ...]
@@ -214,9 +214,9 @@ def plan_exploit(experiment: Experiment, store: Store, model: str) -> ExploitPla
 def exploit_result(
     planned: ExploitPlan, store: Store, *, seed: int, robot: str | None = None
 ) -> tuple[TransferMatrix, ModelExploitability | None]:
-    """Run the controller everywhere, and look at what it does in the model with the data that it was fitted to.
+    """Run the controller everywhere, and assess its behaviour in the model with the data that it was fitted to.
 
-    ``robot`` names an emulated one to run it on, too. Of a model whose data are not in the run there is no assessment.
+    ``robot`` names an emulated robot to run it on, too. There is no assessment if the model's data are not in the run.
     """
     target = planned.target
     columns = (target, *planned.others, *(() if robot is None else (find_column(store, robot),)))

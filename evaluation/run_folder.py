@@ -1,4 +1,4 @@
-"""The layout of a run folder: is it one, the newest, what is in it, what can be deleted."""
+"""The layout of a run folder: check, newest run, content, unneeded files."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from sysid_evo.plan import CHECKPOINT, Store
 
 
 def check_run_folder(out: str | Path | None) -> Path:
-    """Return ``out``, or a new ``runs/<time>``, if it can be written and is new, empty or a run; nothing is made.
+    """Return ``out``, or a new ``runs/<time>``, if it can be written and is new, empty or a run; nothing is created.
 
     Raises `InvalidArgument`.
     """
     folder = Path(out) if out is not None else Path("runs") / time.strftime("%Y-%m-%d_%H-%M-%S")
-    standing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not standing.is_dir():
-        raise InvalidArgument(f"--out: expected a folder, but {standing} is a file")
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise InvalidArgument(f"--out: expected a folder, but {existing} is a file")
     try:
-        with tempfile.TemporaryFile(dir=standing):
-            inside = sorted(path.name for path in folder.iterdir()) if standing == folder else []
+        with tempfile.TemporaryFile(dir=existing):
+            inside = sorted(path.name for path in folder.iterdir()) if existing == folder else []
     except OSError as error:
         raise InvalidArgument(
             f"--out: expected a folder that can be written, got {folder}: {error.strerror}"
         ) from error
     if inside and not is_run(folder):
         raise InvalidArgument(
-            f"--out: expected a new folder, an empty one, or a run; {folder} holds {inside[0]!r} and is no run"
+            f"--out: expected a new folder, an empty one, or a run; {folder} contains {inside[0]!r} and is no run"
         )
     return folder
 
@@ -41,31 +41,31 @@ def is_run(folder: Path) -> bool:
 
 
 def seed_of_run(run: Path | None) -> int:
-    """Return the seed of the experiment in a run folder, 0 if there is none: everybody meets the same trials."""
+    """Return the seed of the experiment in a run folder, 0 if there is none, so that all use the same trials."""
     if run is None or not (run / FILE).is_file():
         return 0
     return Experiment.of(Experiment.read(run)).seed
 
 
 CHOSEN = "recommended"
-"""The file in ``controllers`` that holds a copy of the controller to take, under its own name."""
+"""The file in ``controllers`` with a copy of the recommended controller, under its own name."""
 
 
 def run_of_controller(controller: Path) -> Path | None:
-    """Return the run folder that a controller's file lies in, if it does."""
+    """Return the run folder of a controller's file, if it is in one."""
     folder = controller.resolve().parent
     return folder.parent if folder.name == "controllers" else None
 
 
 def latest_run_folder(run: Path | None) -> Path:
-    """Return ``run``, or the newest folder in ``runs/`` that holds models. Raises `InvalidArgument`."""
+    """Return ``run``, or the newest folder in ``runs/`` that contains models. Raises `InvalidArgument`."""
     if run is not None:
         if not run.is_dir():
             raise InvalidArgument(f"--run: expected a run folder, found none at {run}")
         return run
     found = sorted(Path("runs").glob("*/models"), key=lambda path: path.stat().st_mtime)
     if not found:
-        raise InvalidArgument("no run folder given, and runs/ holds none with models: fit some first, or use --run")
+        raise InvalidArgument("no run folder given, and runs/ has none with models: fit some first, or use --run")
     return found[-1].parent
 
 
@@ -76,7 +76,7 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def store_of_run(run: Path) -> Store:
-    """Return what is in a run folder. Raises `InvalidArgument` if it is none."""
+    """Return the store of a run folder. Raises `InvalidArgument` if it is none."""
     if not is_run(run):
         raise InvalidArgument(f"expected a run folder, found none at {run}")
     return Store(run)
@@ -89,7 +89,7 @@ def settings_of_run(run: Path) -> dict[str, Any]:
 
 
 def summary_of_run(run: Path) -> dict[str, Any]:
-    """Return how many cells ended how, how long they took, which models were fitted, and whether there is a report."""
+    """Return the number of cells by state, their duration, the fitted models, and whether there is a report."""
     records = store_of_run(run).records()
     return {
         "run": str(run),
@@ -102,10 +102,10 @@ def summary_of_run(run: Path) -> dict[str, Any]:
 
 
 def unneeded_files(run: Path) -> list[Path]:
-    """Return the files in a run folder that no finished cell needs. Raises `InvalidArgument` while one is computed."""
+    """Return the files in a run folder that no finished cell needs. Raises `InvalidArgument` during a computation."""
     store = store_of_run(run)
     if store.busy():
-        raise InvalidArgument(f"{run}: a process is computing in this run; wait for its end")
+        raise InvalidArgument(f"{run}: a process is computing in this run; wait until it has finished")
     kept = {name for record in store.records() if record.status == "done" for name in record.files}
     return [
         file

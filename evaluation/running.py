@@ -42,13 +42,12 @@ def compare(
     progress: Progress | bool | None = None,
     **settings: Unpack[Settings],
 ) -> ComparisonResults:
-    """Fit models, evolve controllers in them, and compare both; return the report.
+    """Fit models, evolve controllers in them, and compare both; return the results.
 
-    ``data`` is a data set or where its logs are; without it an emulated car is recorded. ``out`` is the
-    run folder, where results are kept and found again (default: a new ``runs/<time>``); the report is
-    written there too. Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler``
-    have room for, see `execute`. ``progress`` is called with the state of the cells, True shows a bar. ``settings`` are
-    those of `Experiment`::
+    ``data`` is a data set or the path of its logs; without it an emulated car is recorded. ``out`` is the run folder,
+    in which results are stored and reused, and the report is written (default: a new ``runs/<time>``). Up to ``jobs``
+    cells are computed in parallel, or as many as the workers of a ``scheduler`` have room for, see `execute`.
+    ``progress`` is called with the state of the cells, True shows a bar. ``settings`` are those of `Experiment`::
 
         from evaluation import compare
 
@@ -63,7 +62,7 @@ def compare(
         )
         print(report)
 
-    Raises what `plan_comparison` does, before any work.
+    Raises the errors of `plan_comparison`, before any work.
     """
     folder = check_run_folder(out)
     dataset, asked = data if isinstance(data, Dataset) else None, dict(settings)
@@ -106,7 +105,7 @@ def _observed(observer: Observer | None, progress: Progress | bool | None, title
 
 
 class _CellCounter(Observer):
-    """Tells a `Progress` how many cells of a plan are done, and how far the present one is."""
+    """Reports to a `Progress` the number of finished cells of a plan, and the progress of the present one."""
 
     def __init__(self, report: Progress) -> None:
         self._report, self._done, self._cells = report, 0, 0
@@ -130,9 +129,9 @@ def _storable(value: Any) -> Any:
 
 
 def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> ComparisonResults:
-    """Return the report of what ``store`` holds, and write it into the run folder.
+    """Return the results in ``store``, and write their report into the run folder.
 
-    A page that shows just that already is drawn again only if it is wanted ``afresh``.
+    A page that shows these results already is drawn again only if ``afresh``.
     """
     report = gather_results(comparison, store)
     results = [(cell.digest, None if record is None else (record.status, record.files))
@@ -145,7 +144,7 @@ def report_of(comparison: Comparison, store: Store, *, afresh: bool = False) -> 
 def _copy_chosen(report: ComparisonResults, store: Store) -> None:
     """Copy the chosen controller to ``controllers/recommended``, and remove an earlier copy if none is chosen.
 
-    A controller of the run that has this name itself is not touched.
+    A controller of the run with this name is not changed.
     """
     copy = store.path / "controllers" / CHOSEN
     if f"controllers/{CHOSEN}.json" in {name for record in store.records() for name in record.files}:
@@ -177,7 +176,7 @@ def report_again(comparison: Comparison, store: Store, *, written: bool = True) 
 
 
 def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
-    """Return what ``store`` knows of ``comparison``; what was not computed is told as a failure.
+    """Return the results of ``comparison`` in ``store``; cells that were not computed are listed as failures.
 
     Raises `InvalidData` if there are no data, or no model was fitted.
     """
@@ -217,11 +216,11 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
 
 
 HELD_BY_THE_MATRIX = ("run",)
-"""Kinds of cells whose failures the transfer matrix tells itself."""
+"""Kinds of cells whose failures are listed in the transfer matrix."""
 
 
 def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
-    """Return where the file of each controller stands, relative to the run folder."""
+    """Return the path of the file of each controller, relative to the run folder."""
     if comparison.matrix is None:
         return {}
     return {
@@ -232,7 +231,7 @@ def _controllers(comparison: Comparison, store: Store) -> dict[str, str]:
 
 
 def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
-    """Return the prediction errors of all models, those that failed with their reason."""
+    """Return the prediction errors of all models; failed ones have a reason."""
     if not comparison.predictions:
         return None
     parts = store.outcome(comparison.data).value
@@ -248,7 +247,7 @@ def _prediction(comparison: Comparison, store: Store) -> Prediction | None:
 
 
 def _failures(comparison: Comparison, store: Store) -> list[Failure]:
-    """Return the cells that failed themselves; those that only needed one of them are left out."""
+    """Return the cells that failed themselves, without those that only needed one of them."""
     found = []
     for cell in comparison.plan:
         record = store.find(cell.digest)
@@ -269,10 +268,10 @@ def run_study(
     scheduler: Scheduler | None = None,
     progress: Progress | bool | None = None,
 ) -> StudyResults:
-    """Compute what is missing of a study and return what was found; it is written into the folder ``out``, too.
+    """Compute the missing cells of a study and return its results, which are also written into the folder ``out``.
 
     ``study`` is a `Study`, its file, or its settings. ``out`` is ``runs/<name of the file>`` if it is left out.
-    Up to ``jobs`` cells are computed side by side, or those that the workers of a ``scheduler`` have room for.
+    Up to ``jobs`` cells are computed in parallel, or as many as the workers of a ``scheduler`` have room for.
     ``progress`` is called with the state of the cells, True shows a bar::
 
         from evaluation import run_study
@@ -284,7 +283,7 @@ def run_study(
         }, out="runs/two_families")
         print([(row.point, row.controller, row.achieved) for row in found.controllers])
 
-    Raises what `plan_study` does, before any work.
+    Raises the errors of `plan_study`, before any work.
     """
     found = study if isinstance(study, Study) else Study.of(study) if isinstance(study, Mapping) else Study.read(study)
     if out is None and not isinstance(study, (str, Path)):
@@ -303,7 +302,7 @@ def study_folder(out: str | Path | None, file: Path) -> Path:
 
 
 def write_study(planned: PlannedStudy, folder: Path) -> StudyResults:
-    """Return what stands in ``folder``, and write tables, document and page there."""
+    """Return the results in ``folder``, and write tables, document and page there."""
     results = gather_study(planned, folder)
     save_parquet(results, folder)
     save_study(results, folder)

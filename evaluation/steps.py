@@ -1,4 +1,4 @@
-"""Single steps of trajectories: state, control, next state, and how long the control was held."""
+"""Single steps of trajectories: state, control, next state, and how long the control has been held."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from sysid_evo.types import Array, BoolArray, IntArray
 class Steps:
     """N steps of ``system``: ``control`` (N, nu) led from ``before`` to ``after``, (N, nx) each.
 
-    ``held`` (N,) counts for how many steps the command has been the same, this one included: 1 is the first of a new
-    command, 0 one before which no other is known; ``previous`` (N,) for how many steps the one before it was held, a
-    run's first command from its beginning on. ``jump`` (N, nx) is the acceleration less that of the step before, 0
-    where there is none. All are 0 for steps that are given without their past.
+    ``held`` (N,) is the number of steps with the same command up to this one: 1 is the first of a new command, 0 one
+    before the first change. ``previous`` (N,) is the number of steps with the command before it, counted from the start
+    of the run for its first command. ``jump`` (N, nx) is the acceleration minus that of the step before, 0 if there is
+    none. All are 0 for steps without their past.
     """
 
     system: System
@@ -46,7 +46,7 @@ class Steps:
 
     @classmethod
     def of(cls, system: System, trajectories: Iterable[Trajectory]) -> Steps:
-        """Take every step of ``trajectories``."""
+        """Return every step of ``trajectories``."""
         all_of = list(trajectories)
         none_x, none_u = np.empty((0, system.nx)), np.empty((0, system.nu))
         none, counted = np.empty(0, dtype=np.int64), [_counted(t.controls) for t in all_of]
@@ -62,7 +62,7 @@ class Steps:
         )
 
     def thinned(self, most: int) -> Steps:
-        """Return at most so many of them, evenly spread."""
+        """Return at most ``most`` of them, evenly spread."""
         if len(self) <= most:
             return self
         rows = evenly_spaced(len(self), most, nearest=True)
@@ -70,7 +70,7 @@ class Steps:
 
     @classmethod
     def moving(cls, dataset: Dataset) -> Steps:
-        """Take the steps of ``dataset`` that start from a moving sample. Raises `InvalidData` if none does."""
+        """Return the steps of ``dataset`` that start in motion. Raises `InvalidData` if none does."""
         return cls.of(dataset.system, dataset.episodes)[cls.rows_moving(dataset)]
 
     def __getitem__(self, rows: BoolArray | IntArray | slice) -> Steps:
@@ -87,10 +87,10 @@ class Steps:
 
     @staticmethod
     def rows_moving(dataset: Dataset) -> BoolArray:
-        """Return which steps of ``dataset`` (N,) start from a moving sample. Raises `InvalidData` if none does."""
+        """Return which steps of ``dataset`` (N,) start in motion. Raises `InvalidData` if none does."""
         rows = np.concatenate([moving[:-1] for moving in dataset.moving])
         if not rows.any():
-            raise InvalidData("data set: expected some steps that move, all of it stands still")
+            raise InvalidData("data set: expected steps in motion, but nothing moves in it")
         return rows
 
     @cached_property
@@ -100,17 +100,17 @@ class Steps:
 
     @cached_property
     def off_neutral(self) -> Array:
-        """How far each state is from neutral, (N, nx), the shortest way round where it is periodic."""
+        """Difference of each state from neutral, (N, nx), the shortest way round for periodic states."""
         return self.system.difference(self.before, np.broadcast_to(self.system.neutral_state, self.before.shape))
 
     @cached_property
     def acceleration(self) -> Array:
-        """The change of each state per second, (N, nx), without the rotation of the frame."""
+        """Change of each state per second, (N, nx), without the rotation of the frame."""
         return self.system.acceleration(self.before, self.after)
 
     @property
     def pairs(self) -> Array:
-        """State and control of each step, (N, n + nu); sine and cosine stand for a periodic state."""
+        """State and control of each step, (N, n + nu), with sine and cosine of periodic states."""
         return np.concatenate([self.system.regressors(self.before), self.control], axis=1)
 
     def distances(self, support: Support) -> Array:
@@ -126,7 +126,7 @@ class Steps:
         """The steps by role. Raises `InvalidData` unless the system is a planar body."""
         motion = self.system.motion
         if not isinstance(motion, PlanarBody):
-            raise InvalidData(f"expected the steps of a planar body, {self.system.name or 'this system'} is none")
+            raise InvalidData(f"expected the steps of a planar body, which {self.system.name or 'this system'} is not")
         forward, lateral, yaw_rate = motion.indices(self.system.state_names)
         change, zero = self.acceleration, np.zeros(len(self))
         return PlanarSteps(
@@ -159,8 +159,8 @@ def _counted(controls: Array) -> tuple[IntArray, IntArray]:
 class PlanarSteps:
     """N steps of a planar body by role, (N,) each, at their start; speeds in m/s and rad/s.
 
-    A system without lateral speed has zeros. Accelerations (m/s^2, rad/s^2) have the rotation of
-    the body frame taken out. ``held`` and ``idle`` are those of `Steps`.
+    A system without lateral speed has zeros. Accelerations (m/s^2, rad/s^2) are without the rotation of the body
+    frame. ``held`` and ``idle`` are those of `Steps`.
     """
 
     forward_speed: Array
@@ -179,10 +179,10 @@ class PlanarSteps:
 
 
 def training_support(training: Dataset) -> Support:
-    """Return where the steps of ``training`` lie; scale and limit are those of its moving ones.
+    """Return the region of the steps of ``training``; scale and limit are those of its steps in motion.
 
-    By definition 1 % of them are outside, each left out in turn; neighbours in time make the limit a tight one, so
-    compare with the share of held-out driving. Raises `InvalidData` with fewer than two steps, or if none moves.
+    By definition 1 % of them are outside, each left out in turn. Neighbours in time make the limit a tight one, so
+    compare shares with that of held-out data. Raises `InvalidData` with fewer than two steps, or if nothing moves.
     """
     steps = Steps.of(training.system, training.episodes)
     if len(steps) < 2:

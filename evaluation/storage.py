@@ -1,7 +1,7 @@
-"""Results on disk: any data class of numbers, texts and arrays, as strict JSON and a file of tensors beside it.
+"""Results on disk: any data class of numbers, texts and arrays, as strict JSON and a file of tensors next to it.
 
-Arrays stand among the tensors under the names of their places in the data class, such as ``at.0.rmse``. The JSON holds
-null for them, and for numbers that are not finite. Reading checks every value against the type of its field.
+Arrays are among the tensors, named by their places in the data class, such as ``at.0.rmse``. The JSON has null for
+them, and for numbers that are not finite. Reading checks every value against the type of its field.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ R = TypeVar("R")
 
 
 def save_result(value: Any, path: Path) -> list[Path]:
-    """Write a data class, or a tuple of some, to ``path`` with one suffix, with two if it has arrays; return the files.
+    """Write a data class, or a tuple of some, to ``path`` with one suffix, or two if it has arrays; return the files.
 
-    Raises `InvalidData` for what is neither a number, a text, an array, nor a data class, tuple or mapping of these.
+    Raises `InvalidData` for anything but numbers, texts, arrays, and data classes, tuples or mappings of these.
     """
     arrays: dict[str, Array] = {}
     text = json.dumps(plain(value, arrays), allow_nan=False)
@@ -42,12 +42,12 @@ def save_result(value: Any, path: Path) -> list[Path]:
 
 
 def result_of(kind: Any) -> ResultType:
-    """Return how the results of cells are stored that are a ``kind``, see `save_result`."""
+    """Return the storage of cell results of type ``kind``, see `save_result`."""
     return ResultType("results", lambda value, path, _: save_result(value, path), partial(load_result, kind))
 
 
 def load_result(kind: type[R], path: Path) -> R:
-    """Read what `save_result` wrote of a ``kind``, such as ``tuple[ModelExploitability, ...]``.
+    """Read a result of type ``kind``, such as ``tuple[ModelExploitability, ...]``, written by `save_result`.
 
     Raises `ArtefactError` that names the file and the field.
     """
@@ -61,10 +61,10 @@ def load_result(kind: type[R], path: Path) -> R:
 
 
 def plain(value: Any, arrays: dict[str, Array] | None = None, place: str = "") -> Any:
-    """Return ``value`` made of dicts, lists, strings, finite numbers, booleans and None alone.
+    """Return ``value`` as dicts, lists, strings, finite numbers, booleans and None alone.
 
-    Arrays are lists, or put into ``arrays`` under the names of their places. A class may say its own form, `to_dict`.
-    Of what else there is the text is taken; with ``arrays``, for what is to be read again, it is `InvalidData`.
+    Arrays become lists, or are put into ``arrays`` under the names of their places. A class may define its own form,
+    `to_dict`. Other values become their text; with ``arrays``, for values to be read again, they raise `InvalidData`.
     """
     if isinstance(value, np.ndarray):
         if arrays is None:
@@ -91,9 +91,9 @@ def plain(value: Any, arrays: dict[str, Array] | None = None, place: str = "") -
 
 
 def from_plain(kind: Any, value: Any, arrays: Mapping[str, Array] | None = None, place: str = "") -> Any:
-    """Return what `plain` made ``value`` and ``arrays`` of, of type ``kind``; without ``arrays`` they are lists.
+    """Return the value of type ``kind`` that `plain` converted to ``value`` and ``arrays``, or to lists without them.
 
-    Raises `InvalidData` that names the field, what it should hold and what it holds.
+    Raises `InvalidData` that names the field, the expected value and the value found.
     """
     origin, parts = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):  # always with None

@@ -1,7 +1,7 @@
 """Whether the evidence for a figure suffices: enough test data, and better than a trivial prediction or controller.
 
-Verdict, tables, plots, report.json and advice all ask here. Without enough evidence a figure gets no star, no interval
-and no recommendation.
+Verdict, tables, plots, report.json and advice all use these functions. Without enough evidence a figure gets no star,
+no interval and no recommendation.
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ def none_beats_rest(matrix: TransferMatrix) -> bool:
 
 
 GUESSED, MOSTLY_GUESSED = 0.1, 0.5
-"""Shares of the time outside the data that make a forecast a guess.
+"""Shares of the time outside the data that make a forecast an extrapolation.
 
-The first if it is also three times the share of held-out driving, the second always. Round numbers, not measured.
+The first if it is also three times the share in held-out data, the second always. Round numbers, not measured.
 """
 
 
@@ -140,8 +140,8 @@ def guessed_share(models: Sequence[ModelExploitability], controller: str) -> flo
 
 
 def guess_warning(models: Sequence[ModelExploitability], controller: str) -> str:
-    """Return a sentence if the forecast of a controller is a guess, else an empty text."""
+    """Return a sentence if the forecast of a controller is an extrapolation, else an empty text."""
     share = guessed_share(models, controller)
     return (
-        "" if share is None else f"{percent(share)} of its time lies outside the data: there its forecast is a guess."
+        "" if share is None else f"{percent(share)} of its time is outside the data: its forecast is an extrapolation."
     )

@@ -1,4 +1,4 @@
-"""Advice: what limits a recording or a model, in sentences with numbers, and what to record next."""
+"""Advice: sentences with numbers on what limits a recording or a model, and what to record next."""
 
 from evaluation.advice.advise import MOST, advise_model, advise_recording, ranked
 from evaluation.advice.evidence import Evidence, ModelAdvice, Recordings, Remark

@@ -1,4 +1,4 @@
-"""What limits a recording or a fitted model, and what to record next: one list, the most important first."""
+"""Remarks on what limits a recording or a fitted model, and what to record next, the most important first."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
 
 MOST = 5
-"""Remarks that are made at most: a list that is longer is not read."""
+"""Maximum number of remarks: longer lists are not read."""
 
 FEWEST = 20
-"""Windows of the part held back below which there is nothing to judge on."""
-HELD_BACK = 0.25
-"""Share of the end of each episode that a copy is judged on where there is no test part."""
+"""Minimum number of held-out windows needed to evaluate a model."""
+HELD_OUT_SHARE = 0.25
+"""Share of each episode, at its end, on which a refitted copy is evaluated if there is no test part."""
 NEGLIGIBLE = 0.05
-"""N at the main horizon up to which a model is not limited by anything that is worth a word."""
+"""Error N at the main horizon up to which only the topics of `EVEN_THEN` are reported."""
 EVEN_THEN = ("noise", "excitation", "outside the data", "test part", "dead command")
-"""What is said of such a model all the same: that little is left to gain, and where the data do not lie."""
+"""Topics that are reported even for such an accurate model: the noise floor and missing data."""
 EXPLAINS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
@@ -46,11 +46,13 @@ EXPLAINS = {
     "excitation": ("outside the data",),
     "few data": ("length",),
 }
-"""What follows from what, and what says the same less well: a recording that differs leaves errors that are not white;
-one that is driven otherwise seems to differ where the model is wrong anyway; noise is only called so where nothing that
-could be known explains it; a place of one or two channels is simpler than a box of all."""
+"""Topics that a topic explains; the explained ones are left out.
+
+A recording that differs makes residuals correlated. A model of the wrong form makes recordings with other controls seem
+to differ. An error counts as noise only if nothing else explains it. A region of one or two channels is simpler than a
+box of all channels."""
 BY_INTERVAL = ("shift", "overfit", "few data", "weak region")
-"""Remarks that rest on a block-bootstrap interval; they are left out where there are too few blocks."""
+"""Remarks based on a block-bootstrap interval; left out if there are too few blocks."""
 OF_PLACES: tuple[Callable[[Recordings], Remark | None], ...] = (
     missing_excitation,
     other_states,
@@ -69,7 +71,7 @@ OF_MODELS: tuple[Callable[[Evidence], Remark | None], ...] = (
 
 
 def ranked(remarks: Iterable[Remark | None]) -> tuple[Remark, ...]:
-    """Return the ``remarks`` that no other explains, the most important first."""
+    """Return the ``remarks`` that no other remark explains, the most important first."""
     made = [remark for remark in remarks if remark is not None]
     explained = {topic for remark in made for topic in EXPLAINS.get(remark.topic, ())}
     return tuple(sorted((one for one in made if one.topic not in explained), key=lambda remark: -remark.weight))
@@ -78,10 +80,10 @@ def ranked(remarks: Iterable[Remark | None]) -> tuple[Remark, ...]:
 def advise_recording(
     dataset: Dataset, quality: RecordingQuality | None = None, *, visited: Iterable[Trajectory] = ()
 ) -> tuple[Remark, ...]:
-    """Say what limits the models that will be fitted to ``dataset``, and what to record next: `ranked` remarks.
+    """Return `ranked` remarks on what limits models fitted to ``dataset``, and what to record next.
 
-    ``quality`` is that of the recording, with its logs if their time stamps are to be looked at. ``visited`` is what
-    controllers do in models and on robots.
+    ``quality`` is the quality of the recording, with its logs if their time stamps are to be checked. ``visited`` are
+    trajectories of controllers in models and on robots.
     """
     where = Recordings(training=dataset, visited=Steps.of(dataset.system, visited) or None, known=quality)
     return ranked(look(where) for look in (*CHECKS, late_answers, outside_the_data, *OF_PLACES))
@@ -96,11 +98,11 @@ def advise_model(
     name: str = "",
     seed: int = 0,
 ) -> ModelAdvice:
-    """Say what limits a fitted ``model`` and what to record next, at most five sentences: `ranked` remarks.
+    """Return at most five `ranked` remarks on what limits a fitted ``model``, and what to record next.
 
-    ``test`` are recordings that it has not learned from. Without them a copy is fitted to three quarters of each
-    episode and judged on the rest, if the family is `DynamicsModel.fast_fit`; any other is judged on its own training
-    data. ``visited`` is what controllers do in models and on robots.
+    ``test`` are recordings that it was not fitted to. Without them, families with `DynamicsModel.fast_fit` are refitted
+    to the first three quarters of each episode and evaluated on the rest; others are evaluated on their own training
+    data. ``visited`` are trajectories of controllers in models and on robots.
     """
     name = name or type(model).__name__
     where = Evidence(
@@ -113,10 +115,10 @@ def advise_model(
     )
     evaluated_on = "the test part"
     if test is None:
-        where, evaluated_on = _held_back(where, seed)
+        where, evaluated_on = _held_out(where, seed)
     if not where.varying.any():
-        said = f"No state varies in the data that {name} is judged on: nothing can be said of it. Excite the controls."
-        return ModelAdvice(name, evaluated_on, (Remark("variation", said, 1.0),))
+        sentence = f"No state varies in the data that {name} is evaluated on: excite the controls."
+        return ModelAdvice(name, evaluated_on, (Remark("variation", sentence, 1.0),))
     looks = (*CHECKS, *OF_PLACES, *OF_MODELS)
     remarks = [remark for look in looks if (remark := look(where)) is not None]
     if where.test is not None and where.model.fast_fit and (more := _with_half(where, seed)) is not None:
@@ -128,12 +130,12 @@ def advise_model(
     return ModelAdvice(name, evaluated_on, ranked(remarks)[:MOST])
 
 
-def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
-    """Return the evidence on a copy with a part held back, or as it is, and what it is judged on."""
+def _held_out(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
+    """Return the evidence on a copy fitted without the held-out part, or as it is, and what it is evaluated on."""
     if not evidence.model.fast_fit:
         return evidence, "its own training data"
     try:
-        training, test = evidence.training.split(HELD_BACK)
+        training, test = evidence.training.split(HELD_OUT_SHARE)
         copy = evidence.model.clone_unfitted().fit(training, rng=np.random.default_rng(seed))
         found = replace(evidence, model=copy, training=training, test=test)
         short = len(found.test_windows.errors) < FEWEST
@@ -141,7 +143,7 @@ def _held_back(evidence: Evidence, seed: int) -> tuple[Evidence, str]:
         short = True
     if short:
         return evidence, "its own training data"
-    return found, "the last quarter of each episode, which a copy of it has not learned from"
+    return found, "the last quarter of each episode (a copy was fitted to the rest)"
 
 
 def _with_half(evidence: Evidence, seed: int) -> Remark | None:

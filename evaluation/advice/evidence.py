@@ -1,4 +1,4 @@
-"""What checks look at (recordings, a model and its errors) and what they return (remarks)."""
+"""Input of the checks (recordings, a model and its errors) and their output (remarks)."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from sysid_evo.validation.estimates import Draws, drawn_rms
 
 @dataclass(frozen=True, kw_only=True)
 class Recordings:
-    """Recordings to learn from, ``training``, and those held out, ``test``, if there are some.
+    """Recordings to fit to, ``training``, and held-out recordings, ``test``, if there are any.
 
-    ``visited`` are the steps that controllers take in models and on robots, None where none were evolved. ``known`` is
-    what was found out about the recordings before, if it was.
+    ``visited`` are the steps that controllers take in models and on robots, None if none were evolved. ``known`` is
+    the quality of the recordings if it has been computed before.
     """
 
     training: Dataset
@@ -45,28 +45,28 @@ class Recordings:
 
     @property
     def delays(self) -> list[Delay]:
-        """The strongest clear delay of each control that acts."""
+        """The strongest clear delay of each control that has an effect."""
         clear = sorted((one for one in self.quality.delays if one.clear), key=lambda one: abs(one.strength))
         strongest = {one.control: one for one in clear}
         return [strongest[name] for name in self.system.control_names if name in strongest]
 
     @cached_property
     def seen(self) -> Steps:
-        """The steps of the training data that start from a moving sample, of many a part; none where nothing moves."""
+        """Steps of the training data that start in motion, a subset of many; none if nothing moves."""
         moving = np.concatenate([rows[:-1] for rows in self.training.moving])
         return Steps.of(self.system, self.training.episodes)[moving].thinned(MOST_STEPS)
 
     @cached_property
     def support(self) -> Support:
-        """Where the training data lie, by as many of them as a fitted model keeps."""
+        """The region that the training data cover, from as many of them as a fitted model keeps."""
         return Support.of(self.system, *split_pairs(self.system, recorded_pairs(self.training)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence(Recordings):
-    """A fitted ``model``, called ``name``, what it was fitted to and what it is judged on.
+    """A fitted ``model``, called ``name``, its training data and the data it is evaluated on.
 
-    Without ``test`` it is judged on the training data, which tells nothing of what it does elsewhere.
+    Without ``test`` it is evaluated on the training data, which shows nothing about its error on other data.
     """
 
     name: str
@@ -74,22 +74,22 @@ class Evidence(Recordings):
 
     @property
     def judged(self) -> Dataset:
-        """The test part, or what stands for it."""
+        """The test part, or the data used in its place."""
         return self.training if self.test is None else self.test
 
     @cached_property
     def horizon(self) -> int:
-        """The main horizon of the report, in steps."""
+        """Main horizon of the report, in steps."""
         return measured_cases(self.training, self.judged, PredictionProtocol()).main_horizon or 1
 
     @cached_property
     def std(self) -> Array:
-        """The spread (nx,) of the moving samples judged on; 1 where there is none."""
+        """Standard deviation (nx,) of the evaluated samples in motion; 1 for a state that does not vary."""
         return np.where(self.varying, self._spread, 1.0)
 
     @property
     def varying(self) -> BoolArray:
-        """Which states (nx,) vary in the moving samples judged on."""
+        """Whether each state varies (nx,) in the evaluated samples in motion."""
         return self._spread > 0.0
 
     @cached_property
@@ -99,7 +99,7 @@ class Evidence(Recordings):
 
     @cached_property
     def steps(self) -> OneStepErrors:
-        """What is wrong one step ahead."""
+        """Errors one step ahead."""
         return step_errors(self.model, self.judged)
 
     @cached_property
@@ -108,12 +108,12 @@ class Evidence(Recordings):
 
     @cached_property
     def test_windows(self) -> WindowErrors:
-        """What is wrong at the main horizon, on the data judged on."""
+        """Errors at the main horizon, on the evaluated data."""
         return window_errors(self.model, self.judged, self.horizon)
 
     @cached_property
     def training_windows(self) -> WindowErrors:
-        """What is wrong at the main horizon, on the training data."""
+        """Errors at the main horizon, on the training data."""
         return self.test_windows if self.test is None else window_errors(self.model, self.training, self.horizon)
 
 
@@ -121,13 +121,13 @@ class Evidence(Recordings):
 class WindowErrors:
     """Errors (N, nx), predicted minus measured, at the end of windows that start in ``states`` (N, nx).
 
-    ``pushes`` (N, m) are the mean acting controls of each window, ``recordings`` (N,) the name of the recording that it
-    comes from, ``blocks`` (N,) number bootstrap blocks of consecutive windows.
+    ``mean_controls`` (N, m) are the mean acting controls of each window, ``recordings`` (N,) the name of its recording.
+    ``blocks`` (N,) number bootstrap blocks of consecutive windows.
     """
 
     errors: Array
     states: Array
-    pushes: Array
+    mean_controls: Array
     recordings: np.ndarray
     blocks: IntArray
 
@@ -136,18 +136,18 @@ class WindowErrors:
         return float(np.mean(np.sqrt(np.mean(self.errors**2, axis=0)) / std))
 
     def drawn_n(self, std: Array, seed: int = 0) -> Draws:
-        """Return N with its draws of blocks, the same for the same windows."""
+        """Return N with bootstrap draws over blocks; the same windows give the same draws."""
         return Draws((drawn_rms(self.errors, self.blocks, seed=seed) / std).mean(axis=1), len(np.unique(self.blocks)))
 
 
 MOST_WINDOWS = 1200
-"""Windows of each part that are simulated: enough to tell a tenth apart, and quick in every family."""
+"""Maximum number of windows simulated per part: enough to resolve a tenth, and fast in every family."""
 STRIDE, FIRST = 4, 5
 BLOCK_WINDOWS = 15
 
 
 def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> WindowErrors:
-    """Simulate up to `MOST_WINDOWS` windows, evenly spread, and return the errors at their end."""
+    """Simulate up to `MOST_WINDOWS` evenly spread windows and return the errors at their end."""
     system = dataset.system
     places = dataset.find_windows(horizon, stride=STRIDE, history=model.n_lags, first=FIRST, moving=True)
     count = len(places)
@@ -159,13 +159,13 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
     errors = system.difference(predicted, windows.states[:, -1])
     usable = np.isfinite(errors).all(axis=1)
     before = np.concatenate([windows.start_states[:, None], windows.states[:, :-1]], axis=1)
-    pushes = [acting_controls(system, x, u).mean(axis=0) for x, u in zip(before, windows.controls, strict=True)]
+    mean_controls = [acting_controls(system, x, u).mean(axis=0) for x, u in zip(before, windows.controls, strict=True)]
     names = np.array([recording(name) for name in dataset.names], dtype=object)
     blocks = windows.episode * (count + 1) + (windows.start // (STRIDE * BLOCK_WINDOWS))
     return WindowErrors(
         errors[usable],
         system.wrap(windows.start_states)[usable],
-        np.array(pushes)[usable],
+        np.array(mean_controls)[usable],
         names[windows.episode][usable],
         blocks[usable],
     )
@@ -173,10 +173,10 @@ def window_errors(model: DynamicsModel, dataset: Dataset, horizon: int) -> Windo
 
 @dataclass(frozen=True)
 class Remark:
-    """What limits a model or a recording, or what is known of its limits, under one ``topic``.
+    """A finding on what limits a model or a recording, with its ``topic``, what it means and what to do.
 
-    ``weight`` orders remarks: about the share of the error, or of the time, that is at stake, 0 to 1. ``figures`` are
-    the numbers in the sentence.
+    ``weight`` orders remarks: approximately the share of the error, or of the time, that is concerned, 0 to 1.
+    ``figures`` are the numbers in the sentence.
     """
 
     topic: str
@@ -187,7 +187,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class ModelAdvice:
-    """The remarks on ``model``, the most important first; ``evaluated_on`` says which data it was judged on."""
+    """Remarks on ``model``, the most important first; ``evaluated_on`` names the data it was evaluated on."""
 
     model: str
     evaluated_on: str = ""

@@ -16,23 +16,23 @@ from sysid_evo.data.units import spelled_time
 from sysid_evo.types import Array, BoolArray
 
 FEWEST = 250
-"""Steps with the whole past that a model knows, below which nothing is said."""
+"""Minimum number of steps with the whole history that a model uses; with fewer there is no remark."""
 
 LITTLE = 1.25
-"""A one-step error within this many times the noise cannot be lowered by a quarter: differences between families that
-people act on are larger."""
+"""Ratio of the one-step error to the noise up to which little is left to gain: differences between families that matter
+are larger."""
 FORM = 0.2
-"""Share of what a model leaves that a plain regression on the model's own inputs explains, from which on its form
-limits it: a tenth of the error."""
+"""Share of the residual variance, explained by a plain regression on the model's own inputs, from which the form of the
+model limits it: a tenth of the error."""
 NEIGHBOURS, APART = 4, 20
-"""A pair is a step and the nearest of so many that is more than so many steps away: noise that lasts is in both."""
+"""Neighbours of a step that form pairs with it, and their minimum distance in steps: correlated noise is in both."""
 
 MOST_PAIRS = 4000
 
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """The one-step error N, the ``floor`` that noise sets it, and the share that a plain regression still explains."""
+    """One-step error N, its noise ``floor``, and the share of the residual that a plain regression explains."""
 
     n: float
     floor: float
@@ -40,7 +40,7 @@ class NoiseEstimate:
 
 
 def noise_floor(evidence: Evidence) -> Remark | None:
-    """Return that little is left to gain one step ahead, or that the form of the model is what limits it."""
+    """Return a remark if little is left to gain one step ahead, or if the form of the model limits it."""
     found = estimate_noise(evidence)
     if found is None:
         return None
@@ -49,16 +49,16 @@ def noise_floor(evidence: Evidence) -> Remark | None:
         return Remark(
             "form",
             f"The form of {evidence.name} limits it: a plain regression on the same inputs explains "
-            f"{percent(found.explained)} of what it leaves one step ahead. Try a family that is richer, or one with "
-            "more of the physics.",
+            f"{percent(found.explained)} of its one-step residual. Try a more flexible family, or one with more "
+            "physics.",
             1.0 - np.sqrt(1.0 - found.explained),
             figures,
         )
     if found.n <= LITTLE * found.floor:
         return Remark(
             "noise",
-            f"One step ahead the error of {evidence.name}, N {found.n:.3f}, is {found.n / found.floor:.2f} times the "
-            f"noise, {found.floor:.3f}: little is left to gain there with these inputs.",
+            f"The one-step error of {evidence.name}, N {found.n:.3f}, is {found.n / found.floor:.2f} times the noise, "
+            f"{found.floor:.3f}: little is left to gain with these inputs.",
             0.05,
             figures,
         )
@@ -66,11 +66,11 @@ def noise_floor(evidence: Evidence) -> Remark | None:
 
 
 def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
-    """Compare what is left at the nearest inputs; None with too few steps.
+    """Compare the residuals of steps with nearly equal inputs; None with too few steps.
 
-    Two steps from nearly the same inputs differ by their noise alone: half the mean squared difference of what the
-    model leaves at such pairs is the variance of the noise (the model takes out what changes between them), the idea of
-    Rice (1984) and of the gamma test. What counts as noise is all that the model's inputs do not determine.
+    Two steps from nearly the same inputs differ by their noise alone: half the mean squared difference of the
+    residuals of such pairs is the variance of the noise (the model removes the change between them), as in Rice (1984)
+    and in the gamma test. Everything that the model's inputs do not determine counts as noise.
     """
     steps, system = evidence.steps, evidence.system
     rows = steps.scored
@@ -101,20 +101,20 @@ def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
 
 
 SHARE = 0.1
-"""Share of what a model leaves that the past must explain: a twentieth of the error, the least that a paired comparison
-of a few minutes can tell apart."""
+"""Share of the residual variance that the past must explain: a twentieth of the error, the least that a paired
+comparison of a few minutes can detect."""
 LOOKED_BACK = (1, 2, 3, 4, 6, 8, 12, LAGS)
-"""Lags beyond the memory of a model that are tried together."""
+"""Lags beyond the memory of a model that are tested together."""
 NEARLY = 0.9
-"""Of what all lags explain, the part after which the rest is not waited for."""
+"""Share of the gain of all lags that the reported number of lags must reach."""
 COUNTS = 0.1
-"""A channel whose squared error in standard deviations is less than this share of the largest does not count."""
+"""A channel whose squared error in standard deviations is below this share of the largest is ignored."""
 EARLIER = 4
-"""Earlier errors, from which whoever keeps track of a hidden state would know it."""
+"""Number of earlier errors, from which a hidden state could be estimated."""
 
 
 def late_controls(evidence: Evidence) -> Remark | None:
-    """Return that controls act later than the model can know."""
+    """Return a remark if controls act later than the memory of the model."""
     memory = evidence.model.lags[1]
     if not evidence.system.nu or memory >= LAGS:
         return None
@@ -126,39 +126,39 @@ def late_controls(evidence: Evidence) -> Remark | None:
     counts = [count for count in LOOKED_BACK if count <= LAGS - memory]
     tried = [controls[:, : inputs * count] for count in counts]
     gains = [_gain(base, np.concatenate([base, some], axis=1), left)[0] for some in tried]
-    beside = np.concatenate([base, earlier], axis=1)
-    own = [_gain(beside, np.concatenate([beside, some], axis=1), left)[0] for some in tried]
+    extended = np.concatenate([base, earlier], axis=1)
+    own = [_gain(extended, np.concatenate([extended, some], axis=1), left)[0] for some in tried]
     best = max(gains)
     if min(best, max(own)) < SHARE:
         return None
     latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= NEARLY * best)
     _, channel = _gain(base, np.concatenate([base, tried[gains.index(best)]], axis=1), left)
     dt = evidence.system.dt
-    knows = f"those of the last {spelled_time(memory * dt)}" if memory else "only that of the moment"
+    knows = f"the controls of the last {spelled_time(memory * dt)}" if memory else "only the present controls"
     remedy = (
         f"fit it with control_lags={latest}"
         if "control_lags" in evidence.model.get_params()
-        else "take a family with control_lags or with a hidden state"
+        else "use a family with control_lags or with a hidden state"
     )
     return Remark(
         "late controls",
-        f"Controls act up to {spelled_time(latest * dt)} later: earlier ones explain {percent(best)} of what "
-        f"{evidence.name}, which knows {knows}, leaves of {evidence.system.state_names[channel]} one step ahead. "
-        f"To mend it, {remedy}.",
+        f"Controls act up to {spelled_time(latest * dt)} later: earlier controls explain {percent(best)} of the "
+        f"one-step residual of {evidence.system.state_names[channel]} ({evidence.name} uses {knows}). "
+        f"To correct this, {remedy}.",
         1.0 - np.sqrt(1.0 - best),
         {"explained": best, "steps": float(latest)},
     )
 
 
 def hidden_state(evidence: Evidence) -> Remark | None:
-    """Return that earlier errors tell more: of a state that is not measured, or of noise to be averaged out."""
+    """Return a remark if earlier errors explain the residual: a state is not measured, or noise can be averaged out."""
     white = evidence.residuals.white
     found = _beyond(evidence)
     if white.all() or found is None:
         return None
     base, left, controls, earlier = found
-    beside = np.concatenate([base, controls], axis=1)
-    known = beside if _gain(base, beside, left)[0] >= SHARE else base
+    extended = np.concatenate([base, controls], axis=1)
+    known = extended if _gain(base, extended, left)[0] >= SHARE else base
     gain, channel = _gain(known, np.concatenate([known, earlier], axis=1), left)
     if gain < SHARE or white[channel]:
         return None
@@ -167,14 +167,14 @@ def hidden_state(evidence: Evidence) -> Remark | None:
     wanted = evidence.model.lags[0] + 2
     remedy = f"state_lags={wanted}" if "state_lags" in evidence.model.get_params() else "a family with state_lags"
     why = (
-        "something that moves is not measured. Measure it if you can; else try"
+        "a state is not measured. Measure it if you can; otherwise use"
         if unseen
-        else "measured states are noisy, and several samples together tell them better. Try"
+        else "measured states are noisy, and several samples together are more accurate. Use"
     )
     return Remark(
         "hidden state" if unseen else "noisy states",
-        f"What {evidence.name} leaves of {evidence.system.state_names[channel]} one step ahead is not white "
-        f"(correlation {size:+z.2f} from step to step), and earlier errors explain {percent(gain)} of it: {why} "
+        f"The one-step residual of {evidence.system.state_names[channel]} is not white ({evidence.name}, correlation "
+        f"{size:+z.2f} from step to step), and earlier errors explain {percent(gain)} of it: {why} "
         f"{remedy} or a family with a hidden state.",
         1.0 - np.sqrt(1.0 - gain),
         {"explained": gain, "autocorrelation": size},
@@ -182,7 +182,7 @@ def hidden_state(evidence: Evidence) -> Remark | None:
 
 
 def _beyond(evidence: Evidence) -> tuple[Array, Array, Array, Array] | None:
-    """Return what the model knows, what it leaves, controls before its memory and earlier errors; None with few steps.
+    """Return the model's inputs, residuals, controls before its memory and earlier errors; None with too few steps.
 
     Rows are steps in order of time. Controls are those that act (`acting_controls`), in order of their lag.
     """
@@ -206,9 +206,9 @@ def _beyond(evidence: Evidence) -> tuple[Array, Array, Array, Array] | None:
 
 
 def _gain(before: Array, after: Array, left: Array) -> tuple[float, int]:
-    """Return the share of what ``before`` leaves that ``after`` explains, in the channel where it is largest.
+    """Return the share of the residual of ``before`` that ``after`` explains, in the channel where it is largest.
 
-    ``left`` (N, nx) is in standard deviations of the states; channels that are hardly wrong do not count.
+    ``left`` (N, nx) are residuals in standard deviations of the states; channels with small residuals are ignored.
     """
     remaining = np.minimum(unexplained(before, left), 1.0)
     gains = 1.0 - unexplained(after, left) / np.maximum(remaining, 1e-12)
@@ -218,15 +218,15 @@ def _gain(before: Array, after: Array, left: Array) -> tuple[float, int]:
 
 
 FOLDS, STRETCH = 5, 50
-"""Every fifth stretch of so many rows is held out in turn."""
+"""Number of folds and rows of a contiguous block: every fifth block is held out in turn."""
 RIDGES = (1.0, 30.0, 1000.0)
 
 
 def explained(features: Array, targets: Array) -> float:
-    """Return the share of the variance of ``targets`` (N, k), each scaled alike, that ``features`` (N, m) explain.
+    """Return the share of the variance of ``targets`` (N, k), equally scaled, that ``features`` (N, m) explain.
 
-    Both are in order of time; each stretch is predicted from the others, by ridge regression with the best of three
-    ridges. 0 if nothing is explained, or there are fewer rows than would show it.
+    Both are in order of time; each block is predicted from the others, by ridge regression with the best of three
+    penalties. 0 if nothing is explained or there are too few rows.
     """
     if len(targets) < FOLDS * STRETCH:
         return 0.0
@@ -235,7 +235,7 @@ def explained(features: Array, targets: Array) -> float:
 
 
 def unexplained(features: Array, targets: Array) -> Array:
-    """Return the share (k,) of the variance of each column of ``targets`` that is left, with the best ridge."""
+    """Return the unexplained share (k,) of the variance of each column of ``targets``, with the best penalty."""
     x = standardised(features)
     y = targets - targets.mean(axis=0)
     total = np.mean(y**2, axis=0)
@@ -254,7 +254,7 @@ def unexplained(features: Array, targets: Array) -> Array:
 
 
 def standardised(features: Array) -> Array:
-    """Return each column with mean 0 and standard deviation 1; one that is constant becomes 0."""
+    """Return each column with mean 0 and standard deviation 1; a constant column becomes 0."""
     std = features.std(axis=0)
     return np.asarray((features - features.mean(axis=0)) / np.where(std > 0.0, std, np.inf))
 
@@ -267,7 +267,7 @@ def with_products(features: Array) -> Array:
 
 
 def lagged(values: Array, lags: range, rows: BoolArray) -> Array:
-    """Return ``values`` (M, c) at each of ``lags`` before the ``rows`` (M,), side by side; nan where there is none."""
+    """Return ``values`` (M, c) at each of ``lags`` before the ``rows`` (M,), side by side; NaN before the start."""
     found = []
     for lag in lags:
         moved = np.full_like(values, np.nan)

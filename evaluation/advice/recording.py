@@ -9,21 +9,21 @@ from evaluation.formatting import few, percent
 from sysid_evo.data.units import spelled, spelled_time
 
 RULE = 0.3
-"""Weight of a rule of thumb, as a part of the share of time that it is about: what is measured comes first."""
+"""Weight of a rule of thumb, per share of time that it concerns: measured findings come first."""
 TIMES_PER_CHANNEL, NEARLY = 30.0, 0.9
-"""How often a recording should last the slowest time scale, for each state and control: a rule of thumb, so
-that nine tenths of it pass."""
+"""Recommended length of a recording in slowest time scales, for each state and control (a rule of thumb), and the share
+of it that is accepted."""
 
 
 def too_short(recordings: Recordings) -> Remark | None:
-    """Return that the recording lasts few of the slowest time scales, or that none is known."""
+    """Return a remark if the recording covers few of the slowest time scales, or if these are not known."""
     quality = recordings.quality
     if quality.unusable:
         return Remark("unusable", quality.unusable, 1.0)
     if not quality.scales:
         sentence = (
-            "How fast the states answer cannot be told from this recording: excite the controls more, and record "
-            "episodes that last several times as long as the slowest answer."
+            "The response time of the states cannot be estimated from this recording: excite the controls more, and "
+            "record episodes several times as long as the slowest response."
         )
         return Remark("time scale", sentence, RULE)
     driven, slowest = quality.duration * quality.moving, quality.scales[-1]
@@ -38,30 +38,30 @@ def too_short(recordings: Recordings) -> Remark | None:
 
 
 IDLE = 0.3
-"""Share of the time that a robot may stand still."""
+"""Share of the time at rest that is accepted."""
 
 
 def standstill(recordings: Recordings) -> Remark | None:
-    """Return that the robot stands still for much of the time, and in which episodes nothing moves."""
+    """Return a remark if the robot is at rest for much of the time, and on episodes in which nothing moves."""
     idle, episodes, still = recordings.quality.idle, recordings.quality.episodes, 1.0 - recordings.quality.moving
     in_episodes = (
-        f"Nothing moves in {len(idle)} of {episodes} episodes: {few(idle)}. Leave them out, and see whether the robot "
-        "was switched on and its sensors alive."
+        f"Nothing moves in {len(idle)} of {episodes} episodes: {few(idle)}. Leave them out, and check whether the "
+        "robot was switched on and its sensors worked."
     )
     for_long = (
-        f"The robot stands still {percent(still)} of the time: little can be learned there, and prediction errors "
-        "leave such stretches out."
+        f"The robot is at rest {percent(still)} of the time: models learn little from that, and prediction errors "
+        "leave it out."
     )
     sentence = " ".join([in_episodes] * bool(idle) + [for_long] * (still > IDLE))
     return Remark("standstill", sentence, RULE * max(still, len(idle) / episodes)) if sentence else None
 
 
 RARE, RARE_TOGETHER = 0.02, 0.01
-"""Share of the time below which a level of a control, and a combination of levels, is rare."""
+"""Shares of the time below which a level of a control, and a combination of levels, is rare."""
 
 
 def rare_commands(recordings: Recordings) -> Remark | None:
-    """Return which levels and which combinations of them were hardly given; nothing if it is known what is needed."""
+    """Return a remark on rare levels and combinations of levels of controls; None if the needed ones are known."""
     if recordings.visited is not None:
         return None
     controls, sentences, missing = recordings.quality.controls, [], 0.0
@@ -72,7 +72,7 @@ def rare_commands(recordings: Recordings) -> Remark | None:
             near.append(f"{use.name} is near {', '.join(spelled(level, use.levels) for level in rare)}")
             missing = max(missing, len(rare) / len(use.levels))
     if near:
-        sentences.append(f"{' and '.join(near)} less than {100 * RARE:.0f} % of the time: models will guess there.")
+        sentences.append(f"{' and '.join(near)} less than {100 * RARE:.0f} % of the time: models extrapolate there.")
     together = [command for command in recordings.quality.commands if command.share < RARE_TOGETHER]
     if together and len(controls) > 1:
         names = ", ".join(use.name for use in controls)
@@ -83,13 +83,13 @@ def rare_commands(recordings: Recordings) -> Remark | None:
 
 
 SETTLED = 5.0
-"""A control held for this many time scales lets the states settle, and more of the same teaches nothing."""
+"""A control held for this many time scales lets the states settle; holding it longer adds no information."""
 FEW_SWITCHES = 10
-"""Changes of a control in all, where no time scale is known."""
+"""Number of changes of a control that is accepted if no time scale is known."""
 
 
 def slow_switching(recordings: Recordings) -> Remark | None:
-    """Return which controls are held for so long that the states have settled for most of the time."""
+    """Return a remark on controls that are held so long that the states have settled most of the time."""
     quality = recordings.quality
     settled = SETTLED * quality.scales[-1] if quality.scales else quality.duration / (FEW_SWITCHES + 1)
     held = {use.name: quality.duration / (use.switches + 1) for use in quality.controls}
@@ -99,44 +99,44 @@ def slow_switching(recordings: Recordings) -> Remark | None:
     known = f", but the states settle within {spelled_time(settled)}" if quality.scales else ""
     sentence = (
         f"{slow[0]} stays near a level for {spelled_time(held[slow[0]])} on average{known}: change it more often, so "
-        f"that the way there is in the data.{f' Likewise {few(slow[1:])}.' if slow[1:] else ''}"
+        f"that the data contain transients.{f' Likewise {few(slow[1:])}.' if slow[1:] else ''}"
     )
     return Remark("slow switching", sentence, RULE * (1.0 - settled / held[slow[0]]))
 
 
 def late_stamps(recordings: Recordings) -> Remark | None:
-    """Return that states move before a control is logged."""
+    """Return a remark if states move before a control is logged."""
     early = [delay for delay in recordings.delays if delay.steps < 0]
     named = ", ".join(f"{one.state} moves {spelled_time(-one.seconds)} before {one.control} is logged" for one in early)
-    sentence = f"{named}: commands are stamped late, or something fast feeds the state back."
+    sentence = f"{named}: commands are stamped late, or a fast loop controls the state."
     return Remark("late stamps", sentence, RULE * max(abs(one.strength) for one in early)) if early else None
 
 
 def late_answers(recordings: Recordings) -> Remark | None:
-    """Return how late controls act."""
+    """Return a remark on the delay with which controls act."""
     late = [delay for delay in recordings.delays if delay.steps > 0]
     if not late:
         return None
-    named = ", ".join(f"{one.state} answers {one.control} {spelled_time(one.seconds)} later" for one in late)
-    sentence = f"{named}: give the models control_lags of {max(one.steps for one in late)} or more."
+    named = ", ".join(f"{one.state} responds to {one.control} {spelled_time(one.seconds)} later" for one in late)
+    sentence = f"{named}: set control_lags of the models to {max(one.steps for one in late)} or more."
     return Remark("late answers", sentence, RULE)
 
 
 NOISY_BAND = 0.6
 """Share of half the control rate above which a state changes too fast for it."""
 EXPLAINED = 0.5
-"""Share of the variance of the next state below which the sample before tells little."""
+"""Share of the variance of the next state below which the previous sample explains little of it."""
 
 
 def fast_states(recordings: Recordings) -> Remark | None:
-    """Return which states change as fast as they are sampled, by noise or because dt is long."""
+    """Return a remark on states that change as fast as they are sampled, because of noise or a long dt."""
     quality, half = recordings.quality, 0.5 / recordings.quality.dt
     fast = sorted((one for one in quality.states if one.bandwidth > NOISY_BAND * half), key=lambda one: one.explained)
     if quality.unusable or not fast:
         return None
     worst, others = fast[0], few([one.name for one in fast[1:]])
-    noisy = "and the sample before tells little of it: it is noisy, or dt is too long."
-    quick = "and it changes within few samples, so a shorter dt would show more of it."
+    noisy = "and the previous sample explains little of it: it is noisy, or dt is too long."
+    quick = "and it changes within few samples: a shorter dt would resolve it better."
     sentence = (
         f"95 % of {worst.name} lies below {worst.bandwidth:.2g} Hz, close to half the control rate ({half:g} Hz), "
         f"{noisy if worst.explained < EXPLAINED else quick}{f' Likewise {others}.' if others else ''}"
@@ -145,13 +145,13 @@ def fast_states(recordings: Recordings) -> Remark | None:
 
 
 JITTER = 0.1
-"""Share of a step by which time stamps may scatter."""
+"""Scatter of time stamps, as a share of a step, that is accepted."""
 NEAR = 0.2
-"""Share of dt by which the rows of a log may be off to be taken one by one."""
+"""Deviation, as a share of dt, up to which the rows of a log are used one by one."""
 
 
 def uneven_stamps(recordings: Recordings) -> Remark | None:
-    """Return which logs have time stamps that scatter."""
+    """Return a remark on logs with scattered time stamps."""
     quality = recordings.quality
     scatter = {
         log.name: log.scatter / log.median
@@ -160,8 +160,8 @@ def uneven_stamps(recordings: Recordings) -> Remark | None:
     }
     worst = max(scatter.values(), default=0.0)
     sentence = (
-        f"The time stamps of {few(list(scatter))} scatter by up to {percent(worst)} of a step, but rows count as equal "
-        "steps: stamp each row where its sensor is read."
+        f"The time stamps of {few(list(scatter))} scatter by up to {percent(worst)} of a step, but rows are treated as "
+        "equal steps: stamp each row where its sensor is read."
     )
     return Remark("time stamps", sentence, RULE * min(1.0, worst)) if scatter else None
 
@@ -175,4 +175,4 @@ CHECKS: tuple[Callable[[Recordings], Remark | None], ...] = (
     fast_states,
     uneven_stamps,
 )
-"""What is looked at with a model too; of one that is fitted, `late_controls` tells more than `late_answers`."""
+"""Checks that are made with a model, too; for a fitted model `late_controls` is more exact than `late_answers`."""

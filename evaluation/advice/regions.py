@@ -1,4 +1,4 @@
-"""Checks of places: uncovered states and commands, dead commands, regions of large error."""
+"""Checks of regions: uncovered states and commands, commands without effect, regions of large error."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from sysid_evo.types import Array, BoolArray
 
 
 def missing_excitation(recordings: Recordings) -> Remark | None:
-    """Return where controllers go and the training data do not."""
+    """Return a remark on a region that controllers use and the training data do not cover."""
     if recordings.visited is None or (gap := largest_gap(recordings.seen, recordings.visited)) is None:
         return None
     return Remark(
         "excitation",
         f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
-        "models guess there. Record just that.",
+        "models extrapolate there. Record this.",
         gap.asked,
         gap.figures,
     )
 
 
 def untried_command(evidence: Evidence) -> Remark | None:
-    """Return which command was hardly given in which state; nothing where it is known what controllers do."""
+    """Return a remark on a command that was rarely given in a state; None if the use by controllers is known."""
     if evidence.visited is not None or (untried := untried_pair(evidence.seen)) is None:
         return None
     state, command = untried.place
     return Remark(
         "excitation",
-        f"{command.words} was hardly tried with {state.words}: {_share(untried.seen)} of the time, and it would be "
-        f"{percent(untried.asked)} if every command were tried everywhere. A controller that does so leaves the "
+        f"{command.words} is rare with {state.words}: {_share(untried.seen)} of the time, and it would be "
+        f"{percent(untried.asked)} if every command were given everywhere. A controller that does so leaves the "
         "data: record it.",
         0.5 * untried.asked,
         untried.figures,
@@ -46,37 +46,37 @@ def untried_command(evidence: Evidence) -> Remark | None:
 
 
 BOXES = 3
-"""Boxes that are named."""
+"""Number of boxes that are named."""
 
 
 def outside_the_data(recordings: Recordings) -> Remark | None:
-    """Return how much of what controllers drive lies outside the training data, and where most of it lies."""
+    """Return a remark on the share of the controllers' steps outside the training data, and where most of them are."""
     return None if recordings.visited is None else driven_outside(recordings.visited, recordings.support)
 
 
 def often_outside(evidence: Evidence) -> Remark | None:
-    """Return the same if it is a twentieth or more: held-out driving, too, is now and then outside the data."""
+    """Return the same if it is a twentieth or more: held-out data, too, are sometimes outside the training data."""
     remark = outside_the_data(evidence)
     return remark if remark is not None and remark.weight >= ASKED else None
 
 
 def driven_outside(visited: Steps, support: Support) -> Remark | None:
-    """Return how much of what was driven lies outside ``support``, and the boxes in which most of that lies."""
+    """Return a remark on the share of ``visited`` steps outside ``support``, and the boxes with most of them."""
     visited = visited.thinned(MOST_STEPS)
     share, boxes = visited.share_outside(support), suggest_recordings(support, visited, most=BOXES)
     if share is None or not boxes:
         return None
     return Remark(
         "outside the data",
-        f"{percent(share)} of what controllers drive lies outside the data, most of it at "
-        f"{'; '.join(box.sentence for box in boxes)}. Record that, if the robot gets there.",
+        f"{percent(share)} of the controllers' steps are outside the training data, most of them at "
+        f"{'; '.join(box.sentence for box in boxes)}. Record this, if the robot gets there.",
         share,
         {"outside": share},
     )
 
 
 def other_states(recordings: Recordings) -> Remark | None:
-    """Return where the test part lies and the training part does not, or where controllers go and no test is made."""
+    """Return a remark if test data lie outside the training data, or are missing where controllers go."""
     if recordings.test is None:
         return None
     held_out = Steps.moving(recordings.test)
@@ -85,7 +85,7 @@ def other_states(recordings: Recordings) -> Remark | None:
         return Remark(
             "test part",
             f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
-            "errors tell how models extrapolate. Hold out other recordings (--test), or record more there.",
+            "errors show how models extrapolate. Hold out other recordings (--test), or record more there.",
             gap.asked,
             gap.figures,
         )
@@ -95,31 +95,31 @@ def other_states(recordings: Recordings) -> Remark | None:
     return Remark(
         "test part",
         f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
-        "errors say nothing of what models do there. Hold out driving that comes there.",
+        "errors do not show how accurate models are there. Hold out recordings that cover it.",
         0.5 * gap.asked,
         gap.figures,
     )
 
 
 def _share(share: float) -> str:
-    """Return a small share with a decimal."""
+    """Return a small share in percent, with a decimal."""
     return "none" if share == 0.0 else percent(share)
 
 
 DEAD = 0.25
-"""An effect that is surely below a quarter of that elsewhere: lag and noise alone do not shrink it so far."""
+"""Upper bound of an effect, relative to that elsewhere, that counts as none: lag and noise alone do not cause it."""
 SURE = 3.0
-"""Standard errors of an effect; those of a regression on neighbouring samples are too small by about a half."""
+"""Required size of an effect in standard errors; those of a regression on neighbouring samples are half too small."""
 
 FEWEST_ROWS = 60
-"""Steps in a region, and outside it, that are enough to tell an effect."""
+"""Minimum number of steps inside and outside a region to estimate an effect."""
 
 TRIED = 0.3
-"""Share of the spread that a command has elsewhere, below which nothing can be said of its effect."""
+"""Spread of a command, relative to that elsewhere, below which its effect is not estimated."""
 
 
 def dead_command(recordings: Recordings) -> Remark | None:
-    """Return the command and region where the data show none of the effect that it has elsewhere."""
+    """Return a remark on a command and a region where it lacks the effect that it has elsewhere."""
     found = [one for delay in recordings.delays for one in _dead(recordings.training, delay)]
     if not found:
         return None
@@ -127,15 +127,15 @@ def dead_command(recordings: Recordings) -> Remark | None:
     return Remark(
         "dead command",
         f"{delay.control} has no effect on {delay.state} with {region.words} ({percent(share)} of the time; at most "
-        f"{percent(ratio)} of its effect elsewhere). See whether it is a dead band, a limit, or lost grip: models that "
-        "do not know it promise what the robot does not do. Record more there.",
+        f"{percent(ratio)} of its effect elsewhere). Check whether this is a dead band, a limit or lost grip: models "
+        "that ignore it predict an effect that the robot does not have. Record more there.",
         share * (1.0 - ratio),
         {"share": share, "ratio": ratio},
     )
 
 
 def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Region]]:
-    """Return share of time, largest ratio of the effects, and region, of each where the command is dead."""
+    """Return share of time, largest ratio of the effects, delay and region wherever the command has no effect."""
     system, late = dataset.system, max(delay.steps, 0)
     steps = Steps.of(system, [episode for episode in dataset if len(episode) > late])
     moving = np.concatenate(
@@ -171,7 +171,7 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
 
 
 def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> tuple[float, float] | None:
-    """Return how much a unit of the control changes the state's acceleration, with its error; None with few rows."""
+    """Return the effect of a unit of the control on the state's acceleration, and its error; None with few rows."""
     if rows.sum() < FEWEST_ROWS:
         return None
     x = np.concatenate([control[rows, None], others[rows], np.ones((int(rows.sum()), 1))], axis=1)
@@ -184,7 +184,7 @@ def _effect(change: Array, control: Array, others: Array, rows: BoolArray) -> tu
 
 
 def weak_region(evidence: Evidence) -> Remark | None:
-    """Return the region where the error is clearly larger than elsewhere, see `region_errors`."""
+    """Return a remark on the region where the error is clearly larger than elsewhere, see `region_errors`."""
     lags = evidence.model.n_lags
     protocol = PredictionProtocol(first=max(PredictionProtocol.first, lags))
     cases = measured_cases(evidence.training, evidence.judged, protocol)
@@ -199,9 +199,9 @@ def weak_region(evidence: Evidence) -> Remark | None:
         return None
     return Remark(
         "weak region",
-        f"{evidence.name} is worst with {worst.region.words}, {percent(worst.share)} of the windows: N {worst.n:.3f} "
-        f"after {steps * evidence.system.dt:g} s, {worst.ratio.value:.1f} times that of all. Record more there, and "
-        "see what is different.",
+        f"{evidence.name} is least accurate with {worst.region.words}, {percent(worst.share)} of the windows: N "
+        f"{worst.n:.3f} after {steps * evidence.system.dt:g} s, {worst.ratio.value:.1f} times that of all windows. "
+        "Record more there, and check what is different.",
         worst.share * (1.0 - 1.0 / worst.ratio.value),
         {"ratio": worst.ratio.value, "share": worst.share},
     )

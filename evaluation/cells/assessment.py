@@ -11,7 +11,7 @@ from evaluation.advice.evidence import Evidence, ModelAdvice
 from evaluation.cells.controllers import CONTROLLERS, Baseline, ControllerCell, identity_of
 from evaluation.cells.data import SplitDataset
 from evaluation.cells.models import Fit, Predict
-from evaluation.cells.plants import BELIEVED, STEPS, Plant, accurate_plants, labels_of, runners
+from evaluation.cells.plants import ACCURATE, STEPS, Plant, accurate_plants, labels_of, runners
 from evaluation.exploitability.assessment import assess_exploitability
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.exploitability.search import search_exploit
@@ -34,9 +34,9 @@ from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellOutcome,
 
 @dataclass(frozen=True)
 class Run(CellSettings):
-    """Runs a controller on a column in ``trials`` fresh trials, of which ``traces`` are recorded.
+    """Run of a controller on a column in ``trials`` fresh trials, of which ``traces`` are recorded.
 
-    The states are observed as late as they were in evolution.
+    The states are observed with the same delay as in evolution.
     """
 
     champion: ControllerCell
@@ -86,10 +86,10 @@ class Run(CellSettings):
 
 @dataclass(frozen=True)
 class PlannedMatrix:
-    """The cells of a transfer matrix, from which it is put together: rows, columns, and every pair.
+    """Cells of a transfer matrix: rows, columns, and every pair of them.
 
-    ``robot`` labels the column of the emulated robot, if there is one; ``measured`` are cells driven
-    on robots and by people.
+    ``robot`` is the label of the column of the emulated robot, if there is one; ``measured`` are results of
+    recorded drives on robots and by people.
     """
 
     controllers: tuple[ControllerCell, ...]
@@ -99,7 +99,7 @@ class PlannedMatrix:
     measured: tuple[MeasuredResult, ...] = ()
 
     def of(self, outcome: Callable[[Cell], CellOutcome]) -> TransferMatrix | None:
-        """Return the matrix of what is there; ``outcome(cell)`` gives the `CellOutcome` of a cell."""
+        """Return the matrix of all finished cells; ``outcome(cell)`` gives the `CellOutcome` of a cell."""
         champions = [value for cell in self.controllers if (value := outcome(cell).value) is not None]
         known = {champion.name for champion in champions}
         cells = []
@@ -115,14 +115,14 @@ class PlannedMatrix:
 
 @dataclass(frozen=True)
 class AssessExploitability(CellSettings):
-    """Assesses how each model is exploited by the controllers that were evolved on it."""
+    """Assessment of how each model is exploited by the controllers that were evolved on it."""
 
     matrix: PlannedMatrix
     data: Cell
     seed: int
 
     def cell(self) -> Cell[AssessExploitability]:
-        """Return the cell of what is found of every model."""
+        """Return the cell of the findings on every model."""
         matrix = self.matrix
         models = (cell for column in matrix.columns for cell in column.needs)
         return Cell(
@@ -160,9 +160,9 @@ class AssessExploitability(CellSettings):
 
 @dataclass(frozen=True)
 class Advise(CellSettings):
-    """Says what limits the model that predicts best, and what to record next; without scores, the first that is fitted.
+    """Advice on what limits the most accurate model, and what to record next; without scores, on the first model.
 
-    Where controllers were evolved, it knows where they go.
+    If controllers were evolved, it includes where they go.
     """
 
     data: Cell
@@ -191,7 +191,7 @@ class Advise(CellSettings):
         if not models:
             return ModelAdvice("")
         best = self._best(models, parts, work)
-        # what evolved controllers did in their recorded trials, in models and on robots
+        # the recorded trials of evolved controllers, in models and on robots
         runs = () if self.matrix is None else self.matrix.runs
         evolved = [run for run in runs if not isinstance(run.settings.champion.settings, Baseline)]
         cells = [cell for run in evolved if (cell := work.result(run)) is not None]
@@ -199,7 +199,7 @@ class Advise(CellSettings):
         return advise_model(models[best], parts.training, parts.test, visited=visited, name=best, seed=self.seed)
 
     def _best(self, models: Mapping[str, DynamicsModel], parts: SplitDataset, work: CellContext) -> str:
-        """Return the label of the model with the lowest N at the main horizon, as far as that is known."""
+        """Return the label of the model with the lowest known N at the main horizon."""
         first = next(iter(models))
         if parts.test is None:
             return first
@@ -221,9 +221,9 @@ class Advise(CellSettings):
 
 @dataclass(frozen=True)
 class SearchExploit(CellSettings):
-    """Evolves the controller that gains most in ``target`` beyond the median of those of ``others`` that predict well.
+    """Evolution of the controller that gains most in ``target`` over the median of the accurate ones of ``others``.
 
-    Raises `InvalidArgument` where there is no other.
+    Raises `InvalidArgument` if there are no others.
     """
 
     target: Plant
@@ -253,7 +253,7 @@ class SearchExploit(CellSettings):
         return {
             "target": self.target.inputs(),
             **identity_of(self.evolution),
-            "believed": BELIEVED,
+            "believed": ACCURATE,
             "seed": self.seed,
         }
 

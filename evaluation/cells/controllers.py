@@ -1,4 +1,4 @@
-"""Cells whose result is a controller: evolved, chosen, polished or written by hand, and which a procedure takes."""
+"""Cells whose result is a controller: evolved, chosen, polished or a baseline, and their order in a procedure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from evaluation.cells.models import file_digests, files_of, named_files
 from evaluation.cells.plants import (
-    BELIEVED,
+    ACCURATE,
     STEPS,
     Plant,
     accurate_plants,
@@ -29,17 +29,17 @@ from sysid_evo.registry.registry import noises, penalties
 from sysid_evo.system import System
 
 POLISHED = "polished"
-"""What the controller that is polished on all models is called. Which one is recommended, its forecast decides."""
+"""Name of the controller that is polished on all models. The forecast decides which controller is recommended."""
 
 
 def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
-    """Return how an ensemble and its champion are called: ``a+b``, or ``mean(a+b)`` for another rule."""
+    """Return the name of an ensemble and its champion: ``a+b``, or ``mean(a+b)`` for another aggregate."""
     name = "+".join(members)
     return name if aggregate == "min" or len(members) == 1 else f"{aggregate}({name})"
 
 
 def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
-    """Return what is evolved, how, and under what conditions candidates are judged, as strict JSON."""
+    """Return the settings of an evolution and the conditions of its trials, as strict JSON."""
     return {
         "controller": controllers.identity(settings.controller),
         "task": tasks.identity(settings.task),
@@ -56,7 +56,7 @@ def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Evolve(CellSettings):
-    """Evolves one controller against all of ``members`` at once."""
+    """Evolution of one controller against all of ``members`` at once."""
 
     members: tuple[Plant, ...]
     evolution: ControllerEvolution
@@ -80,7 +80,7 @@ class Evolve(CellSettings):
 
     @property
     def name(self) -> str:
-        """How the controller is called."""
+        """Name of the controller."""
         return ensemble_name(labels_of(self.members), self.evolution.aggregate)
 
     def inputs(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class Evolve(CellSettings):
         }
 
     def _stage(self, stage: Stage) -> dict[str, Any]:
-        """Return what a stage is, its models by their places, as labels are no part of what decides."""
+        """Return the settings of a stage, with models by their positions: labels have no influence on the result."""
         labels = labels_of(self.members)
         missing = [model for model in stage.models if model not in labels]
         if missing:
@@ -125,10 +125,10 @@ class Evolve(CellSettings):
 
 @dataclass(frozen=True)
 class Choose(CellSettings):
-    """Chooses among the finalists of all ``contenders`` by their forecasts, see `forecast_judgement`.
+    """Choice among the finalists of all ``contenders`` by their forecasts, see `forecast_judgement`.
 
-    ``judges`` are the columns of models; a contender is judged where one of them is of another family than it was
-    evolved in. What failed among contenders and judges is left out.
+    ``judges`` are the columns of models; a contender is scored if one of them is of another family than the model it
+    was evolved in. Contenders and judges that failed are left out.
     """
 
     contenders: tuple[Cell[Evolve], ...]
@@ -188,9 +188,9 @@ class Choose(CellSettings):
 
 @dataclass(frozen=True)
 class Polish(CellSettings):
-    """Polishes the best finalists of ``chosen`` against all of ``members`` at once.
+    """Polish of the best finalists of ``chosen`` against all of ``members`` at once.
 
-    Members that could not be fitted are left out; with ``sift`` those that predict badly too, see `accurate_plants`.
+    Members that could not be fitted are left out; with ``sift`` also those that predict badly, see `accurate_plants`.
     """
 
     chosen: Cell[Choose]
@@ -222,7 +222,7 @@ class Polish(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {
             "members": [member.inputs() for member in self.members],
-            "believed": BELIEVED if self.sift else None,
+            "believed": ACCURATE if self.sift else None,
             **identity_of(self.evolution),
             "generations": self.generations,
             "starts": self.starts,
@@ -253,7 +253,7 @@ MODEL = "model"
 
 @dataclass(frozen=True)
 class Baseline(CellSettings):
-    """Makes a controller that is run as it is on ``system``; files that it names count by what is in them.
+    """A controller that runs on ``system`` without evolution; files that it names are identified by their content.
 
     ``models`` are the cells of the models of the comparison that its parameter ``model`` names by their labels.
     """
@@ -292,7 +292,7 @@ class Baseline(CellSettings):
 
 
 ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline]
-"""A cell that gives a controller; the ``members`` of its settings are what this one was evolved against."""
+"""A cell that gives a controller; the ``members`` of its settings are the plants it was evolved against."""
 
 CONTROLLERS = ResultType("controllers", lambda value, path, _: files_of(save_champion(value, path)), load_champion)
 CELL_KINDS["evolve"] = CELL_KINDS["baseline"] = CellKind(CONTROLLERS)
@@ -316,15 +316,15 @@ def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:
 
 
 ALONE = "min"
-"""The rule under which a controller of one model is evolved, and found again, where the rules come to the same."""
+"""Aggregate used (and stored) for a controller of a single model, where these aggregates are equivalent."""
 MEAN_OF_ONE = ("min", "mean", "median")
-"""Rules that give, where there is one model, the mean over its trials."""
+"""Aggregates that equal the mean over trials if there is a single model."""
 MOST_POLISHED = 2
-"""Finalists that the recommended procedure polishes."""
+"""Number of finalists that the recommended procedure polishes."""
 
 
 def evolution_settings(experiment: Experiment) -> ControllerEvolution:
-    """Return how controllers are evolved. Raises what the registries say about wrong names and parameters."""
+    """Return the settings of evolution. Raises the errors of the registries for wrong names and parameters."""
     budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or USUAL_TASK)
     if noise is None:
         noise = str(getattr(tasks.get(task.name), "default_noise", ""))
@@ -345,9 +345,9 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
 
 
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:
-    """Return how controllers are evolved on ``members``; robots among them meet no noise but what is asked for.
+    """Return the settings of evolution on ``members``; with robots among them noise is used only if it is asked for.
 
-    Where all rules for several models come to the same on one, it is evolved by the same one under all of them.
+    Aggregates that are equivalent on a single model are replaced by one of them there.
     """
     evolution = evolution_settings(experiment)
     if len(members) == 1 and Spec.parse(evolution.aggregate).name in MEAN_OF_ONE:
@@ -368,10 +368,10 @@ def controller_cell(
 ) -> ControllerCell:
     """Return the cell of one controller against all of ``members``, by the procedure of ``experiment``.
 
-    By the recommended one each member is searched alone, the best are chosen by their median on those of
-    ``judges`` that are models of other families and predict well, and polished on all members at once; with
-    ``sift`` on those that predict well. Such a controller is called ``label``, by default after its members. The
-    finalists of ``further`` evolutions, in several models at once, can be chosen, too.
+    The recommended procedure searches in each member alone, chooses the best by their median on those of ``judges``
+    that are models of other families and predict well, and polishes them on all members at once; with ``sift`` on
+    those that predict well. Such a controller is called ``label``, by default after its members. The finalists of
+    ``further`` evolutions, in several models at once, can be chosen, too.
     """
     evolution = evolution_on(experiment, members)
     if experiment.budget.procedure == "plain":
@@ -391,9 +391,9 @@ def controller_cell(
 def chosen_cell(
     experiment: Experiment, contenders: tuple[Cell[Evolve], ...], judges: tuple[Plant, ...]
 ) -> ControllerCell:
-    """Return the choice among the finalists of ``contenders``, where there are models of other families for it.
+    """Return the choice among the finalists of ``contenders``, if there are models of other families to score them.
 
-    What was evolved on a robot itself is chosen by that robot.
+    A controller evolved on a robot is scored by that robot.
     """
     members = [member for cell in contenders for member in cell.settings.members]
     own = {member.registered for member in members}

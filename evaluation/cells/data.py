@@ -14,14 +14,14 @@ from sysid_evo.registry import Spec, make_robot, robots
 
 TRAINING, TEST = "training", "test"
 MANY = 8
-"""Fewest episodes of which whole ones can be held back."""
+"""Minimum number of episodes from which whole ones can be held out."""
 PREDICTABLE = 65
-"""Samples that are enough for the longest prediction, and the history before it."""
+"""Number of samples needed for the longest prediction and the history before it."""
 
 
 @dataclass(frozen=True)
 class SplitDataset:
-    """The two parts of a data set; without ``test`` all of it is for training."""
+    """Training and test part of a data set; without ``test`` all of it is for training."""
 
     training: Dataset
     test: Dataset | None
@@ -29,10 +29,10 @@ class SplitDataset:
 
 @dataclass(frozen=True)
 class HoldOut:
-    """How a data set is split: by the names of test episodes, else the last share of each; 0 for no test.
+    """Split of a data set: test episodes by name, else the last share of each; 0 for no test.
 
-    Where most of the time is in many episodes of which the last share is too short to predict anything, whole ones
-    are held back, that share of the time.
+    If most of the time is in episodes whose last share is too short for a prediction, whole episodes are held out
+    instead, with the same share of the time.
     """
 
     episodes: tuple[str, ...] | None = None
@@ -51,7 +51,7 @@ class HoldOut:
 
 
 def whole_episodes(dataset: Dataset, share: float) -> list[str]:
-    """Return the names of the episodes to hold back where parts of them would be too short, else none."""
+    """Return the names of the episodes to hold out if parts of them would be too short, else none."""
     short = sum(len(episode) for episode in dataset if share * len(episode) < PREDICTABLE)
     if len(dataset) < MANY or short < 0.5 * dataset.n_steps:
         return []
@@ -66,7 +66,7 @@ def whole_episodes(dataset: Dataset, share: float) -> list[str]:
 
 @dataclass(frozen=True)
 class GivenData(CellSettings):
-    """Recordings that were read already, split."""
+    """Recordings that have already been read, split."""
 
     dataset: Dataset
     split: HoldOut
@@ -87,7 +87,7 @@ class GivenData(CellSettings):
 
 @dataclass(frozen=True)
 class RecordedData(CellSettings):
-    """Manoeuvres driven on a robot for ``minutes``; the journals of a physical one are kept beside the data."""
+    """Manoeuvres driven on a robot for ``minutes``; the journals of a physical robot are stored next to the data."""
 
     robot: Spec
     seed: int

@@ -30,13 +30,13 @@ from sysid_evo.registry import Spec, models
 from sysid_evo.validation.measures import mean_over_channels
 
 DIGEST = re.compile(r"-[0-9a-f]{8}$")
-"""What a store puts behind the name of a file."""
+"""Suffix that a store adds to the name of a file."""
 FIT_SECONDS = {"quick": 2.0, "standard": 15.0, "paper": 15.0}
 
 
 @dataclass(frozen=True)
 class Fit(CellSettings):
-    """Fits the family in ``spec``, all its parameters settled, to the training part of ``data``."""
+    """Fit of the family in ``spec``, with all its parameters given, to the training part of ``data``."""
 
     spec: Spec
     data: Cell
@@ -67,9 +67,9 @@ class Fit(CellSettings):
         return self.learn(work.result(self.data).training, work)
 
     def learn(self, training: Dataset, work: CellContext | None = None) -> DynamicsModel:
-        """Return a model of its family that was fitted to ``training``, with the same seed as the one of this cell.
+        """Return a model of its family fitted to ``training``, with the same seed as the model of this cell.
 
-        With ``work`` it reports its progress there, and goes on after an interruption.
+        With ``work`` it reports its progress there, and resumes after an interruption.
         """
         model = make_model(self.spec)
         model.checkpoint = None if work is None else CheckpointFile(work.checkpoint)
@@ -80,13 +80,13 @@ class Fit(CellSettings):
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What the manifest of the model says of where it comes from."""
+        """Origin of the model, as stored in its manifest."""
         return {"seed": self.seed, "data": self.data.digest}
 
 
 @dataclass(frozen=True)
 class Predict(CellSettings):
-    """Measures the prediction error of a model on the test part of ``data``; without one, of persistence."""
+    """Prediction error of a model on the test part of ``data``; without a model, of persistence."""
 
     label: str
     family: str
@@ -133,9 +133,9 @@ class HeldOutScore:
 
 @dataclass(frozen=True)
 class JudgeFit(CellSettings):
-    """Measures the prediction error on the test part; without one, of a copy fitted to all but the last quarter.
+    """Prediction error on the test part; without one, of a copy fitted to all but the last quarter.
 
-    A model that held data out during its own fit already reports its error on them; no copy is fitted.
+    If a model held data out during its own fit, its error on them is used, and no copy is fitted.
     """
 
     fit: Cell[Fit]
@@ -164,11 +164,11 @@ class JudgeFit(CellSettings):
             spread = model.system.spread(np.concatenate(moving))
             errors = np.divide(model.held_out_error_, spread, out=np.full_like(spread, np.nan), where=spread > 0.0)
             second = round(SECOND / model.system.dt)
-            return HeldOutScore(float(mean_over_channels(errors)), second, None, "what it held out while it was fitted")
+            return HeldOutScore(float(mean_over_channels(errors)), second, None, "the data held out during its fit")
         try:
             if parts.test is None:
                 parts = HoldOut().of(parts.training)
-                evaluated_on = "the last quarter of the data, which a copy of it has not learned from"
+                evaluated_on = "the last quarter of the data (a copy was fitted to the rest)"
             cases = measured_cases(parts.training, parts.test, self.protocol)
             horizon = cases.main_horizon
             if evaluated_on != "the test part":
@@ -183,7 +183,7 @@ class JudgeFit(CellSettings):
 
 @dataclass(frozen=True)
 class StoredModelCell(CellSettings):
-    """A model in a file of its own, outside any run: found by what the file holds."""
+    """A model in a file outside any run, identified by the content of the file."""
 
     path: Path
 
@@ -194,7 +194,7 @@ class StoredModelCell(CellSettings):
 
     @cached_property
     def manifest(self) -> Manifest:
-        """What stands in its manifest. Raises `ArtefactError`."""
+        """Its manifest. Raises `ArtefactError`."""
         return read_artefact(self.path, "model")[0]
 
     @property
@@ -216,7 +216,7 @@ class StoredModelCell(CellSettings):
 
     @property
     def origin(self) -> dict[str, Any]:
-        """What the manifest of the model says of where it comes from."""
+        """Origin of the model, as stored in its manifest."""
         return {"seed": self.manifest.seed, "data": self.manifest.data}
 
 
@@ -227,7 +227,7 @@ def files_of(manifest: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class LeaveConditionsOut(CellSettings):
-    """Fits the family of ``fit`` once for each condition without it, and measures it there beside the fitted model."""
+    """Fit of the family of ``fit`` without each condition in turn; its error there next to that of the full fit."""
 
     fit: Cell[Fit]
     conditions: int
@@ -255,12 +255,12 @@ class LeaveConditionsOut(CellSettings):
 
 
 def file_digests(spec: Spec) -> list[str]:
-    """Return the SHA-256 of every file, with its other half, that a parameter of ``spec`` names."""
+    """Return the SHA-256 of every file that a parameter of ``spec`` names, and of its second half."""
     return [hashlib.sha256(file.read_bytes()).hexdigest() for file in named_files(spec)]
 
 
 def named_files(spec: Spec) -> Iterator[Path]:
-    """Yield the files, with their halves, that the parameters of ``spec`` name."""
+    """Yield the files that the parameters of ``spec`` name, and their second halves."""
     for value in spec.parameters.values():
         for text in value if isinstance(value, (list, tuple)) else [value]:
             if isinstance(text, str):

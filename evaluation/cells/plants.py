@@ -1,4 +1,4 @@
-"""What controllers are evolved in and run on, a model or a robot that is a program; which models predict well."""
+"""Systems in which controllers are evolved and run (models, simulated robots), and how well models predict."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from sysid_evo.registry import Spec, make_robot, robot_spec, robots
 from sysid_evo.system import System
 
 ROLLOUT_STEPS_PER_SECOND = 2e7
-"""Of compiled models with a small controller, about, on one core."""
+"""Approximate rollout steps per second of a compiled model with a small controller, on one core."""
 STEPS = 500
-"""Steps of a trial, about."""
+"""Approximate number of steps of a trial."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A column of the transfer matrix: the model that the cell ``model`` gives, or the ``robot``.
+    """A column of the transfer matrix: the model of the cell ``model``, or the ``robot``.
 
-    ``family`` is the registered name behind a model; that of a robot is its own. ``prediction`` is the cell of
-    how well the model predicts, where that is known.
+    ``family`` is the registered name of a model's family; a robot is its own family. ``prediction`` is the cell of
+    the model's prediction error, where there is one.
     """
 
     label: str
@@ -44,7 +44,7 @@ class Plant:
 
     @property
     def needs_with_prediction(self) -> tuple[Cell, ...]:
-        """The cells that must be there to say whether the model is believed."""
+        """The cells that are needed to decide whether the model is accurate."""
         return self.needs if self.prediction is None else (*self.needs, self.prediction)
 
     @property
@@ -53,11 +53,11 @@ class Plant:
         return self.family if self.robot is None else self.robot.name
 
     def inputs(self) -> dict[str, Any]:
-        """Return what decides how the column behaves, beside the cells it needs, as strict JSON."""
+        """Return what determines the behaviour of the column, besides the cells it needs, as strict JSON."""
         return {"robot": None if self.robot is None else robots.identity(self.robot)}
 
     def is_same(self, other: Plant) -> bool:
-        """Whether the same model or robot stands behind both, whatever their labels."""
+        """Return whether both are the same model or robot, whatever their labels."""
         return self.model == other.model and self.inputs() == other.inputs()
 
     def system(self, work: CellContext) -> System:
@@ -71,15 +71,15 @@ class Plant:
 
     @property
     def timed(self) -> float:
-        """Seconds of one step of one trial on a robot that is not compiled, measured; else 0."""
+        """Measured seconds of one step of one trial on a robot that is not compiled; else 0."""
         return 0.0 if self.robot is None else _timed(robots.get(self.robot.name), str(self.robot), resolve())
 
     def step_seconds(self) -> float:
-        """Return about how long one step of one trial takes."""
+        """Return the approximate seconds of one step of one trial."""
         return self.timed or 1.0 / ROLLOUT_STEPS_PER_SECOND
 
     def runner(self, work: CellContext, *, delay: float) -> Runner:
-        """Return how controllers are run here, with states observed ``delay`` s late."""
+        """Return the runner of this column, with states observed ``delay`` s late."""
         if self.model is not None:
             return delayed_runner(self.label, DynamicsRunner(work.result(self.model)), delay)
         assert self.robot is not None
@@ -87,17 +87,17 @@ class Plant:
 
 
 def runners(columns: Iterable[Plant], work: CellContext) -> dict[str, Runner]:
-    """Return how controllers are run on each of ``columns``, with states observed at once."""
+    """Return the runner of each of ``columns``, without delay of the states."""
     return {column.label: column.runner(work, delay=0.0) for column in columns}
 
 
 def fitted(columns: Iterable[Plant], work: CellContext) -> list[Plant]:
-    """Return those of ``columns`` that are there: robots, and models that could be fitted."""
+    """Return those of ``columns`` that are available: robots, and models that could be fitted."""
     return [column for column in columns if column.model is None or work.result(column.model) is not None]
 
 
 def labels_of(columns: Iterable[Plant]) -> tuple[str, ...]:
-    """Return how ``columns`` are called."""
+    """Return the labels of ``columns``."""
     return tuple(column.label for column in columns)
 
 
@@ -108,7 +108,7 @@ def _timed(_factory: Callable[..., Any], robot: str, _engine: str) -> float:
 
 
 def runner_of(spec: Spec) -> Runner:
-    """Return how controllers are run on a robot that is a program. Raises `InvalidArgument` for a physical one."""
+    """Return the runner of a simulated robot. Raises `InvalidArgument` for a physical one."""
     runner: Runner | None = make_robot(spec).runner()
     if runner is None:
         raise InvalidArgument(
@@ -126,18 +126,18 @@ def emulated(spec: Spec) -> Dynamics:
     return dynamics
 
 
-BELIEVED = 1.5
-"""How many times the error of the best model a model may have to be believed."""
+ACCURATE = 1.5
+"""Ratio of a model's error to that of the best model up to which it is accurate."""
 FAMILIES = 2
-"""The best of this many families are always believed, so that there is one to judge what comes from the other."""
+"""The best models of this many families always count as accurate: each needs one of another family to score it."""
 
 
 def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant, ...]:
-    """Return those of ``columns`` that predict well: N at most `BELIEVED` times that of the best.
+    """Return those of ``columns`` that predict well: N at most `ACCURATE` times that of the best.
 
-    A model that misses a lag or a force of the robot tells nothing about fast controllers, and several such models
-    agree on it: their median would overrate what exploits it. Robots, and models whose error is not known, are
-    believed. So are the best models of two families in any case.
+    A model that lacks a lag or a force of the robot is no evidence on fast controllers, and several such models agree
+    with each other: their median would overrate controllers that exploit this. Robots, models of unknown error and
+    the best models of two families are always included.
     """
     errors = {column.label: error for column in columns if (error := prediction_error(column, work)) is not None}
     if not errors:
@@ -147,10 +147,10 @@ def accurate_plants(columns: Sequence[Plant], work: CellContext) -> tuple[Plant,
         if column.label in errors:
             families[column.registered] = min(families.get(column.registered, float("inf")), errors[column.label])
     enough = sorted(families.values())[:FAMILIES][-1]
-    limit = max(enough, BELIEVED * min(errors.values()))
+    limit = max(enough, ACCURATE * min(errors.values()))
     return tuple(column for column in columns if errors.get(column.label, 0.0) <= limit)
 
 
 def prediction_error(column: Plant, work: CellContext) -> float | None:
-    """Return N of a model on held-out data, None where it is not known."""
+    """Return N of a model on held-out data, None if it is not known."""
     return None if column.prediction is None else error_of(work.result(column.prediction))

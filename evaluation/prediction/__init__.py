@@ -1,4 +1,4 @@
-"""How well models predict: errors at several horizons and in free run, with intervals."""
+"""Prediction error of models: at several horizons and in simulation of whole episodes, with intervals."""
 
 from evaluation.prediction.cases import MeasuredCases, PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, RegionError, worst_region

@@ -1,4 +1,4 @@
-"""What models are asked to predict: protocol, windows, free runs, scales, limits."""
+"""Test cases of prediction: protocol, windows, whole episodes, scales, limits."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ from sysid_evo.validation.measures import mean_over_channels
 
 @dataclass(frozen=True)
 class PredictionProtocol:
-    """Which windows are simulated, which errors count, and what the blocks of intervals are.
+    """Rules for the windows to simulate, the errors that count, and the blocks of intervals.
 
-    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is
-    simulated freely for the longest of ``horizons`` (steps) under the recorded controls. A model is given
-    as many earlier samples as it wants, if the record has them, but ``history`` at most. The error counts *at*
-    each horizon, not averaged over the way to it, and only where the target moves. A free run starts at sample
-    ``first`` of each episode and goes on to its end.
+    A window starts at every ``stride``-th sample from sample ``first``, wherever the body moves, and is simulated under
+    the recorded controls for the longest of ``horizons`` (steps). A model gets as many earlier samples as it uses, if
+    the record has them, but ``history`` at most. The error counts *at* each horizon, not averaged up to it, and only
+    where the target moves. A simulation of a whole episode starts at its sample ``first``.
 
     Windows overlap, so intervals are over blocks: ``block_windows`` consecutive windows, or ``block_samples``
-    consecutive samples of a free run.
+    consecutive samples of a simulated episode.
 
     Predictions are clipped to ``guard_multiple`` times the largest absolute training value.
     """
@@ -55,18 +54,18 @@ class PredictionProtocol:
 
     @property
     def given(self) -> int:
-        """Earlier samples that every window has."""
+        """Number of earlier samples that every window has."""
         return self.first if self.history is None else self.history
 
     @property
     def history_in_words(self) -> str:
-        """How much history models are given."""
+        """The history that models get, in words."""
         return "as much history as a model wants" if self.history is None else f"{self.history} samples of history"
 
     def at(self, dt: float) -> PredictionProtocol:
         """Return the protocol for samples ``dt`` seconds apart.
 
-        Where the default horizons have none from half of `headline_steps` on, that one is added to them.
+        If no default horizon is at least half of `headline_steps`, that one is added to them.
         """
         wanted, chosen = headline_steps(dt), main_horizon(self.horizons, dt)
         far = self.horizons == PredictionProtocol.horizons and chosen is not None and 2 * chosen < wanted
@@ -75,7 +74,7 @@ class PredictionProtocol:
     def describe(self, dt: float) -> str:
         """Return the rules in one sentence; ``dt`` is in seconds."""
         return (
-            f"Free run under recorded controls from measured states with {self.history_in_words}; "
+            f"Simulation under recorded controls from measured states with {self.history_in_words}; "
             f"starts every {self.stride} samples where the body moves; error at the horizon; dt {dt:g} s; "
             f"{100 * CONFIDENCE:g} % intervals by bootstrap over blocks of {self.block_windows} windows."
         )
@@ -85,9 +84,9 @@ SECOND, FEW, MANY = 1.0, 2, 10
 
 
 def headline_steps(dt: float) -> int:
-    """Return the steps after which errors count most: those nearest to one second.
+    """Return the main number of steps after which errors are compared: those nearest to one second.
 
-    Ten where a second has fewer than two: after a single step models do not differ from persistence. Ten is also the
+    Ten if a second has fewer than two: after a single step models do not differ from persistence. Ten is also the
     shortest simulation of `simulation_error`.
     """
     steps = round(SECOND / dt)
@@ -102,13 +101,12 @@ def main_horizon(horizons: Sequence[int], dt: float) -> int | None:
 
 @dataclass(frozen=True)
 class MeasuredCases:
-    """All that a model is asked to predict, the same for every model.
+    """Test cases of prediction, the same for every model.
 
-    ``moving`` (N, H) says which targets of the ``windows`` count; ``window_block`` (N,) numbers the
-    bootstrap blocks. ``horizons`` are those of the protocol that the episodes are long enough for.
-    ``std`` and ``rms`` (nx,) are those of the truth over the moving samples of the test set, of a
-    periodic state the shortest way round; ``guard`` (2, nx) are the limits to which predictions are
-    clipped. ``notes`` say what was left out; ``test`` is the whole of what was recorded.
+    ``moving`` (N, H) marks the targets of the ``windows`` that count; ``window_block`` (N,) numbers the bootstrap
+    blocks. ``horizons`` are those of the protocol that fit into the episodes. ``std`` and ``rms`` (nx,) are those of
+    the measured moving samples of the test set, of a periodic state the shortest way round. ``guard`` (2, nx) are the
+    limits to which predictions are clipped. ``notes`` list omissions; ``test`` is the whole test set.
     """
 
     system: System
@@ -126,7 +124,7 @@ class MeasuredCases:
 
     @property
     def main_horizon(self) -> int | None:
-        """The scored horizon that answers are given at, in steps, see `main_horizon`; None without any."""
+        """The horizon at which errors are reported, in steps, see `main_horizon`; None without any."""
         return main_horizon(self.horizons, self.system.dt)
 
     def blocks(self, horizon: int | None) -> int:
@@ -138,16 +136,16 @@ class MeasuredCases:
 
     @property
     def near_horizon(self) -> int | None:
-        """A quarter of the main horizon, in steps: so soon after its start that a window is still where it began."""
+        """A quarter of the main horizon, in steps: a window is still near its start then."""
         return None if self.main_horizon is None else max(1, round(self.main_horizon / 4))
 
     @property
     def scale(self) -> Array:
-        """What errors are divided by, (nx,): ``std``, nan for a state that is constant in the test set."""
+        """Divisor of errors, (nx,): ``std``, NaN for a state that is constant in the test set."""
         return np.where(self.std > 0, self.std, np.nan)
 
     def n_of_sums(self, sums: Array) -> Array:
-        """Return N (R, K) from sums of squared errors and their number, (R, K * (nx + 1)); nan of no errors."""
+        """Return N (R, K) from sums of squared errors and their number, (R, K * (nx + 1)); NaN without errors."""
         parts = sums.reshape(len(sums), -1, self.system.nx + 1)
         squares, counts = parts[..., :-1], parts[..., -1:]
         mean = np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0)
@@ -163,9 +161,10 @@ class MeasuredCases:
         return states, controls
 
     def before(self, episode: Trajectory, starts: IntArray, lags: int) -> tuple[Array, Array]:
-        """Return ``lags`` samples before each of the ``starts`` (N,); of what is not given, first state and neutral.
+        """Return ``lags`` samples before each of the ``starts`` (N,); missing ones are padded.
 
-        What is not given lies before the record, or is older than the protocol's ``history``.
+        Samples are missing before the start of the record, or if they are older than the protocol's ``history``. They
+        are padded with the first state and neutral controls.
         """
         given = starts if self.protocol.history is None else np.minimum(starts, self.protocol.history)
         places = starts[:, None] + np.arange(-lags, 1)
@@ -177,7 +176,7 @@ class MeasuredCases:
 
 @dataclass(frozen=True)
 class FreeRun:
-    """One episode from sample ``first`` on: H steps to its end, and which targets move (H,)."""
+    """One episode from sample ``first`` to its end: H steps, and which targets move (H,)."""
 
     episode: str
     past_states: Array
@@ -188,10 +187,10 @@ class FreeRun:
 
 
 def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtocol) -> MeasuredCases:
-    """Cut ``test`` into windows and free runs; ``training`` gives the guard only.
+    """Divide ``test`` into windows and whole episodes; ``training`` gives the guard only.
 
-    A horizon that no episode is long enough for is left out with a note. Raises `InvalidData` if
-    nothing in the test set moves, or its system is another one.
+    A horizon longer than every episode is left out with a note. Raises `InvalidData` if nothing in the test set moves,
+    or if its system is another one.
     """
     if training.system != test.system:
         raise InvalidData("prediction: training and test set must have the same system, got two different ones")
@@ -206,19 +205,19 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
     if left_out:
         longest = max(len(episode) for episode in test.episodes) - protocol.first
         notes.append(
-            f"horizon {_listed(left_out)} left out: no moving test window is that long "
+            f"horizon {_listed(left_out)} left out: no moving test window has that length "
             f"(the longest episode leaves {max(longest, 0)} steps after sample {protocol.first})"
         )
     truth = np.concatenate([e.states[rows] for e, rows in zip(test.episodes, test.moving, strict=True)])
     if not len(truth):
-        raise InvalidData("prediction: the test set stands still throughout; hold back an episode that moves")
+        raise InvalidData("prediction: nothing moves in the test set; hold out an episode with motion")
     std, rms = spread_of(system, truth), np.sqrt(np.mean(system.wrap(truth) ** 2, axis=0))
     constant = [channel.name for channel, size in zip(system.states, std, strict=True) if size == 0]
     if constant:
         notes.append(f"{_listed(constant)} is constant in the test set and left out of N")
     short = [episode.name for episode in test.episodes if len(episode) <= protocol.first]
     if short:
-        notes.append(f"no free run of {_listed(short)}: shorter than {protocol.first + 1} steps")
+        notes.append(f"no simulation of whole episode {_listed(short)}: shorter than {protocol.first + 1} steps")
     return MeasuredCases(
         system=system,
         test=test,
@@ -236,7 +235,7 @@ def measured_cases(training: Dataset, test: Dataset, protocol: PredictionProtoco
 
 
 def _windows(test: Dataset, protocol: PredictionProtocol) -> tuple[Windows, tuple[int, ...]]:
-    """Cut windows of the longest horizon that any episode is long enough for."""
+    """Return windows of the longest horizon that fits into any episode."""
     for count in range(len(protocol.horizons), 0, -1):
         windows = test.windows(
             protocol.horizons[count - 1],
@@ -276,7 +275,7 @@ def _free_runs(test: Dataset, protocol: PredictionProtocol) -> tuple[FreeRun, ..
 def _guard(training: Dataset, multiple: float) -> Array:
     states = np.concatenate([e.states[rows] for e, rows in zip(training.episodes, training.moving, strict=True)])
     if not len(states):
-        raise InvalidData("prediction: the training set stands still throughout")
+        raise InvalidData("prediction: nothing moves in the training set")
     limit = multiple * np.abs(states).max(axis=0)
     limit = np.where(limit > 0, limit, np.inf)
     limit[list(training.system.periods)] = np.inf
@@ -284,16 +283,16 @@ def _guard(training: Dataset, multiple: float) -> Array:
 
 
 def spread_of(system: System, states: Array) -> Array:
-    """Return the standard deviation (nx,) of ``states`` (N, nx), 0 for one that is constant but for rounding."""
+    """Return the standard deviation (nx,) of ``states`` (N, nx), 0 if constant except for rounding."""
     spread, size = system.spread(states), np.sqrt(np.mean(system.wrap(states) ** 2, axis=0))
     return np.where(spread > ROUNDING * size, spread, 0.0)
 
 
 ROUNDING = 1e-12
-"""Share of its size up to which the spread of a constant is rounding: some thousand times that of one number."""
+"""Relative spread up to which a state is constant: some thousand times the rounding of one number."""
 
 MOST_LISTED = 6
-"""Names in a note; how many more there are is said in a number."""
+"""Maximum number of names in a note; of the others the number is given."""
 
 
 def _listed(items: list[int] | list[str]) -> str:

@@ -1,4 +1,4 @@
-"""Where in the space of states and controls a model's error is larger than elsewhere."""
+"""Regions of states and controls where a model's error is larger than elsewhere."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from sysid_evo.validation.estimates import Draws, Estimate, drawn_sums
 LOW, HIGH = 20.0, 80.0
 """Percentiles that bound the regions of a continuous channel."""
 LEVELS = 5
-"""A channel with no more values than that is cut by value."""
+"""A channel with at most this number of values is divided by value."""
 NOTABLE = 1.3
-"""A region is worth a word from this many times the N of all windows on, if its interval is above 1, too."""
+"""Ratio to the N of all windows from which a region is mentioned, if the interval is above 1, too."""
 FEWEST_BLOCKS = 4
-"""Blocks in which a region must occur, so that there is an interval to speak of."""
+"""Minimum number of blocks in which a region must occur to have an interval."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Region:
     """A part of the range of one channel: at or beyond a ``limit``, within a distance of neutral, or at a value.
 
     ``kind`` is ``below``, ``above``, ``beyond`` (farther than ``limit`` from ``neutral`` on either side) or ``at``.
-    ``end`` says that the limit, as it is written, is the end of the range: nothing lies beyond it.
+    ``end``: the limit, as it is written, is the end of the range, and no value is beyond it.
     """
 
     channel: str
@@ -48,7 +48,7 @@ class Region:
         return f"{self.channel} {'at' if self.end else self.kind} {value}"
 
     def within(self, low: float | None, high: float | None) -> Region:
-        """Return the region of a channel whose values lie from ``low`` to ``high``; None where there is no such end."""
+        """Return the region of a channel whose values are from ``low`` to ``high``; None for an open end."""
         if self.kind == "beyond":
             last = None if low is None or high is None else max(high - self.neutral, self.neutral - low)
         else:
@@ -56,7 +56,7 @@ class Region:
         return replace(self, end=last is not None and _written(self.limit) == _written(last))
 
     def holds(self, values: Array) -> BoolArray:
-        """Return which of the channel's ``values`` (N,) lie inside."""
+        """Return which of the channel's ``values`` (N,) are inside."""
         if self.kind == "below":
             return np.asarray(values <= self.limit)
         if self.kind == "above":
@@ -68,9 +68,9 @@ class Region:
 
 @dataclass(frozen=True)
 class RegionError:
-    """N of the windows that start in ``region``, a ``share`` of all: ``ratio`` times that of all of them.
+    """N of the windows that start in ``region``, a ``share`` of all, and its ``ratio`` to the N of all windows.
 
-    The interval of the ratio is so wide that those of all regions looked at hold the truth together.
+    The intervals of the ratios are simultaneous ones: together they cover the true values of all tested regions.
     """
 
     region: Region
@@ -87,7 +87,7 @@ class RegionError:
 def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple[RegionError, ...]:
     """Return N of each region, the largest first; ``predicted`` (N, H, nx) are the simulated windows.
 
-    A window lies where its start state and its first control do.
+    A window belongs to the regions of its start state and its first control.
     """
     scored = cases.moving[:, horizon - 1]
     errors = cases.system.difference(predicted[:, horizon - 1], cases.windows.states[:, horizon - 1])
@@ -114,12 +114,12 @@ def region_errors(cases: MeasuredCases, predicted: Array, horizon: int) -> tuple
 
 
 def worst_region(regions: tuple[RegionError, ...]) -> RegionError | None:
-    """Return the region with the largest N of those that are clearly above all windows; None if there is none."""
+    """Return the region with the largest N among those clearly above all windows; None if there is none."""
     return next((one for one in regions if one.ratio.low > 1.0 and one.ratio.value >= NOTABLE), None)
 
 
 def candidate_regions(system: System, states: Array, controls: Array) -> Iterator[tuple[Region, BoolArray]]:
-    """Yield regions of each channel and which of the rows (N,) lie inside."""
+    """Yield regions of each channel and which of the rows (N,) are inside."""
     wrapped = system.wrap(states)
     for channel, values in (
         *zip(system.states, wrapped.T, strict=True),

@@ -1,10 +1,10 @@
-"""What is left one step ahead: whether it is white noise, and whether the controls still show in it.
+"""One-step residuals: are they white noise, and are they correlated with the controls?
 
-A model that knows all there is leaves white noise: no sample of it tells anything of the next, and no control
-tells anything of it. Both tests allow for noise that is louder in some states than in others, which the classic ones
-(Ljung and Box 1978) take for colour: Dalla, Giraitis and Phillips, "Robust tests for white noise and
-cross-correlation", Econometric Theory 38 (2022). The bands of cross-correlations come from sums over blocks, so that
-noise that is not white does not pass for a control that was missed.
+The residuals of a perfect model are white noise: they cannot be predicted from earlier residuals or from controls. Both
+tests allow for noise that is larger in some states than in others, which the classic ones (Ljung and Box 1978) take for
+correlation: Dalla, Giraitis and Phillips, "Robust tests for white noise and cross-correlation", Econometric Theory 38
+(2022). The bands of cross-correlations come from sums over blocks, so that correlated noise is not mistaken for an
+effect of the controls.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from sysid_evo.types import Array, BoolArray
 LAGS = 20
 """Lags of the autocorrelation, and of controls before the step."""
 AHEAD = 5
-"""Lags of controls after the step: whoever drives by what is measured reacts there, and no model is at fault."""
+"""Lags of controls after the step: feedback control causes correlations there that are no error of a model."""
 BLOCK = 2 * LAGS
-"""Steps whose products are summed into one for the bands of cross-correlations."""
+"""Steps of a block whose products are summed for the bands of cross-correlations."""
 FEWEST_BLOCKS = 4
 LEVEL = 0.05
-"""Share of white, unrelated residuals that are called something else."""
-MOST_STEPS, PIECE = 20_000, 2_000
-"""Of longer data so many steps are looked at, in pieces that lie evenly over them."""
+"""Share of white, uncorrelated residuals that fail a test."""
+MOST_STEPS, PART = 20_000, 2_000
+"""Maximum number of steps that are used, and the length of the evenly spread blocks taken from longer data."""
 
 
 @dataclass(frozen=True)
 class OneStepErrors:
-    """One-step errors, measured minus predicted, in rows that follow each other in time.
+    """One-step errors, measured minus predicted, in rows in order of time.
 
-    ``errors`` (M, nx) are nan where nothing was predicted; as many rows of nan as the longest lag stand between
-    episodes. ``states`` (M, nx) and ``controls`` (M, nu) are those at the start of each step.
+    ``errors`` (M, nx) are NaN where nothing was predicted; between episodes there are as many rows of NaN as the
+    longest lag. ``states`` (M, nx) and ``controls`` (M, nu) are those at the start of each step.
     """
 
     errors: Array
@@ -45,7 +45,7 @@ class OneStepErrors:
 
     @property
     def scored(self) -> BoolArray:
-        """Which rows hold an error, (M,)."""
+        """Which rows contain an error, (M,)."""
         return np.asarray(np.isfinite(self.errors).all(axis=1))
 
 
@@ -55,8 +55,8 @@ def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> On
     windows = dataset.windows(1, history=model.n_lags, first=first, moving=True)
     some = np.arange(len(windows))
     if len(windows) > MOST_STEPS:
-        pieces = np.linspace(0, len(windows) - PIECE, MOST_STEPS // PIECE).round().astype(np.int64)
-        some = (pieces[:, None] + np.arange(PIECE)).ravel()
+        parts = np.linspace(0, len(windows) - PART, MOST_STEPS // PART).round().astype(np.int64)
+        some = (parts[:, None] + np.arange(PART)).ravel()
     windows = windows[some]
     lengths = [len(episode) + 1 + LAGS for episode in dataset]
     begins = np.cumsum([0, *lengths])
@@ -77,13 +77,13 @@ def step_errors(model: DynamicsModel, dataset: Dataset, *, first: int = 0) -> On
 
 @dataclass(frozen=True)
 class Residuals:
-    """How one-step errors hang together; ``samples`` of them, channels nx, controls nu.
+    """Correlations of one-step errors; ``samples`` of them, channels nx, controls nu.
 
-    ``autocorrelation`` (LAGS, nx) from lag 1 on, with the ``band`` (LAGS, nx) that 95 % of white noise keeps within;
-    ``white_p`` (nx,) is the probability that white noise shows as much at all lags together. ``cross``
+    ``autocorrelation`` (LAGS, nx) from lag 1, with the ``band`` (LAGS, nx) that contains 95 % of white noise;
+    ``white_p`` (nx,) is the probability of such correlations at all lags together for white noise. ``cross``
     (AHEAD + LAGS + 1, nu, nx) is the correlation with each control from ``AHEAD`` steps after the step's own to
-    ``LAGS`` steps before it, with its 95 % ``cross_band``; ``cross_p`` (nu, nx) is the probability that a control
-    that is unrelated shows as much at any lag from 0 on. Without enough samples all are nan.
+    ``LAGS`` steps before it, with its 95 % ``cross_band``; ``cross_p`` (nu, nx) is the probability of such a
+    correlation at any lag from 0 for an unrelated control. All are NaN without enough samples.
     """
 
     samples: int
@@ -96,15 +96,15 @@ class Residuals:
 
     @property
     def white(self) -> BoolArray:
-        """Which channels (nx,) leave nothing that cannot be white noise."""
+        """Which channels (nx,) are compatible with white noise."""
         return ~np.asarray(self.white_p < LEVEL)
 
     def largest_lag(self, channel: int) -> int:
-        """Return the lag in steps, from 1, at which a channel's autocorrelation is farthest out of its band."""
+        """Return the lag in steps, from 1, at which a channel's autocorrelation exceeds its band most."""
         return 1 + int(np.nan_to_num(np.abs(self.autocorrelation) / self.band)[:, channel].argmax())
 
     def control_lag(self, control: int, channel: int) -> int:
-        """Return how many steps before the step's own a control shows most in a channel, from 0."""
+        """Return the lag in steps, from 0, at which a control correlates most with a channel's error."""
         past = slice(AHEAD, None)
         size = np.abs(self.cross[past, control, channel]) / self.cross_band[past, control, channel]
         return int(np.nan_to_num(size).argmax())

@@ -1,4 +1,4 @@
-"""The scores of a model, of several, and of two compared."""
+"""Scores of a model, of several models, and of the difference of two."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class ModelPrediction:
     """All prediction scores of one model, or the ``reason`` why there are none.
 
     ``curve`` (H,) is N after each step up to the longest horizon, ``curve_interval`` (2, H) its interval at each of
-    them; ``free_states`` are the predicted states (T, nx) of each free run. ``regions`` are those of
-    the near horizon, the worst first. ``coverage`` is that of the intervals at every horizon, of a model that gives a
-    spread. Errors are those of the run without noise.
+    them; ``free_states`` are the predicted states (T, nx) of each simulated episode. ``regions`` are those of the near
+    horizon, the largest error first. ``coverage`` is that of prediction intervals at every horizon, for a model that
+    has them. Errors are those of the simulation without noise.
     """
 
     name: str
@@ -50,7 +50,7 @@ class ModelPrediction:
         return bool(self.reason)
 
     def score(self, horizon: int | None) -> ErrorScore | None:
-        """Return the score at ``horizon`` steps, or of the free run (None); None where there is none."""
+        """Return the score at ``horizon`` steps, or over whole episodes (None); None if there is none."""
         if horizon is None:
             return self.free_run
         return next((score for score in self.scores if score.horizon == horizon), None)
@@ -58,11 +58,11 @@ class ModelPrediction:
 
 @dataclass(frozen=True)
 class ErrorScore:
-    """Errors ``horizon`` steps after a measured start, or over a free run (``horizon`` None).
+    """Errors ``horizon`` steps after a measured start, or over whole episodes (``horizon`` None).
 
-    Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE
-    of the signal's RMS), ``nrmse`` (RMSE of the truth's standard deviation). ``samples`` were scored.
-    ``draws`` are those of N over blocks, the same for every model that is scored on the same windows.
+    Per channel (nx,): ``rmse`` and ``error_std`` in the channel's unit, ``relative_percent`` (RMSE relative to the
+    signal's RMS), ``nrmse`` (RMSE divided by the measured standard deviation). ``samples`` is the number of targets.
+    ``draws`` are bootstrap draws of N over blocks, paired for all models that are scored on the same windows.
     """
 
     horizon: int | None
@@ -80,7 +80,7 @@ class ErrorScore:
 
     @property
     def n(self) -> float:
-        """N: the mean NRMSE over channels; channels that are constant in the truth are left out."""
+        """N: the mean NRMSE over channels, without channels that are constant in the measurement."""
         return float(mean_over_channels(self.nrmse))
 
     @property
@@ -89,15 +89,15 @@ class ErrorScore:
         return 100.0 * (1.0 - self.nrmse)
 
 
-HONEST = 0.05
-"""By how much a coverage may miss its aim."""
+COVERAGE_TOLERANCE = 0.05
+"""Tolerance of the coverage of an interval."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """How many measured states lay in a model's intervals ``horizon`` steps after a measured start.
+    """Share of measured states in a model's prediction intervals, ``horizon`` steps after a measured start.
 
-    ``inside`` (nx,) is the share for each channel, of ``samples`` targets; the intervals are to hold ``share``.
+    ``inside`` (nx,) is the share for each channel, over ``samples`` targets; ``share`` is the nominal coverage.
     """
 
     horizon: int
@@ -112,16 +112,16 @@ class Coverage:
 
     @property
     def calibrated(self) -> bool:
-        """Whether that share is within five hundredths of what the intervals are to hold."""
-        return abs(self.mean - self.share) <= HONEST
+        """Whether the mean share is within five hundredths of the nominal coverage."""
+        return abs(self.mean - self.share) <= COVERAGE_TOLERANCE
 
 
 @dataclass(frozen=True)
 class Divergence:
-    """How often and when simulations reached the model's state_bounds or the guard.
+    """Share and time of simulations that reached the model's state bounds or the guard.
 
-    ``share`` of the windows; ``median_time`` in s of the first touch among those;
-    ``free_run_times`` in s, one for each free run, None for never.
+    ``share`` is that of the windows, ``median_time`` (s) that of their first contact; ``free_run_times`` (s) has one
+    value for each simulated episode, None for never.
     """
 
     share: float
@@ -131,10 +131,10 @@ class Divergence:
 
 @dataclass(frozen=True)
 class EpisodeError:
-    """N of one episode at each scored horizon (H,), in the scale of the whole test set; nan without a window there.
+    """N of one episode at each scored horizon (H,), in the scale of the whole test set; NaN without a window there.
 
-    ``fit`` (nx,) is 100 (1 - norm(y - yhat) / norm(y - mean(y))) of each channel over the free run from the episode's
-    first samples to its end, every sample of it; nan where there is no free run.
+    ``fit`` (nx,) is 100 (1 - norm(y - yhat) / norm(y - mean(y))) of each channel over every sample of the simulated
+    episode; NaN if it was not simulated.
     """
 
     name: str
@@ -146,8 +146,8 @@ class EpisodeError:
 class ConditionError:
     """N of one family in the test part of one ``condition``, ``horizon`` steps after measured starts.
 
-    ``within``: it also learned from recordings of that condition; ``across``: it learned from the others alone. None
-    where there is nothing to test on or to learn from.
+    ``within``: fitted to recordings of that condition, too; ``across``: fitted to the others alone. None without test
+    or training data.
     """
 
     condition: str
@@ -158,13 +158,13 @@ class ConditionError:
 
 @dataclass(frozen=True, repr=False)
 class Prediction(Displayed):
-    """The prediction errors of several models on the same cases; persistence comes first."""
+    """Prediction errors of several models on the same cases; persistence comes first."""
 
     cases: MeasuredCases
     models: tuple[ModelPrediction, ...]
 
     def facts(self) -> Mapping[str, str]:
-        horizons = ("free run" if horizon is None else f"{horizon} steps" for horizon in self.horizons)
+        horizons = ("whole episodes" if horizon is None else f"{horizon} steps" for horizon in self.horizons)
         return {"models": listed(self.names), "scored over": listed(horizons)}
 
     @property
@@ -173,7 +173,7 @@ class Prediction(Displayed):
 
     @property
     def horizons(self) -> tuple[int | None, ...]:
-        """The horizons that were scored, in steps; None, the free run, is last."""
+        """The scored horizons in steps; None, whole episodes, is last."""
         free: tuple[int | None, ...] = (None,) if self.cases.free_runs else ()
         return (*self.cases.horizons, *free)
 
@@ -185,7 +185,7 @@ class Prediction(Displayed):
         raise InvalidArgument(f"prediction: no model is called {name!r}; there are {', '.join(self.names)}")
 
     def compare(self, first: str, second: str, horizon: int | None) -> Difference | None:
-        """Compare two models by a paired block bootstrap; None where one of them has no score."""
+        """Compare two models by a paired block bootstrap; None if one of them has no score."""
         a, b = self.model(first).score(horizon), self.model(second).score(horizon)
         if a is None or b is None:
             return None
@@ -228,11 +228,11 @@ class Difference:
 
 
 HORIZON = 20
-"""Steps after which the prediction error counts, where it was measured there."""
+"""Horizon in steps at which prediction errors are compared, if it was measured."""
 
 
 def error_of(found: ModelPrediction | None) -> float | None:
-    """Return N of a model on held-out data, None where it is not known."""
+    """Return N of a model on held-out data, None if it is not known."""
     if found is None or not found.scores:
         return None
     return (found.score(HORIZON) or found.scores[-1]).n

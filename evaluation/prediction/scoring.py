@@ -43,8 +43,8 @@ def assess_prediction(
 ) -> Prediction:
     """Measure the prediction error of fitted ``models`` on ``test``; persistence is the first row.
 
-    ``training`` gives the guard. ``families`` names the family of each model (default: its class).
-    A model that fails is a row with its reason. Raises `InvalidData` if the test set is of no use.
+    ``training`` gives the guard. ``families`` names the family of each model (default: its class). A model that fails
+    gives a row with its reason. Raises `InvalidData` if the test set is not usable.
     """
     if PERSISTENCE in models:
         raise InvalidArgument(f"prediction: a model cannot be called {PERSISTENCE!r}, the name of the reference")
@@ -63,16 +63,16 @@ def assess_prediction(
 def assess_model(
     name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str | None = None
 ) -> ModelPrediction:
-    """Measure one model, see `score_model`; whatever it raises becomes the reason of a failed row."""
+    """Return the scores of one model, see `score_model`; an error becomes the reason of a failed row."""
     family = family or type(model).__name__
     try:
         return score_model(name, model, cases, family=family)
-    except Exception as error:  # a plugin may fail in any way; the other rows must go on
+    except Exception as error:  # a plugin may fail in any way; the other rows must be computed
         return ModelPrediction(name, family, reason=described(error))
 
 
 def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family: str) -> ModelPrediction:
-    """Simulate the measured cases with one model and condense the errors."""
+    """Simulate the measured cases with one model and return its scores."""
     forecasts = simulate_cases(model.without_noise(), cases)
     notes = [f"{name}: {model.fit_note}"] if model.fit_note else []
     notes += _short_of_history(name, model, cases)
@@ -105,17 +105,17 @@ def score_model(name: str, model: DynamicsModel, cases: MeasuredCases, *, family
 
 
 def _short_of_history(name: str, model: DynamicsModel, cases: MeasuredCases) -> list[str]:
-    """Return what there is to say where fewer samples were given than the model wants."""
+    """Return notes if fewer samples were given than the model uses."""
     limit, padded = cases.protocol.history, "was padded with the first state and neutral controls"
     if limit is not None:
         few = model.n_lags > limit
-        return [f"{name} wants {model.n_lags} earlier samples and got {limit}: the rest {padded}"] if few else []
+        return [f"{name} uses {model.n_lags} earlier samples and got {limit}: the rest {padded}"] if few else []
     early = int((cases.windows.start < model.n_lags).sum())
     if model.n_lags <= cases.protocol.first:
         return []
     return [
-        f"{name} wants {model.n_lags} earlier samples: for {early} of {len(cases.windows)} windows and the free runs, "
-        f"which begin earlier in their record, the rest {padded}"
+        f"{name} uses {model.n_lags} earlier samples: for {early} of {len(cases.windows)} windows and for whole "
+        f"episodes, which begin too early in their record, the rest {padded}"
     ]
 
 
@@ -124,10 +124,10 @@ NEVER = -1
 
 @dataclass(frozen=True)
 class SimulatedCases:
-    """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each free run, clipped to the guard.
+    """Predicted states: ``windows`` (N, H, nx) and one (T, nx) for each whole episode, clipped to the guard.
 
-    ``touched`` (N,) and ``free_touched`` (number of free runs,) are the first step (from 1) at which
-    a simulation reached the model's state_bounds or the guard, or stopped being a number; -1 for never.
+    ``touched`` (N,) and ``free_touched`` (number of episodes,) are the first step (from 1) at which a simulation
+    reached the model's state bounds or the guard, or was no longer a number; -1 for never.
     """
 
     windows: Array
@@ -137,7 +137,7 @@ class SimulatedCases:
 
 
 def simulate_cases(model: DynamicsModel, cases: MeasuredCases) -> SimulatedCases:
-    """Run ``model`` freely over all cases. A short history is padded: first state, neutral controls."""
+    """Simulate all cases with ``model``. A short history is padded: first state, neutral controls."""
     windows, touched = _simulate(model, *cases.history(model.n_lags), cases.windows.controls, cases.guard)
     free_runs, free_touched = [], []
     first = np.array([cases.protocol.first])
@@ -165,7 +165,7 @@ def _simulate(
 
 
 def _at_limit(states: Array, limits: Array) -> BoolArray:
-    """Say where a state (..., nx) lies on or beyond a limit; a channel whose limits coincide has none."""
+    """Return where a state (..., nx) is on or beyond a limit; a channel with equal limits has none."""
     low, high = limits
     slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
     with np.errstate(invalid="ignore"):
@@ -205,7 +205,7 @@ def _score(
 
 
 def _curve(forecasts: SimulatedCases, cases: MeasuredCases) -> tuple[Array, Array]:
-    """Return N (H,) after every step, nan at a step where no target moves, and its interval (2, H)."""
+    """Return N (H,) after every step, NaN at a step where no target moves, and its interval (2, H)."""
     errors = cases.system.difference(forecasts.windows, cases.windows.states)
     squares = np.where(cases.moving[:, :, None], errors**2, 0.0)
     steps, nx = squares.shape[1:]
@@ -217,24 +217,24 @@ def _curve(forecasts: SimulatedCases, cases: MeasuredCases) -> tuple[Array, Arra
 
 
 SHARE = 0.9
-"""What the intervals are to hold."""
+"""Nominal coverage of the intervals."""
 SAMPLES = 100
 MOST_WINDOWS = 400
-PIECE = 50
-"""Windows that are simulated together."""
+BATCH = 50
+"""Number of windows that are simulated together."""
 
 
 def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Coverage, ...]:
-    """Return the coverage of the central 90 % of 100 samples at every horizon; nothing of a model without noise.
+    """Return the coverage of the central 90 % of 100 samples at every horizon; empty for a model without noise.
 
-    Of many windows 400 are taken, evenly spread. Only targets that move count. The draws are the same every time.
+    At most 400 evenly spread windows are used. Only targets that move count. The draws are the same every time.
     """
     if not (model.n_noise or model.n_draws) or not len(cases.windows):
         return ()
     windows = cases.windows
     few = evenly_spaced(len(windows), MOST_WINDOWS)
-    pieces = np.array_split(few, -(-len(few) // PIECE))
-    held = np.concatenate([_held(model, cases, rows) for rows in pieces], axis=1)
+    batches = np.array_split(few, -(-len(few) // BATCH))
+    held = np.concatenate([_held(model, cases, rows) for rows in batches], axis=1)
     found = []
     for place, horizon in enumerate(cases.horizons):
         rows = cases.moving[few, horizon - 1]
@@ -244,7 +244,7 @@ def interval_coverage(model: DynamicsModel, cases: MeasuredCases) -> tuple[Cover
 
 
 def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
-    """Return whether each target lies inside, (horizons, N, nx), for the windows ``rows``."""
+    """Return whether each target is inside the interval, (horizons, N, nx), for the windows ``rows``."""
     windows = cases.windows[rows]
     past_states, past_controls = cases.history(model.n_lags)
     drawn = model.simulate(
@@ -261,7 +261,7 @@ def _held(model: DynamicsModel, cases: MeasuredCases, rows: IntArray) -> Array:
 
 
 def episode_errors(cases: MeasuredCases, windows: Array, free_runs: Sequence[Array]) -> tuple[EpisodeError, ...]:
-    """Return the errors of each test episode; ``windows`` (N, H, nx) and ``free_runs`` are what was predicted."""
+    """Return the errors of each test episode from the predictions ``windows`` (N, H, nx) and ``free_runs``."""
     errors, system = cases.system.difference(windows, cases.windows.states), cases.system
     nothing = np.full(system.nx, np.nan)
     fits = {
@@ -289,7 +289,7 @@ def _n(errors: Array, cases: MeasuredCases, inside: np.ndarray, horizon: int) ->
 
 
 class Persistence(DynamicsModel):
-    """The next state is the present one; there is nothing to learn."""
+    """The next state is the present one; it has no parameters."""
 
     knowledge = "none"
 

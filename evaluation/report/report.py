@@ -128,7 +128,7 @@ def to_json(report: ComparisonResults) -> dict[str, Any]:
         "transfer": None if report.matrix is None else matrix_to_json(report.matrix),
         "controllers": None if report.transfer is None else summary_to_json(report.transfer),
         "forecast": None if report.matrix is None else forecast_to_json(report),
-        "behaviour": [] if report.matrix is None else behaviour_to_json(report.manners, report.matrix),
+        "behaviour": [] if report.matrix is None else behaviour_to_json(report.driving_summaries, report.matrix),
         "controller_files": report.controllers,
         "exploitability": [exploitability_to_json(model) for model in report.exploitability],
         "advice": report.advice,

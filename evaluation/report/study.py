@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def study_story(results: StudyResults) -> Page:
-    """Tell what a study found."""
-    controllers = present(share_picture(results), controller_sheet(results), gap_picture(results))
+def study_page(results: StudyResults) -> Page:
+    """Return the page of a study."""
+    controllers = present(normalised_picture(results), controller_sheet(results), gap_picture(results))
     models = present(error_picture(results), prediction_sheet(results), exploit_sheet(results))
     forecasts = present(forecast_sheet(results))
     failed = [(one.point, one.cell, one.reason) for one in results.failures]
@@ -80,32 +80,32 @@ DOCUMENT, MARKDOWN, PAGE = "study.json", "study.md", "study.html"
 
 def save_study(results: StudyResults, folder: str | Path) -> tuple[Path, ...]:
     """Write ``study.json``, ``study.md`` and ``study.html`` into ``folder`` and return their paths."""
-    story = study_story(results)
+    page = study_page(results)
     unfolded = [
         replace(one, items=[item for item in one.items if not (isinstance(item, TableElement) and item.details)])
-        for one in story.sections
+        for one in page.sections
     ]
-    short = replace(story, sections=[one for one in unfolded if one.items or one.absent])
+    short = replace(page, sections=[one for one in unfolded if one.items or one.absent])
     texts = {
         DOCUMENT: json_text(study_document(results)),
         MARKDOWN: story_to_markdown(short),
-        PAGE: page_of(story),
+        PAGE: page_of(page),
     }
     return tuple(write_text(Path(folder) / name, text) for name, text in texts.items())
 
 
 def study_brief(results: StudyResults, *, verbose: bool = False) -> list[RenderableType]:
     """Return the answers and the short table; with ``verbose`` every table that the page does not fold away."""
-    story = study_story(results)
+    page = study_page(results)
     parts: list[RenderableType] = [
-        Text(story.title, style="bold"),
-        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in story.headlines]),
-        *findings_lines(story.findings),
+        Text(page.title, style="bold"),
+        *findings_lines([Finding(one.question, (f"{one.answer}. {one.sentence}",)) for one in page.headlines]),
+        *findings_lines(page.findings),
     ]
-    short = story.overview or prediction_sheet(results)
+    short = page.overview or prediction_sheet(results)
     parts += [] if short is None else table_lines(short)
     if verbose:
-        for section in story.sections:
+        for section in page.sections:
             for sheet in section.sheets:
                 parts += [] if sheet.details else table_lines(sheet)
     return parts
@@ -117,36 +117,37 @@ def headlines(results: StudyResults) -> tuple[Headline, ...]:
 
 
 def _achieving(results: StudyResults) -> Headline:
-    question = "Which controllers hold on the robot?"
-    figures = [one for one in controller_figures(results) if one.share is not None and one.controller != HINDSIGHT]
+    question = "Which controllers work on the robot?"
+    figures = [one for one in controller_figures(results) if one.normalised is not None and one.controller != HINDSIGHT]
     axes = results.study.group_axes
     named = [one for one in figures if one.controller != CHOSEN and one.kind != "robot"]
     if not named:
         return Headline(question, "Not known", "No controller was run on a robot.", "open")
-    best = max(named, key=_mean_share)
-    assert best.share is not None
+    best = max(named, key=_mean_of)
+    assert best.normalised is not None
     alone = [one for one in named if one.kind == "single"]
-    told = f"It achieves {_shares(best.share)} of the best_known, {percent(best.share.lowest)} at worst."
+    lowest = percent(best.normalised.lowest)
+    text = f"It achieves {_percent_of(best.normalised)} of the best known fitness, {lowest} in its worst point."
     if alone and best.kind != "single":
-        other = max(alone, key=_mean_share)
-        assert other.share is not None
-        told += f" The best family alone: {other.name(axes)}, {_shares(other.share)}"
-        told += f", {percent(other.share.lowest)} at worst."
-    return Headline(question, best.name(axes), told, "good")
+        other = max(alone, key=_mean_of)
+        assert other.normalised is not None
+        text += f" The best family alone: {other.name(axes)}, {_percent_of(other.normalised)}"
+        text += f", {percent(other.normalised.lowest)} in its worst point."
+    return Headline(question, best.name(axes), text, "good")
 
 
-def _mean_share(one: ControllerFigures) -> float:
-    return -1e9 if one.share is None else one.share.mean
+def _mean_of(one: ControllerFigures) -> float:
+    return -1e9 if one.normalised is None else one.normalised.mean
 
 
-def _shares(found: Spread) -> str:
+def _percent_of(found: Spread) -> str:
     if found.low is None or found.high is None:
         return percent(found.mean)
     return f"{percent(found.mean)} ({percent(found.low)} to {percent(found.high)})"
 
 
 def _forecasting(results: StudyResults) -> Headline:
-    question = "Can one choose without the robot?"
+    question = "Can a controller be chosen without the robot?"
     figures = forecast_figures(results)
     by_forecast = [one for one in figures if one.figure == "forecast" and one.correlation is not None]
     if not by_forecast:
@@ -156,15 +157,15 @@ def _forecasting(results: StudyResults) -> Headline:
     assert one.correlation is not None
     answer = f"Rank correlation {one.correlation.mean:.2f}"
     group = group_name(results.study.group_axes, one.group)
-    told = f"Within a point, of the forecast with what is achieved{group and f' ({group})'}."
+    text = f"Between forecast and achieved fitness, within a point{group and f' ({group})'}."
     if one.loss is not None and claim is not None and claim.loss is not None:
-        told += (
-            f" Choosing by it loses {percent(one.loss.mean)} of the best_known, choosing by the claim "
+        text += (
+            f" The choice by forecast loses {percent(one.loss.mean)} of the best known fitness, the choice by claim "
             f"{percent(claim.loss.mean)}."
         )
     if one.inside is not None:
-        told += f" {percent(one.inside.mean)} of the 90 % intervals hold."
-    return Headline(question, answer, told, "good" if one.correlation.mean > 0.5 else "bad")
+        text += f" {percent(one.inside.mean)} of the 90 % intervals contain the achieved fitness."
+    return Headline(question, answer, text, "good" if one.correlation.mean > 0.5 else "bad")
 
 
 def _predicting(results: StudyResults) -> Headline:
@@ -172,12 +173,12 @@ def _predicting(results: StudyResults) -> Headline:
     figures = [one for one in prediction_figures(results) if one.n[20] is not None]
     if not figures:
         return Headline(question, "Not known", "No prediction was made.", "open")
-    told = [f"{one.model} {n.mean:.3f}" for one in figures[:4] if (n := one.n[20]) is not None]
-    return Headline(question, figures[0].model, f"N after 20 steps: {', '.join(told)}.", "good")
+    text = [f"{one.model} {n.mean:.3f}" for one in figures[:4] if (n := one.n[20]) is not None]
+    return Headline(question, figures[0].model, f"N after 20 steps: {', '.join(text)}.", "good")
 
 
 def findings(results: StudyResults) -> list[Finding]:
-    """Say what the numbers rest on: points, robots and seeds, best known, and what failed or is missing."""
+    """Return the basis of the numbers: points, robots and seeds, best known fitness, failed and missing cells."""
     finished, all_points = len(results.finished), len(results.points)
     done = [f"{all_points} points. {_basis(results)}"]
     if finished < all_points:
@@ -185,7 +186,7 @@ def findings(results: StudyResults) -> list[Finding]:
         first = next(point.name for point in results.points if not point.finished)
         done.append(
             f"{all_points - finished} of {all_points} points are not finished ({missing} cells are missing, the first "
-            f"in {first}): the figures are those of what is there."
+            f"in {first}): all figures are of finished cells."
         )
     if results.failures:
         done.append(f"{len(results.failures)} cells failed; the reasons are listed below.")
@@ -193,10 +194,10 @@ def findings(results: StudyResults) -> list[Finding]:
     for row in results.controllers:
         if row.best_known is not None:
             best_known[results.point(row.point).where] = row.best_known
-    found = [Finding("What do the numbers rest on?", tuple(done))]
+    found = [Finding("What are the figures based on?", tuple(done))]
     if best_known:
-        told = ", ".join(f"{robot} {three_digits(value)}" for robot, value in best_known.items())
-        found.append(Finding("What is possible?", (f"Best achieved on each robot, best known: {told}.",)))
+        text = ", ".join(f"{robot} {three_digits(value)}" for robot, value in best_known.items())
+        found.append(Finding("What is possible?", (f"Best known fitness on each robot: {text}.",)))
     return found
 
 
@@ -214,13 +215,16 @@ def summary_table(results: StudyResults) -> TableElement | None:
         shown += [one for one in own if one.controller == HINDSIGHT]
         for one in shown:
             name = f"{one.controller} (best family alone)" if one in singles else one.controller
-            worst = number(None if one.share is None else one.share.lowest, 2)
-            rows.append((name, *labels(one.group), _spread(one.share, 2), worst, _spread(one.gap, sign=True)))
+            worst = number(None if one.normalised is None else one.normalised.lowest, 2)
+            rows.append((name, *labels(one.group), _spread(one.normalised, 2), worst, _spread(one.gap, sign=True)))
     if not rows:
         return None
-    heads = ("controller", *axes, "share", "worst", "claimed -\nachieved")
+    heads = ("controller", *axes, "normalised", "lowest", "claimed -\nachieved")
     unit = _unit(results, ", in {}")
-    note = f"share: achieved on the robot, of the best known there. claimed - achieved{unit}. Below: 95 % intervals."
+    note = (
+        "normalised: achieved fitness divided by the best known on that robot, both minus that of controls at rest. "
+        f"lowest: that of the worst point. claimed - achieved{unit}. Below: 95 % intervals."
+    )
     return TableElement("In short", heads, tuple(rows), note=note)
 
 
@@ -230,33 +234,33 @@ def controller_sheet(results: StudyResults) -> TableElement | None:
     reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
     compared = any(one.difference is not None for one in figures)
     axes, labels = differing_axes(results, [one.group for one in figures])
-    heads = ["controller", *axes, "share", "worst", "claimed -\nachieved"]
+    heads = ["controller", *axes, "normalised", "lowest", "claimed -\nachieved"]
     heads += ["reference\nminus this"] if compared else []
     rows = []
     for one in figures:
         row = [
             lines(one.controller, "(reference)" if one.is_reference else ""),
             *labels(one.group),
-            _spread(one.share, 2),
+            _spread(one.normalised, 2),
         ]
-        row += [number(None if one.share is None else one.share.lowest, 2), _spread(one.gap, sign=True)]
+        row += [number(None if one.normalised is None else one.normalised.lowest, 2), _spread(one.gap, sign=True)]
         row += [_spread(one.difference, 2, sign=True)] if compared else []
-        points = 0 if one.share is None else one.share.points
+        points = 0 if one.normalised is None else one.normalised.points
         rows.append((*row, f"{points}, {one.failed} failed" if one.failed else str(points)))
     if not rows:
         return None
     paired = f" Reference: {reference}, paired by robot and seed." if compared else ""
     note = (
-        "share: achieved on the robot, of the best that is achieved there by any controller of the study (its "
-        "best_known). worst: the lowest share of a point. claimed - achieved: what is claimed too much"
-        f"{_unit(results, ', in {}')}. {CHOSEN}: what the program picks in each point without the robot; {HINDSIGHT}: "
-        f"what it would have picked knowing the outcome.{paired} {_basis(results)}"
+        "normalised: achieved fitness divided by the best known, which is the best that any controller of the study "
+        "achieves on that robot, both minus that of controls at rest. lowest: that of the worst point. "
+        f"claimed - achieved{_unit(results, ', in {}')}. {CHOSEN}: the controller chosen in each point without the "
+        f"robot; {HINDSIGHT}: the best one there.{paired} {_basis(results)}"
     )
     return TableElement("Controllers", (*heads, "points"), tuple(rows), note=note)
 
 
 def prediction_sheet(results: StudyResults) -> TableElement | None:
-    """How well each model predicts and how long a fit takes; None without a model."""
+    """Prediction error and time of a fit of each model; None without a model."""
     figures = prediction_figures(results)
     if not figures:
         return None
@@ -276,7 +280,7 @@ def prediction_sheet(results: StudyResults) -> TableElement | None:
 
 
 def exploit_sheet(results: StudyResults) -> TableElement | None:
-    """How often the controllers evolved in each model exploit it; None where nothing was assessed."""
+    """How often the controllers evolved in each model exploit it; None if nothing was assessed."""
     figures = exploit_figures(results)
     if not figures:
         return None
@@ -286,14 +290,14 @@ def exploit_sheet(results: StudyResults) -> TableElement | None:
         (one.model, *labels(one.group), f"{one.exploited} of {one.judged}", _spread(one.kept, 2)) for one in figures
     ]
     note = (
-        "exploited in: points in which the claims of its own controllers exceed what they achieve on the robot by a "
-        "tenth, and surely. claim kept: share of the claim that is achieved."
+        "exploited in: points in which the claims of its own controllers exceed their fitness on the robot by a tenth "
+        "and by two standard errors. claim kept: share of the claim that is achieved."
     )
     return TableElement("Exploitability", heads, tuple(rows), note=f"{note} {_basis(results)}")
 
 
 def forecast_sheet(results: StudyResults) -> TableElement | None:
-    """How well controllers are ranked and chosen without the robot; None where no point is finished."""
+    """How well controllers are ranked and chosen without the robot; None if no point is finished."""
     figures = forecast_figures(results)
     if not figures:
         return None
@@ -320,17 +324,15 @@ def forecast_sheet(results: StudyResults) -> TableElement | None:
         for one in figures
     ]
     note = (
-        "rank correlation with what is achieved on the robot, within a point; loss: by how much of the best_known the "
-        "controller chosen in a point falls short of the best there; intervals hold: share of the 90 % intervals of "
-        "forecasts in which what is achieved lies. prediction error: of the models that a controller was evolved in."
+        "rank correlation: with fitness on the robot, within a point. loss: normalised fitness of the best controller "
+        "of a point minus that of the chosen one. coverage: share of the 90 % intervals of forecasts that contain the "
+        "fitness on the robot. prediction error: of the models that a controller was evolved in."
     )
-    return TableElement(
-        "Forecasts", (*heads, "intervals\nhold", "controllers"), tuple(rows), note=f"{note} {_basis(results)}"
-    )
+    return TableElement("Forecasts", (*heads, "coverage", "controllers"), tuple(rows), note=f"{note} {_basis(results)}")
 
 
 def time_sheet(results: StudyResults) -> TableElement:
-    """Where time went, by kind of cell; cells that points share count once."""
+    """Time by kind of cell; cells that several points need count once."""
     kinds = dict.fromkeys(time.kind for time in results.times)
     rows = []
     for kind in kinds:
@@ -342,12 +344,12 @@ def time_sheet(results: StudyResults) -> TableElement:
         (kind, str(count), number(seconds / 60.0, 1), number(seconds / max(1, count), 2))
         for kind, count, seconds in rows
     ]
-    note = "Time on one processor each, whenever it was; cells that several points need count once."
+    note = "Time on one processor each; cells that several points need count once."
     return TableElement("Time", ("kind of cell", "cells", "min", "s a cell"), tuple(text), note=note)
 
 
 def point_sheet(results: StudyResults) -> TableElement:
-    """Every point: how far it is, which controller is picked there, and what it achieves."""
+    """Every point: its progress, the controller chosen there, and its fitness."""
     chosen = {row.point: row for row in results.controllers if row.chosen}
     rows = []
     for point in results.points:
@@ -362,12 +364,12 @@ def point_sheet(results: StudyResults) -> TableElement:
                 three_digits(row.best_known),
             )
         rows.append((point.name, state, *picked))
-    heads = ("point", "cells", "picked", "forecast", "achieved", "best_known")
+    heads = ("point", "cells", "chosen", "forecast", "achieved", "best known")
     return TableElement("Points", heads, tuple(rows), details=len(rows) > 12)
 
 
 def settings_sheet(results: StudyResults) -> TableElement:
-    """What all points share, the axes, and the versions of what computed them."""
+    """Settings common to all points, the axes, and the versions of packages."""
     study = results.study
     rows = [(name, label_of(value)) for name, value in study.experiment.items()]
     for grid in study.grids:
@@ -377,7 +379,7 @@ def settings_sheet(results: StudyResults) -> TableElement:
 
 
 def _spread(found: Spread | None, digits: int | None = None, *, sign: bool = False) -> str:
-    """Return a mean, and below it its interval where there is one; without ``digits`` those that it leaves."""
+    """Return a mean, and below it its interval if there is one; ``digits`` None are those that the interval allows."""
     if found is None:
         return "–"
     return lines(_written(found.mean, found, digits, sign=sign), _between(found, digits, sign=sign))
@@ -396,7 +398,7 @@ def _written(value: float, found: Spread, digits: int | None, *, sign: bool) -> 
 
 
 def _basis(results: StudyResults) -> str:
-    """Say over how many robots and seeds intervals are, or why there are none."""
+    """Return the number of robots and seeds of the intervals, or why there are none."""
     begun = {row.point for row in results.models} | {row.point for row in results.controllers}
     robots = len({point.where for point in results.points if point.name in begun})
     seeds = len({point.seed for point in results.points if point.name in begun})
@@ -410,41 +412,41 @@ def _basis(results: StudyResults) -> str:
 def differing_axes(
     results: StudyResults, groups: Sequence[tuple[str, ...]]
 ) -> tuple[list[str], Callable[[tuple[str, ...]], list[str]]]:
-    """Return the axes along which ``groups`` differ, and what picks the labels of a group along these."""
+    """Return the axes along which ``groups`` differ, and a function that selects the labels of a group along these."""
     places = [place for place, labels in enumerate(zip(*groups, strict=True)) if len(set(labels)) > 1]
     axes = [results.study.group_axes[place] for place in places]
     return axes, lambda group: [group[place] for place in places]
 
 
 def _unit(results: StudyResults, form: str) -> str:
-    """Return the one unit of all fitnesses in this form, such as ``" ({})"``; empty if there are several or none."""
+    """Return the unit common to all fitness values in this form, such as ``" ({})"``; empty if there is none."""
     units = dict.fromkeys(point.unit for point in results.points if point.unit)
     return form.format(next(iter(units))) if len(units) == 1 else ""
 
 
-def share_picture(results: StudyResults) -> FigureElement | None:
-    """Draw the share of the best_known that each controller achieves."""
-    figures = [(one.group, one.controller, one.share) for one in controller_figures(results)]
-    caption = "Share of the best that is known to be achieved on each robot."
-    label = "share of the best_known"
-    return _picture("share", "What controllers achieve", _drawn(figures), label, caption, line=1.0)
+def normalised_picture(results: StudyResults) -> FigureElement | None:
+    """Draw the normalised fitness of each controller."""
+    figures = [(one.group, one.controller, one.normalised) for one in controller_figures(results)]
+    caption = "Achieved fitness divided by the best known on each robot, both minus that of controls at rest."
+    label = "normalised fitness"
+    return _picture("normalised", "Achieved fitness", _drawn(figures), label, caption, line=1.0)
 
 
 def gap_picture(results: StudyResults) -> FigureElement | None:
-    """Draw what each controller claims too much."""
+    """Draw claimed minus achieved fitness of each controller."""
     figures = [(one.group, one.controller, one.gap) for one in controller_figures(results)]
     unit = _unit(results, " ({})")
-    caption = "Right of 0 they claim more than the robot shows."
+    caption = "Right of 0: claimed fitness exceeds that on the robot."
     label = f"claimed - achieved{unit}"
-    return _picture("gap", "What controllers claim too much", _drawn(figures), label, caption, line=0)
+    return _picture("gap", "Claimed minus achieved fitness", _drawn(figures), label, caption, line=0)
 
 
 def error_picture(results: StudyResults) -> FigureElement | None:
-    """Draw how well each model predicts a second ahead."""
+    """Draw the prediction error of each model one second ahead."""
     axes = prediction_axes(results)
     figures = [(one.group if axes else (), one.model, one.n[20]) for one in prediction_figures(results)]
-    caption = "On data that were held back; 0 is perfect, 1 as bad as the mean."
-    return _picture("errors", "How well models predict", _drawn(figures), "N after 20 steps", caption)
+    caption = "On held-out data; 0 is perfect, 1 as bad as the mean."
+    return _picture("errors", "Prediction error", _drawn(figures), "N after 20 steps", caption)
 
 
 def _drawn(figures: list[tuple[tuple[str, ...], str, Spread | None]]) -> dict[str, dict[str, MeanAndInterval]]:
@@ -457,7 +459,7 @@ def _drawn(figures: list[tuple[tuple[str, ...], str, Spread | None]]) -> dict[st
 
 
 ROW, FURTHER = 0.34, 0.13
-"""Inches of a row, and what each further group adds."""
+"""Height of a row in inches, and of each further group."""
 
 
 def _picture(
@@ -492,7 +494,7 @@ SCHEMA = "sysid-evo/study/2"
 
 
 def study_document(results: StudyResults) -> dict[str, Any]:
-    """Return what stands in ``study.json``: settings, points, the figures of all tables, failures, times."""
+    """Return the content of ``study.json``: settings, points, the figures of all tables, failures, times."""
     timings: dict[str, dict[str, float]] = {}
     for time in results.times:
         one = timings.setdefault(time.kind, {"cells": 0, "seconds": 0.0})

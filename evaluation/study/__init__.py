@@ -1,4 +1,4 @@
-"""Studies: a grid of comparisons as one plan, and what it says over robots and seeds."""
+"""Studies: a grid of comparisons as one plan, and its results over robots and seeds."""
 
 from evaluation.study.figures import (
     CHOSEN,

@@ -15,7 +15,7 @@ from evaluation.transfer.summary import rank_correlation
 from sysid_evo.validation.estimates import across
 
 FEWEST = 3
-"""Robots, or seeds of a single one, below which there is no interval."""
+"""Minimum number of robots, or of seeds of a single robot, for an interval."""
 
 Repeats: TypeAlias = Mapping[tuple[str, str], float]
 """A number by robot and seed."""
@@ -23,9 +23,9 @@ Repeats: TypeAlias = Mapping[tuple[str, str], float]
 
 @dataclass(frozen=True)
 class Spread:
-    """The mean over ``robots``, of the mean over the seeds of each, and its 95 % interval, None where there is none.
+    """The mean over ``robots`` of the mean over seeds, and its 95 % interval, None if there is none.
 
-    ``lowest`` and ``highest`` are those of single points, ``points`` how many there are.
+    ``lowest`` and ``highest`` are those of single points, ``points`` is their number.
     """
 
     mean: float
@@ -38,7 +38,7 @@ class Spread:
 
     @classmethod
     def of(cls, repeats: Repeats) -> Spread | None:
-        """Return the spread of numbers by robot and seed, None for none; what is no number is left out."""
+        """Return the spread of numbers by robot and seed, None without any; NaN is left out."""
         known = {key: value for key, value in repeats.items() if np.isfinite(value)}
         if not known:
             return None
@@ -55,22 +55,23 @@ def differences(first: Repeats, second: Repeats) -> Repeats:
 
 
 CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
-"""Rows of their own: what the program picks in each point without the robot, and what would have been best."""
+"""Additional rows: the controller chosen in each point without the robot, and the best one there."""
 
 
 @dataclass(frozen=True)
 class ControllerFigures:
     """One row: a controller in the points of one ``group``, over robots and seeds.
 
-    ``share`` of the best_known that is achieved, ``gap`` claimed minus achieved in the unit of fitness, ``difference``
-    the share of the reference minus that of this one, paired by robot and seed; None where there is nothing to tell.
-    ``planned`` is the number of points that could have it, ``failed`` that of those in which it could not be made.
+    ``normalised`` is the achieved share of the best known fitness, ``gap`` claimed minus achieved fitness.
+    ``difference`` is the normalised fitness of the reference minus that of this controller, paired by robot and seed.
+    They are None if unknown. ``planned`` is the number of points that could have the controller, ``failed`` that of
+    those in which it could not be made.
     """
 
     group: tuple[str, ...]
     controller: str
     kind: str
-    share: Spread | None
+    normalised: Spread | None
     gap: Spread | None
     difference: Spread | None
     planned: int
@@ -78,23 +79,23 @@ class ControllerFigures:
     is_reference: bool = False
 
     def name(self, axes: Sequence[str]) -> str:
-        """Return the controller, and behind it its group by these axes."""
+        """Return the controller, followed by its group by these axes."""
         group = group_name(axes, self.group)
         return f"{self.controller} ({group})" if group else self.controller
 
 
 def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
-    """Return a row for each controller of each group; of each group the best on average first."""
+    """Return a row for each controller of each group, the best on average first in each group."""
     rows = dict(_rows(results))
     reference = _reference(results, list(rows))
-    compared = {} if reference is None else _by_point(results, rows[reference], lambda row: row.share)
+    compared = {} if reference is None else _by_point(results, rows[reference], lambda row: row.normalised)
     found = []
     for key, own in rows.items():
         group, name = key
-        share = _by_point(results, own, lambda row: row.share)
-        difference = {} if key == reference else differences(compared, share)
+        normalised = _by_point(results, own, lambda row: row.normalised)
+        difference = {} if key == reference else differences(compared, normalised)
         failed = sum(bool(row.reason) for row in own)
-        if not share and not failed:
+        if not normalised and not failed:
             continue  # evolved, but not run on the robot yet
         kinds = {row.kind for row in own}
         found.append(
@@ -102,7 +103,7 @@ def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
                 group=group,
                 controller=name,
                 kind=next(iter(kinds)) if len(kinds) == 1 else "",
-                share=Spread.of(share),
+                normalised=Spread.of(normalised),
                 gap=Spread.of(_by_point(results, own, _gap)),
                 difference=Spread.of(difference),
                 planned=len(own),
@@ -111,11 +112,12 @@ def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
             )
         )
     order = list(dict.fromkeys(figures.group for figures in found))
-    return tuple(sorted(found, key=lambda one: (order.index(one.group), -(one.share.mean if one.share else -1e9))))
+    best = {id(one): one.normalised.mean if one.normalised else -1e9 for one in found}
+    return tuple(sorted(found, key=lambda one: (order.index(one.group), -best[id(one)])))
 
 
 def _rows(results: StudyResults) -> Iterator[tuple[tuple[tuple[str, ...], str], list[ControllerRow]]]:
-    """Yield the rows of each controller of each group, then of those that are picked in each point."""
+    """Yield the rows of each controller of each group, then of those that are chosen in each point."""
     groups: dict[tuple[str, ...], dict[str, list[ControllerRow]]] = {}
     places = {point.name: point for point in results.points}
     by_point: dict[str, list[ControllerRow]] = {}
@@ -135,15 +137,15 @@ def _rows(results: StudyResults) -> Iterator[tuple[tuple[tuple[str, ...], str], 
 
 
 def _best(rows: Sequence[ControllerRow]) -> ControllerRow | None:
-    """Return the controller that achieves most of those that were evolved in models."""
-    known = [row for row in rows if row.in_models and row.share is not None]
-    return max(known, key=lambda row: row.share or 0.0, default=None)
+    """Return the controller with the highest achieved fitness among those evolved in models."""
+    known = [row for row in rows if row.in_models and row.normalised is not None]
+    return max(known, key=lambda row: row.normalised or 0.0, default=None)
 
 
 def _reference(
     results: StudyResults, keys: Sequence[tuple[tuple[str, ...], str]]
 ) -> tuple[tuple[str, ...], str] | None:
-    """Return which row others are compared with: the one that the study names, else the first polished one."""
+    """Return the row that others are compared with: the one named by the study, else the first polished one."""
     asked: Mapping[str, str] = results.study.compare_with
     axes = results.study.group_axes
     fitting = [
@@ -174,14 +176,14 @@ def _by_point(
 
 
 def _gap(row: ControllerRow) -> float | None:
-    """Return what is claimed too much; what was evolved on the robot itself claims nothing about it."""
+    """Return claimed minus achieved fitness; a controller evolved on the robot itself has no claim about it."""
     if row.claimed is None or row.achieved is None or not row.in_models:
         return None
     return row.claimed - row.achieved
 
 
 HORIZONS = (10, 20, 60)
-"""Steps ahead at which errors are shown."""
+"""Horizons in steps at which errors are shown."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ def prediction_figures(results: StudyResults) -> tuple[PredictionFigures, ...]:
 
 
 def exploit_figures(results: StudyResults) -> tuple[ExploitFigures, ...]:
-    """Return a row for each model of each group in which some controller was evolved alone."""
+    """Return a row for each model of each group in which a controller was evolved in it alone."""
     found = []
     for (group, model), own in _grouped(results, lambda point: point.group).items():
         judged = [row.exploited for _, row in own if row.exploited is not None]
@@ -282,18 +284,18 @@ FIGURES: Mapping[str, Callable[[ControllerRow], float | None]] = {
     "claim": lambda row: row.claimed,
     "prediction error": lambda row: None if row.error is None else -row.error,
 }
-"""By what a controller could be chosen without the robot; more is better."""
+"""Figures by which a controller could be chosen without the robot; more is better."""
 FITNESS = ("forecast", "claim")
-"""Those that are a fitness, so that one can say by how much they miss."""
+"""Those that are a fitness, so that they have an error."""
 
 
 @dataclass(frozen=True)
 class ForecastFigures:
-    """One row: ranking and choosing by one ``figure`` within the points of one group, over robots and seeds.
+    """One row: ranking and choice by one ``figure`` within the points of one group, over robots and seeds.
 
-    ``correlation`` is Spearman's with what is achieved, ``loss`` the share of the best_known by which the controller
-    that is chosen falls short of the best, ``rmse`` by how much a fitness misses, over all ``controllers``;
-    ``inside`` the share of 90 % intervals that hold what is achieved, of forecasts alone.
+    ``correlation`` is Spearman's with achieved fitness. ``loss`` is the share of the best known fitness by which the
+    chosen controller is below the best, ``rmse`` the error of a fitness, over all ``controllers``. ``inside`` is the
+    share of 90 % intervals that contain the achieved fitness, for forecasts alone.
     """
 
     group: tuple[str, ...]
@@ -333,9 +335,9 @@ def _figures(
         correlation = rank_correlation(pairs)
         if correlation is not None:
             correlations[key] = correlation
-        shares = [(value, row.share) for value, row in known if row.share is not None]
-        if shares:
-            losses[key] = max(share for _, share in shares) - max(shares, key=lambda pair: pair[0])[1]
+        reached = [(value, row.normalised) for value, row in known if row.normalised is not None]
+        if reached:
+            losses[key] = max(fitness for _, fitness in reached) - max(reached, key=lambda pair: pair[0])[1]
         held = [row.within_forecast for _, row in known if row.within_forecast is not None]
         if held:
             inside[key] = float(np.mean(held))

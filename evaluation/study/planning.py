@@ -1,4 +1,4 @@
-"""From a study to one plan of the cells of all its points, each once."""
+"""Makes one plan of the cells of all points of a study, each cell once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PlannedStudy:
 
     @cached_property
     def places(self) -> Mapping[str, str]:
-        """The name of what all points that need a cell have in common, by its digest."""
+        """For each cell, by its digest, the labels shared by all points that need it, as a name."""
         shared: dict[str, dict[str, str]] = {}
         for point, comparison in self.points:
             for cell in comparison.plan:
@@ -41,16 +41,16 @@ class PlannedStudy:
         return {digest: name_of(labels) for digest, labels in shared.items()}
 
     def where(self, cell: Cell) -> str:
-        """Return what stands before the title of ``cell``, so that it can be told apart: where it belongs."""
+        """Return the prefix of the title of ``cell`` that names its points."""
         place = self.places.get(cell.digest, "")
         return f"{place}: " if place else ""
 
 
 def plan_study(study: Study) -> PlannedStudy:
-    """Return the plan of ``study``; nothing is computed. Raises what is wrong with a point, with its name.
+    """Return the plan of ``study``; nothing is computed. Errors in a point are raised with its name.
 
-    Plugins that its file names must be trusted. Recordings that experiments name are read, each once. Cells of several
-    points are one: they are found by their digests.
+    Plugins named in its file must be trusted. Recordings that experiments name are read once each. Cells that several
+    points share have the same digest and are computed once.
     """
     plugins = study.experiment.get("plugins", ())
     if study.file is not None:
@@ -82,7 +82,7 @@ def plan_study(study: Study) -> PlannedStudy:
 
 
 def seconds_about(planned: PlannedStudy, records: Mapping[str, CellRecord | None]) -> dict[str, float]:
-    """Return about how long each cell takes, by digest: what it foresees, corrected by what its kind took here."""
+    """Return the estimated time of each cell, by digest: its own estimate, corrected by finished cells of its kind."""
     took: dict[str, float] = {}
     foreseen: dict[str, float] = {}
     for cell in planned.plan:

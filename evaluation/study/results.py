@@ -1,4 +1,4 @@
-"""What a study found: rows, read from the store point by point, and their Parquet tables."""
+"""Results of a study: rows, read from the store point by point, and their Parquet tables."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from sysid_evo.plan.store import WAITING
 from sysid_evo.registry import Spec, tasks
 from sysid_evo.version import versions
 
-ControllerKind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "by hand"]
-"""What a controller comes from: one model, several at once, polishing on all of them, the robot itself, a person."""
+ControllerKind: TypeAlias = Literal["single", "ensemble", "polished", "robot", "baseline"]
+"""Origin of a controller: one model, several at once, polish on all of them, the robot itself, or a baseline."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ModelRow:
     """One fitted model of one point, or the ``reason`` why there is none.
 
     ``claimed`` and ``achieved`` are means over the controllers that were evolved in it, ``kept`` is the share of the
-    claim that is achieved, ``exploited`` whether the claim is. ``seconds`` is how long the fit took.
+    claim that is achieved, ``exploited`` whether the claim is exploited. ``seconds`` is the duration of the fit.
     """
 
     point: str
@@ -61,7 +61,7 @@ class ModelRow:
     reason: str = ""
 
     def n(self, horizon: int) -> float | None:
-        """Return N at a horizon, None where it was not measured."""
+        """Return N at a horizon, None if it was not measured."""
         return next((error.n for error in self.errors if error.horizon == horizon), None)
 
 
@@ -69,11 +69,11 @@ class ModelRow:
 class ControllerRow:
     """One controller of one point, or the ``reason`` why there is none; fitness is in the unit of the point's task.
 
-    ``achieved`` is that on the robot; ``worst`` that on ``worst_on``, the system where it is lowest of all that it was
-    not evolved against. ``within_forecast`` says whether what is achieved lies in the 90 % interval of the forecast.
-    ``error`` is the mean of N after a second of the models that it was evolved in. ``best_known`` is the best that is
-    achieved on this robot in the study, ``share`` what is achieved of it, both measured from ``rest_fitness``, controls
-    at rest, where those were run.
+    ``achieved`` is the fitness on the robot; ``worst`` that on ``worst_on``, the system where it is lowest among all
+    that it was not evolved against. ``within_forecast`` is true if ``achieved`` is in the 90 % interval of the
+    forecast. ``error`` is the mean N after a second of the models that it was evolved in. ``best_known`` is the best
+    fitness achieved on this robot in the study. ``normalised`` is the achieved share of it, both measured from
+    ``rest_fitness``, that of controls at rest, if those were run.
     """
 
     point: str
@@ -94,14 +94,14 @@ class ControllerRow:
     exploited: bool | None = None
     rest_fitness: float | None = None
     best_known: float | None = None
-    share: float | None = None
+    normalised: float | None = None
     chosen: bool = False
     file: str = ""
     reason: str = ""
 
     @property
     def in_models(self) -> bool:
-        """Whether it was evolved in models, and not on the robot itself or by a person."""
+        """Whether it was evolved in models, and is neither from the robot itself nor a baseline."""
         return self.kind in ("single", "ensemble", "polished")
 
 
@@ -109,7 +109,7 @@ class ControllerRow:
 class PointRow:
     """One point: how many of its ``cells`` are done, failed and ``missing``, and which controller is ``chosen``.
 
-    ``where`` is its robot or its recordings, ``group`` the labels of the axes that tell rows of a table apart.
+    ``where`` is its robot or its recordings, ``group`` the labels of the axes that distinguish rows of a table.
     """
 
     name: str
@@ -127,13 +127,13 @@ class PointRow:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing of it is still to be computed."""
+        """Whether all of its cells have been computed."""
         return self.missing == 0
 
 
 @dataclass(frozen=True)
 class FailedCell:
-    """A cell that failed, in which point, and why."""
+    """A cell that failed, its point, and the reason."""
 
     point: str
     cell: str
@@ -142,7 +142,7 @@ class FailedCell:
 
 @dataclass(frozen=True)
 class CellTime:
-    """How long one cell took that was computed, once for all points that need it."""
+    """Duration of one cell that was computed, once for all points that need it."""
 
     kind: str
     seconds: float
@@ -151,7 +151,7 @@ class CellTime:
 
 @dataclass(frozen=True, repr=False)
 class StudyResults(Displayed):
-    """All that is known of a study, from its plan and its store alone."""
+    """Results of a study, from its plan and its store alone."""
 
     study: Study
     points: tuple[PointRow, ...]
@@ -168,7 +168,7 @@ class StudyResults(Displayed):
 
     @property
     def finished(self) -> tuple[PointRow, ...]:
-        """The points of which nothing is missing."""
+        """The points with no missing cells."""
         return tuple(point for point in self.points if point.finished)
 
     def point(self, name: str) -> PointRow:
@@ -177,7 +177,7 @@ class StudyResults(Displayed):
 
 
 def gather_study(planned: PlannedStudy, folder: Path) -> StudyResults:
-    """Return all that the store in ``folder`` knows of a study; nothing is computed."""
+    """Return the results of a study in the store in ``folder``; nothing is computed."""
     points: list[PointRow] = []
     models: list[ModelRow] = []
     controllers: list[ControllerRow] = []
@@ -209,7 +209,7 @@ def gather_study(planned: PlannedStudy, folder: Path) -> StudyResults:
 
 @dataclass(frozen=True)
 class _Gathered:
-    """One point, its comparison, and what ``store`` knows of it; ``records`` are by digest."""
+    """One point, its comparison, and its ``store``; ``records`` are by digest."""
 
     point: Point
     comparison: Comparison
@@ -217,7 +217,7 @@ class _Gathered:
     records: dict[str, CellRecord | None]
 
     def row(self, chosen: str) -> PointRow:
-        """Return how far the point is."""
+        """Return the progress of the point."""
         states = [self._state(cell) for cell in self.comparison.plan]
         task = self.comparison.experiment.task or USUAL_TASK
         return PointRow(
@@ -236,7 +236,7 @@ class _Gathered:
         )
 
     def models(self) -> Iterator[ModelRow]:
-        """Yield a row for each model that was tried, the failed ones with their reason."""
+        """Yield a row for each model that was tried, failed ones with their reason."""
         found = self._value(self.comparison.exploitability)
         assessed: dict[str, ModelExploitability] = {one.model: one for one in found or ()}
         for label, fit in self.comparison.fits.items():
@@ -259,7 +259,7 @@ class _Gathered:
             )
 
     def controllers(self) -> Iterator[ControllerRow]:
-        """Yield a row for each controller that was tried, the failed ones with their reason."""
+        """Yield a row for each controller that was tried, failed ones with their reason."""
         planned = self.comparison.matrix
         matrix = None if planned is None else planned.of(self.store.outcome)
         if planned is None:
@@ -323,7 +323,7 @@ class _Gathered:
 
     def _kind(self, cell: ControllerCell) -> ControllerKind:
         if cell.kind == "baseline":
-            return "by hand"
+            return "baseline"
         if cell.kind == "polish":
             return "polished"
         if any(member.robot is not None for member in cell.settings.members):
@@ -345,7 +345,7 @@ class _Gathered:
 
 
 def with_best_known(points: list[PointRow], rows: list[ControllerRow]) -> tuple[ControllerRow, ...]:
-    """Return ``rows`` with the best known of their robots, and the shares of these that they achieve."""
+    """Return ``rows`` with the best known fitness of their robots, and their fitness normalised by it."""
     place = {point.name: (point.where, point.task) for point in points}
     best: dict[tuple[str, str], float] = {}
     for row in rows:
@@ -355,15 +355,15 @@ def with_best_known(points: list[PointRow], rows: list[ControllerRow]) -> tuple[
     found = []
     for row in rows:
         best_known, rest_fitness = best.get(place[row.point]), row.rest_fitness or 0.0
-        share = row.share
+        normalised = row.normalised
         if row.achieved is not None and best_known is not None and best_known > rest_fitness:
-            share = (row.achieved - rest_fitness) / (best_known - rest_fitness)
-        found.append(replace(row, best_known=best_known, share=share))
+            normalised = (row.achieved - rest_fitness) / (best_known - rest_fitness)
+        found.append(replace(row, best_known=best_known, normalised=normalised))
     return tuple(found)
 
 
 def _achieved(matrix: TransferMatrix, controller: str) -> float | None:
-    """Return the mean fitness on the robot, None where it was not run there."""
+    """Return the mean fitness on the robot, None if it was not run there."""
     if matrix.robot is None or controller not in matrix.rows:
         return None
     cell = matrix.cell(controller, matrix.robot)
@@ -384,15 +384,15 @@ POINT_COLUMNS = {
     "missing": "cells that are not computed yet",
     "task": "task",
     "unit": "unit of fitness",
-    "chosen": "controller that the program picks by its forecast; empty for none",
+    "chosen": "controller chosen by its forecast; empty for none",
 }
 MODEL_COLUMNS = {
     "point": "name of the point",
     "model": "label of the model",
     "family": "registered name of its family",
-    "exploited": "whether the claims made in it exceed what is achieved by a tenth, and surely",
+    "exploited": "whether claims made in it exceed the achieved fitness by a tenth and by two standard errors",
     "claimed": "mean claim of the controllers evolved in it, unit of fitness",
-    "achieved": "mean of what these achieve on the robot, unit of fitness",
+    "achieved": "mean fitness of these controllers on the robot, unit of fitness",
     "kept": "share of the claim that is achieved",
     "seconds": "duration of the fit, s",
     "reason": "why there is no model; empty for none",
@@ -405,36 +405,36 @@ N_COLUMNS = {
 CONTROLLER_COLUMNS = {
     "point": "name of the point",
     "controller": "name of the controller",
-    "kind": "single, ensemble, polished, robot (evolved on it) or by hand",
+    "kind": "single, ensemble, polished, robot (evolved on it) or baseline",
     "members": "models that it was planned to be evolved against, joined by +",
-    "aggregate": "rule by which several models become one fitness",
+    "aggregate": "rule by which the fitness on several models becomes one number",
     "claimed": "fitness where it was evolved, unit of fitness",
     "achieved": "fitness on the robot, unit of fitness",
     "achieved_error": "standard error of that over trials, unit of fitness",
-    "forecast": "what was expected of it on the robot, unit of fitness",
+    "forecast": "expected fitness on the robot, unit of fitness",
     "forecast_low": "lower end of the 90 % interval of the forecast, unit of fitness",
     "forecast_high": "upper end of the 90 % interval of the forecast, unit of fitness",
-    "within_forecast": "whether what is achieved lies in that interval",
+    "within_forecast": "whether the achieved fitness is in that interval",
     "worst": "lowest fitness on a system that it was not evolved against, unit of fitness",
     "worst_on": "that system",
     "error": "mean N after 20 steps of its members",
-    "exploited": "whether its claim exceeds what is achieved by a tenth, and surely",
-    "rest_fitness": "what controls at rest achieve, unit of fitness; missing where fitness begins at 0",
+    "exploited": "whether its claim exceeds the achieved fitness by a tenth and by two standard errors",
+    "rest_fitness": "fitness of controls at rest, unit of fitness; missing if fitness begins at 0",
     "best_known": "best achieved on this robot in the study, unit of fitness",
-    "share": "(achieved - rest_fitness) / (best_known - rest_fitness)",
-    "chosen": "whether the program picks it by its forecast",
+    "normalised": "(achieved - rest_fitness) / (best_known - rest_fitness)",
+    "chosen": "whether it is chosen by its forecast",
     "file": "its file in the folder of the study",
     "reason": "why there is none; empty for none",
 }
 CELL_COLUMNS = {
     "kind": "kind of work",
-    "seconds": "how long it took, s",
+    "seconds": "duration, s",
     "failed": "whether it failed",
 }
 
 
 AXIS = "axis_{}"
-"""The column of an axis, so that it never has the name of another."""
+"""The column of an axis; the prefix keeps it distinct from all others."""
 
 
 def save_parquet(results: StudyResults, folder: Path) -> tuple[Path, ...]:
@@ -462,7 +462,7 @@ def save_parquet(results: StudyResults, folder: Path) -> tuple[Path, ...]:
 
 
 def _write(path: Path, rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> Path:
-    """Write the ``columns`` of ``rows``; what each means stands in the description of its field."""
+    """Write the ``columns`` of ``rows``; the meaning of each is the description of its field."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

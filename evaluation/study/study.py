@@ -1,4 +1,4 @@
-"""What a study is asked to do: study.toml, axes, points."""
+"""Settings of a study: study.toml, axes, points."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ STUDY_FILE = "study.toml"
 
 PARTS = ("title", "experiment", "grid", "compare_with")
 CONTROLLER = "controller"
-"""Under ``compare_with``: the controller that others are compared with."""
+"""Key in ``compare_with`` of the controller that others are compared with."""
 REPEATED = ("robot", "data", "seed")
-"""Axes over which means and intervals are taken; the others tell rows of a table apart."""
+"""Axes over which means and intervals are computed; the others distinguish rows of a table."""
 USUAL = "usual"
-"""The label of an axis in a grid that leaves it open."""
+"""Label of an axis in a grid that does not set it."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One experiment of a study; ``labels`` says for each axis what its value is called."""
+    """One experiment of a study; ``labels`` has the label of its value for each axis."""
 
     labels: Mapping[str, str]
     experiment: Experiment
 
     @property
     def name(self) -> str:
-        """What people read: the robot, the seed, then the other axes."""
+        """Name in tables: the robot, the seed, then the other axes."""
         return name_of(self.labels)
 
     @property
     def where(self) -> str:
-        """The robot or the recordings: what differs from car to car."""
+        """The robot or the recordings."""
         found = [self.labels[axis] for axis in ("robot", "data") if axis in self.labels]
         return ", ".join(found) or str(self.experiment.robot or "emulated_car")
 
     @property
     def group(self) -> tuple[str, ...]:
-        """The labels of the axes that tell rows of a table apart."""
+        """The labels of the axes that distinguish rows of a table."""
         return tuple(label for axis, label in self.labels.items() if axis not in REPEATED)
 
 
@@ -64,11 +64,11 @@ def name_of(labels: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, repr=False)
 class Study(Displayed):
-    """A grid of experiments: what all share, and the axes whose combinations are the points.
+    """A grid of experiments: common settings, and the axes whose combinations are the points.
 
-    ``experiment`` holds settings of `Experiment` that are common to all points, ``grids`` the axes by setting; the
-    points of several grids are united. ``compare_with`` names the row that others are compared with: a controller, and
-    the labels of the axes that vary; empty for the polished controller. ``file`` is where it was read from.
+    ``experiment`` are settings of `Experiment` common to all points, ``grids`` the axes by setting; the points of
+    several grids are combined. ``compare_with`` names the row that others are compared with: a controller, and the
+    labels of the axes that vary; empty for the polished controller. ``file`` is the file it was read from.
     """
 
     title: str
@@ -83,7 +83,7 @@ class Study(Displayed):
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Study:
-        """Return the study with these settings, all checked. Raises `InvalidArgument` that names what is wrong."""
+        """Return the study with these settings, all checked. Raises `InvalidArgument` that names the wrong one."""
         settings = _plain(settings)
         for name in settings:
             if name not in PARTS:
@@ -95,10 +95,10 @@ class Study(Displayed):
         common = _table("experiment", settings.get("experiment", {}))
         for name in ("title", "data_digest"):
             if name in common:
-                raise InvalidArgument(f"experiment.{name}: not here; the title of a study stands above [experiment]")
+                raise InvalidArgument(f"experiment.{name}: not here; the title of a study belongs above [experiment]")
         try:
             Experiment.of(common)
-            # of those that need another one, that may be an axis of the grid
+            # a setting may need another one that is an axis of the grid
             refuse_meaningless([rule for rule in MEANINGLESS if rule.beside], common, common)
         except InvalidArgument as error:
             raise InvalidArgument(f"[experiment]: {error}") from error
@@ -107,7 +107,7 @@ class Study(Displayed):
         grids = tuple({name: Axis.of(name, values) for name, values in _table("grid", one).items()} for one in several)
         for name in dict.fromkeys(name for grid in grids for name in grid):
             if name in common:
-                raise InvalidArgument(f"{name} stands under [experiment] and in the grid; leave it out of one of them")
+                raise InvalidArgument(f"{name} is both under [experiment] and in the grid; leave it out of one of them")
         study = cls(title, common, grids, _reference(settings.get("compare_with", {}), grids), dict(settings))
         if not study.points:
             raise InvalidArgument("grid: expected at least one axis, such as seed = [0, 1, 2], got none")
@@ -141,7 +141,7 @@ class Study(Displayed):
 
     @property
     def group_axes(self) -> tuple[str, ...]:
-        """The axes that tell rows of a table apart."""
+        """The axes that distinguish rows of a table."""
         return tuple(name for name in self.axes if name not in REPEATED)
 
     @cached_property
@@ -153,7 +153,7 @@ class Study(Displayed):
         names = [point.name for point in found.values()]
         repeated = next((name for name in names if names.count(name) > 1), None)
         if repeated is not None:
-            raise InvalidArgument(f"grid: two points are called {repeated!r}; name the values of one axis otherwise")
+            raise InvalidArgument(f"grid: two points are called {repeated!r}; give the values of one axis other names")
         return tuple(found.values())
 
     def _points(self) -> Iterator[Point]:
@@ -191,7 +191,7 @@ def _reference(value: Any, grids: Sequence[Mapping[str, Axis]]) -> dict[str, str
 
 
 def _plain(value: Any) -> Any:
-    """Return lists for tuples, as TOML and JSON give them."""
+    """Return tuples as lists, as TOML and JSON have them."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
@@ -201,21 +201,21 @@ RANGE = re.compile(r"(?P<before>[^.]*?)(?P<first>\d+)\.\.(?P<last>\d+)(?P<after>
 RANGED = ("seed", "robot")
 """Settings whose values may be ranges."""
 LEFT_OUT = ("title", "data_digest", "plugins")
-"""Settings that are no axis: they change nothing, are written by the program, or concern all points."""
+"""Settings that cannot be an axis: without effect, written by the program, or common to all points."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One setting of experiments and its ``values``, each behind its label."""
+    """One setting of experiments and its ``values`` by label."""
 
     setting: str
     values: Mapping[str, Any]
 
     @classmethod
     def of(cls, setting: str, given: Any) -> Axis:
-        """Return the axis that a study gives as a list, a range, or a table of named values.
+        """Return the axis from a list, a range, or a table of named values.
 
-        Raises `InvalidArgument` that says what is wrong with it.
+        Raises `InvalidArgument` that names the error.
         """
         where = f"grid.{setting}"
         if setting in LEFT_OUT:
@@ -231,14 +231,14 @@ class Axis:
             if not isinstance(given, (list, tuple)) and len(pairs) < 2:
                 raise InvalidArgument(
                     f'{where}: expected a list of values, a range such as "0..4" or a table of named values, '
-                    f"got {given!r}; what all points share stands under [experiment]"
+                    f"got {given!r}; settings common to all points belong under [experiment]"
                 )
         if not pairs:
             raise InvalidArgument(f"{where}: expected at least one value, got none")
         labels, values = zip(*pairs, strict=True)
         for label, value in pairs:
             if values.count(value) > 1:
-                raise InvalidArgument(f"{where}: {label_of(value)!r} stands there twice")
+                raise InvalidArgument(f"{where}: {label_of(value)!r} occurs twice")
             if labels.count(label) > 1:
                 raise InvalidArgument(
                     f"{where}: two values are called {label!r}; name them, such as {{a = ..., b = ...}}"
@@ -252,7 +252,7 @@ class Axis:
 
 
 def label_of(value: Any) -> str:
-    """Return what a value is called that has no name of its own."""
+    """Return the label of a value that has no name of its own."""
     if isinstance(value, (list, tuple)):
         return ", ".join(map(label_of, value)) or "none"
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,4 +1,4 @@
-"""Which controllers work elsewhere than where they were evolved."""
+"""Transfer of controllers to systems other than those they were evolved in."""
 
 from evaluation.transfer.matrix import (
     AT_REST,

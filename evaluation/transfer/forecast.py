@@ -1,4 +1,4 @@
-"""The fitness expected on the robot, from all models weighted by their prediction error."""
+"""Expected fitness on the robot, from all models weighted by their prediction error."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from sysid_evo.validation.estimates import Estimate
 
 @dataclass(frozen=True)
 class Forecast:
-    """What ``controller`` is expected to achieve on the robot, and a 90 % interval, in units of fitness.
+    """Expected fitness of ``controller`` on the robot, with a 90 % interval.
 
-    ``weights`` says how much each model counts; they add up to 1. Nothing that was measured on the robot is in it,
-    but for the recordings that the models were fitted to and tested on.
+    ``weights`` are the weights of the models; they add up to 1. No measurement on the robot is used, except for the
+    recordings that the models were fitted to and tested on.
     """
 
     controller: str
@@ -29,7 +29,7 @@ class Forecast:
     weights: Mapping[str, float]
 
     def covers(self, achieved: Estimate) -> bool:
-        """Whether what was measured on the robot is in the interval, made wider by the error of the measurement."""
+        """Return whether a measurement on the robot is in the interval, widened by the error of the measurement."""
         error = achieved.standard_error if np.isfinite(achieved.standard_error) else 0.0
         below, above = np.hypot(self.value - self.low, 2.0 * error), np.hypot(self.high - self.value, 2.0 * error)
         return bool(self.value - below <= achieved.value <= self.value + above)
@@ -37,13 +37,13 @@ class Forecast:
 
 @dataclass(frozen=True)
 class ForecastRule:
-    """How what models say of a controller becomes one number with an interval; nothing in it has a unit.
+    """Rule that makes one number with an interval from the fitness of a controller on models; without units.
 
-    The credibility of a model falls with its prediction error to the ``power``. A model of a family that the
-    controller was evolved in counts ``own`` times that: its claim may be exploited. The unit of the interval has two
-    parts. One is how far models lie from the forecast, over the number of models that count to the power ``apart``: not
-    a half, since models of the same data share some of their errors. The other is the standard error of the trials,
-    which all models share. It reaches from ``low`` to ``high`` such units, by the quantiles of what was missed on cars.
+    The weight of a model falls with its prediction error to the ``power``. A model of a family that the controller was
+    evolved in gets ``own`` times that: its claim may be exploited. The unit of the interval has two parts. One is the
+    spread of the models around the forecast, divided by the number of models that count to the power ``apart``: not a
+    half, since models of the same data share some of their errors. The other is the standard error of the trials,
+    which all models share. The interval reaches from ``low`` to ``high`` such units, quantiles of errors on cars.
     """
 
     power: float = 2.0
@@ -57,8 +57,8 @@ class ForecastRule:
 FORECAST_RULE = ForecastRule()
 """Calibrated on five cars of the emulated family; ``python -m tests.benchmarks.forecast`` prints the constants.
 
-``low`` and ``high`` are near the 5 and 95 % quantiles of what was missed: -2.4 and 1.3 by 550 controllers with nine
-families, -2.1 and 1.2 by 1247 with all 22. The others are round numbers on a plateau, chosen with the same cars.
+``low`` and ``high`` are near the 5 and 95 % quantiles of the errors: -2.4 and 1.3 for 550 controllers with nine
+families, -2.1 and 1.2 for 1247 with all 22. The others are round numbers on a plateau, chosen with the same cars.
 """
 
 
@@ -67,8 +67,8 @@ def forecasts(
 ) -> dict[str, Forecast]:
     """Return the forecast of every controller that ran in two models or more, by its name.
 
-    ``errors`` are the prediction errors of the models by their columns, see `error_of`. What was evolved on a robot
-    itself has none, nor has somebody who drives by hand: neither comes from models.
+    ``errors`` are the prediction errors of the models by their columns, see `error_of`. Controllers evolved on a robot
+    and people who drive have none: they do not come from models.
     """
     found = (_of_champion(champion, matrix, errors, rule) for champion in matrix.champions)
     return {one.controller: one for one in found if one is not None}
@@ -101,8 +101,8 @@ def forecast_of(
 ) -> tuple[float, float, float]:
     """Return value, low and high of a controller from its fitness in the trials (E,) of each model, two or more.
 
-    ``own`` says which models are of a family that it was evolved in. The interval has no width where all models and
-    all trials say the same.
+    ``own`` marks the models of a family that it was evolved in. The interval has no width if all models and all trials
+    agree.
     """
     weights = model_weights(errors, np.array(own), rule=rule)
     return _joined(np.array([one.mean() for one in fitness]), fitness, weights, rule)
@@ -119,14 +119,14 @@ def _joined(
 
 
 LEAST_ERROR = 0.01
-"""Errors below this, in standard deviations of the data, are told apart no more."""
+"""Errors below this, in standard deviations of the data, count as equal."""
 
 
 def model_weights(errors: Sequence[float | None], own: BoolArray, *, rule: ForecastRule = FORECAST_RULE) -> Array:
     """Return the weight of each model, (M,), that add up to 1.
 
-    ``errors`` are those of `error_of`; a model whose error is not known counts as much as the best one. ``own`` (M,)
-    says which are of a family that the controller was evolved in.
+    ``errors`` are those of `error_of`; a model with an unknown error gets the weight of the best one. ``own`` (M,)
+    marks models of a family that the controller was evolved in.
     """
     known = [max(error, LEAST_ERROR) for error in errors if error is not None and np.isfinite(error)]
     best = min(known, default=1.0)
@@ -137,17 +137,17 @@ def model_weights(errors: Sequence[float | None], own: BoolArray, *, rule: Forec
 
 
 def _weight(best: float, error: float | None, power: float) -> float:
-    """Return the weight of a model beside that of the best, which is 1."""
+    """Return the weight of a model relative to the best, which has 1."""
     if error is None:
         return 1.0
     return float((best / max(error, LEAST_ERROR)) ** power) if np.isfinite(error) else 0.0
 
 
 def weighted_median(values: Array, weights: Array) -> Array:
-    """Return the median (...) of ``values`` (M, ...) with these weights (M,), between two of them as they weigh.
+    """Return the weighted median (...) of ``values`` (M, ...) with weights (M,), interpolated between two values.
 
-    Each value stands at the middle of its weight, and what lies between two is interpolated: of equal weights it is
-    the usual median.
+    Each value is at the middle of its weight, with linear interpolation between values: with equal weights this is the
+    usual median.
     """
     order = np.argsort(values, axis=0, kind="stable")
     ranked, weight = np.take_along_axis(values, order, axis=0), weights[order]
@@ -158,14 +158,14 @@ def weighted_median(values: Array, weights: Array) -> Array:
 
 
 def best_forecast(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
-    """Return which of ``names`` has the highest forecast, of equals the first; None where none has one."""
+    """Return the one of ``names`` with the highest forecast, the first of equals; None if none has one."""
     return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
 
 
 def forecast_judgement(
     errors: Mapping[str, float | None], families: Mapping[str, str], *, rule: ForecastRule = FORECAST_RULE
 ) -> FinalistScore:
-    """Return what finalists are ranked by: their forecasts, from the models' prediction errors and families."""
+    """Return the ranking of finalists by their forecasts, from the models' prediction errors and families."""
 
     def worth(champion: Champion, models: tuple[str, ...], by_model: Array) -> Array:
         met = {families.get(model, model) for model in champion.against}
@@ -177,9 +177,9 @@ def forecast_judgement(
 
 @dataclass(frozen=True)
 class ModelForecast:
-    """What ``controllers``, evolved in ``model`` alone, are expected to achieve on the robot, with a 90 % interval.
+    """Expected fitness on the robot of ``controllers`` evolved in ``model`` alone, with a 90 % interval.
 
-    ``claimed`` is what they claim; all are means over the controllers.
+    ``claimed`` is their claim; all are means over the controllers.
     """
 
     model: str
@@ -191,7 +191,7 @@ class ModelForecast:
 
     @property
     def kept(self) -> tuple[float, float, float] | None:
-        """The share of the claim that is expected to be kept, and its interval; None where nothing is claimed."""
+        """The expected share of the claim that is achieved, and its interval; None without a claim."""
         if self.claimed <= 0.0:
             return None
         return self.value / self.claimed, self.low / self.claimed, self.high / self.claimed
@@ -200,7 +200,7 @@ class ModelForecast:
 def model_forecasts(matrix: TransferMatrix, found: Mapping[str, Forecast]) -> dict[str, ModelForecast]:
     """Return the forecast of every model in which a controller with a forecast was evolved alone.
 
-    The interval is the mean of theirs, no narrower: what models miss together, they miss for all of them.
+    The interval is the mean of theirs, not narrower: errors that models share affect all of them.
     """
     made = {}
     for model in matrix.models:

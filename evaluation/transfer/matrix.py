@@ -30,10 +30,10 @@ from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
 
 AT_REST = "constant"
-"""The registered controller that does nothing, if it was not evolved."""
+"""The registered controller with constant controls; a champion of it that was not evolved is at rest."""
 
 NOT_RUN = "not run"
-"""The reason of a cell that nobody tried: a gap in the matrix, not a failure."""
+"""The reason of a cell that was not tried: a gap in the matrix, not a failure."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,8 +41,7 @@ class TransferMatrix(Displayed):
     """Cells by row and column; the ``robot``, if there is one, is the last column.
 
     ``families`` names the family of each model column, and of other models that a controller was evolved against, if it
-    is known. ``other_robots`` are columns that are neither
-    models nor the robot whose fitness counts as achieved.
+    is known. ``other_robots`` are columns that are neither models nor the robot whose fitness counts as achieved.
     """
 
     champions: tuple[Champion, ...]
@@ -63,7 +62,7 @@ class TransferMatrix(Displayed):
         robot: str | None = None,
         other_robots: Sequence[str] = (),
     ) -> TransferMatrix:
-        """Put ``cells`` in their places; a missing one was not run. Raises `InvalidArgument`."""
+        """Return the matrix of ``cells``; a missing one was not run. Raises `InvalidArgument`."""
         names = [champion.name for champion in champions]
         for what, found in (("controllers", names), ("columns", list(columns))):
             repeated = sorted({name for name in found if found.count(name) > 1})
@@ -93,7 +92,7 @@ class TransferMatrix(Displayed):
 
     @property
     def at_rest(self) -> tuple[str, ...]:
-        """The controllers that do nothing: shares of fitness are measured from theirs."""
+        """The controllers at rest: shares of fitness are measured from theirs."""
         return tuple(one.name for one in self.champions if one.controller.name == AT_REST and not one.against)
 
     @property
@@ -114,11 +113,11 @@ class TransferMatrix(Displayed):
         return {name: listed(row) for name, row in zip(self.rows, means, strict=True)}
 
     def means(self) -> Array:
-        """Mean fitness (rows, columns), nan for a failed cell."""
+        """Mean fitness (rows, columns), NaN for a failed cell."""
         return self._table("mean")
 
     def stds(self) -> Array:
-        """Standard deviation over trials (rows, columns), nan for a failed cell."""
+        """Standard deviation over trials (rows, columns), NaN for a failed cell."""
         return self._table("std")
 
     def _table(self, figure: str) -> Array:
@@ -139,12 +138,12 @@ class TransferMatrix(Displayed):
 
 @dataclass(frozen=True)
 class TransferResult:
-    """What ``champion`` did on ``column`` in E trials, or the ``reason`` why it did nothing.
+    """Result of ``champion`` on ``column`` in E trials, or the ``reason`` why it failed.
 
-    ``fitness`` (E,) in ``unit``; ``clipped_share`` of all steps had their state clipped to the
-    model's state_bounds; ``diverged_share`` of the trials stopped being numbers. ``engine`` names the
-    form of the rollout that ran. ``missing`` gives a reason for each trial that a robot did not finish.
-    ``measures`` are the means of what else the task tells of its trials (`Task.measures`), None without a number.
+    ``fitness`` (E,) in ``unit``. ``clipped_share`` is the share of steps whose state was clipped to the model's state
+    bounds, ``diverged_share`` that of the trials that were no longer numbers. ``engine`` names the form of the rollout.
+    ``missing`` gives a reason for each trial that a robot did not finish. ``measures`` are means of the task's further
+    measures (`Task.measures`), None without a number.
     """
 
     champion: str
@@ -169,17 +168,17 @@ class TransferResult:
 
     @property
     def mean(self) -> float:
-        """Mean fitness, nan for a failed cell."""
+        """Mean fitness, NaN for a failed cell."""
         return float(self.fitness.mean()) if len(self.fitness) else float("nan")
 
     @property
     def std(self) -> float:
-        """Standard deviation of the fitness over trials (n - 1), nan below two trials."""
+        """Standard deviation of the fitness over trials (n - 1), NaN below two trials."""
         return float(self.fitness.std(ddof=1)) if len(self.fitness) > 1 else float("nan")
 
     @property
     def standard_error(self) -> float:
-        """Standard error of the mean, nan below two trials."""
+        """Standard error of the mean, NaN below two trials."""
         return self.std / np.sqrt(len(self.fitness)) if len(self.fitness) else float("nan")
 
 
@@ -198,7 +197,7 @@ class Trace:
     targets: tuple[Target, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "waypoints", np.reshape(self.waypoints, (-1, 2)))  # a list of none has no shape
+        object.__setattr__(self, "waypoints", np.reshape(self.waypoints, (-1, 2)))  # an empty list has no shape
 
 
 def transfer(
@@ -230,7 +229,7 @@ def transfer(
 
 
 TRANSFER = 2**31 + 1
-"""The generation number of the transfer trials: no evolution and no selection of a champion meets them."""
+"""Generation number of the transfer trials, which are used in no evolution and no selection of a champion."""
 
 
 def transfer_seeds(seed: int, trials: int) -> Seeds:
@@ -241,16 +240,16 @@ def transfer_seeds(seed: int, trials: int) -> Seeds:
 def kept_traces(traces: int, *, own: bool) -> int:
     """Return how many of ``traces`` trials a cell keeps: all on the robot and on models evolved against (``own``).
 
-    Elsewhere one is enough, to be shown beside those.
+    Elsewhere one is enough for a comparison with those.
     """
     return traces if own else min(traces, 1)
 
 
 def try_controller(champion: Champion, column: str, runner: Runner, seeds: Seeds, *, traces: int = 0) -> TransferResult:
-    """Run ``champion``, see `run_controller`; whatever is raised becomes the reason of a failed cell."""
+    """Run ``champion``, see `run_controller`; an error becomes the reason of a failed cell."""
     try:
         return run_controller(champion, column, runner, seeds, traces=traces)
-    except Exception as error:  # a plugin or a robot may fail in any way; the other cells must go on
+    except Exception as error:  # a plugin or a robot may fail in any way; the other cells must be computed
         return TransferResult(champion.name, column, reason=described(error))
 
 
@@ -262,7 +261,7 @@ def run_controller(champion: Champion, column: str, runner: Runner, seeds: Seeds
 
 
 def result_of(champion: Champion, column: str, rollouts: Rollouts, task: Task, *, traces: int = 0) -> TransferResult:
-    """Return the cell of trials that were run; one without a single finished trial is a failed cell."""
+    """Return the cell of finished trials; a cell without a single finished trial has failed."""
     if rollouts.fitness.size == 0:
         reason = "; ".join(("no trial was finished", *rollouts.missing[:1]))
         return TransferResult(champion.name, column, reason=reason, missing=rollouts.missing)
@@ -299,12 +298,12 @@ def _traces(rollouts: Rollouts, wanted: int, task: Task) -> tuple[Trace, ...]:
 
 FOLDER = Path("results") / "measured"
 BY_HAND = Spec("by_hand")
-"""What stands for a controller where a person drives."""
+"""Spec in place of a controller if a person drives."""
 
 
 @dataclass(frozen=True)
 class MeasuredResult:
-    """A cell, who drove (``champion``, the row), and whether the column is a robot, and a physical one."""
+    """A cell, its driver (``champion``, the row), and whether the column is a robot, and a physical one."""
 
     champion: Champion
     cell: TransferResult
@@ -329,7 +328,7 @@ class MeasuredResult:
 
     @classmethod
     def from_json(cls, text: str) -> MeasuredResult:
-        """Undo `to_json`."""
+        """Inverse of `to_json`."""
         value = json.loads(text)
         champion = Champion.from_dict(value["champion"], value["tensors"])
         for trace in value["cell"]["traces"]:
@@ -340,7 +339,7 @@ class MeasuredResult:
 
 
 def human_driver(name: str = "human", *, task: str = "point_to_point", system: System | None = None) -> Champion:
-    """Return the row of somebody who drives by hand: without parameters, evolved against nothing."""
+    """Return the row of a person who drives: without parameters, evolved against nothing."""
     return Champion(
         name, np.empty(0), (), "min", 0, np.empty((0, 3)), controller=BY_HAND, task=Spec.parse(task), system=system
     )
@@ -357,7 +356,7 @@ def measured_by_person(
     physical: bool = False,
     traces: int = 10,
 ) -> MeasuredResult:
-    """Return the cell of trials that ``name`` drove by hand: the fitness, the course and the end of each."""
+    """Return the cell of trials that ``name`` drove by hand: fitness, trajectory and final state of each."""
     goal, kept = make_task(task), []
     for fitness, trajectory, state in trials[:traces]:
         if trajectory is not None:
@@ -375,7 +374,7 @@ def measured_by_person(
 
 
 def save_measured(run: Path, measured: MeasuredResult) -> Path:
-    """Store a cell in the run folder ``run``; it takes the place of an earlier one of the same row and column."""
+    """Store a cell in the run folder ``run``; it replaces an earlier one of the same row and column."""
     name = f"{measured.champion.name}@{measured.cell.column}.json"
     text = measured.to_json()
     return write_atomically(run / FOLDER / re.sub(r"[^\w.@+-]+", "-", name), lambda file: file.write_text(text))
@@ -394,7 +393,7 @@ def load_measured(run: Path) -> tuple[tuple[MeasuredResult, ...], tuple[str, ...
 
 
 def with_measured(matrix: TransferMatrix | None, measured: Sequence[MeasuredResult]) -> TransferMatrix | None:
-    """Return ``matrix`` with the measured cells, in rows and columns of their own where there are none yet.
+    """Return ``matrix`` with the measured cells, in new rows and columns if necessary.
 
     The robot that counts as achieved is the physical one driven last, else that of ``matrix``, else the one
     driven last.

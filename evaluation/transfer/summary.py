@@ -1,4 +1,4 @@
-"""What the matrix says of each controller: claimed, achieved, gaps, worst case, regret; and which one to drive."""
+"""Summary of the matrix for each controller: claimed, achieved, gaps, worst case, regret; the recommended one."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimat
 
 @dataclass(frozen=True)
 class TransferSummary:
-    """All controllers, the one to pick without the robot, and what would have predicted success.
+    """All controllers, the one chosen without the robot, and correlations of figures with success on the robot.
 
-    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself,
-    and people, are left out of the correlations: what the first claim is what they achieve, and people claim nothing.
+    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself, and
+    people, are left out of the correlations: the former achieve their claim, the latter have none.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -36,20 +36,20 @@ class TransferSummary:
 
 @dataclass(frozen=True)
 class ControllerSummary:
-    """One controller: fitness where it was evolved, elsewhere, and on the robot; None where there is nothing to tell.
+    """One controller: fitness where it was evolved, elsewhere, and on the robot; None if unknown.
 
-    ``claimed`` is the fitness on the models it was evolved against, made one as in its evolution; ``other_models`` the
-    mean over all other models; ``other_families`` the median over the ``other_family_models``, the models of families
-    that it was not evolved against; ``achieved`` that on the robot. ``exploitation_gap`` is claimed minus others,
-    ``reality_gap`` claimed minus achieved. ``kept`` is the share of the claim that is achieved on the robot, or else on
-    other models, both measured from controls at rest where those were run, since fitness may be negative. ``worst`` is
-    the mean fitness on ``worst_on``, the system where it is lowest, of all that it was not evolved against. ``regret``
-    is what the best other controller achieves more on the robot, at least 0; without a robot the most that this is on
-    one of the other models, where only controllers that were not evolved there count. What was evolved on the robot
-    itself has no regret and is regretted by none.
+    ``claimed`` is the fitness on the models it was evolved against, aggregated as in its evolution. ``other_models`` is
+    the mean over all other models, ``other_families`` the median over the ``other_family_models``, the models of
+    families that it was not evolved against. ``achieved`` is the fitness on the robot. ``exploitation_gap`` is claimed
+    minus others, ``reality_gap`` claimed minus achieved. ``kept`` is the share of the claim that is achieved on the
+    robot, or else on other models, both measured from controls at rest if those were run, since fitness may be
+    negative. ``worst`` is the mean fitness on ``worst_on``, the system where it is lowest among all that it was not
+    evolved against. ``regret`` is the advantage of the best other controller on the robot, at least 0. Without a robot
+    it is the largest advantage on one of the other models, among controllers that were not evolved there. A controller
+    evolved on the robot itself has no regret and causes none.
 
     ``seed_fitness`` is that of the champion of each evolution run; ``polished`` as in `Champion`. ``rest_fitness`` is
-    what controls at rest achieve on the robot, if that was run.
+    the fitness of controls at rest on the robot, if those were run.
     """
 
     name: str
@@ -73,21 +73,21 @@ class ControllerSummary:
 
     @property
     def elsewhere(self) -> Estimate | None:
-        """Fitness on the robot, or on the other models where it was not run on a robot."""
+        """Fitness on the robot, or on the other models if it was not run on a robot."""
         return self.other_models if self.achieved is None else self.achieved
 
     @property
     def gap(self) -> Estimate | None:
-        """What it claims less what it achieves there."""
+        """Its claim minus the fitness elsewhere."""
         return self.exploitation_gap if self.achieved is None else self.reality_gap
 
     @property
     def exploited(self) -> bool | None:
-        """Whether its claim is exploited; None where that cannot be said, or it was evolved on the robot itself."""
+        """Whether its claim is exploited; None if this cannot be decided, or it was evolved on the robot itself."""
         return None if self.evolved_on_robot else is_exploited(self.claimed, self.gap)
 
     def share_of(self, fitness: float) -> float | None:
-        """Return the share of ``fitness`` that is achieved on the robot, both measured from the floor."""
+        """Return the share of ``fitness`` that is achieved on the robot, both measured from controls at rest."""
         floor = self.rest_fitness or 0.0
         if self.achieved is None or fitness <= floor:
             return None
@@ -106,7 +106,7 @@ class RankCorrelation:
 def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
     """Return the summary of a matrix with the controller of the highest forecast as its pick.
 
-    Without the prediction ``errors`` of its models (see `error_of`) all are believed alike.
+    Without the prediction ``errors`` of its models (see `error_of`) all models get the same weight.
     """
     return chosen_by(summarise(matrix), forecasts(matrix, errors or {}))
 
@@ -115,9 +115,9 @@ FIGURE = "forecast"
 
 
 def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:
-    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and how forecasts rank.
+    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and their rank correlation.
 
-    Where no controller that was evolved in models has one, nothing is picked.
+    If no controller that was evolved in models has one, nothing is picked.
     """
     evolved = [one for one in summary.controllers if one.name in found and one.against and not one.evolved_on_robot]
     if not evolved:
@@ -129,7 +129,7 @@ def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> Transf
 
 
 def summarise(matrix: TransferMatrix) -> TransferSummary:
-    """Condense the matrix, nothing picked yet."""
+    """Summarise the matrix, without a pick."""
     figures = MatrixEstimates(matrix)
     controllers = tuple(figures.summary(champion) for champion in matrix.champions)
     elsewhere = [c for c in controllers if c.against and not c.evolved_on_robot]
@@ -151,9 +151,9 @@ LEAST_GAP = 0.1
 
 
 def is_exploited(claimed: Estimate | None, gap: Estimate | None) -> bool | None:
-    """Say whether a claim exceeds what is achieved elsewhere by a tenth of it, and surely.
+    """Return whether a claim exceeds the fitness elsewhere by a tenth of it, and by two standard errors.
 
-    None where nothing is claimed, there is nowhere else, or a single trial leaves the error unknown.
+    None without a claim or another system, or if a single trial leaves the error unknown.
     """
     if claimed is None or gap is None or not np.isfinite(gap.standard_error):
         return None
@@ -161,11 +161,11 @@ def is_exploited(claimed: Estimate | None, gap: Estimate | None) -> bool | None:
 
 
 FEWEST = 3
-"""Pairs; two are always in order."""
+"""Minimum number of pairs; two are always in order."""
 
 
 def rank_correlation(pairs: Sequence[tuple[float, float]]) -> float | None:
-    """Return Spearman's correlation, None for fewer than three pairs or where one side is all equal."""
+    """Return Spearman's correlation, None for fewer than three pairs or if one side is constant."""
     first, second = [a for a, _ in pairs], [b for _, b in pairs]
     if len(pairs) < FEWEST or len(set(first)) < 2 or len(set(second)) < 2:
         return None
@@ -181,7 +181,7 @@ def mean_ranks(values: Sequence[float]) -> Array:
 
 @lru_cache(maxsize=4)
 def _draws_of(trials: int) -> IntArray:
-    """Return the draws that all figures over so many trials share; making them takes longer than what follows."""
+    """Return the draws that all figures over that many trials share; making them takes longer than using them."""
     return draw_blocks(trials)
 
 
@@ -189,8 +189,8 @@ def _draws_of(trials: int) -> IntArray:
 class MatrixEstimates:
     """Figures of the controllers of a matrix, with their draws of trials.
 
-    All systems meet the same trials, so that figures over as many of them are paired. On a robot trials may be missing,
-    and those after them are others: of other numbers of trials the draws are independent.
+    All systems are run in the same trials, so that figures over equal numbers of them are paired. On a robot trials may
+    be missing, which changes those after them: for other numbers of trials the draws are independent.
     """
 
     matrix: TransferMatrix
@@ -198,8 +198,8 @@ class MatrixEstimates:
     def on(self, champion: Champion, columns: Sequence[str], rule: Aggregate | None = None) -> Draws | None:
         """Return the fitness on ``columns``, over the trials that were run on all; None if one was not run.
 
-        ``rule`` makes several systems one, by default that of the controller's evolution: on what it was evolved
-        against this is its claim. One system goes through the same rule, so that the two can be compared.
+        ``rule`` aggregates several systems, by default the rule of the controller's evolution: on the systems it was
+        evolved against this is its claim. A single system is aggregated in the same way, so that both are comparable.
         """
         cells = [self.matrix.cell(champion.name, column) for column in columns if column in self.matrix.columns]
         if not cells or len(cells) < len(columns) or any(cell.failed for cell in cells):
@@ -223,7 +223,7 @@ class MatrixEstimates:
         return Draws.joined(self.on_each(champion, others))
 
     def summary(self, champion: Champion) -> ControllerSummary:
-        """Return all of one controller."""
+        """Return the summary of one controller."""
         robot, judges = self.matrix.robot, other_family_models(champion, self.matrix)
         claimed, others = self.on(champion, champion.against), self.others(champion)
         achieved = None if robot is None else self.on(champion, [robot])
@@ -278,16 +278,16 @@ class MatrixEstimates:
         return self.on(champion, other_family_models(champion, self.matrix), median)
 
     def worst(self, champion: Champion) -> tuple[Draws | None, str]:
-        """Return the fitness on the system where it is lowest, and which one that is."""
+        """Return the fitness on the system where it is lowest, and that system."""
         columns = self._run(champion, self.matrix.columns)
         found = {column: self.singles[key] for column in columns if (key := (champion.name, column)) in self.singles}
         lowest = min(found, key=lambda column: found[column].value, default="")
         return found.get(lowest), lowest
 
     def regret(self, champion: Champion) -> Draws | None:
-        """Return what the best other controller has more: on the robot, else where it is most.
+        """Return the advantage of the best other controller: on the robot, else on the system where it is largest.
 
-        Where several are equally good the best is so by chance, too, and what it is better by is a little too much.
+        If several are equally good, the best is so by chance, too, and the advantage is slightly overestimated.
         """
         robot = self.matrix.robot
         if robot is not None and robot in champion.against:

@@ -104,7 +104,7 @@ def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored
     errors = {name: float(error) for name, error in rows.items()}
     assert errors.keys() == {"linear", "nearest_neighbour"}
     assert 0.0 < errors["linear"] < errors["nearest_neighbour"]
-    assert "mean error after 20 steps (1 s) on the last quarter of the data, which" in " ".join(fitted.stdout.split())
+    assert "mean error after 20 steps (1 s) on the last quarter of the data (a copy" in " ".join(fitted.stdout.split())
     assert "too few to compare models; record more" in fitted.stderr
     tested = call("fit", stored_data, "--models", "linear", "--test", "episode-2", "--json", "--out", "tested")
     (row,) = json.loads(tested.stdout)

@@ -30,7 +30,7 @@ def test_a_controller_evolves_against_an_ensemble_and_inspect_says_where_it_goes
     assert max(map(len, told)) <= 80
     inspected = call.works("inspect", stored_data, "--controller", controller)
     assert "What to record next?" in inspected.stdout
-    assert " of what controllers drive lies outside the data" in " ".join(inspected.stdout.split())
+    assert " of the controllers' steps are outside the training data" in " ".join(inspected.stdout.split())
 
 
 def test_a_controller_evolves_on_the_emulated_car_without_any_model(call):
@@ -147,7 +147,7 @@ def test_a_model_that_is_not_among_the_systems_is_no_claim_but_still_of_its_fami
     ("arguments", "said"),
     [
         (("FILE", "--on", "linear,pendulum"), "linear cannot be run on pendulum: controller 'linear' was evolved for"),
-        (("FILE", "--on", "linear", "--task", "walled_track"), "linear cannot do walled_track: there it needs"),
+        (("FILE", "--on", "linear", "--task", "walled_track"), "linear cannot do walled_track: it needs"),
         (("one", "--on", "sindy"), "'sindy' is not among the models of one"),
         (("nobody", "--on", "linear"), "nobody"),
     ],
@@ -165,6 +165,6 @@ def test_controllers_of_different_tasks_are_not_compared(there, tmp_path):
     shutil.copy((there.folder / file).with_suffix(".safetensors"), other.with_suffix(".safetensors"))
     command = (file, other, "--on", "linear", "--run", "one")
     ended = there.refused("transfer", *command)
-    assert ended.says("what they score cannot be compared. Name one task for all with --task")
+    assert ended.says("their scores cannot be compared. Name one task for all with --task")
     rows = transferred(there, *command, "--task", TASK, "--trials", "2")["transfer"]["rows"]
     assert rows == ["one/linear", "linear"] or rows == ["linear#1", "linear#2"]

@@ -43,7 +43,7 @@ def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_
     for point in results.points:
         own = [row for row in results.controllers if row.point == point.name]
         assert [row.kind for row in own] == ["single", "single", "ensemble", "polished"]
-        assert all(None not in (row.claimed, row.achieved, row.forecast, row.share) for row in own)
+        assert all(None not in (row.claimed, row.achieved, row.forecast, row.normalised) for row in own)
         assert [row.controller for row in own if row.chosen] == [point.chosen]
         best = max(own, key=lambda row: row.forecast or 0.0)
         assert best.chosen
@@ -152,7 +152,7 @@ def test_parquet_holds_every_row_with_the_meaning_of_its_columns(study_folder, p
         assert table.num_rows == len(expected)
         assert all(field.metadata and field.metadata[b"description"] for field in table.schema)
     frame = pd.read_parquet(study_folder / "controllers.parquet")
-    assert frame["share"].max() == 1.0
+    assert frame["normalised"].max() == 1.0
     assert set(frame["axis_seed"]) == {"0", "1"}
     assert {"n_20", "n_20_low", "n_20_high"} <= set(pd.read_parquet(study_folder / "models.parquet"))
 

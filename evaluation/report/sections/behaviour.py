@@ -15,11 +15,14 @@ from evaluation.transfer.matrix import TransferMatrix
 
 def section(report: ComparisonResults) -> Section | None:
     """Return what controllers do, in sentences and numbers; None if no trial of one was recorded."""
-    if not report.manners or report.matrix is None:
+    if not report.driving_summaries or report.matrix is None:
         return None
     robot = report.matrix.robot
     return Section(
-        "Behaviour", present(driving_table(report.manners, robot), measured_behaviour_table(report.manners, robot))
+        "Behaviour",
+        present(
+            driving_table(report.driving_summaries, robot), measured_behaviour_table(report.driving_summaries, robot)
+        ),
     )
 
 

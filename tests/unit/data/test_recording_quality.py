@@ -141,8 +141,8 @@ def test_a_poor_recording_is_told_what_to_do(car):
     quality = recording_quality(data, [log])
     remarks = advise_recording(data, quality)
     found = {remark.topic: remark.sentence for remark in remarks}
-    assert "How fast the states answer cannot be told from this recording" in found["time scale"]
-    assert "stands still 75 % of the time" in found["standstill"]
+    assert "The response time of the states cannot be estimated from this recording" in found["time scale"]
+    assert "is at rest 75 % of the time" in found["standstill"]
     assert found["rare commands"].startswith("drive is near -1 and steer is near -1, 1 less than 2 % of the time")
     assert found["slow switching"].startswith("steer stays near a level for 60 s on average: change it more often")
     assert found["slow switching"].endswith("Likewise drive.")
@@ -306,7 +306,7 @@ def test_noise_free_states_that_change_within_a_sample_are_not_called_noisy(rng)
     system = System(("place",), (Channel("push", low=-1.0, high=1.0),), 0.05)
     sentence = told(Dataset.from_arrays(system, place, push))
     assert "95 % of place lies below" in sentence
-    assert "changes within few samples, so a shorter dt" in sentence
+    assert "changes within few samples: a shorter dt" in sentence
     assert "noisy" not in sentence
     noise = rng.normal(size=n + 1)
     assert "it is noisy, or dt is too long" in told(Dataset.from_arrays(system, noise, push))

@@ -74,9 +74,9 @@ def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spok
     [
         (noise_floor, Fault(bend=1.5), "form", ["a plain regression on the same inputs explains 4"]),
         (late_controls, LATE, "late controls", ["Controls act up to 300 ms later", "of speed", "control_lags=6"]),
-        (hidden_state, Fault(drift=0.03), "hidden state", ["of speed one step ahead is not white (correlation +0.4"]),
+        (hidden_state, Fault(drift=0.03), "hidden state", ["residual of speed is not white (linear, correlation +0.4"]),
         (hidden_state, Fault(measured=0.03), "noisy states", ["state_lags=2"]),
-        (shift, Fault(grip=0.4), "shift", ["day 3 behaves unlike the other recordings: "]),
+        (shift, Fault(grip=0.4), "shift", ["day 3 differs from the other recordings: "]),
         (dead_command, Fault(dead=True), "dead command", ["steer has no effect on turn with speed below -0."]),
     ],
 )
@@ -90,7 +90,7 @@ def test_a_fault_is_named(look, fault, topic, said):
 def test_a_weak_region_is_named_where_there_are_blocks_enough_to_be_sure():
     remark = weak_region(linear(*recorded(Fault(loud=4.0)).split(0.5)))
     assert remark.topic == "weak region"
-    assert "linear is worst with speed above 0.3" in remark.sentence
+    assert "linear is least accurate with speed above 0.3" in remark.sentence
     assert weak_region(linear(*recorded().split(0.5))) is None
 
 
@@ -149,7 +149,9 @@ def test_how_much_controllers_leave_the_data_is_told_unless_one_place_says_it():
     where = linear(*recorded(Fault(push=0.5)).split(0.25), recorded(seed=5))
     remark = often_outside(where)
     assert 0.2 < remark.weight == remark.figures["outside"] < 0.9
-    assert remark.sentence.startswith(f"{100 * remark.weight:.0f} % of what controllers drive lies outside the data")
+    assert remark.sentence.startswith(
+        f"{100 * remark.weight:.0f} % of the controllers' steps are outside the training data"
+    )
     assert remark.sentence.count(" of the steps") == 3
     assert "outside the data" not in {one.topic for one in ranked([remark, missing_excitation(where)])}
     alone = advise_recording(where.training, visited=recorded(seed=5).episodes)
@@ -174,7 +176,7 @@ def test_a_command_that_was_never_tried_at_speed_is_named_without_controllers():
     kept = [np.where((e.states[:-1, :1] > 0.2) & [False, True], np.minimum(e.controls, 0.0), e.controls) for e in data]
     remark = untried_command(linear(Dataset.from_arrays(data.system, [e.states for e in data], kept)))
     assert remark.sentence.startswith("steer above ")
-    assert " was hardly tried with speed above " in remark.sentence
+    assert " is rare with speed above " in remark.sentence
 
 
 def test_a_test_part_that_lies_elsewhere_is_named():
@@ -184,7 +186,7 @@ def test_a_test_part_that_lies_elsewhere_is_named():
 
 def test_controllers_that_go_where_no_test_is_made_are_named():
     remark = other_states(linear(recorded(seed=5), recorded(Fault(push=0.4)), recorded(seed=6)))
-    assert "its errors say nothing of what models do there" in remark.sentence
+    assert "its errors do not show how accurate models are there" in remark.sentence
 
 
 def test_two_channels_make_a_place_where_each_alone_was_visited():
@@ -221,7 +223,7 @@ def test_a_channel_is_cut_at_its_median(slow, words):
 def test_a_model_with_too_much_to_choose_from_is_overfit_and_still_learns():
     lags = {"state_lags": 20, "control_lags": 20}
     remark = overfit(linear(recorded(episodes=1, steps=200), recorded(seed=9), **lags))
-    assert " times that in the training part" in remark.sentence
+    assert " times its training error" in remark.sentence
     data = recorded(episodes=1, steps=400)
     more = Evidence(
         name="linear",

@@ -13,7 +13,7 @@ from evaluation.behaviour import (
     driving_sentence,
     driving_sentences,
     driving_summaries,
-    manner_of,
+    driving_summary,
     trial_measures,
 )
 from evaluation.report import to_json
@@ -100,7 +100,7 @@ def test_driving_backwards_turning_and_stopping_are_shares_of_the_trial():
     assert found["backwards"] == pytest.approx(0.75, abs=0.01)
     assert found["turning left"] == pytest.approx(0.75, abs=0.01)
     assert found["stops per minute"] == pytest.approx(20.0)
-    assert found["standing"] == pytest.approx(1 / 3, abs=0.01)
+    assert found["at rest"] == pytest.approx(1 / 3, abs=0.01)
     assert found["speed"] == pytest.approx(3.8 / 6.0, abs=0.01)
 
 
@@ -127,32 +127,32 @@ def test_settling_is_the_time_after_which_no_target_is_left():
     assert found["within tolerance"] == pytest.approx(71 / 101)
     never = replace(one, targets=(Target(angle, 0, np.ones(101), 0.05),))
     assert trial_measures(never, system, np.ones(1))["settled"] == 0.0
-    manner = manner_of("c", "pendulum", [one, never], system, np.ones(1))
-    assert "settles after 3.0 s in 50 % of the trials" in driving_sentence(manner)
+    summary = driving_summary("c", "pendulum", [one, never], system, np.ones(1))
+    assert "settles after 3.0 s in 50 % of the trials" in driving_sentence(summary)
 
 
-def manner(name="c", column="car", **measures):
+def summary(name="c", column="car", **measures):
     named = {key.replace("_", " "): Measure(value, value - 0.01, value + 0.01, 5) for key, value in measures.items()}
     return DrivingSummary(name, column, 5, named)
 
 
 def test_a_sentence_says_what_a_driver_would():
-    orbiting = manner(
+    orbiting = summary(
         speed=1.2, backwards=0.93, turning_left=0.1, stops_per_minute=3.0, missed_at_first=0.4, orbiting=0.12,
         drives_on_after_a_miss=0.7, stops_after_a_miss=0.25, turns_back_after_a_miss=0.05,
-        reached_after_a_miss_in=2.5, drive_switches_per_second=1.5, standing=0.02,
+        reached_after_a_miss_in=2.5, drive_switches_per_second=1.5, at_rest=0.02,
     )  # fmt: skip
     assert driving_sentence(orbiting) == (
         "drives backwards 93 % of the time at 1.20 m/s; turns right in 90 % of its turns; stops 3 times a minute; "
-        "misses 40 % of the waypoints at first, then drives on (70 %) or stops (25 %), and is there 2.5 s later; "
+        "misses 40 % of the waypoints at first, then drives on (70 %) or stops (25 %), and reaches it 2.5 s later; "
         "orbits a waypoint 12 % of the time; switches drive 1.5 times a second."
     )
-    assert "hardly ever misses a waypoint" in driving_sentence(manner(speed=1.0, backwards=0.0, missed_at_first=0.01))
+    assert "hardly ever misses a waypoint" in driving_sentence(summary(speed=1.0, backwards=0.0, missed_at_first=0.01))
 
 
 def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not():
-    robot = manner(speed=1.0, backwards=0.9, orbiting=0.3)
-    model = manner(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
+    robot = summary(speed=1.0, backwards=0.9, orbiting=0.3)
+    model = summary(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
     told = driving_sentences([model, robot], "car")["c"]
     assert told.startswith("On the robot: drives backwards 90 %")
     assert told.endswith("In sindy: orbiting 0 % instead of 30 %.")
@@ -161,10 +161,10 @@ def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not():
 
 def test_numbers_have_intervals_over_trials_that_stay_where_shares_can_be():
     trials = [trace((4.0, -1.0, 0.0)), trace((4.0, -1.0, 0.0)), trace((2.0, 1.0, 0.0), (2.0, -1.0, 0.0))]
-    found = manner_of("c", "car", trials, SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"]
+    found = driving_summary("c", "car", trials, SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"]
     assert found.value == pytest.approx((1 + 1 + 0.5) / 3, abs=0.01)
     assert 0.0 <= found.low < found.value < found.high <= 1.0
-    assert np.isnan(manner_of("c", "car", trials[:1], SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"].low)
+    assert np.isnan(driving_summary("c", "car", trials[:1], SYSTEM, np.ones(SYSTEM.nx)).measures["backwards"].low)
 
 
 def recorded():

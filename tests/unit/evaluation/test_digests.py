@@ -327,5 +327,5 @@ def test_families_that_cannot_run_here_are_left_out_by_default_and_refused_when_
     with pytest.raises(MissingExtra, match="needs the package 'no_such_package', which is not installed"):
         planned(models=("lacking",), ensembles=())
     monkeypatch.setattr(planning, "OTHER_FAMILIES", ("lacking",))
-    with pytest.raises(InvalidArgument, match="none of the usual families can be compared here"):
+    with pytest.raises(InvalidArgument, match="none of the default families can be compared here"):
         planned(models=None, ensembles=None)

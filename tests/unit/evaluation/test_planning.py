@@ -221,7 +221,7 @@ def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_t
     assert set(plan.fits) == {"backprop27", "nearest_neighbour", "sindy", "narx", "mlp_ensemble"}
     assert plan.experiment.models is not None
     assert len(plan.experiment.models) == len(plan.fits)  # the run can be planned again from what is stored of it
-    assert any("evolved3 is left out" in text and "angle comes round" in text for text in plan.plan.remarks)
+    assert any("evolved3 is left out" in text and "angle wraps around" in text for text in plan.plan.remarks)
     asked = plan_comparison(
         Experiment(stop_after="prediction", models=("evolved3", "linear")), dataset=swings([400, 400])
     )

@@ -83,7 +83,7 @@ def test_a_better_model_is_significantly_better():
     assert prediction.ranking(20)[0].name == "known"
     others = [(one.first, one.second) for one in prediction.differences(20)]
     assert sorted(others) == [("persistence", "known"), ("weak", "known")]
-    assert prediction.facts()["scored over"] == "1 steps, 10 steps, 20 steps, 60 steps, free run"
+    assert prediction.facts()["scored over"] == "1 steps, 10 steps, 20 steps, 60 steps, whole episodes"
 
 
 def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
@@ -116,7 +116,7 @@ def test_an_episode_too_short_for_anything_leaves_only_notes():
     assert prediction.horizons == ()
     assert prediction.model("known").scores == ()
     assert prediction.model("known").free_run is None
-    assert any("no free run" in note for note in prediction.cases.notes)
+    assert any("no simulation of whole episode" in note for note in prediction.cases.notes)
 
 
 def test_a_broken_model_is_a_row_with_its_reason_and_the_others_go_on():
@@ -151,7 +151,7 @@ def test_a_constant_channel_is_left_out_of_n_with_a_note():
 
 def test_a_test_set_that_stands_still_is_refused():
     still = Dataset.from_arrays(SYSTEM, [np.zeros((100, 3))], [np.zeros((99, 2))])
-    with pytest.raises(InvalidData, match="stands still"):
+    with pytest.raises(InvalidData, match="nothing moves in"):
         assess_prediction({}, recording(), still)
 
 

@@ -81,7 +81,7 @@ def test_of_data_in_which_nothing_varies_the_advice_says_just_that():
     model = make_model("linear").fit(training, rng=np.random.default_rng(0))
     for test in (training, None):
         (remark,) = advise_model(model, training, test, name="linear").remarks
-        assert remark.sentence.startswith("No state varies in the data that linear is judged on")
+        assert remark.sentence.startswith("No state varies in the data that linear is evaluated on")
 
 
 def test_advice_that_rests_on_an_interval_wants_ten_blocks(monkeypatch):
@@ -158,9 +158,9 @@ def test_a_forecast_for_where_there_are_no_data_comes_with_a_warning_and_no_prai
     guess = replace(made, exploitability=(card,))
     found = headline(guess, "Which controller")
     assert found.tone == "open"
-    assert "37 % of its time lies outside the data: there its forecast is a guess." in found.sentence
+    assert "37 % of its time is outside the data: its forecast is an extrapolation." in found.sentence
     assert "outside the data: a (37 %)" in forecast_sheet(guess).note
     for share, normal, warned in ((0.05, 0.0, False), (0.37, 0.2, False), (0.61, 0.2, True), (0.61, 0.3, True)):
         other = replace(made, exploitability=(replace(card, outside=(("a", share),), outside_held_out=normal),))
-        assert ("a guess" in headline(other, "Which controller").sentence) == warned
+        assert ("an extrapolation" in headline(other, "Which controller").sentence) == warned
     assert brief(guess)

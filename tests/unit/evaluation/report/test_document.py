@@ -112,8 +112,8 @@ def test_a_report_of_prediction_alone_has_no_transfer(report):
 def test_a_test_set_of_a_few_samples_still_gives_a_report(report):
     short = assess_prediction({"known": fitted(Known())}, recording(), recording(1, steps=5))
     brief = replace(report, prediction=short, matrix=None, exploitability=())
-    assert "no free run" in to_html(brief)
-    assert "no free run" in in_terminal(brief)
+    assert "no simulation of whole episode" in to_html(brief)
+    assert "no simulation of whole episode" in in_terminal(brief)
 
 
 def test_a_single_trial_on_the_robot_has_no_error_bar():

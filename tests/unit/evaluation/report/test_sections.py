@@ -37,7 +37,7 @@ from tests.fixtures.reports import exploited, matrix, on_a_plane, paper_matrix, 
 FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
 AGAINST = {"ab": ("a", "b")}
 PAPER = Path(__file__).parents[4] / "shared" / "paper" / "tables.json"
-SMALL_ERRORS = "No single step of it is wrong: small errors add up over a trial."
+SMALL_ERRORS = "No single step is implausible: small errors add up over a trial."
 HOLDS = Estimate(0.5, 0.1)
 
 
@@ -45,17 +45,17 @@ HOLDS = Estimate(0.5, 0.1)
     "model, said",
     [
         (exploited(), "linear: exploited: its controllers claim 10.00 waypoints and achieve 4.00 on the robot."),
-        (exploited(), "They turn on the spot in 50 % of steps (held-out driving 1.0 %, the same on the robot 0 %)."),
-        (exploited(), "10 % of what they visit lies outside the data (held-out driving 1.0 %, the same on the robot"),
+        (exploited(), "They turn on the spot in 50 % of steps (held-out data 1.0 %, on the robot 0 %)."),
+        (exploited(), "10 % of their steps are outside the training data (held-out data 1.0 %, on the robot"),
         (exploited(visited=0.0), SMALL_ERRORS),
         (exploited(gap=HOLDS), "the claim holds: its controllers claim 10.00 waypoints and achieve 4.00"),
         (
             exploited(achieved=None, gap=Estimate(2.0, 0.1, 1.8, 2.2)),
             "claim 10.00 waypoints and achieve 8.00 on the other models.",
         ),
-        (exploited(achieved=None, other_models=None, gap=None), "waypoints; there is nowhere else to test it."),
+        (exploited(achieved=None, other_models=None, gap=None), "waypoints; there is no other system to test it on."),
         (exploited(gap=Estimate(6.0, float("nan"))), "One trial cannot show whether the claim holds."),
-        (exploited(claimed=None, gap=None), "no controller was evolved on it, so nothing can be said."),
+        (exploited(claimed=None, gap=None), "not assessed, because no controller was evolved on it."),
         (
             exploited(seed_fitness=(9.0, 10.04, 8.0)),
             "claim 10.00 waypoints (3 evolution runs: 9.00, 10.04, 8.00) and achieve 4.00",

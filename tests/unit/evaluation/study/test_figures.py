@@ -33,7 +33,7 @@ def results():
 
 def test_a_share_is_of_the_best_on_the_same_robot(results):
     figures = {one.controller: one for one in controller_figures(results)}
-    best, both = figures["best"].share, figures["both"].share
+    best, both = figures["best"].normalised, figures["both"].normalised
     assert (best.mean, best.low, best.high) == (1.0, 1.0, 1.0)
     assert both.mean == pytest.approx(sum(SHARES) / 3)
     assert both.lowest == pytest.approx(0.9)
@@ -41,8 +41,8 @@ def test_a_share_is_of_the_best_on_the_same_robot(results):
 
 def test_what_the_program_picks_and_what_was_best_are_rows_of_their_own(results):
     figures = {one.controller: one for one in controller_figures(results)}
-    assert figures[CHOSEN].share == figures["both"].share
-    assert figures[HINDSIGHT].share == figures["best"].share
+    assert figures[CHOSEN].normalised == figures["both"].normalised
+    assert figures[HINDSIGHT].normalised == figures["best"].normalised
 
 
 def test_others_are_compared_with_the_recommended_controller_or_the_named_one(results):
@@ -84,7 +84,7 @@ def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results):
     partial = made_up(missing=results.points[0].name)
     assert forecast_figures(partial)[0].controllers == forecast_figures(results)[0].controllers - 3
     chosen = next(one for one in controller_figures(partial) if one.controller == CHOSEN)
-    assert chosen.share.points == len(results.points) - 1
+    assert chosen.normalised.points == len(results.points) - 1
 
 
 def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them():
@@ -169,7 +169,7 @@ def test_what_was_evolved_on_the_robots_is_one_row_claims_nothing_and_is_no_choi
     figures = figures_of(results)
     assert list(figures) == ["one search on the robot", "model", CHOSEN, HINDSIGHT]
     assert figures["one search on the robot"].gap is None
-    best = figures[HINDSIGHT].share
+    best = figures[HINDSIGHT].normalised
     assert (best.mean, best.points) == (0.5, 2)
     assert [one.controllers for one in forecast_figures(results)] == [2, 2, 2]
 
@@ -186,7 +186,7 @@ def test_controllers_that_failed_are_counted_and_stand_last_where_all_of_them_di
         "none": (2, 2),
     }
     assert list(figures) == ["best", "half", "none"]
-    assert figures["none"].share is None
+    assert figures["none"].normalised is None
 
 
 def test_where_nothing_is_recommended_others_are_compared_with_what_is_chosen():
@@ -205,7 +205,7 @@ def test_the_reference_is_in_the_group_that_the_study_names():
 
 def test_what_was_best_is_known_of_finished_points_alone():
     name = made_up().points[0].name
-    hindsight = figures_of(made_up(missing=name))[HINDSIGHT].share
+    hindsight = figures_of(made_up(missing=name))[HINDSIGHT].normalised
     assert hindsight.points == 8
     assert figures_of(made_up())[HINDSIGHT].planned == 9
 
@@ -226,15 +226,15 @@ def test_a_share_is_measured_from_the_floor_and_there_is_none_of_nothing():
     rows += [row(points[1], "a", 3.0, rest_fitness=3.0), row(points[2], "a", np.inf), row(points[2], "b", 2.0)]
     found = with_best_known(points, rows)
     assert [one.best_known for one in found] == [-4.0, -4.0, 3.0, 2.0, 2.0]
-    assert [one.share for one in found[:3]] == pytest.approx([1.0, 1.0 / 3.0, None])
-    assert found[4].share == 1.0
+    assert [one.normalised for one in found[:3]] == pytest.approx([1.0, 1.0 / 3.0, None])
+    assert found[4].normalised == 1.0
 
 
 def test_tasks_on_one_robot_have_a_yardstick_each():
     one, other = made_up(cars=1, seeds=2).points
     points = [replace(one, task="near"), replace(other, task="far")]
     found = with_best_known(points, [row(points[0], "a", 2.0), row(points[1], "a", 8.0)])
-    assert [row.share for row in found] == [1.0, 1.0]
+    assert [row.normalised for row in found] == [1.0, 1.0]
 
 
 def model(point, name, *errors, **fields):
