@@ -332,7 +332,7 @@ def driving_sentence(here: DrivingSummary, there: Sequence[DrivingSummary] = (),
     """
     parts = [*_driving(here), *_chasing(here), *_settling(here), *_switching(here)]
     text = f"{f'{place[0].upper()}{place[1:]}: ' if place else ''}{'; '.join(parts)}." if parts else ""
-    others = [said for other in there if (said := _otherwise(here, other))]
+    others = [sentence for other in there if (sentence := _otherwise(here, other))]
     return " ".join(filter(None, (text, *others)))
 
 

@@ -251,10 +251,14 @@ def _failures(comparison: Comparison, store: Store) -> list[Failure]:
     found = []
     for cell in comparison.plan:
         record = store.find(cell.digest)
-        told = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
-        if record is not None and record.status == "failed" and not told:
+        listed_there = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
+        if record is not None and record.status == "failed" and not listed_there:
             found.append(Failure(cell.title, record.reason or ""))
-        elif record is None and not told and all(store.outcome(needed).value is not None for needed in cell.needs):
+        elif (
+            record is None
+            and not listed_there
+            and all(store.outcome(needed).value is not None for needed in cell.needs)
+        ):
             found.append(Failure(cell.title, store.outcome(cell).reason or ""))
     return found
 

@@ -1,4 +1,4 @@
-"""Robots: their sessions and the loop that drives them, links, trackers, recording, emulated and simulated robots.
+"""Robots: sessions and the loop that drives them, links, trackers, recording, emulated and simulated robots.
 
 The process of a tracker starts from inside this package, so nothing is imported here before it is used.
 """

@@ -1,4 +1,4 @@
-"""Checks of what a robot's file or a caller gives: each returns the value, or says what was expected."""
+"""Checks of values from a robot's file or a caller: each returns the value, or raises an error with the expectation."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ LARGEST_SEED = 2**64 - 1
 
 
 def check_text(what: str, value: object) -> str:
-    """Return ``value`` if it is a text with something in it."""
+    """Return ``value`` if it is a text that is not empty."""
     if not isinstance(value, str) or not value.strip():
         raise InvalidArgument(f"{what}: expected a text in quotes, got {value!r}")
     return value
 
 
 def check_number(what: str, value: object, *, minimum: float = -math.inf, above: float = -math.inf) -> float:
-    """Return ``value`` as a finite number that is ``minimum`` or more and greater than ``above``."""
+    """Return ``value`` as a finite number of at least ``minimum`` and greater than ``above``."""
     given = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
     if math.isfinite(given) and minimum <= given and above < given:
         return given
@@ -48,7 +48,7 @@ def check_choice(what: str, value: object, among: Iterable[str]) -> str:
 
 
 def check_table(what: str, value: object, keys: Iterable[str]) -> dict[str, Any]:
-    """Return ``value`` if it is a table that has none but these ``keys``."""
+    """Return ``value`` if it is a table with no keys but these ``keys``."""
     known = tuple(keys)
     if not isinstance(value, Mapping):
         raise InvalidArgument(f"{what}: expected a table with some of {', '.join(known)}, got {value!r}")

@@ -1,4 +1,4 @@
-"""The contract of a session with a robot: commands go out, frames of a tracker and the robot's status come in."""
+"""The contract of a session with a robot: commands out, frames of a tracker and the robot's status in."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from sysid_evo.models import Dynamics
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
-TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops that soon
+TIME_TO_LIVE = 0.15  # s for which a command is valid: a robot whose host has died stops after it
 
 
 class Closeable(ABC):
-    """Something open; the ``with`` statement closes it on every way out."""
+    """An open resource; the ``with`` statement closes it on every exit."""
 
     @abstractmethod
     def close(self) -> None:
-        """End it; a second call does nothing."""
+        """Close it; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -36,8 +36,8 @@ class Closeable(ABC):
 class Connection(Closeable):
     """A session with a robot; use it in a ``with`` statement.
 
-    The robot is neutral before the first command, after a command outlives its ``valid_for``, and
-    on every way out of the ``with`` statement. One thread uses it.
+    The robot is neutral before the first command, after a command outlives its ``valid_for``, and on every exit from
+    the ``with`` statement. One thread uses it.
     """
 
     @property
@@ -47,17 +47,17 @@ class Connection(Closeable):
 
     @property
     def round_trip(self) -> float | None:
-        """The time in s from the newest answered command to the robot's answer; None from one that gives none."""
+        """Time in s from the newest answered command to the robot's answer; None if it is not measured."""
         return None
 
     @property
     def gate_limits(self) -> GateLimits:
-        """What the body can do from one frame to the next: others are not believed."""
+        """Limits of the body's motion from one frame to the next: frames beyond them are rejected."""
         return GateLimits()
 
     @property
     def status(self) -> RobotStatus | None:
-        """The newest word of the robot; None from one that says nothing."""
+        """The newest status of the robot; None from a robot that sends none."""
         return None
 
     @abstractmethod
@@ -68,7 +68,7 @@ class Connection(Closeable):
     def measure(self, timeout: float) -> Measurement | None:
         """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`.
 
-        Frames that came in between calls are kept and returned in turn; simulated time moves only here.
+        Frames that arrive between calls are kept and returned in turn; simulated time advances only here.
         """
 
     @abstractmethod
@@ -77,7 +77,7 @@ class Connection(Closeable):
 
 
 class Connectable(Protocol):
-    """What can be driven: a `Robot`, see there."""
+    """The part of a `Robot` that the control loop needs."""
 
     name: str
     system: System
@@ -102,10 +102,10 @@ class Command:
 class Measurement:
     """One frame of a tracker.
 
-    ``source_time`` is when the frame was taken, ``arrival_time`` when it got here. Both are in s on
-    one clock, that of the connection; a tracker with a clock of its own is mapped onto the host's
-    (`time.monotonic`). ``pose`` (n_pose,) is in the units of the system's motion; where ``valid``
-    is false the tracker has lost ``body`` and the pose means nothing.
+    ``source_time`` is when the frame was taken, ``arrival_time`` when it was received. Both are in s on the
+    connection's clock; a tracker with its own clock is mapped to the host's (`time.monotonic`). ``pose`` (n_pose,) is
+    in the units of the system's motion. If ``valid`` is false, the tracker has lost ``body`` and the pose has no
+    meaning.
     """
 
     source_time: float
@@ -118,11 +118,11 @@ class Measurement:
 
 @dataclass(frozen=True)
 class RobotStatus:
-    """What the robot said of itself.
+    """A status message of the robot.
 
-    ``time`` is when it got here (s, the connection's clock), ``robot_time`` when it was said (s, the
-    robot's clock); ``state`` is a word for what it does ("driving", "neutral", "tripped"),
-    ``control`` (nu,) what its outputs are set to, ``counters`` what it has counted since it started.
+    ``time`` is when it was received (s, the connection's clock), ``robot_time`` when it was sent (s, the robot's
+    clock). ``state`` is its mode in one word ("driving", "neutral", "tripped"), ``control`` (nu,) the state of its
+    outputs, ``counters`` are its counters since it started.
     """
 
     time: float
@@ -133,39 +133,37 @@ class RobotStatus:
 
 
 class Listener:
-    """Is told of everything that happens in a session, in the order of time; each method does nothing here.
+    """Is notified of every event in a session, in order of time; here each method does nothing.
 
-    Called from the loop's own thread: a listener returns within a millisecond and never raises.
+    It is called from the thread of the loop: a listener returns within a millisecond and never raises.
     """
 
     def on_measurement(self, measurement: Measurement) -> None:
-        """Take note of a frame of the tracker."""
+        """Handle a frame of the tracker."""
 
     def on_command(self, command: Command) -> None:
-        """Take note of a control that was sent."""
+        """Handle a control that was sent."""
 
     def on_status(self, status: RobotStatus) -> None:
-        """Take note of what the robot said."""
+        """Handle a status of the robot."""
 
     def close(self) -> None:
         """Finish; a second call does nothing."""
 
 
-MOST_FRAMES = 1_000_000  # that a limit of the gate may count
+MOST_FRAMES = 1_000_000  # the largest number of frames in a limit of the gate
 
 
 @dataclass(frozen=True)
 class GateLimits:
-    """What a body can do between two accepted frames dt s apart, beyond the tracker's own errors.
+    """Limits of a body's motion between two accepted frames dt s apart, in addition to the tracker's errors.
 
-    It moves at most ``speed`` dt + ``position_error`` and never over ``jump`` m; it turns at most
-    ``yaw_rate`` dt + ``heading_error`` and never over ``turn`` rad. While it is told to drive, no
-    more than ``frozen`` poses in a row are equal to the last bit: a real tracker is never that still
-    (None for one without noise). A body that turns up elsewhere is believed again when its frames agree
-    with each other: after ``confirm`` of them if it could have got there, as after a dropout; after
-    ``recover`` s if it could not, because then it is another body or a flipped one. A run ends before.
-
-    A robot that can do more says so: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
+    It moves at most ``speed`` dt + ``position_error`` and never more than ``jump`` m; it turns at most ``yaw_rate`` dt
+    + ``heading_error`` and never more than ``turn`` rad. Under a drive command at most ``frozen`` poses in a row are
+    equal to the last bit, since a real tracker has noise (None for one without noise). A body that appears at another
+    place is accepted again when its frames are consistent: after ``confirm`` of them if it could have moved there, as
+    after a dropout; after ``recover`` s if it could not, because then it is another body or a flipped one. A run ends
+    before. A robot that can do more sets its own limits: ``[gate]`` in its file, or ``gate=GateLimits(speed=8.0)``.
     """
 
     speed: float = 5.0
@@ -191,7 +189,7 @@ class GateLimits:
 
     @classmethod
     def read(cls, given: GateLimits | Mapping[str, Any] | None) -> GateLimits:
-        """Return limits from a table such as ``[gate]`` in a robot's file; None means the ones that hold for most.
+        """Return limits from a table such as ``[gate]`` in a robot's file; None means the defaults.
 
         Raises `InvalidArgument`.
         """
@@ -207,6 +205,6 @@ class GateLimits:
 
     @classmethod
     def from_dict(cls, value: Mapping[str, float | None]) -> GateLimits:
-        """Undo `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
+        """Inverse of `to_dict`. Raises `TypeError` or `InvalidArgument` if they are no limits."""
         limits: dict[str, Any] = {k: math.inf if v is None and k != "frozen" else v for k, v in value.items()}
         return cls(**limits)

@@ -22,31 +22,29 @@ from sysid_evo.errors import IncompatibleSystem, LinkLost
 from sysid_evo.system import System
 from sysid_evo.types import Array
 
-STALE = 0.1  # s: an older pose means neutral
+STALE = 0.1  # s: with an older pose the command is neutral
 LOST = 0.5  # s: an older pose ends the run
 FIRST_POSE = 1.0  # s within which the first estimate must exist
-POLL = 0.02  # s: the longest the loop waits without looking up
-SHORTEST = 0.001  # s: the shortest it waits for a pose to become stale
+POLL = 0.02  # s: the longest time that the loop waits at once
+SHORTEST = 0.001  # s: the shortest time that it waits for a pose to become stale
 CLOCK_TOLERANCE = 1e-9  # s
 ON_THE_CLOCK = 1.0  # s between a session's clock and the host's, if they are the same; simulated time begins at 0
 AHEAD = -10  # nice value of the threads of a loop that may not run in real time
 
 
 class ControlLoop:
-    """Drives ``connection`` by a pilot, one decision every ``system.dt``, and tells the listeners.
+    """Drives ``connection`` by a pilot, one decision every ``system.dt``, and notifies the listeners.
 
-    Deadlines are absolute: tick k is due k dt after the first, and one that is late by dt or more is
-    skipped, so that the loop never drifts or catches up. Time passes only in `Connection.measure`, so
-    it runs unchanged in simulated time. The calling thread does everything. A run starts in neutral
-    until poses give an estimate; a tick whose newest pose is older than 100 ms sends neutral without
-    asking the pilot (and neutral does not wait for the tick), a pose older than 500 ms ends the run.
-    Every command is checked and valid for 150 ms. Without a ``gate`` of its own the body of the first
-    frame is followed, within the connection's ``gate_limits``.
-
+    Deadlines are absolute: tick k is due k dt after the first, and one that is late by dt or more is skipped, so that
+    the loop neither drifts nor catches up. Time passes only in `Connection.measure`, so it runs unchanged in simulated
+    time, all in the calling thread. A run starts in neutral until poses give an estimate. A tick whose newest pose is
+    older than 100 ms sends neutral without asking the pilot (and neutral does not wait for the tick); a pose older than
+    500 ms ends the run. Every command is checked and valid for 150 ms. Without a ``gate`` of its own, the loop follows
+    the body of the first frame within the connection's ``gate_limits``.
     Raises `IncompatibleSystem` for a system that it cannot drive (`check_loop`).
 
-    A run that ends as it should leaves the robot in neutral, the connection open, poses and gate as
-    they are; any other way out, exceptions included, closes the connection first.
+    A run that ends normally leaves the robot in neutral, the connection open, poses and gate unchanged. Any other exit,
+    exceptions included, closes the connection first.
     """
 
     def __init__(
@@ -75,14 +73,13 @@ class ControlLoop:
         self._seen: float | None = None
 
     def run(self, pilot: Pilot, *, samples: int | None = None) -> LoopReport:
-        """Drive until ``samples`` are over or ``pilot`` or a fault ends it, and return how it went.
+        """Drive until ``samples`` are over or ``pilot`` or a fault ends it, and return the report.
 
-        Raises what ``pilot`` or a listener raises, and `InvalidArgument` if the pilot decides on an
-        illegal control.
+        Raises errors of ``pilot`` and listeners, and `InvalidArgument` if the pilot decides on an illegal control.
         """
         self._rejected.clear()
         self._ticks, self._skipped, self._stale = [], 0, 0
-        gc.freeze()  # a collection that looks at all that was ever imported takes up to a tenth of a second
+        gc.freeze()  # a collection over everything ever imported takes up to a tenth of a second
         in_real_time = abs(self.connection.time - time.monotonic()) < ON_THE_CLOCK
         try:
             try:
@@ -111,7 +108,7 @@ class ControlLoop:
         )
 
     def _drive(self, pilot: Pilot, samples: int | None) -> tuple[StopReason, str]:
-        """Send a command for every tick until something ends the run; return what."""
+        """Send a command for every tick until something ends the run; return the reason."""
         neutral, dt = self.system.neutral_control, self.system.dt
         self._opened = opened = self.connection.time
         first: int | None = None
@@ -152,7 +149,7 @@ class ControlLoop:
             self._ticks.append((opened + index * dt, self.connection.time))
 
     def _wait(self, due: float, *, started: bool) -> tuple[StopReason, str] | None:
-        """Take in frames until ``due`` and then those that are waiting; return what ends the run, if anything."""
+        """Take in frames until ``due`` and then those that are waiting; return the reason if one ends the run."""
         connection = self.connection
         enough = max(due, connection.time) + 0.5 * self.system.dt
         while True:
@@ -168,7 +165,7 @@ class ControlLoop:
             if measurement is not None:
                 self._take(measurement)
                 if now - measurement.source_time > STALE and now < enough:
-                    continue  # newer ones are waiting: what is known is not as new as it gets
+                    continue  # newer ones are waiting: the newest is not known yet
             age = self._age(now)
             if started and age > LOST + CLOCK_TOLERANCE:
                 return StopReason.TRACKER_LOST, self._why_no_pose(f"the newest pose is {age:.2f} s old")
@@ -178,7 +175,7 @@ class ControlLoop:
                 return None
 
     def _take(self, measurement: Measurement) -> None:
-        """Tell the listeners of a frame and use it if it is believed."""
+        """Notify the listeners of a frame and use it if it is accepted."""
         for listener in self._listeners:
             listener.on_measurement(measurement)
         if self._gate is None:
@@ -201,7 +198,7 @@ class ControlLoop:
             listener.on_command(command)
 
     def _tripped(self) -> bool:
-        """Tell the listeners of a new status; return whether the robot stopped itself in this run."""
+        """Notify the listeners of a new status; return whether the robot stopped itself in this run."""
         status = self.connection.status
         if status is None or (self._status is not None and status.time <= self._status.time):
             return False
@@ -211,18 +208,18 @@ class ControlLoop:
         return status.state == "tripped" and status.time >= self._opened
 
     def _age(self, now: float) -> float:
-        """Return how old the newest believed pose is, in s; infinite without one."""
+        """Return the age of the newest accepted pose in s; infinite without one."""
         return math.inf if self._seen is None else now - self._seen
 
     def _why_no_pose(self, what: str) -> str:
-        """Return ``what`` with the frames that were not used, and the limit that they go beyond, if they do."""
+        """Return ``what`` with the number of rejected frames by reason, and the exceeded limit, if any."""
         counts = ", ".join(f"{count} {why}" for why, count in self._rejected.most_common())
         beyond = "" if self._gate is None else self._gate.excess
         return what + (f"; frames not used: {counts}" if counts else "") + (f" ({beyond})" if beyond else "")
 
 
 class Pilot(ABC):
-    """Who drives: a controller, a script or a person, asked for the control of every sample."""
+    """A driver (a controller, a script or a person), asked for the control of every sample."""
 
     @abstractmethod
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
@@ -233,7 +230,7 @@ class Pilot(ABC):
 def before_others() -> Iterator[None]:
     """Give the threads of this process a higher priority while a robot is driven, as far as the system allows.
 
-    That is real-time scheduling where the user has the right to it (root, or ``rtprio`` in /etc/security/limits.conf),
+    That is real-time scheduling if the user has the right to it (root, or ``rtprio`` in /etc/security/limits.conf),
     else a lower nice value (``nice`` there), else no change. Processes that they start do not inherit it.
     """
     found: list[tuple[int, int, os.sched_param, int]] = []
@@ -252,18 +249,18 @@ def before_others() -> Iterator[None]:
     finally:
         for thread, policy, parameters, nice in found:
             with suppress(ProcessLookupError, PermissionError):
-                # only root may take the flag away again; it leaves a usual thread as it is
+                # only root may remove the flag; it has no effect on a normal thread
                 os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, parameters)
                 os.setpriority(os.PRIO_PROCESS, thread, nice)
 
 
-LATEST = 0.05  # s that a command may be late without the robot stopping in between
+LATEST = 0.05  # s that a command may be late without a stop of the robot in between
 SLOWEST = TIME_TO_LIVE - LATEST  # s: the longest sampling time
-PLANAR = 3  # numbers of a pose that the gate can judge
+PLANAR = 3  # numbers of a pose that the gate can check
 
 
 def check_loop(system: System) -> None:
-    """Raise `IncompatibleSystem` unless the loop can command ``system`` in time and see where it is."""
+    """Raise `IncompatibleSystem` unless the loop can command ``system`` in time and measure its pose."""
     if system.nu == 0:
         raise IncompatibleSystem("the control loop: expected a system with at least one control, got none")
     if system.n_pose != PLANAR:

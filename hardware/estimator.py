@@ -1,4 +1,4 @@
-"""From poses to states without looking ahead, and how late an estimate is."""
+"""Causal estimates of states from poses, and their delay."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class StateEstimate:
-    """What is known of the robot at ``time`` (s, the connection's clock).
+    """The estimated state of the robot at ``time`` (s, the connection's clock).
 
-    ``pose`` (n_pose,) is the newest that was accepted, ``age`` s old; ``state`` (nx,) is made of
-    the poses up to it by a causal filter, so it lags behind.
+    ``pose`` (n_pose,) is the newest accepted one, ``age`` s old; ``state`` (nx,) comes from the poses up to it by a
+    causal filter, so it lags behind.
     """
 
     time: float
@@ -30,7 +30,7 @@ class StateEstimate:
 
 
 class StateEstimator(Protocol):
-    """Makes an estimate of the accepted frames; the loop asks for one at every tick."""
+    """Makes estimates from accepted frames; the loop asks for one at every tick."""
 
     def restart(self) -> None: ...
     def add(self, measurement: Measurement) -> None: ...
@@ -39,27 +39,27 @@ class StateEstimator(Protocol):
 
 WINDOW = 0.1  # s
 LAG = 0.02
-"""s; with this window, where the error of the yaw rate as it is used is least on the emulated car
+"""s; the value that minimises the error of the yaw rate as it is used, for this window and the emulated car
 (``python -m tests.benchmarks.robot.estimator``)."""
 READY = 0.6
-"""Share of the window that poses must cover, so that a curvature can be told from noise,"""
+"""Share of the window that poses must cover to distinguish a curvature from noise,"""
 MIN_POSES = 6
-"""and the fewest poses: after a dropout, or of a slow tracker, older ones are kept for that, up to"""
+"""and the minimum number of poses: after a dropout, or with a slow tracker, older ones are kept for it, up to"""
 LONGEST = 2.5  # windows
 
 
 class PoseEstimator:
-    """A parabola through the last poses, and the body velocities on it a little before the newest.
+    """A parabola through the last poses, and the body velocities on it slightly before the newest.
 
-    With t the time of a pose less that of the newest, x, y and heading are each fitted over the last
+    With t the time of a pose minus that of the newest, x, y and heading are each fitted over the last
     ``window`` s by least squares::
 
-        q(t) = a + b t + c t^2,    estimate at t = -lag:  q = a - b lag + c lag^2,  dq/dt = b - 2 c lag
+        q(t) = a + b t + c t^2,  estimate at t = -lag:  q = a - b lag + c lag^2,  dq/dt = b - 2 c lag
 
-    and (dx/dt, dy/dt) is turned by -heading into forward and lateral speed. Accelerations up to
-    constant are followed without error; the variance of dq/dt is lowest in the middle of the window
-    and sixteen times as large at the newest pose, so ``lag`` buys quiet for delay. The headings are
-    unwrapped. Raises `IncompatibleSystem` if poses do not tell every state.
+    and (dx/dt, dy/dt) is turned by -heading into forward and lateral speed. Constant accelerations cause no error. The
+    variance of dq/dt is lowest in the middle of the window and sixteen times as large at the newest pose, so ``lag``
+    trades delay for noise. The headings are unwrapped. Raises `IncompatibleSystem` if poses do not determine every
+    state.
     """
 
     def __init__(self, system: System, *, window: float = WINDOW, lag: float = LAG) -> None:
@@ -69,9 +69,9 @@ class PoseEstimator:
                 "the estimator needs a planar body, but the system has "
                 f"{'no motion' if motion is None else 'the motion ' + motion.kind}"
             )
-        untold = [name for name in system.state_names if name not in motion.roles().values()]
-        if untold:
-            raise IncompatibleSystem(f"poses do not tell the states {', '.join(untold)}: no estimator for this system")
+        missing = [name for name in system.state_names if name not in motion.roles().values()]
+        if missing:
+            raise IncompatibleSystem(f"poses do not determine the states {', '.join(missing)}: no estimator for them")
         self.window = window
         self.lag = lag
         self._motion = motion
@@ -80,12 +80,12 @@ class PoseEstimator:
         self._poses: deque[Array] = deque()
 
     def restart(self) -> None:
-        """Forget all poses: what comes next is not the continuation of what was."""
+        """Forget all poses: the next one does not continue the track."""
         self._times.clear()
         self._poses.clear()
 
     def add(self, measurement: Measurement) -> None:
-        """Take in an accepted pose; one that is not newer than the newest is left out."""
+        """Take in an accepted pose; one that is not newer than the newest is ignored."""
         time, pose = measurement.source_time, measurement.pose
         if self._times:
             if time <= self._times[-1]:
@@ -104,7 +104,7 @@ class PoseEstimator:
         return self._times[-1] if self._times else None
 
     def estimate(self, time: float) -> StateEstimate | None:
-        """Return what is known at ``time`` (s, the connection's clock), or None while the window is too empty."""
+        """Return the estimate at ``time`` (s, the connection's clock), or None if the window has too few poses."""
         if not self._covers(0):
             return None
         newest = self._times[-1]
@@ -114,8 +114,8 @@ class PoseEstimator:
         at = -self.lag / self.window
         rates = (coefficients[1] + 2.0 * at * coefficients[2]) / self.window
         there = coefficients[0] + at * coefficients[1] + at * at * coefficients[2]
-        told = self._motion.velocities(there, rates)
-        state = np.array([told[name] for name in self._names], dtype=np.float64)
+        velocities = self._motion.velocities(there, rates)
+        state = np.array([velocities[name] for name in self._names], dtype=np.float64)
         return StateEstimate(time, self._poses[-1].copy(), state, time - newest)
 
     def _covers(self, first: int) -> bool:
@@ -125,7 +125,7 @@ class PoseEstimator:
 
 
 class NewestPoseEstimator:
-    """An estimator for pilots who only need to know that the robot is seen: its states are all neutral."""
+    """An estimator for pilots that only need the newest pose: its states are all neutral."""
 
     def __init__(self, system: System) -> None:
         self._state = system.neutral_state
@@ -145,16 +145,16 @@ class NewestPoseEstimator:
         return None if newest is None else StateEstimate(time, newest.pose, self._state, time - newest.source_time)
 
 
-LONGEST_DELAY = 0.2  # s: the latest estimate looked for
+LONGEST_DELAY = 0.2  # s: the longest delay that is searched
 STEP = 0.001  # s
-FREQUENCIES = (0.3, 0.7, 1.1)  # Hz: how fast the speeds of a known drive change
+FREQUENCIES = (0.3, 0.7, 1.1)  # Hz, of the speeds of a known drive
 
 
 @dataclass(frozen=True)
 class EstimatorDelay:
-    """How late the estimate of ``channel`` is, in s, and what is left of its error.
+    """Delay of the estimate of ``channel`` in s, and its remaining error.
 
-    ``correlation`` with the truth so long ago; ``error`` is the root mean square difference from it,
+    ``correlation`` is that with the truth at the delayed time; ``error`` is the root mean square difference from it,
     ``error_now`` that from the truth at the time of the estimate, both in ``unit``.
     """
 
@@ -171,8 +171,8 @@ def measure_delays(
 ) -> tuple[EstimatorDelay, ...]:
     """Return the delay of every state: ``estimates`` (N, nx) against ``truth`` (T, nx), linear between ``times``.
 
-    The delay is where the parabola through the highest correlation and its neighbours has its top,
-    looked for from 0 to 0.2 s. Estimates from the first 0.2 s of the recording are left out.
+    The delay is the maximum of the parabola through the highest correlation and its neighbours, searched from 0 to
+    0.2 s. Estimates from the first 0.2 s of the recording are left out.
     """
     truth = check_shape("truth", truth, (len(times), system.nx))
     estimates = check_shape("estimates", estimates, (len(estimate_times), system.nx))
@@ -204,7 +204,7 @@ def measure_delays(
 
 
 def estimator_delays(system: System, *, frame_interval: float, duration: float = 20.0) -> tuple[EstimatorDelay, ...]:
-    """Return the delays of `PoseEstimator` alone, on a known drive seen every ``frame_interval`` s without noise."""
+    """Return the delays of `PoseEstimator` alone, on a known drive with frames every ``frame_interval`` s."""
     times: Array = np.arange(0.0, duration, frame_interval)
     states, poses = synthetic_drive(system, times)
     estimator = PoseEstimator(system)
@@ -218,7 +218,7 @@ def estimator_delays(system: System, *, frame_interval: float, duration: float =
 
 
 def synthetic_drive(system: System, times: Array, *, speed: float = 1.0, yaw_rate: float = 2.0) -> tuple[Array, Array]:
-    """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds swing smoothly around zero."""
+    """Return states (T, nx) and poses (T, 3) of a made-up drive whose speeds oscillate smoothly around zero."""
     motion = system.motion
     assert isinstance(motion, PlanarBody)
     forward, lateral, turning = motion.indices(system.state_names)

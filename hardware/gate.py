@@ -1,4 +1,4 @@
-"""Which frames of a tracker are plausible, where a track breaks, and by how much rejected frames exceed the limits."""
+"""Plausibility of a tracker's frames: which are accepted, where a track breaks, and how far limits are exceeded."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sysid_evo.types import Array
 ACCEPTED = ""
 JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST = "jumped", "flipped", "too fast", "turned too fast"
 CONTRADICTIONS = (JUMPED, FLIPPED, TOO_FAST, TURNED_TOO_FAST)
-"""Why a frame cannot follow on the one before."""
-LARGEST = 1e9  # s, m, rad: no clock, room or spin reaches it
+"""Reasons why a frame cannot follow the one before."""
+LARGEST = 1e9  # s, m, rad: beyond any clock, room or rotation
 
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """What becomes of a frame: ``accepted``, or dropped for a ``reason``; ``new_track``: a new track begins with it."""
+    """Verdict on a frame: ``accepted``, or rejected for a ``reason``; with ``new_track`` a new track begins."""
 
     accepted: bool
     reason: str = ACCEPTED
@@ -31,9 +31,9 @@ class GateVerdict:
 class PoseGate:
     """Decides frame by frame on planar poses of ``body`` (None: the first seen); it has no clock of its own.
 
-    No two accepted frames of one track contradict `GateLimits`; a frame that does is dropped. If the
-    body turns up elsewhere and stays consistent there, a new track begins, and the verdict on its
-    first accepted frame says ``broke``: nothing may be computed across it.
+    Two accepted frames of one track never contradict `GateLimits`; a frame that does is rejected. If the body appears
+    at another place and stays consistent there, a new track begins, and the verdict on its first accepted frame has
+    ``new_track``: nothing may be computed across it.
     """
 
     def __init__(self, body: str | None, limits: GateLimits | None = None) -> None:
@@ -51,12 +51,12 @@ class PoseGate:
 
     @property
     def excess(self) -> str:
-        """By how much the frames since the newest believed one go beyond a limit, in a sentence; "" if they do not."""
+        """How far the frames since the newest accepted one exceed a limit, in a sentence; "" if they do not."""
         return self._excess.sentence
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Frames by the reason of the verdict; "accepted" for those that have none, "tracks" that began."""
+        """Number of frames by the reason of the verdict; "accepted" for those without one, "tracks" that began."""
         return dict(self._counts)
 
     def accept(self, measurement: Measurement, *, driving: bool) -> GateVerdict:
@@ -106,10 +106,10 @@ class PoseGate:
         return GateVerdict(True, new_track=True)
 
     def _is_frozen(self, pose: Array, driving: bool) -> bool:
-        """Count equal poses under a drive command; say whether there are too many.
+        """Count equal poses under a drive command; return whether there are too many.
 
-        A pose that was found frozen stays so when the robot is stopped: else it would be believed again,
-        and the robot driven on.
+        A pose that was found frozen stays so when the robot is stopped: otherwise it would be accepted again, and the
+        robot would drive on.
         """
         limit = self.limits.frozen
         bits = pose.tobytes()
@@ -123,7 +123,7 @@ class PoseGate:
         return limit is not None and self._repeats >= limit
 
     def _contradiction(self, before: Measurement, after: Measurement) -> str:
-        """Return why ``after`` cannot follow on ``before``, "" if it can."""
+        """Return why ``after`` cannot follow ``before``, "" if it can."""
         limits = self.limits
         if distance(before, after) > limits.jump:
             return JUMPED
@@ -132,7 +132,7 @@ class PoseGate:
         return self._out_of_reach(before, after)
 
     def _out_of_reach(self, before: Measurement, after: Measurement) -> str:
-        """Return what the body would have had to exceed to get from ``before`` to ``after``, "" if nothing."""
+        """Return the limit that the body would have exceeded to get from ``before`` to ``after``, "" if none."""
         limits, dt = self.limits, after.source_time - before.source_time
         if distance(before, after) > limits.speed * dt + limits.position_error:
             return TOO_FAST
@@ -141,9 +141,9 @@ class PoseGate:
         return ACCEPTED
 
     def _follows_rival(self, frame: Measurement) -> bool:
-        """Whether a frame continues the dropped frames rather than the track.
+        """Return whether a frame continues the rejected frames rather than the track.
 
-        The track alone cannot tell: the longer ago its last frame, the more lies within its reach.
+        The track alone does not decide that: the longer ago its last frame, the more is within its reach.
         """
         if self._last is None or not self._rival or self._contradiction(self._rival[-1], frame) != ACCEPTED:
             return False
@@ -154,7 +154,7 @@ class PoseGate:
         return max(distance(before, after) / self.limits.speed, turn(before, after) / self.limits.yaw_rate)
 
     def _confirmed(self, frame: Measurement) -> bool:
-        """Add a frame to the track that rivals the accepted one; say whether it is believed by now."""
+        """Add a frame to the track that competes with the accepted one; return whether it is accepted now."""
         rival = self._rival
         if rival and frame.source_time <= rival[-1].source_time:
             return False
@@ -169,23 +169,23 @@ class PoseGate:
 
 
 SHARE = 0.9
-"""Quantile of the speeds from frame to frame that is taken for the robot's: one frame far away does not count."""
-REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run goes on without a pose
+"""Quantile of the speeds from frame to frame that is used as the robot's: a single outlier does not count."""
+REMEMBERED = 200  # frames: a second at 200 Hz, longer than a run continues without a pose
 WORDS = {
     "speed": ("it moves at {:.1f} m/s", "m/s"),
     "yaw_rate": ("it turns at {:.1f} rad/s", "rad/s"),
     "jump": ("it was seen {:.2f} m from where it was", "m"),
     "turn": ("it was seen turned by {:.2f} rad", "rad"),
 }
-"""What is said of a value beyond each limit, and the limit's unit; the first that holds explains the others."""
+"""Sentence for a value beyond each limit, and the limit's unit; the first exceeded one explains the others."""
 
 
 class LimitExcess:
-    """Remembers how the body moved while its frames were not believed; ``limits`` are the four of `WORDS`.
+    """Keeps the motion of the body while its frames are rejected; ``limits`` are the four of `WORDS`.
 
-    One frame far away is a mistake of the tracker; a robot that is faster than its limits is fast from
-    frame to frame. So a speed counts if a tenth of the steps between neighbouring frames, and at least
-    one other, are as fast; the robot brakes as soon as it is lost.
+    One distant frame is an error of the tracker; a robot that is faster than its limits is fast from frame to frame. So
+    a speed counts if a tenth of the steps between neighbouring frames, and at least one other, are as fast; the robot
+    brakes as soon as it is lost.
     """
 
     def __init__(self, limits: Mapping[str, float]) -> None:
@@ -194,19 +194,19 @@ class LimitExcess:
         self._away = 0.0, 0.0
 
     def clear(self) -> None:
-        """Forget everything: a frame was believed."""
+        """Forget everything, because a frame was accepted."""
         self._steps.clear()
 
-    def add(self, believed: Measurement, before: Measurement, frame: Measurement) -> None:
-        """Take in a dropped ``frame``, the one ``before`` it, and the last that was ``believed``."""
-        self._away = distance(believed, frame), turn(believed, frame)
+    def add(self, accepted: Measurement, before: Measurement, frame: Measurement) -> None:
+        """Take in a rejected ``frame``, the one ``before`` it, and the last that was ``accepted``."""
+        self._away = distance(accepted, frame), turn(accepted, frame)
         dt = frame.source_time - before.source_time
         if dt > 0.0:
             self._steps.append((distance(before, frame) / dt, turn(before, frame) / dt))
 
     @property
     def sentence(self) -> str:
-        """What was seen, the limit it is beyond and the key that sets it; "" if nothing is beyond one."""
+        """The motion, the limit that it exceeds and the key that sets it; "" if it exceeds none."""
         if not self._steps:
             return ""
         fast = np.quantile(np.array(self._steps), SHARE, axis=0, method="lower").tolist()
@@ -214,17 +214,17 @@ class LimitExcess:
         for value, (key, (words, unit)) in zip(seen, WORDS.items(), strict=True):
             if value > self._limits[key]:
                 return (
-                    f"{words.format(value)}, and a frame is believed up to {key} = {self._limits[key]:g} {unit}; "
-                    f"if the robot can do that, set {key} in [gate] of its file"
+                    f"{words.format(value)}, frames above {key} = {self._limits[key]:g} {unit} are rejected; "
+                    f"if the robot can do that, raise {key} in [gate] of its file"
                 )
         return ""
 
 
 def distance(before: Measurement, after: Measurement) -> float:
-    """Return how far two planar poses lie apart, in m."""
+    """Return the distance of two planar poses in m."""
     return math.hypot(after.pose[0] - before.pose[0], after.pose[1] - before.pose[1])
 
 
 def turn(before: Measurement, after: Measurement) -> float:
-    """Return by how much two planar poses are turned against each other, 0 to pi rad."""
+    """Return the angle between two planar poses, 0 to pi rad."""
     return abs(math.remainder(after.pose[2] - before.pose[2], 2.0 * math.pi))

@@ -1,4 +1,4 @@
-"""What can be refused before a robot moves: each check looks at descriptions and opens no connection."""
+"""Checks before a robot moves: each uses descriptions only and opens no connection."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from sysid_evo.types import Array, check_shape
 def check_driving(
     robot: Robot, task: Task, controller: Controller | None = None, parameters: Array | None = None
 ) -> None:
-    """Raise if ``controller`` could not drive ``robot`` at ``task``; its ``parameters`` are (P, n_parameters).
+    """Raise if ``controller`` cannot drive ``robot`` at ``task``; its ``parameters`` are (P, n_parameters).
 
-    Raises `IncompatibleSystem`, `IncompatibleTask`, `InvalidSystem`, `ShapeError`, and what
-    `Robot.check` raises.
+    Raises `IncompatibleSystem`, `IncompatibleTask`, `InvalidSystem`, `ShapeError`, and the errors of `Robot.check`.
     """
     system = robot.system
     check_loop(system)
@@ -38,9 +37,9 @@ def check_driving(
 
 
 def check_recording(robot: Robot, folder: Path | None, *, duration: float) -> None:
-    """Raise if ``robot`` could not be recorded for ``duration`` s with journals in ``folder`` (None: a temporary one).
+    """Raise if ``robot`` cannot be recorded for ``duration`` s with journals in ``folder`` (None: a temporary one).
 
-    Raises `IncompatibleSystem`, `InvalidArgument`, and what `Robot.check` raises.
+    Raises `IncompatibleSystem`, `InvalidArgument`, and the errors of `Robot.check`.
     """
     manoeuvres = robot.manoeuvres(duration=duration, rng=np.random.default_rng(0))
     if folder is not None:

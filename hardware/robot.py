@@ -1,4 +1,4 @@
-"""What a robot is to the rest: a system, a connection to command it and to see where it is."""
+"""The contract of a robot: a system, and a connection to command it and to measure its pose."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from sysid_evo.system import System
 
 
 class Robot(ABC):
-    """What the registry of robots holds: a thing with a ``system`` that a session can be opened with.
+    """Base class of all registered robots: a ``system``, and sessions with it.
 
-    ``name`` is what people call it, ``system`` its states, controls and sampling time, ``dynamics``
-    its physics at that rate if it only exists as a program, None for a physical robot. A constructor
-    takes keyword arguments, the keys of a robot's file, and checks them; it opens no port, starts no
-    process and reads no device, so that a robot can be made to be looked at. `connect` does all that.
-    ``requires`` are the modules that it imports only then. One that is ``stepped`` goes on when it is told to:
-    it has no clock and no tracker, records itself, and is no physical robot either. It must answer each call within
-    ``answers_within`` s. ``usual_task`` is the spec of its own task, which it gets where none is named; empty if it has
-    none.
+    ``name`` is shown in reports, ``system`` has its states, controls and sampling time, ``dynamics`` are its physics at
+    that rate, None for a physical robot. A constructor takes keyword arguments, the keys of a robot's file, and checks
+    them; it opens no port, starts no process and reads no device, so that a robot can be made without hardware.
+    `connect` does all that.
+
+    ``requires`` are the modules that it imports only when it connects. A ``stepped`` robot advances only when it is
+    stepped: it has no clock and no tracker, records itself, and is not physical. It must answer each call within
+    ``answers_within`` s. ``usual_task`` is the spec of its default task, empty if it has none.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
@@ -51,15 +51,15 @@ class Robot(ABC):
 
     @property
     def physical(self) -> bool:
-        """Whether it is a thing in the world, which moves in real time."""
+        """Whether it is a real robot, which moves in real time."""
         return self.dynamics is None and not self.stepped
 
     def runner(self) -> Runner | None:
-        """Return how a comparison runs controllers on it; None for a physical robot, which is driven on its own."""
+        """Return the runner of a comparison; None for a physical robot, which is driven by a separate command."""
         return None if self.dynamics is None else DynamicsRunner(self.dynamics)
 
     def step_seconds(self) -> float:
-        """Return how long a step of one trial takes in NumPy, timed here; 0 if its steps are compiled here."""
+        """Return the measured seconds of a step of one trial in NumPy; 0 if its steps are compiled."""
         if self.dynamics is None or (self.dynamics.kernel() is not None and resolve() != "reference"):
             return 0.0
         alone = self._step_seconds(1)
@@ -67,7 +67,7 @@ class Robot(ABC):
         return self._step_seconds(trials) / trials
 
     def _step_seconds(self, trials: int) -> float:
-        """Return how long the equations take to step so many trials at once."""
+        """Return the seconds of a step of the equations for a batch of that many trials."""
         dynamics, system = self.dynamics, self.system
         assert dynamics is not None
         carry = started(dynamics, np.tile(system.neutral_state, (trials, 1)))
@@ -75,27 +75,26 @@ class Robot(ABC):
         return fastest(lambda: dynamics.step(carry, control, noise))
 
     def check(self) -> None:
-        """Raise what `connect` would raise and what can be known without opening anything.
+        """Raise the errors of `connect` that can be detected without opening anything.
 
-        A port that is not there is a `LinkLost`, a package that is not installed a `MissingExtra`.
+        A missing port is a `LinkLost`, a missing package a `MissingExtra`.
         """
         check_installed(f"robot {self.name!r}", self.requires)
 
     @abstractmethod
     def connect(self, *, seed: int | None = None) -> Connection:
-        """Open a session; ``seed`` fixes what an emulated robot draws and means nothing to a physical one."""
+        """Open a session; ``seed`` fixes the random draws of an emulated robot and has no effect on a physical one."""
 
     def self_test(
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
-        """Say whether it is ready to be driven, after ``seconds`` in which nothing moves; see `self_test`."""
+        """Return whether it is ready to be driven, after ``seconds`` without motion; see `self_test`."""
         return self_test(self, seconds=seconds, seed=seed, stop=stop)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
-        """Return what it is driven through for ``duration`` s to be recorded.
+        """Return the manoeuvres of a recording of ``duration`` s.
 
-        Raises `IncompatibleSystem` if it cannot be driven by the control loop, `InvalidArgument` if there is no
-        time for them.
+        Raises `IncompatibleSystem` if the control loop cannot drive it, `InvalidArgument` if the time is too short.
         """
         check_loop(self.system)
         return excitation_manoeuvres(self.system, duration=duration, rng=rng)
@@ -109,7 +108,7 @@ class Robot(ABC):
         stop: StopRequest | None = None,
         progress: Progress | None = None,
     ) -> RecordingResult:
-        """Drive these manoeuvres and record the answer. Raises `LinkLost` or `InvalidData` if it is too short."""
+        """Drive these manoeuvres and record the response. Raises `LinkLost` or `InvalidData` if it is too short."""
         return self._record_run(manoeuvres, RecordingJob(seed, folder, stop or StopRequest(), progress))
 
     def record(
@@ -121,12 +120,12 @@ class Robot(ABC):
         stop: StopRequest | None = None,
         progress: Progress | bool | None = None,
     ) -> RecordingResult:
-        """Excite it for ``duration`` s, as ``seed`` draws it, and record the answer; True shows a bar."""
+        """Excite it for ``duration`` s, with ``seed``, and record the response; ``progress`` True shows a bar."""
         with told(progress, "record") as report:
             return self._record_excitation(duration, RecordingJob(seed, folder, stop or StopRequest(), report))
 
     def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
-        """Record what excites it for ``duration`` s: its `manoeuvres`, unless a class excites it in another way."""
+        """Record an excitation of ``duration`` s: its `manoeuvres`, unless a class has another excitation."""
         return self._record_run(self.manoeuvres(duration=duration, rng=np.random.default_rng(job.seed)), job)
 
     def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
@@ -135,13 +134,13 @@ class Robot(ABC):
 
 
 AT_ONCE = 300
-"""Trials that are stepped at once where a step is timed: about those of a generation, which NumPy takes together."""
+"""Number of trials that are stepped together in a timing: about those of a generation."""
 LOOK = 2.0
-"""Seconds for which a step may be looked at, if so many trials take as long as one after the other."""
+"""Longest time (s) of a timing, if that many trials take as long as one after the other."""
 
 
 def fastest(step: Callable[[], object], *, within: float = 0.02) -> float:
-    """Return the least of the seconds that ``step`` takes, once or as often as there is time for ``within`` s."""
+    """Return the shortest time of ``step`` in s, over one call or as many as fit into ``within`` s."""
     least, until = math.inf, time.perf_counter() + within
     while True:
         began = time.perf_counter()
@@ -153,9 +152,9 @@ def fastest(step: Callable[[], object], *, within: float = 0.02) -> float:
 
 
 def find_robot(spec: str | Spec) -> Robot:
-    """Return the robot that ``spec`` names: as `sysid_evo.registry.make_robot` does, and it is a `Robot`.
+    """Return the robot with this ``spec``, as `sysid_evo.registry.make_robot` does, checked to be a `Robot`.
 
-    Raises what `make_robot` raises, and `InvalidArgument` if a plugin registered something else.
+    Raises the errors of `make_robot`, and `InvalidArgument` if a plugin registered something else.
     """
     made = make_robot(spec)
     if not isinstance(made, Robot):

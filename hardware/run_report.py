@@ -1,4 +1,4 @@
-"""Why a run ended, how punctual it was, and who may stop it from outside (signals, threads)."""
+"""Reason of the end of a run, its punctuality, and stop requests from outside (signals, threads)."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from sysid_evo.errors import LinkLost
 from sysid_evo.types import Array
 
 DRIFT_TICKS = 100
-"""Ticks at either end of a run whose median lateness makes its drift."""
+"""Ticks at either end of a run whose median lateness gives its drift."""
 
 
 ROBOT = 4
-"""Exit code of a command that link, tracker or robot ended; the command line has the same, for other commands too."""
+"""Exit code of a command ended by link, tracker or robot; the command line uses the same for other commands, too."""
 
 
 class StopReason(Enum):
-    """Why a run ended: a sentence, and the exit code of a command that ended so (0: as it should).
+    """Reason of the end of a run: a sentence, and the exit code of its command (0: normal end).
 
-    That of a signal is the one that shells give it; what went wrong with link, tracker or robot is 4.
+    That of a signal is the one of shells; a fault of link, tracker or robot has 4.
     """
 
     SAMPLES = ("all samples were driven", 0)
@@ -49,7 +49,7 @@ class StopReason(Enum):
 
     @property
     def is_fault(self) -> bool:
-        """Whether the run was cut short."""
+        """Whether the run was ended early."""
         return self.exit_code != 0
 
 
@@ -57,10 +57,9 @@ class StopReason(Enum):
 class LoopReport:
     """One run of the control loop.
 
-    ``ticks`` commands were sent, each ``lateness`` (ticks,) s after it was due; ``gaps`` (ticks - 1,)
-    are the seconds between one and the next. ``skipped`` ticks were missed and left out, ``stale``
-    ones drove neutral because the newest pose was too old. ``rejected`` counts the frames that were
-    not used, by reason.
+    ``ticks`` commands were sent, each ``lateness`` (ticks,) s after it was due; ``gaps`` (ticks - 1,) are the seconds
+    between one and the next. ``skipped`` ticks were missed and left out, ``stale`` ones sent neutral because the newest
+    pose was too old. ``rejected`` counts the frames that were not used, by reason.
     """
 
     reason: StopReason
@@ -77,7 +76,7 @@ class LoopReport:
 
     @property
     def drift(self) -> float:
-        """How much later (s) the last ticks were than the first, by their medians; 0 for a run of one tick."""
+        """Increase of the lateness (s) from the first to the last ticks, by their medians; 0 for a run of one tick."""
         count = min(DRIFT_TICKS, self.ticks // 2)
         if count == 0:
             return 0.0
@@ -85,38 +84,38 @@ class LoopReport:
 
     @property
     def sentence(self) -> str:
-        """Why the run ended, in words."""
+        """Reason of the end of the run, in words."""
         return f"{self.reason.sentence}: {self.detail}" if self.detail else self.reason.sentence
 
     @property
     def punctuality(self) -> str:
-        """How punctual the loop was, in words."""
+        """Punctuality of the loop, in words."""
         if not self.ticks:
             return f"No command was sent: {self.sentence}."
         median, high = np.percentile(self.lateness, (50, 99))
         gap = self.gaps.max() if len(self.gaps) else 0.0
         return (
             f"{self.ticks} commands; late by {1e3 * median:.1f} ms (median), {1e3 * high:.1f} ms (99 %); longest gap "
-            f"{1e3 * gap:.0f} ms; {self.skipped} left out, {self.stale} neutral for want of a pose."
+            f"{1e3 * gap:.0f} ms; {self.skipped} skipped, {self.stale} sent as neutral (no recent pose)."
         )
 
 
 PATIENCE = 10.0
-"""Seconds that a robot may take to answer one call: a hundred times the longest `dt` of one that is driven."""
+"""Longest time (s) for a robot to answer one call: a hundred times the longest `dt` of a driven one."""
 
 GRACE = 1.0
-"""Seconds that it has left to answer when a signal has come."""
+"""Time (s) that it has to answer after a signal."""
 
 SIGNALS = {signal.SIGINT: StopReason.SIGINT, signal.SIGTERM: StopReason.SIGTERM, signal.SIGHUP: StopReason.SIGHUP}
 
 
 class StopRequest:
-    """Remembers that a run must end, and why; the loop looks at it at least every 20 ms.
+    """Stores a request to end a run, and its reason; the loop checks it at least every 20 ms.
 
-    Within a ``with`` statement, which only the main thread can enter, SIGINT, SIGTERM, SIGHUP and an
-    exception that ends a thread request it. They only leave a note, so that no frame on the wire is
-    cut in two; a second signal raises `KeyboardInterrupt`, in case the loop does not come round. What is called in
-    `answer` must come back within ``patience`` s, and within a second after a signal.
+    Within a ``with`` statement, which only the main thread can enter, SIGINT, SIGTERM, SIGHUP and an exception that
+    ends a thread make a request. They only store it, so that no frame on the wire is cut in two; a second signal raises
+    `KeyboardInterrupt`, in case the loop does not respond. Calls within `answer` must return within ``patience`` s, and
+    within a second after a signal.
     """
 
     def __init__(self, patience: float = PATIENCE) -> None:
@@ -150,9 +149,9 @@ class StopRequest:
 
     @contextmanager
     def answer(self, name: str, patience: float | None = None) -> Iterator[None]:
-        """Wait for ``name`` within it. Raises `LinkLost` if it does not answer in time, where signals are looked after.
+        """Limit the time of calls to ``name`` within it. Raises `LinkLost` after it, if signals are handled.
 
-        ``patience`` is another time than that of all calls, `math.inf` for one that keeps its own.
+        ``patience`` replaces the time of all calls; `math.inf` is for a call with its own time limit.
         """
         if not self._handlers:
             yield

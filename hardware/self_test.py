@@ -1,4 +1,4 @@
-"""What is found before anything moves: link, tracker, loop, sensors, equations; one finding a line."""
+"""Self-test of a robot before it moves: link, tracker, loop, sensors, equations; one finding a line."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from sysid_evo.types import Array
 
 @dataclass(frozen=True)
 class SelfTestFinding:
-    """One thing that was looked at: whether it is as it should be, a sentence, and its figures."""
+    """Result of one check: whether it passed, a sentence, and its figures."""
 
-    what: str
+    check: str
     ok: bool
     sentence: str
     figures: Mapping[str, float] = field(default_factory=dict)
@@ -34,13 +34,13 @@ class SelfTestFinding:
 
 SECONDS = 3.0
 STILL_DISTANCE = 0.02  # m and
-STILL_ANGLE = 0.1  # rad: the farthest that a robot in neutral may seem to move
+STILL_ANGLE = 0.1  # rad: the largest apparent motion of a robot in neutral
 
 
 def self_test(
     robot: Connectable, *, seconds: float = SECONDS, seed: int | None = None, stop: StopRequest | None = None
 ) -> tuple[SelfTestFinding, ...]:
-    """Connect to ``robot``, send neutral for ``seconds`` and say what was seen; nothing moves.
+    """Connect to ``robot``, send neutral for ``seconds`` and return the findings; nothing moves.
 
     Raises `IncompatibleSystem` if the control loop cannot drive its system.
     """
@@ -51,7 +51,7 @@ def self_test(
         with stop.answer(robot.name, math.inf):
             connection = robot.connect(seed=seed)
     except LinkLost as error:
-        return (SelfTestFinding("handshake", False, f"Nothing answers: {error}"),)
+        return (SelfTestFinding("handshake", False, f"No answer: {error}"),)
     with connection:
         took = time.perf_counter() - began
         sitter = NeutralObserver(connection, robot.system)
@@ -62,7 +62,7 @@ def self_test(
 
 
 class NeutralObserver(Listener):
-    """Writes down everything while nothing is done."""
+    """Records all events while neutral is sent."""
 
     def __init__(self, connection: Connection, system: System) -> None:
         self.pilot = NeutralPilot(system)
@@ -81,9 +81,9 @@ class NeutralObserver(Listener):
             self._round_trips.append(self._connection.round_trip)
 
     def link(self) -> SelfTestFinding:
-        """What the robot said of itself."""
+        """Status messages of the robot."""
         if not self._statuses:
-            return SelfTestFinding("link", True, "The robot says nothing of itself.")
+            return SelfTestFinding("link", True, "The robot sends no status.")
         first, last = self._statuses[0], self._statuses[-1]
         risen = {
             name: count - first.counters.get(name, 0)
@@ -91,21 +91,22 @@ class NeutralObserver(Listener):
             if count > first.counters.get(name, 0)
         }
         driven = not np.array_equal(last.control, self._system.neutral_control)
-        parts = [f"It is {last.state}, its outputs {'are not neutral' if driven else 'neutral'}"]
+        parts = [f"Its state is {last.state}, its outputs are {'not ' if driven else ''}neutral"]
         figures: dict[str, float] = {f"risen_{name}": count for name, count in risen.items()}
         if self._round_trips:
             median, longest = float(np.median(self._round_trips)), max(self._round_trips)
             parts.append(f"a command is answered in {1e3 * median:.1f} ms (at most {1e3 * longest:.1f})")
             figures |= {"round_trip": median, "longest_round_trip": longest}
         if risen:
-            parts.append("it counted " + ", ".join(f"{count} {name}" for name, count in risen.items()))
+            parts.append("its counters rose by " + ", ".join(f"{count} {name}" for name, count in risen.items()))
         return SelfTestFinding("link", not risen and not driven, "; ".join(parts) + ".", figures)
 
     def tracker(self) -> SelfTestFinding:
-        """How often, how late and how reliably the body is seen, and whether it stays where it is."""
+        """Rate, delay and reliability of the tracker, and whether the body is at rest."""
         seen = [frame for frame in self._frames if frame.valid]
         if len(seen) < 2:
-            return SelfTestFinding("tracker", False, f"Of {len(self._frames)} frames {len(seen)} show the body.")
+            sentence = f"The body is visible in {len(seen)} of {len(self._frames)} frames."
+            return SelfTestFinding("tracker", False, sentence)
         times = np.array([frame.source_time for frame in seen])
         latency = np.array([frame.arrival_time - frame.source_time for frame in seen])
         poses = np.array([frame.pose for frame in seen])
@@ -132,7 +133,7 @@ class NeutralObserver(Listener):
         return SelfTestFinding("tracker", still and figures["longest_gap"] <= STALE, sentence, figures)
 
     def estimate(self) -> tuple[SelfTestFinding, ...]:
-        """How late the state is known: the age of the pose when a control is decided, and the estimator's delay."""
+        """Delay of the state: the age of the pose when a control is decided, plus that of the estimator."""
         ages, times = self.pilot.ages, [frame.source_time for frame in self._frames]
         if not ages or len(times) < 2:
             return ()
@@ -149,7 +150,7 @@ class NeutralObserver(Listener):
 
 
 class NeutralPilot(Pilot):
-    """Decides on neutral and keeps the ages of the poses."""
+    """Decides on neutral and stores the ages of the poses."""
 
     def __init__(self, system: System) -> None:
         self.ages: list[float] = []
@@ -161,9 +162,9 @@ class NeutralPilot(Pilot):
 
 
 def _loop(report: LoopReport) -> SelfTestFinding:
-    """Say whether the loop ran to its end, and how punctual it was."""
+    """Return whether the loop ran to its end, and its punctuality."""
     if report.reason.is_fault or not report.ticks:
-        return SelfTestFinding("loop", False, f"It was cut short: {report.sentence}.")
+        return SelfTestFinding("loop", False, f"It was ended early: {report.sentence}.")
     figures = {
         "ticks": float(report.ticks),
         "lateness_p99": float(np.percentile(report.lateness, 99)),
@@ -171,24 +172,24 @@ def _loop(report: LoopReport) -> SelfTestFinding:
         "skipped": float(report.skipped),
     }
     sentence = (
-        f"{report.ticks} commands, 99 % of them within {1e3 * figures['lateness_p99']:.1f} ms of when they were due "
-        f"(all within {1e3 * figures['longest_lateness']:.1f}), {report.skipped} left out."
+        f"{report.ticks} commands, 99 % of them at most {1e3 * figures['lateness_p99']:.1f} ms late "
+        f"(all at most {1e3 * figures['longest_lateness']:.1f}), {report.skipped} skipped."
     )
     return SelfTestFinding("loop", figures["longest_lateness"] <= LATEST and report.skipped == 0, sentence, figures)
 
 
 STEPS = 300
-"""Steps of a trial: how long the equations are tried under each control."""
+"""Number of steps for which the equations are run under each control."""
 BATCH = 64
-"""Trials whose step is timed."""
+"""Number of trials whose step is timed."""
 LONG = 2.0
-"""Seconds of it that are enough to know how slow it is."""
+"""Time (s) after which the timing is ended."""
 
 
 def equation_findings(
     dynamics: Dynamics, sensors: SelfTestFinding, *, stop: StopRequest | None = None
 ) -> tuple[SelfTestFinding, ...]:
-    """Try the equations beside what the ``sensors`` said; a stop from outside ends it."""
+    """Return findings on the equations after that of the ``sensors``; a stop from outside ends it."""
     stop = StopRequest() if stop is None else stop
     findings = [system_finding(dynamics.system), sensors, _rest(dynamics, stop)]
     findings += [_answer(dynamics, place, stop) for place in range(dynamics.system.nu) if stop.reason is None]
@@ -205,22 +206,22 @@ def system_finding(system: System) -> SelfTestFinding:
 
 
 def describe_channel(channel: Channel) -> str:
-    """Return name, and in brackets what it is known to be: period, levels or limits, with the unit; its description."""
+    """Return the name and, in brackets, period, levels or limits with the unit, and the description."""
     unit, facts = f" {channel.unit}" if channel.unit else "", channel.unit
     if channel.period is not None:
-        facts = f"comes round every {channel.period:g}{unit}"
+        facts = f"period {channel.period:g}{unit}"
     elif channel.levels is not None:
         facts = f"{', '.join(f'{level:g}' for level in channel.levels)}{unit}"
     elif channel.bounded:
         facts = f"{channel.low:g} to {channel.high:g}{unit}"
-    told = "; ".join(filter(None, (facts, channel.description)))
-    return f"{channel.name} ({told})" if told else channel.name
+    details = "; ".join(filter(None, (facts, channel.description)))
+    return f"{channel.name} ({details})" if details else channel.name
 
 
 def sensors_finding(
     system: System, names: Sequence[str], readings: Array, rates: Mapping[str, str], period: float
 ) -> SelfTestFinding:
-    """Say what was read in neutral: ``readings`` (n, names) every ``period`` s; ``rates`` says what is estimated."""
+    """Return what was read in neutral: ``readings`` (n, names) every ``period`` s; ``rates`` are estimated states."""
     mean, spread = np.mean(readings, axis=0), np.std(readings, axis=0)
     units = {channel.name: channel.unit for channel in system.states}
     parts = [
@@ -235,10 +236,10 @@ def sensors_finding(
 
 
 def _rest(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
-    """Say where the equations go when nothing is commanded."""
+    """Return the behaviour of the equations without a command."""
     path = constant_control_response(dynamics, dynamics.system.neutral_control, stops)
     finite = bool(np.isfinite(path).all())
-    moved = f"goes through {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "stays where it is"
+    moved = f"covers {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "does not move"
     sentence = (
         f"Without a command for {_duration(dynamics):g} s it {moved if finite else _lost(dynamics.system, path)}."
     )
@@ -246,7 +247,7 @@ def _rest(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
 
 
 def _answer(dynamics: Dynamics, place: int, stops: StopRequest) -> SelfTestFinding:
-    """Say what one control does at its two ends: the others neutral, or full if it changes nothing then."""
+    """Return the effect of one control at its two ends: with the others neutral, or full if it has none then."""
     system, channel = dynamics.system, dynamics.system.controls[place]
     if not all(control.bounded for control in system.controls):
         return SelfTestFinding(
@@ -261,9 +262,9 @@ def _answer(dynamics: Dynamics, place: int, stops: StopRequest) -> SelfTestFindi
         low, high = paths.values()
         if low.shape != high.shape or not np.array_equal(low, high):
             ok = all(np.isfinite(path).all() for path in paths.values())
-            said = "; ".join(_told(dynamics, channel, end, path) for end, path in paths.items())
-            return SelfTestFinding(channel.name, ok, f"For {_duration(dynamics):g} s from rest{how}, {said}.")
-    sentence = f"It changes nothing in {_duration(dynamics):g} s from rest: is it in the equations?"
+            effects = "; ".join(_effect(dynamics, channel, end, path) for end, path in paths.items())
+            return SelfTestFinding(channel.name, ok, f"For {_duration(dynamics):g} s from rest{how}, {effects}.")
+    sentence = f"It has no effect in {_duration(dynamics):g} s from rest: is it in the equations?"
     return SelfTestFinding(channel.name, False, sentence)
 
 
@@ -272,8 +273,8 @@ def full_controls(system: System) -> Array:
     return np.array([c.high if c.high - c.neutral >= c.neutral - c.low else c.low for c in system.controls])
 
 
-def _told(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
-    """Say what a control at one ``end`` did."""
+def _effect(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> str:
+    """Return the effect of a control at one ``end``."""
     at = f"at {end:g} {channel.unit}".rstrip()
     if not np.isfinite(path).all():
         return f"{at}: it {_lost(dynamics.system, path)}"
@@ -302,7 +303,7 @@ def _duration(dynamics: Dynamics) -> float:
 
 
 def _ranges(system: System, path: Array) -> str:
-    """Return from where to where each state goes."""
+    """Return the range of each state."""
     parts = []
     for channel, values in zip(system.states, path.T, strict=True):
         low, high = float(values.min()), float(values.max())
@@ -311,7 +312,7 @@ def _ranges(system: System, path: Array) -> str:
 
 
 def _clipped(dynamics: Dynamics, path: Array) -> str:
-    """Return which states are held at a limit."""
+    """Return the states that are held at a limit."""
     if dynamics.state_bounds is None:
         return ""
     rest = dynamics.system.neutral_state
@@ -326,16 +327,16 @@ def _clipped(dynamics: Dynamics, path: Array) -> str:
 
 
 def _lost(system: System, path: Array) -> str:
-    """Return which state is no number any more, and when."""
+    """Return the states that are no longer finite, and when."""
     names = [channel.name for channel, value in zip(system.states, path[-1], strict=True) if not np.isfinite(value)]
     return (
-        f"leaves all bounds: {', '.join(names)} is no finite number after {(len(path) - 1) * system.dt:g} s. Look at "
-        "the equations, or take a shorter dt"
+        f"leaves all bounds: {', '.join(names)} is not finite after {(len(path) - 1) * system.dt:g} s. Check "
+        "the equations, or use a shorter dt"
     )
 
 
 def _speed(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
-    """Say how fast rollouts step it."""
+    """Return the speed of rollouts."""
     system = dynamics.system
     carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))
     control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))

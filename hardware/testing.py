@@ -1,7 +1,6 @@
-"""The contract of a robot, sentence by sentence, and the contracts of all kinds of plugins, for whoever goes over them.
+"""The contract of a robot, sentence by sentence, and the contracts of all kinds of plugins.
 
-A physical robot (its ``dynamics`` is None) is never connected: only what can be said of it at rest is
-checked.
+A physical robot (its ``dynamics`` is None) is never connected: only checks without a connection are made.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from sysid_evo.types import Array
 
 FRAMES = 40
 LOOKS = 100
-"""Calls of measure within which the next frame must come."""
+"""Number of calls of measure within which the next frame must come."""
 SECONDS = 2.0
 ROWS = 8
 
@@ -48,7 +47,7 @@ class RobotExample:
 
     @property
     def dynamics(self) -> Dynamics:
-        """What steps in an emulated robot. Raises `NotApplicable` for a physical one."""
+        """Dynamics of an emulated robot. Raises `NotApplicable` for a physical one."""
         if self.robot.dynamics is None:
             raise NotApplicable
         return self.robot.dynamics
@@ -60,7 +59,7 @@ class RobotExample:
 
 
 def check_robot(name: str, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered robot ``name`` breaks."""
+    """Raise `ContractViolation` listing every sentence that the registered robot ``name`` violates."""
     ROBOT.check(name, **parameters)
 
 
@@ -69,8 +68,8 @@ def _robot(name: str, **parameters: Any) -> tuple[RobotExample]:
     return (RobotExample(spec, robots.make(spec)),)
 
 
-def it_says_what_it_is(given: RobotExample) -> None:
-    """It has a name, and a system whose controls can be told legal from illegal"""
+def it_has_a_name_and_a_system(given: RobotExample) -> None:
+    """It has a name, and a system whose controls have finite limits"""
     robot = given.robot
     expect(isinstance(robot, Robot), f"expected a hardware.robot.Robot, got a {type(robot).__name__}")
     expect(isinstance(robot.name, str) and robot.name, f"expected a name, got {robot.name!r}")
@@ -149,7 +148,7 @@ def a_command_moves_it(given: RobotExample) -> None:
     for command, moved in zip(_extremes(system), moves, strict=True):
         if not same(moved, resting):
             short = _driven(given, command, valid_for=2.0 * system.dt)
-            expect(not same(short, moved), "a command goes on after the time it is valid for")
+            expect(not same(short, moved), "a command acts after the time it is valid for")
 
 
 def a_command_that_is_not_legal_is_refused(given: RobotExample) -> None:
@@ -176,7 +175,7 @@ def a_closed_session_is_over(given: RobotExample) -> None:
 
 
 CHECKS = (
-    it_says_what_it_is,
+    it_has_a_name_and_a_system,
     another_is_the_same,
     its_dynamics_are_of_its_system,
     the_carry_begins_with_the_state,
@@ -195,7 +194,7 @@ CONTRACTS = {one.registry.kind: one for one in (MODEL, TASK, CONTROLLER, STRATEG
 
 
 def _some_inputs(dynamics: Dynamics, steps: int = 20) -> StepInputs:
-    """Return carries after some steps from rest under random legal controls, and what comes next."""
+    """Return carries after some steps from rest under random legal controls, and the next inputs."""
     system, rng = dynamics.system, np.random.default_rng(3)
     carry = started(dynamics, np.tile(system.neutral_state, (ROWS, 1)), normal(dynamics.n_draws, ROWS, rng))
     for _ in range(steps):

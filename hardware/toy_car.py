@@ -1,4 +1,4 @@
-"""The toy car of the paper as a system (section 3): what the real one and the emulated one have in common."""
+"""The toy car of the paper as a system (section 3), common to the real one and the emulated one."""
 
 from __future__ import annotations
 

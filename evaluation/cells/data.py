@@ -78,8 +78,8 @@ class GivenData(CellSettings):
 
     def inputs(self) -> dict[str, Any]:
         named = [episode.condition for episode in self.dataset]
-        told = {"conditions": named} if any(named) else {}
-        return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **told}
+        conditions = {"conditions": named} if any(named) else {}
+        return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **conditions}
 
     def compute(self, work: CellContext) -> SplitDataset:
         return self.split.of(self.dataset)

@@ -1,4 +1,4 @@
-"""A controller drives, shown on the page: its trials as they happen, or those of a simulation played back."""
+"""A controller drives, shown on the page: its trials live, or a playback of simulated ones."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, Seeds
 
 LONGEST = 20.0
-"""Seconds that a trial played back may take: one of a slow process is played faster."""
+"""Longest time (s) of the playback of a trial: longer trials are played faster."""
 PAUSE = 1.0
-"""Seconds between two trials played back, to see how one ended."""
+"""Pause (s) between two trials of a playback, to show the end of the first."""
 POLL = 0.02  # s
 LAST_LOOK = 0.3
-"""Seconds for which the page still hears how the last trial ended."""
+"""Time (s) for which the page is still updated after the last trial."""
 
 
 @contextmanager
 def shown_live(
     robot: Robot, task: Task, name: str, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[Callable[[TrialSeries], None]]:
-    """Serve the page of the controller ``name`` at ``task``; gives what is to be called after every decision."""
+    """Serve the page of the controller ``name`` at ``task``; yields a function to call after every decision."""
     panel = ControllerPanel(robot.name, task.bind(robot.system), name)
     with watched(panel, address, stops=stops, announce=announce):
         yield lambda series: panel.show(*shown_of(series))
@@ -50,9 +50,9 @@ def play_back(
     *,
     announce: Callable[[str], None],
 ) -> StopReason | None:
-    """Show trials that were simulated on the page, as fast as they went or faster; return what stopped that, if any."""
+    """Play back simulated trials on the page, in real time or faster; return the reason of a stop, if any."""
     task = make_task(champion.task).bind(robot.system)
-    panel = ControllerPanel(robot.name, task, champion.name, faster=playback_speed(task))
+    panel = ControllerPanel(robot.name, task, champion.name, playback_speed=playback_speed(task))
     with StopRequest() as stops, watched(panel, address, stops=stops, announce=announce):
         play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stop=stops)
     return stops.reason
@@ -62,7 +62,7 @@ def play_back(
 def watched(
     panel: ControllerPanel, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[None]:
-    """Serve ``panel`` and wait until somebody has opened the page, or a stop from outside."""
+    """Serve ``panel`` and wait until the page has been opened, or for a stop from outside."""
     with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
         while page.seats.driver is None and stops.reason is None:
             time.sleep(POLL)
@@ -72,12 +72,12 @@ def watched(
 
 
 class ControllerPanel(DrivePanel):
-    """Shows the newest that it was given; one thread gives it, another reads it."""
+    """Shows the newest reading that it was given; one thread writes it, another reads it."""
 
     _shown = Reading(), Scene()
 
     def show(self, reading: Reading, scene: Scene) -> None:
-        """Show where a trial stands."""
+        """Show the state of a trial."""
         self._shown = reading, scene
 
     def reading(self) -> Reading:
@@ -88,7 +88,7 @@ class ControllerPanel(DrivePanel):
 
 
 def shown_of(series: TrialSeries) -> tuple[Reading, Scene]:
-    """Return what there is to show of a robot's trial, after a decision of ``series``; its first candidate is shown."""
+    """Return reading and scene of a robot's trial after a decision of ``series``, for its first candidate."""
     trial = min(series.finished // len(series.parameters), len(series.seeds) - 1)
     task_state = series.states[0]
     fitness = series.task.fitness(task_state).tolist()
@@ -121,9 +121,9 @@ def play(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Show trials (E,) of the bound ``task`` that were simulated, one after the other, ``scores`` (E,) at their ends.
+    """Show simulated trials (E,) of the bound ``task`` one after the other, with ``scores`` (E,) at their ends.
 
-    The course of the score and the targets are those of the task along the ``trajectories``. A stop ends it.
+    Score over time and targets are those of the task along the ``trajectories``. A stop ends it.
     """
     tick = task.system.dt / playback_speed(task)
     for trial, (trajectory, score) in enumerate(zip(trajectories, scores, strict=True)):
@@ -147,12 +147,12 @@ def play(
 
 
 def playback_speed(task: Task) -> float:
-    """Return how many times as fast as in the world the trials of a bound ``task`` are played back."""
+    """Return the ratio of playback speed to real time for trials of a bound ``task``."""
     return max(1.0, task.horizon * task.system.dt / LONGEST)
 
 
 def readings(task: Task, seed: Seeds, trajectory: Trajectory, number: int) -> list[Reading]:
-    """Return where the trial of one ``seed`` stood at every sample of its ``trajectory``."""
+    """Return the reading at every sample of the ``trajectory`` of the trial of one ``seed``."""
     task_state = task.begin(seed)
     poses = np.zeros((len(trajectory.states), 0)) if trajectory.pose is None else trajectory.pose
     found = []

@@ -28,15 +28,15 @@ from sysid_evo.errors import IncompatibleSystem
 from sysid_evo.tasks import Scene, Task, TaskState
 from sysid_evo.types import Array
 
-POLL = 0.02  # s between two looks at whether a new trial is wanted
+POLL = 0.02  # s between two checks for a request of a new trial
 
 
 @dataclass(frozen=True)
 class HandTrial:
-    """One trial, from connecting to letting go of the robot; ``number`` counts from 1.
+    """One trial, from connecting to closing the connection; ``number`` counts from 1.
 
-    ``fitness`` is None unless it was driven to its end; ``report`` tells how the loop went,
-    ``limits`` how far its gate believed the tracker.
+    ``fitness`` is None unless it was driven to its end; ``report`` is that of the loop, ``limits`` are those of its
+    gate.
     """
 
     number: int
@@ -52,11 +52,10 @@ class HandTrial:
 class HandDriving:
     """Lets a person drive trials of ``task`` on ``robot``, each in a session of its own.
 
-    Between trials nothing is connected, and the robot drives only after the person has asked for a
-    trial, released all keys and pressed one. The task's origin is where the robot stands at the first
-    trial, or that of the tracker (``origin`` all zero). ``seed_of`` gives the seed of a trial, from 0;
-    it also fixes what an emulated robot draws. ``recorder`` makes the listener that is told of a trial
-    while it is driven, given the trial's name; it is closed after it.
+    Between trials nothing is connected, and the robot drives only after the person has asked for a trial, released all
+    keys and pressed one. The task's origin is the robot's pose at the first trial, or that of the tracker (``origin``
+    all zero). ``seed_of`` gives the seed of a trial, from 0; it also fixes the random draws of an emulated robot.
+    ``recorder`` makes a listener of a trial, given the trial's name; it is closed after the trial.
     """
 
     def __init__(
@@ -84,7 +83,7 @@ class HandDriving:
     def trials(self) -> Iterator[HandTrial]:
         """Yield the trials as they end; a stop from outside ends them. Raises `LinkLost` if none connects.
 
-        A trial that a fault cuts short is yielded too, and the person may ask for the next one.
+        A trial that a fault ends is yielded, too, and the person may ask for the next one.
         """
         for index in count():
             trial = self._drive(index)
@@ -112,7 +111,7 @@ class HandDriving:
         return HandTrial(index + 1, name, seed, pilot.fitness, pilot.trajectory(name), pilot.task_state, report, limits)
 
     def _wanted(self) -> bool:
-        """Wait until the person wants a new trial; return False if the session is stopped instead."""
+        """Wait until the person asks for a new trial; return False if the session is stopped instead."""
         while self._stops.reason is None:
             if self._keyboard.take_new_trial():
                 return True
@@ -121,15 +120,15 @@ class HandDriving:
 
 
 def check_driving_by_hand(robot: Robot, task: Task) -> None:
-    """Raise if a person could not drive ``robot`` at ``task`` on the page.
+    """Raise if a person cannot drive ``robot`` at ``task`` on the page.
 
-    Raises what `check_driving` raises, `IncompatibleSystem` for a robot that nothing shows, `InvalidArgument` for
+    Raises the errors of `check_driving`, `IncompatibleSystem` for a robot without a pose, `InvalidArgument` for
     controls that keys cannot move and `MissingExtra` if the page cannot be served.
     """
     if robot.system.motion is None:
         raise IncompatibleSystem(
-            f"driving by hand: expected a robot that a tracker sees, but {robot.name} has no pose to show. With "
-            "--controller and --watch the page shows how a controller drives it"
+            f"driving by hand: expected a robot whose pose a tracker measures, but {robot.name} has none. Use "
+            "--controller and --watch to see on the page how a controller drives it"
         )
     check_page()
     control_of_keys(0, robot.system)
@@ -149,7 +148,7 @@ def driven_by_hand(
     recorder: Callable[[str, GateLimits], Listener] | None = None,
     origin: Array | None = None,
 ) -> Iterator[Iterator[HandTrial]]:
-    """Serve the page, where somebody drives ``robot`` at ``task``; gives the trials as they end, see `HandDriving`."""
+    """Serve the page for driving ``robot`` at ``task`` by hand; yields the trials as they end, see `HandDriving`."""
     keyboard = Keyboard(life=key_validity(robot.system))
     instruments = HandPanel(robot, task, keyboard)
     driving = HandDriving(
@@ -162,9 +161,9 @@ def driven_by_hand(
 class HumanPilot(Pilot):
     """Drives by the keys that are held, from the first key on, for the task's ``horizon`` samples.
 
-    The trial is offered once the robot stands and all keys are released. ``task`` must be bound;
-    its trial is that of ``seed``. The task's ``origin`` is a pose of the tracker (3,), or the robot's
-    at the first key. ``progress`` and ``newest_state`` (nx,) may be read by any thread.
+    The trial can start once the robot is at rest and all keys are released. ``task`` must be bound; its trial is that
+    of ``seed``. The task's ``origin`` is a pose of the tracker (3,), or the robot's at the first key. ``progress`` and
+    ``newest_state`` (nx,) may be read by any thread.
     """
 
     def __init__(self, keyboard: Keyboard, task: Task, *, seed: int, origin: Array | None = None) -> None:
@@ -185,11 +184,11 @@ class HumanPilot(Pilot):
 
     @property
     def task_state(self) -> TaskState:
-        """Where the trial stands."""
+        """State of the trial."""
         return self._state
 
     def in_arena(self, pose: Array) -> Array:
-        """Return a pose of the tracker (3,) as seen from the task's origin, which is here until there is one."""
+        """Return a pose of the tracker (3,) relative to the task's origin, which is this pose until there is one."""
         return np.zeros_like(pose) if self.origin is None else self._task.system.relative_pose(self.origin, pose)
 
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
@@ -209,12 +208,12 @@ class HumanPilot(Pilot):
         return self._drive(tick - self._began, estimate, keys)
 
     def end(self) -> None:
-        """Note that the trial is over, unless it was driven to its end."""
+        """Mark the trial as over, unless it was driven to its end."""
         if self.progress.phase is not Phase.FINISHED:
             self.progress = self._progress(Phase.ENDED)
 
     def trajectory(self, name: str) -> Trajectory | None:
-        """Return what was driven, as seen from the task's origin; None without a step."""
+        """Return the driven trajectory relative to the task's origin; None without a step."""
         return self._tape.trajectory(self._task.system.dt, name) if len(self._tape.ticks) > 1 else None
 
     def _begin(self, tick: int, estimate: StateEstimate) -> None:
@@ -248,13 +247,13 @@ class HumanPilot(Pilot):
         return Reading(phase=phase, step=step, score=score, waypoint=self._task.scene(self._state, 0).next_marker)
 
 
-RATE_SPAN = 0.5  # s over which the rate of the tracker is counted
+RATE_SPAN = 0.5  # s over which the rate of the tracker is measured
 
 
 class HandPanel(Listener, DrivePanel):
-    """A listener that remembers the newest; another thread reads it with `reading`.
+    """A listener that keeps the newest data; another thread reads them with `reading`.
 
-    Every attribute is replaced as a whole, so that a reader never sees half of a change.
+    Every attribute is replaced as a whole, so that a reader never gets half of a change.
     """
 
     def __init__(
@@ -280,7 +279,7 @@ class HandPanel(Listener, DrivePanel):
         self._arrived = -math.inf
 
     def finish(self, score: float | None, message: str = "") -> None:
-        """Show the ``score`` of the trial that is over, if it has one, and what there is to say."""
+        """Show the ``score`` of the finished trial, if it has one, and a message."""
         self._message = message
         self._command = None
         if score is not None:
@@ -323,14 +322,14 @@ class HandPanel(Listener, DrivePanel):
         )
 
 
-LEAD = 1.0  # s at rest before the first key, for the preparation of the log to cut off
+LEAD = 1.0  # s at rest before the first key, which the preparation of the log cuts off
 
 
 class PreTriggerBuffer(Listener):
-    """Tells ``listener`` what happens from a second before ``pilot`` drives on.
+    """Passes events to ``listener`` from one second before ``pilot`` starts to drive.
 
-    It may take an hour until the first key, which nobody wants to record. ``make_listener`` is called, once, when
-    the driving begins: a trial without a key leaves nothing.
+    The wait for the first key, which may be long, is not recorded. ``make_listener`` is called once, when the driving
+    begins: a trial without a key leaves no files.
     """
 
     def __init__(self, pilot: HumanPilot, make_listener: Callable[[], Listener]) -> None:
@@ -340,23 +339,23 @@ class PreTriggerBuffer(Listener):
         self._earlier: deque[tuple[float, Callable[[Listener], None]]] = deque()
 
     def on_measurement(self, measurement: Measurement) -> None:
-        self._tell(measurement.arrival_time, lambda listener: listener.on_measurement(measurement))
+        self._pass_on(measurement.arrival_time, lambda listener: listener.on_measurement(measurement))
 
     def on_command(self, command: Command) -> None:
-        self._tell(command.time, lambda listener: listener.on_command(command))
+        self._pass_on(command.time, lambda listener: listener.on_command(command))
 
     def on_status(self, status: RobotStatus) -> None:
-        self._tell(status.time, lambda listener: listener.on_status(status))
+        self._pass_on(status.time, lambda listener: listener.on_status(status))
 
     def close(self) -> None:
         if self._listener is not None:
             self._listener.close()
 
-    def _tell(self, time: float, tell: Callable[[Listener], None]) -> None:
+    def _pass_on(self, time: float, notify: Callable[[Listener], None]) -> None:
         if self._listener is not None:
-            tell(self._listener)
+            notify(self._listener)
             return
-        self._earlier.append((time, tell))
+        self._earlier.append((time, notify))
         while self._earlier[0][0] < time - LEAD:
             self._earlier.popleft()
         if self._pilot.progress.phase is Phase.DRIVING:

@@ -1,4 +1,4 @@
-"""Dead-man keys: how long a key counts, which open page drives, which messages are too late."""
+"""Dead-man keys: how long a key is valid, which open page drives, which messages are too late."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
-HOLD = 0.15  # s after the last word of the page by which the robot must be in neutral
-LATE = 0.1  # s on the way, more than the fastest, that make a word of the page too old to act on
-CREEP = 0.001  # s/s by which the fastest way is forgotten: more than two clocks drift apart
+HOLD = 0.15  # s after the last message of the page by which the robot must be in neutral
+LATE = 0.1  # s of transport, in addition to the fastest, that make a message of the page too old
+CREEP = 0.001  # s/s by which the fastest transport is forgotten: more than two clocks drift apart
 
 
 class Keyboard:
-    """Which keys are held: a bit for each, set by one thread and read by another.
+    """The keys that are held: a bit for each, set by one thread and read by another.
 
-    A person's word holds for ``life`` s, in which it must be repeated; without it no key is held.
-    A loop that asks once every dt is in neutral within 150 ms if ``life`` is 150 ms less dt.
-    ``clock`` is in s and never goes back.
+    A message is valid for ``life`` s, within which it must be repeated; without it no key is held. A loop that reads
+    the keys every dt is in neutral within 150 ms if ``life`` is 150 ms minus dt. ``clock`` is in s and monotonic.
     """
 
     def __init__(self, *, life: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -30,49 +29,49 @@ class Keyboard:
             raise InvalidArgument(f"keyboard: expected keys to hold for more than 0 s, got {life}")
         self.life = life
         self._clock = clock
-        self._held = 0, clock()  # the keys, and when that was said
+        self._held = 0, clock()  # the keys, and the time of the message
         self._again = threading.Event()
 
     def press(self, keys: int) -> None:
-        """Set which keys are held now."""
+        """Set the keys that are held now."""
         self._held = keys & ALL_KEYS, self._clock()
 
     def release(self) -> None:
-        """Let go of all keys."""
+        """Release all keys."""
         self._held = 0, self._clock()
 
     @property
     def keys(self) -> int:
         """The keys that are held now."""
-        keys, said = self._held
-        return keys if self._clock() - said <= self.life else 0
+        keys, received = self._held
+        return keys if self._clock() - received <= self.life else 0
 
     @property
     def all_released(self) -> bool:
-        """Whether the newest word was that no key is held: a word that is overdue does not say so."""
+        """Whether the newest message had no key held; an overdue message does not count as that."""
         return self._held[0] == 0
 
     def request_new_trial(self) -> None:
-        """Note that the person wants to start anew."""
+        """Store the person's request for a new trial."""
         self._again.set()
 
     @property
     def new_trial_wanted(self) -> bool:
-        """Whether the person wants to start anew; true until `take_new_trial`."""
+        """Whether a new trial was requested; true until `take_new_trial`."""
         return self._again.is_set()
 
     def take_new_trial(self) -> bool:
-        """Return whether the person wanted to start anew since the last call."""
+        """Return whether a new trial was requested since the last call."""
         asked = self._again.is_set()
         self._again.clear()
         return asked
 
 
 class LateMessageFilter:
-    """Tells which words of one page were held up on their way: they say what was, not what is.
+    """Detects messages of one page that were delayed on their way and are out of date.
 
-    The way of a word is what its stamp (s, the page's clock) lies behind its arrival (s, ours). The
-    clocks have nothing to do with each other, so it is compared with the fastest so far.
+    The transport time of a message is its arrival (s, our clock) minus its stamp (s, the page's clock). The clocks are
+    independent, so it is compared with the fastest message so far.
     """
 
     def __init__(self) -> None:
@@ -90,10 +89,10 @@ class LateMessageFilter:
 
 
 def key_validity(system: System) -> float:
-    """Return for how long a word of the page may hold in a loop at ``system.dt``; raises `InvalidArgument`."""
+    """Return for how long a message of the page is valid in a loop at ``system.dt``; raises `InvalidArgument`."""
     if system.dt >= HOLD:
         raise InvalidArgument(
-            f"driving by hand: expected a sampling time below {HOLD} s, within which keys that are lost must mean "
+            f"driving by hand: expected a sampling time below {HOLD} s, within which lost keys must give "
             f"neutral, got {system.dt} s"
         )
     return HOLD - system.dt
@@ -102,8 +101,8 @@ def key_validity(system: System) -> float:
 def control_of_keys(keys: int, system: System) -> Array:
     """Return the control (nu,) for the keys that are held.
 
-    The first control propels, the last one steers (+1 is left); a key drives it to its limit.
-    Opposite keys cancel each other. Raises `InvalidArgument` for a control without limits.
+    The first control is the drive, the last one the steering (+1 is left); a key sets it to its limit. Opposite keys
+    cancel each other. Raises `InvalidArgument` for a control without limits.
     """
     control = system.neutral_control.copy()
     control[0] = _deflected(system.controls[0], bool(keys & FORWARD) - bool(keys & BACKWARD))
@@ -115,13 +114,13 @@ def control_of_keys(keys: int, system: System) -> Array:
 def _deflected(channel: Channel, way: int) -> float:
     if not channel.bounded:
         raise InvalidArgument(
-            f"control {channel.name!r} has no finite limits for keys to drive it to: give low and high, or levels"
+            f"control {channel.name!r} has no finite limits for keys to set it to: give low and high, or levels"
         )
     return (channel.neutral, channel.high, channel.low)[way]
 
 
 class PageClient:
-    """One open page. Its words count only while it drives, and its keys only once it has said that none is held."""
+    """One open page. Its messages count only while it drives, its keys only after a message without keys."""
 
     def __init__(self, seats: PageClients, keyboard: Keyboard) -> None:
         self._seats = seats
@@ -133,11 +132,11 @@ class PageClient:
     def is_driver(self) -> bool:
         return self._seats.driver is self
 
-    def receive(self, said: Any, arrival: float) -> None:
-        """Act on what the page says, see `keys_message`; ``arrival`` is in s. Raises `InvalidPageMessage`."""
-        message = keys_message(said)
+    def receive(self, given: Any, arrival: float) -> None:
+        """Handle a message of the page, see `keys_message`; ``arrival`` is in s. Raises `InvalidPageMessage`."""
+        message = keys_message(given)
         on_time = self._punctuality.on_time(message.clock, arrival)
-        if message.new and self.is_driver:  # it ends what is driven, so it is never too late for it
+        if message.new_trial and self.is_driver:  # it ends the present trial, so it is never too late
             self._keyboard.request_new_trial()
         if not on_time or not self.is_driver:
             return
@@ -146,12 +145,12 @@ class PageClient:
             self._keyboard.press(message.keys)
 
     def leave(self) -> None:
-        """Let go of the keys and make room for the one who has watched longest; a second call does nothing."""
+        """Release the keys and let the page that has watched longest drive; a second call does nothing."""
         self._seats.remove(self)
 
 
 class PageClients:
-    """The open pages in the order in which they came; the first one drives."""
+    """The open pages in the order in which they were opened; the first one drives."""
 
     def __init__(self, keyboard: Keyboard) -> None:
         self._keyboard = keyboard
@@ -166,13 +165,13 @@ class PageClients:
         return max(0, len(self._taken) - 1)
 
     def join(self) -> PageClient:
-        """Return a seat for a page that was opened."""
+        """Return the client of a newly opened page."""
         seat = PageClient(self, self._keyboard)
         self._taken.append(seat)
         return seat
 
     def remove(self, seat: PageClient) -> None:
-        """Take back ``seat``; if it drove, all keys are released."""
+        """Remove the client ``seat``; if it drove, all keys are released."""
         if seat not in self._taken:
             return
         if seat is self.driver:

@@ -1,4 +1,4 @@
-"""The contract with the page: every message both ways, all of them JSON, and the panel that is asked for them."""
+"""The contract with the page: every message in both directions, as JSON, and the panel that provides them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ LARGEST_CLOCK = 1e12  # s
 
 @dataclass(frozen=True)
 class Keys:
-    """Of the page: the keys held (a bit for each), its clock in s, whether a new trial is wanted."""
+    """From the page: the keys held (a bit for each), its clock in s, whether a new trial is requested."""
 
     keys: int
     clock: float
-    new: bool
+    new_trial: bool
 
 
 @dataclass(frozen=True)
 class TracedChannel:
-    """A state or a control, the one at ``place``, that is drawn over time."""
+    """A state or a control, the one at ``place``, whose time series is drawn."""
 
     place: int
     name: str
@@ -44,15 +44,15 @@ class TracedChannel:
 
 @dataclass(frozen=True)
 class Setting:
-    """To the page: what stays the same in a session.
+    """To the page: constants of a session.
 
-    ``controller`` drives, None if a person does, ``faster`` times as fast as in the world. A speed is the state at the
-    place ``forward``.
+    ``controller`` drives, None if a person does; trials are shown at ``playback_speed`` times real time. A speed is the
+    state at the place ``forward``.
     """
 
     robot: str
     controller: str | None
-    faster: float
+    playback_speed: float
     dt: float
     horizon: int
     unit: str
@@ -67,7 +67,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class WantedState:
-    """What the state at ``place`` was to be at every step, or always."""
+    """Target of the state at ``place`` at every step, or a constant one."""
 
     place: int
     values: Array
@@ -76,14 +76,14 @@ class WantedState:
 
 @dataclass(frozen=True)
 class Scenery:
-    """To the page: what stays the same in a trial, its walls (x and y in m) and what states were to be."""
+    """To the page: constants of a trial, its walls (x and y in m) and targets of states."""
 
     walls: list[list[list[float]]]
     targets: list[WantedState]
 
 
 class Phase(StrEnum):
-    """Where a trial stands."""
+    """Phase of a trial."""
 
     SETTLING = "settling"
     READY = "ready"
@@ -94,10 +94,11 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """To the page: where the trial of this number, from 1, stands at ``step``; ``scores`` are of those that are over.
+    """To the page: the trial of this number, from 1, at ``step``; ``scores`` are those of finished trials.
 
-    ``state`` is (nx,), ``control`` (nu,) that in force; ``pose`` and ``waypoint`` (2,) are seen from the task's origin.
-    The newest pose is ``tracker_age`` s old, ``tracker_rate`` come in a second; ``link`` is how the robot is.
+    ``state`` is (nx,), ``control`` (nu,) the one in force; ``pose`` and ``waypoint`` (2,) are relative to the task's
+    origin. The newest pose is ``tracker_age`` s old, ``tracker_rate`` poses arrive per second; ``link`` is the status
+    of the robot.
     """
 
     trial: int = 0
@@ -115,7 +116,7 @@ class Reading:
     link: str | None = None
     link_age: float = 0.0
     message: str = ""
-    drives: bool = False
+    is_driver: bool = False
     watchers: int = 0
 
 
@@ -124,7 +125,7 @@ IN_JAVASCRIPT |= {"None": "null", "list": "array", "tuple": "array", "Array": "a
 
 
 def messages_script() -> str:
-    """Return the messages as a module of JavaScript: of each its fields, and of each field what its value may be."""
+    """Return the messages as a module of JavaScript: their fields, and the types of each field."""
     table: dict[str, dict[str, list[str]]] = {}
     for message in (Setting, Scenery, Reading, Keys):
         kinds = {one.name: str(one.type).split(" | ") for one in fields(message)}
@@ -134,7 +135,7 @@ def messages_script() -> str:
 
 
 def as_text(message: Setting | Scenery | Reading) -> str:
-    """Return a message as it is sent: strict JSON, null for each number of an array that is not finite."""
+    """Return a message as strict JSON, with null for each number of an array that is not finite."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray):
@@ -145,39 +146,39 @@ def as_text(message: Setting | Scenery | Reading) -> str:
 
 
 class InvalidPageMessage(ValueError):
-    """What came is no message of the page."""
+    """The text received is no message of the page."""
 
 
-def keys_message(said: Any) -> Keys:
-    """Return what the page says. Raises `InvalidPageMessage` for anything but a whole message of the type ``keys``."""
+def keys_message(message: Any) -> Keys:
+    """Return a message of the page. Raises `InvalidPageMessage` unless it is a complete message of type ``keys``."""
     names = [one.name for one in fields(Keys)]
-    if not isinstance(said, dict) or said.keys() != {"type", *names} or said["type"] != "keys":
-        raise InvalidPageMessage(f"expected a message of the type keys with {', '.join(names)}, got {said!r:.50}")
-    keys, clock, new = (said[name] for name in names)
+    if not isinstance(message, dict) or message.keys() != {"type", *names} or message["type"] != "keys":
+        raise InvalidPageMessage(f"expected a message of the type keys with {', '.join(names)}, got {message!r:.50}")
+    keys, clock, new_trial = (message[name] for name in names)
     if type(keys) is not int or not 0 <= keys <= ALL_KEYS:
         raise InvalidPageMessage(f"keys: expected 0 to {ALL_KEYS}, got {keys!r:.50}")
     if type(clock) not in (int, float) or not abs(clock) < LARGEST_CLOCK:
         raise InvalidPageMessage(f"clock: expected seconds, got {clock!r:.50}")
-    if type(new) is not bool:
-        raise InvalidPageMessage(f"new: expected true or false, got {new!r:.50}")
-    return Keys(keys, clock, new)
+    if type(new_trial) is not bool:
+        raise InvalidPageMessage(f"new_trial: expected true or false, got {new_trial!r:.50}")
+    return Keys(keys, clock, new_trial)
 
 
 MOST_TRACES = 4
-"""States whose course is drawn where the task has no targets."""
-MOST_CONTROLS = 2  # whose course is drawn below them
+"""Number of states whose time series is drawn if the task has no targets."""
+MOST_CONTROLS = 2  # number of controls whose time series is drawn below them
 
 
 class DrivePanel(ABC):
-    """What the page shows of trials of the bound ``task``; another thread may change it meanwhile.
+    """Data of the page for trials of the bound ``task``; another thread may change them meanwhile.
 
-    ``controller`` is who drives, None for a person, ``faster`` how many times as fast as in the world.
+    ``controller`` is the driver, None for a person; ``playback_speed`` is the ratio to real time.
     """
 
-    def __init__(self, robot: str, task: Task, controller: str | None = None, *, faster: float = 1.0) -> None:
-        self.robot, self.task, self.controller, self.faster = robot, task, controller, faster
-        self._always = task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)  # what is the same in all trials
-        # States that are led are drawn over time, else the first ones of what has no place to show.
+    def __init__(self, robot: str, task: Task, controller: str | None = None, *, playback_speed: float = 1.0) -> None:
+        self.robot, self.task, self.controller, self.playback_speed = robot, task, controller, playback_speed
+        self._always = task.scene(task.begin(np.zeros(1, dtype=np.uint64)), 0)  # the same in all trials
+        # States with a target are drawn over time, else the first ones that the view does not show.
         few = 0 if task.system.n_pose == PLANAR else min(MOST_TRACES, task.system.nx)
         self._traced = [target.place for target in self._always.targets] or list(range(few))
 
@@ -187,16 +188,16 @@ class DrivePanel(ABC):
 
     @abstractmethod
     def reading(self) -> Reading:
-        """Return what there is to see now."""
+        """Return the present state of the trial."""
 
     def setting(self) -> Setting:
-        """Return what stays the same in a session."""
+        """Return the constants of a session."""
         system, states = self.task.system, self._traced
         forward = None if system.motion is None else system.motion.roles().get("forward")
         return Setting(
             robot=self.robot,
             controller=self.controller,
-            faster=self.faster,
+            playback_speed=self.playback_speed,
             dt=system.dt,
             horizon=self.task.horizon,
             unit=self.task.fitness_unit,
@@ -210,7 +211,7 @@ class DrivePanel(ABC):
         )
 
     def scenery(self) -> Scenery:
-        """Return what stays the same in a trial."""
+        """Return the constants of a trial."""
         scene = self.scene()
         targets = [WantedState(target.place, target.values, target.tolerance) for target in scene.targets]
         return Scenery([np.round(wall, 3).tolist() for wall in scene.walls], targets)

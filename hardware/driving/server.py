@@ -1,4 +1,4 @@
-"""The web server of the page: who may open it, what is served, the socket."""
+"""The web server of the page: access, files, web socket."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
 PACKAGES = ("starlette", "uvicorn", "websockets")
-"""What the page is served with."""
+"""Packages that serve the page."""
 
 PAGE = Path(__file__).parent / "page"
 FILES = ("drive.css", "drive.js", "plot.js", "traces.js", "view.js")
-"""What is served under its name, beside the page itself and the table of messages."""
+"""Files served by name, in addition to the page itself and the table of messages."""
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -45,22 +45,22 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
-PERIOD = 0.02  # s between two readings that the page is sent
-WORD_BYTES = 256  # the longest thing that a page says
+PERIOD = 0.02  # s between two readings that are sent to the page
+MESSAGE_BYTES = 256  # the longest message of a page
 MOST_CONNECTIONS = 32
-"""Requests and web sockets at the same time; only those with the secret count."""
+"""Maximum number of simultaneous requests and web sockets; only those with the secret count."""
 SILENCE = 5.0  # s within which a connection must have sent a whole request
 MOST_SILENT = 64
-"""Connections that have sent none yet: of more the oldest is closed, so that they do not use up the system's files."""
-PING = 1.0  # s after which a page that does not answer is gone
+"""Connections without a request: beyond this number the oldest is closed, to save the system's file handles."""
+PING = 1.0  # s after which a page that does not answer is closed
 START_UP = 5.0  # s
-INVALID = 1008  # the web socket's code for a message that breaks the rules
+INVALID = 1008  # the web socket's code for a message that violates the rules
 REASON_BYTES = 120  # of the sentence that goes with it; the protocol has room for 123
 
 
 @dataclass(frozen=True)
 class PageAddress:
-    """Where the page is served, and whether it is opened in the browser, too. Port 0 is a free one."""
+    """Address of the page, and whether it is also opened in the browser. Port 0 is a free one."""
 
     host: str = "127.0.0.1"
     port: int = 0
@@ -68,7 +68,7 @@ class PageAddress:
 
 
 def check_page() -> None:
-    """Raise `MissingExtra` if a package is missing that the page is served with."""
+    """Raise `MissingExtra` if a package is missing that serves the page."""
     check_installed("driving by hand", PACKAGES)
 
 
@@ -76,7 +76,7 @@ def check_page() -> None:
 def served(
     panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
-    """Serve the page while the work inside goes on, which stops if the server dies; ``announce`` gets the URL."""
+    """Serve the page during the ``with`` block, which is stopped if the server dies; ``announce`` gets the URL."""
 
     died = partial(stops.request, StopReason.THREAD_DIED)
     with PageServer(panel, keyboard, host=address.host, port=address.port, on_server_end=died) as page:
@@ -87,12 +87,11 @@ def served(
 
 
 class PageServer(Closeable):
-    """The page at ``url`` while it is open; it serves from a thread of its own.
+    """The page at ``url`` while it is open, served from its own thread.
 
-    ``port`` 0 takes a free one. ``on_server_end`` is called with a sentence, in that thread, if the server
-    ends before it is closed; all keys are released then. ``seats`` are those of the open pages.
-    Raises `MissingExtra` for a missing package, `InvalidArgument` if the address cannot be taken, `LinkLost` if the
-    server does not start.
+    ``port`` 0 takes a free one. ``on_server_end`` is called with a sentence, in that thread, if the server ends before
+    it is closed; all keys are released then. ``seats`` are the clients of the open pages. Raises `MissingExtra` for a
+    missing package, `InvalidArgument` if the address cannot be used, `LinkLost` if the server does not start.
     """
 
     def __init__(
@@ -123,7 +122,7 @@ class PageServer(Closeable):
                 make_app(panel, self.seats, token=token, host=host),
                 http=impatient_http(),
                 ws="websockets-sansio",
-                ws_max_size=WORD_BYTES,
+                ws_max_size=MESSAGE_BYTES,
                 ws_ping_interval=PING,
                 ws_ping_timeout=PING,
                 ws_per_message_deflate=False,
@@ -160,7 +159,7 @@ class PageServer(Closeable):
 
 
 def impatient_http() -> type[asyncio.Protocol]:
-    """Return HTTP as uvicorn speaks it, but for connections that send no whole request: they are closed soon."""
+    """Return uvicorn's HTTP protocol with a time limit: connections without a whole request are closed."""
     from uvicorn.protocols.http.h11_impl import H11Protocol
 
     silent: dict[H11Protocol, asyncio.TimerHandle] = {}
@@ -179,13 +178,13 @@ def impatient_http() -> type[asyncio.Protocol]:
         def handle_events(self) -> None:
             super().handle_events()
             if self.scope is not None:  # a request has come
-                self._heard()
+                self._request_received()
 
         def connection_lost(self, exc: Exception | None) -> None:
-            self._heard()
+            self._request_received()
             super().connection_lost(exc)
 
-        def _heard(self) -> None:
+        def _request_received(self) -> None:
             if self in silent:
                 silent.pop(self).cancel()
 
@@ -233,7 +232,7 @@ def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
 
 
 async def _receive(page: WebSocket, seat: PageClient) -> None:
-    """Hear what the page says until it goes. Raises `InvalidPageMessage` or another `ValueError`."""
+    """Handle the messages of the page until it leaves. Raises `InvalidPageMessage` or another `ValueError`."""
     while True:
         message = await page.receive()
         if message["type"] == "websocket.disconnect":
@@ -244,11 +243,11 @@ async def _receive(page: WebSocket, seat: PageClient) -> None:
 
 
 async def _send(page: WebSocket, seat: PageClient, seats: PageClients, panel: DrivePanel) -> None:
-    """Send the page the setting once, what is drawn of each trial, and the newest reading again and again."""
+    """Send the page the setting once, the scenery of each trial, and the newest reading periodically."""
     await page.send_text(as_text(panel.setting()))
     trial = None
     while True:
-        reading = replace(panel.reading(), drives=seat.is_driver, watchers=seats.watchers)
+        reading = replace(panel.reading(), is_driver=seat.is_driver, watchers=seats.watchers)
         if reading.trial != trial:
             trial = reading.trial
             await page.send_text(as_text(panel.scenery()))
@@ -263,12 +262,12 @@ FORBIDDEN, BUSY = 403, 503
 class Guard:
     """Answers 403 unless the first part of the path is ``token`` and the request comes from our own page.
 
-    Whoever is refused is also disconnected. Of those let in, more than `MOST_CONNECTIONS` at once get 503.
+    A refused client is also disconnected. Of the accepted ones, more than `MOST_CONNECTIONS` at once get 503.
 
-    Any web page can make a browser send requests to this machine. It does not know the token. A
-    page whose name was pointed at this machine after it was loaded (DNS rebinding) names itself in
-    the Host header, so that must be an address, localhost, this machine's name or ``host``; any
-    other page names itself in the Origin header, which every browser sends with a web socket.
+    Any web page can make a browser send requests to this machine. It does not know the token. A page whose name was
+    redirected to this machine after it was loaded (DNS rebinding) has its name in the Host header, so that must be an
+    address, localhost, this machine's name or ``host``. Any other page has its name in the Origin header, which every
+    browser sends with a web socket.
     """
 
     def __init__(self, app: ASGIApp, *, token: str, host: str) -> None:

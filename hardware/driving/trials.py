@@ -27,18 +27,18 @@ from sysid_evo.types import Array, Seeds, check_shape
 ENGINE = "robot"
 REST_TIME = 0.5  # s over which a robot at rest stays within
 REST_DISTANCE = 0.01  # m and
-REST_ANGLE = 0.06  # rad: some times the errors of an optical tracker
+REST_ANGLE = 0.06  # rad: a few times the errors of an optical tracker
 REST_LIMIT = 10.0  # s by which it must have come to rest
 
 
 class StandstillDetector:
-    """Tells from its last poses whether a robot stands."""
+    """Detects from the last poses whether a robot is at rest."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, Array]] = deque()
 
     def at_rest(self, estimate: StateEstimate) -> bool:
-        """Take in where the robot is; return whether it has stayed there for half a second."""
+        """Take in the robot's pose; return whether it has not moved for half a second."""
         self._seen.append((estimate.time, estimate.pose))
         while len(self._seen) > 1 and self._seen[1][0] <= estimate.time - REST_TIME:
             self._seen.popleft()
@@ -52,7 +52,7 @@ class StandstillDetector:
 
 @dataclass
 class TrialLog:
-    """What happened in one trial, sample by sample; samples may be missing."""
+    """Samples of one trial; some may be missing."""
 
     ticks: list[int] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
@@ -60,13 +60,13 @@ class TrialLog:
     controls: list[Array] = field(default_factory=list)
 
     def note(self, tick: int, state: Array, pose: Array) -> None:
-        """Write down where the robot is at ``tick``; the control that is decided on then goes to ``controls``."""
+        """Record the robot's state and pose at ``tick``; the control decided on then is appended to ``controls``."""
         self.ticks.append(tick)
         self.states.append(state)
         self.poses.append(pose)
 
     def trajectory(self, dt: float, name: str) -> Trajectory:
-        """Return the trial at every sample; at a missing one states lie on the line between, and the control stays."""
+        """Return the trial at every sample; at a missing one states are interpolated, and the control is held."""
         grid = np.arange(self.ticks[-1] + 1)
 
         def filled(rows: Array) -> Array:
@@ -81,10 +81,10 @@ class TrialLog:
 class TrialSeries(Pilot):
     """Lets every candidate (P, n_parameters) drive a trial of every seed (E,), all candidates before the next seed.
 
-    Before each trial the robot is left in neutral until it stands; the trial starts where that is. The
-    task's origin is ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the
-    controller's output is not a number, neither is the control, and the loop ends the run. ``on_decision`` is called
-    with this after every decision. ``states`` holds where the trials of each candidate stand, ``tapes`` what happened.
+    Before each trial the robot is in neutral until it is at rest; the trial starts at that pose. The task's origin is
+    ``origin``, a pose of the tracker (3,), or the robot's at the first trial. If the controller's output is not a
+    number, neither is the control, and the loop ends the run. ``on_decision`` is called with this object after every
+    decision. ``states`` are the task states of the trials of each candidate, ``tapes`` their samples.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class TrialSeries(Pilot):
         self.finished = 0
         self.tapes: list[TrialLog] = []
         self._progress = progress
-        self._told = on_decision
+        self._on_decision = on_decision
         began = task.begin(seeds)
         self.states = [began for _ in parameters]
         self._noise = draw_for_steps(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
@@ -123,8 +123,8 @@ class TrialSeries(Pilot):
 
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
         control = self._decide(tick, estimate)
-        if self._told is not None:
-            self._told(self)
+        if self._on_decision is not None:
+            self._on_decision(self)
         return control
 
     def _decide(self, tick: int, estimate: StateEstimate) -> Array | None:
@@ -150,7 +150,7 @@ class TrialSeries(Pilot):
         return self.system.neutral_control
 
     def _drive(self, step: int, estimate: StateEstimate) -> Array | None:
-        """Return the control for ``step`` of the trial under way, or None if it is over."""
+        """Return the control for ``step`` of the present trial, or None if it is over."""
         trial, candidate = divmod(self.finished, len(self.parameters))
         task, tape = self.task, self.tapes[-1]
         assert self.origin is not None
@@ -181,7 +181,7 @@ class TrialSeries(Pilot):
         return control
 
     def rollouts(self, why_missing: str) -> Rollouts:
-        """Return the trials that every candidate finished; the others are missing for the reason given."""
+        """Return the trials that every candidate finished; the others are missing for the given reason."""
         candidates = len(self.parameters)
         done = self.finished // candidates
         fitness = np.stack([self.task.fitness(state)[:done] for state in self.states])
@@ -212,9 +212,9 @@ def _joined(states: list[TaskState], done: int) -> TaskState:
 class RobotRunner:
     """Runs trials on ``robot`` one at a time, in one session of the control loop.
 
-    The task's origin is where the robot stands at the first trial, or that of the tracker
-    (``tracker_frame``). ``seed`` fixes what an emulated robot draws. A fault ends the session: the
-    trial under way and those after it are missing, never scored. ``on_decision`` is called after every decision.
+    The task's origin is the robot's pose at the first trial, or that of the tracker (``tracker_frame``). ``seed`` fixes
+    the random draws of an emulated robot. A fault ends the session: the present trial and those after it are missing,
+    never scored. ``on_decision`` is called after every decision.
     """
 
     robot: Robot
@@ -226,7 +226,7 @@ class RobotRunner:
     on_decision: Callable[[TrialSeries], None] | None = None
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
-        """Return what runs ``controller`` at ``task``, see `Runner` and `drive`."""
+        """Return a function that runs ``controller`` at ``task``, see `Runner` and `drive`."""
         bound = task.bind(self.robot.system)
         law = controller.bind_to(bound)
 
@@ -236,7 +236,7 @@ class RobotRunner:
         return run
 
     def drive(self, controller: Controller, parameters: Array, task: Task, seeds: Seeds) -> tuple[Rollouts, LoopReport]:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,); also return how the loop went.
+        """Run every candidate (P, n_parameters) in a trial of every seed (E,); also return the report of the loop.
 
         Raises `LinkLost` if the robot does not connect.
         """

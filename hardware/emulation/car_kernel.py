@@ -1,4 +1,4 @@
-"""The emulated car over lanes: `hardware.emulation.car_physics.car_step` and the commands under way."""
+"""Compiled form of the emulated car: `hardware.emulation.car_physics.car_step` and the delayed commands."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def car_kernel(coefficients: Coefficients, repeats: int) -> DynamicsKernel:
 
 
 def car(carry, control, noise, parameters, scratch):
-    """Take the fine steps, each under the command then due, and move the commands under way only once."""
+    """Make the fine steps, each under the command then due, and shift the delayed commands only once."""
     repeats, p = int(parameters[HEAD.repeats]), view(parameters, HEAD.size)
     commands, body = view(carry, COMMANDS * LANES), view(carry, BODY * LANES)
     u, v, r = load(carry, 0), load(carry, LANES), load(carry, 2 * LANES)
@@ -63,8 +63,8 @@ def car(carry, control, noise, parameters, scratch):
 def car_step_lanes(u, v, r, motor, sag, battery, slack, steering, force_noise, yaw_noise, drive, steer, p):
     """One step of 5 ms; ``p`` are the `Coefficients` in their order.
 
-    Friction is taken off the change before that is added: rounding the speed first would, in
-    float32, shift every step the same way, by 6e-6 m/s after some.
+    Friction is subtracted from the change before the change is added: rounding the speed first would, in float32, shift
+    every step in the same direction, by 6e-6 m/s after some.
     """
     inverse_mass, inverse_inertia, front_axle, rear_axle = p[0], p[1], p[2], p[3]
     thrust_forward, thrust_backward, back_emf, coasting_drag = p[4], p[5], p[6], p[7]

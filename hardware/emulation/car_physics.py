@@ -20,8 +20,8 @@ FINE_DT = 0.005  # s: the rate of the tracker, and short against every lag of th
 class CarParameters(RobotParameters):
     """A bang-bang toy car of 0.3 kg, 18 x 10 cm (paper, section 3).
 
-    Unit, reason and spread of each field stand in its metadata. Thrust, drag and resistance are per
-    unit of mass, so they read as accelerations. Raises `InvalidArgument`.
+    The metadata of each field have its unit, reason and spread. Thrust, drag and resistance are per unit of mass, so
+    they are accelerations. Raises `InvalidArgument`.
     """
 
     mass: float = parameter(0.3, "kg", 0.1, "stated in the paper")
@@ -43,7 +43,7 @@ class CarParameters(RobotParameters):
     coasting_drag: float = parameter(0.6, "1/s", 0.3, "the unpowered motor turned by the wheels")
     rolling_drag: float = parameter(0.15, "1/s", 0.3, "bearings and paper, growing with speed")
     rolling_resistance: float = parameter(0.5, "m/s2", 0.2, "bearings and paper, at any speed; stops a coasting car")
-    static_friction: float = parameter(0.9, "m/s2", 0.15, "thrust below this does not move a standing car")
+    static_friction: float = parameter(0.9, "m/s2", 0.15, "thrust below this does not move a car at rest")
 
     steer_left: float = parameter(0.203, "rad", 0.1, "front wheels at full left lock")
     steer_right: float = parameter(0.177, "rad", 0.1, "front wheels at full right lock; the linkage is uneven")
@@ -62,7 +62,7 @@ class CarParameters(RobotParameters):
     noise_lag: float = parameter(0.1, "s", 0.3, "correlation time: a dozen centimetres of floor")
 
     start_speed: float = parameter(
-        0.0, "m/s", 0.2, "slower than this a motor without a sensor cannot tell how it turns; 0: it always can",
+        0.0, "m/s", 0.2, "slower than this a motor without a sensor cannot detect its rotation; 0: it always can",
         or_zero=True,
     )  # fmt: skip
     start_lag: float = parameter(0.08, "s", 0.2, "such a motor follows the switch with this lag, and it pulls only")
@@ -98,13 +98,13 @@ REST_SPEED = 0.01  # m/s and
 REST_YAW_RATE = 0.1  # rad/s: what static friction stops within one fine step
 
 BUFFER = slice(3, 3 + 2 * LATENCY)
-"""Where the carry holds the commands under way, (drive, steer) pairs, the oldest first."""
+"""Slice of the carry with the delayed commands, (drive, steer) pairs, the oldest first."""
 BODY = 3 + 2 * LATENCY
-"""Where the carry holds motor, sag, battery, slack, steering, force noise, yaw noise."""
+"""Start of motor, sag, battery, slack, steering, force noise, yaw noise in the carry."""
 
 
 class Coefficients(NamedTuple):
-    """What `car_step` computes with, in the order of the compiled form's parameter array."""
+    """Coefficients of `car_step`, in the order of the compiled form's parameter array."""
 
     inverse_mass: float
     inverse_inertia: float
@@ -182,10 +182,10 @@ def coefficients(parameters: CarParameters) -> Coefficients:
 
 
 Lane: TypeAlias = Any
-"""A number for each rollout, an `Array` (B,), or a float for the only one: the same arithmetic for both."""
+"""A number for each rollout, an `Array` (B,), or a float for a single one: the arithmetic is the same."""
 ARRAYS = (np.maximum, np.minimum, np.tanh)
 NUMBERS = (max, min, lambda x: float(np.tanh(x)))
-"""What `car_step` calls for lanes of numbers and for single ones, which take a third of the time: the same values."""
+"""Functions of `car_step` for arrays and for single numbers, which take a third of the time: the results are equal."""
 
 
 def car_step(
@@ -199,14 +199,14 @@ def car_step(
 ) -> tuple[Lane, ...]:
     """Return the three states and seven hidden numbers 5 ms later, under the commands that have reached the car.
 
-    Plain arithmetic on lanes: the same lines serve a batch and single numbers. A single-track car::
+    Plain arithmetic, so the same lines work for a batch and for single numbers. A single-track car::
 
-        du/dt = traction - drag u - F_f sin(d) / m + v r + noise     friction then takes its share of u
+        du/dt = traction - drag u - F_f sin(d) / m + v r + noise   friction then reduces u
         dv/dt = (F_f cos(d) + F_r) / m - u r
         dr/dt = (a F_f cos(d) - b F_r) / I + noise
-        F     = -grip tanh(gain slip / max(|u|, floor)),   slip: the axle's sideways speed in m/s
+        F   = -grip tanh(gain slip / max(|u|, floor)),   slip: the axle's sideways speed in m/s
 
-    A motor that is `start_speed` slow or slower follows its switch late, and pulls only above a level.
+    At `start_speed` or slower a sensorless motor follows its switch with a lag, and pulls only above a level.
     The steering angle d stays below 0.26 rad, so two terms of its sine and cosine are right to 2e-4.
     """
     u, v, r = state

@@ -26,16 +26,15 @@ REPEATS = 10  # fine steps of 5 ms in one sample of 50 ms
 
 
 class ToyCarDynamics(PlainDynamics):
-    """The toy car at 5 ms, the rate of the tracker: what its 20 Hz form repeats.
+    """The toy car at 5 ms, the rate of the tracker; its 20 Hz form repeats this step.
 
-    The carry is forward speed, lateral speed, yaw rate; the ten commands under way; motor (lagged
-    drive, -1 to 1), sag (share of the voltage), battery (1 is full), slack (-1 to 1, thrust passes
-    at the end that the motor pushes to), steering angle (rad), force noise (m/s2), yaw noise
-    (rad/s2). Friction is a projection and not a force, so the car comes to exact rest and stays
-    there; noise fades with speed and cannot move a standing car.
+    The carry is forward speed, lateral speed, yaw rate; the ten delayed commands; motor (lagged drive, -1 to 1), sag
+    (share of the voltage), battery (1 is full), slack (-1 to 1, thrust passes at the end that the motor pushes to),
+    steering angle (rad), force noise (m/s2), yaw noise (rad/s2). Friction is a projection and not a force, so the car
+    comes to exact rest and stays there; noise decreases with speed and cannot move a car at rest.
 
     Draws: battery level (uniform over its spread), force noise, yaw noise. Noise: force, yaw.
-    A start takes the oldest command for one that has been held for long.
+    A start assumes that the oldest command has been held for long.
     """
 
     n_carry = BODY + 7
@@ -85,13 +84,13 @@ class ToyCarDynamics(PlainDynamics):
         return self.held_kernel(1)
 
     def held_kernel(self, repeats: int) -> DynamicsKernel:
-        """Return the compiled form of ``repeats`` steps: the commands under way move only once."""
+        """Return the compiled form of ``repeats`` steps: the delayed commands are shifted only once."""
         return car_kernel(self.coefficients, repeats)
 
 
 @register_robot("emulated_car")
 def emulated_car(*, seed: int | None = None) -> TrackedRobot:
-    """The toy car of the paper in simulation; with a ``seed`` another of its kind, see `CarParameters.perturbed`."""
+    """The toy car of the paper in simulation; with a ``seed`` a variant of it, see `CarParameters.perturbed`."""
     kind, parameters = of_kind("emulated_car", CarParameters(), seed)
     return TrackedRobot(kind, ToyCarDynamics(parameters), repeats=REPEATS)
 
@@ -99,17 +98,17 @@ def emulated_car(*, seed: int | None = None) -> TrackedRobot:
 AWKWARD = replace(CarParameters(), thrust_backward=0.0, start_speed=0.35, start_lag=0.5, start_level=0.5)
 """The toy car with a cheap motor controller for model planes: without a sensor, and without reverse.
 
-A standing car pulls after 0.35 s of full drive without a break. Driven backward it only brakes.
+At rest it pulls only after 0.35 s of uninterrupted full drive. Driven backward it only brakes.
 """
 
 
 @register_robot("awkward_car")
 class AwkwardCar(TrackedRobot):
-    """The toy car with the drive of a model plane; with a ``seed`` another of its kind.
+    """The toy car with the drive of a model plane; with a ``seed`` a variant of it.
 
-    It answers to forward drive from standstill after 0.7 of ``start_lag`` (s), to backward drive not at all, and races
-    as well as any once it rolls. In the share ``stuck`` of the manoeuvres of a recording, drawn from the seed of the
-    recording, it is jammed against something and stands, whatever it is told; when it races it is free.
+    From standstill it responds to forward drive after 0.7 of ``start_lag`` (s), to backward drive not at all; once it
+    rolls it is as fast as any. In the share ``stuck`` of the manoeuvres of a recording, drawn from the seed of the
+    recording, it is jammed and does not move under any command; in trials it is free.
     Raises `InvalidArgument`.
     """
 
@@ -127,7 +126,7 @@ class AwkwardCar(TrackedRobot):
 
 
 class _Jammed:
-    """The car while it is recorded: every few sessions, ``stuck`` of them in all, it stands still."""
+    """The car while it is recorded: in some sessions, the share ``stuck`` of them, it does not move."""
 
     def __init__(self, car: AwkwardCar, rng: np.random.Generator) -> None:
         self.car, self.name, self.system = car, car.name, car.system
@@ -144,7 +143,7 @@ class _Jammed:
 
 
 class _JammedConnection(TrackedConnection):
-    """A session in which the car does not move; the tracker sees it as noisily as ever."""
+    """A session in which the car does not move; the tracker's noise is unchanged."""
 
     def _advance(self) -> None:
         return

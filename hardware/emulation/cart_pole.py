@@ -1,4 +1,4 @@
-"""A cart on a rail with a pole hanging from it: to be balanced, or swung up. Two encoders see the two positions."""
+"""A cart on a rail with a hanging pole, to be balanced or swung up; two encoders measure the two positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sysid_evo.types import Array
 FINE_DT = 0.005  # s
 REPEATS = 10  # fine steps in one sample of 50 ms
 GRAVITY = 9.81  # m/s2
-FORCE = 5.0  # N, what the motor gives
+FORCE = 5.0  # N, of the motor
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
@@ -93,7 +93,7 @@ class CartPolePhysics(SensedPhysics):
         return DynamicsKernel(ScalarStep(cart_pole_step, n_carry=5, nu=1, n_noise=1), numbers)
 
     def release_state(self, rng: np.random.Generator) -> Array:
-        """Return the cart in the middle and the pole at any angle, at rest: somebody holds it there."""
+        """Return the cart in the middle and the pole at any angle, held at rest."""
         return np.array([0.0, 0.0, rng.uniform(-math.pi, math.pi), 0.0])
 
 
@@ -113,6 +113,6 @@ def cart_pole_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 
 @register_robot("cart_pole")
 def cart_pole(*, seed: int | None = None) -> SensedRobot:
-    """A cart with a pole and two encoders, in simulation; with a ``seed`` another of its kind."""
+    """A cart with a pole and two encoders, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("cart_pole", CartPoleParameters(), seed)
     return SensedRobot(kind, CartPolePhysics(parameters), repeats=REPEATS)

@@ -14,18 +14,18 @@ from sysid_evo.types import Array
 
 @runtime_checkable
 class HasHeldKernel(Protocol):
-    """A fine dynamics with a compiled form of its own for several steps under one control."""
+    """A fine dynamics with its own compiled form of several steps under one control."""
 
     def held_kernel(self, repeats: int) -> DynamicsKernel:
-        """Return the compiled form of ``repeats`` steps; their noise follows one another."""
+        """Return the compiled form of ``repeats`` steps, whose noise follows one another."""
         ...
 
 
 class HeldControl(PlainDynamics):
-    """``fine`` seen every ``repeats`` of its steps, under a control held in between.
+    """``fine`` sampled every ``repeats`` of its steps, with the control held in between.
 
-    One step takes the noise of ``repeats`` fine ones, (B, repeats * fine.n_noise), the earliest first.
-    In a history each coarse sample stands for ``repeats`` equal fine ones.
+    One step takes the noise of ``repeats`` fine ones, (B, repeats * fine.n_noise), the earliest first. In a history
+    each coarse sample is repeated as ``repeats`` equal fine ones.
     """
 
     def __init__(self, fine: Dynamics, repeats: int) -> None:

@@ -1,4 +1,4 @@
-"""The numbers of an emulated robot: each with its unit, its reason, and how much robots of a kind differ in it."""
+"""Parameters of an emulated robot: each with its unit, its reason, and its spread between robots of a kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sysid_evo.errors import InvalidArgument
 
 
 def parameter(value: float, unit: str, spread: float, reason: str, *, or_zero: bool = False) -> Any:
-    """Return a field whose perturbed value lies within ``spread`` (a share) of ``value``."""
+    """Return a field whose perturbed value is within ``spread`` (a share) of ``value``."""
     return field(default=value, metadata={"unit": unit, "spread": spread, "reason": reason, "or_zero": or_zero})
 
 
@@ -46,6 +46,6 @@ P = TypeVar("P", bound=RobotParameters)
 
 
 def of_kind(name: str, nominal: P, seed: int | None) -> tuple[str, P]:
-    """Return name and parameters of the registered robot ``name``; with a ``seed``, of another one of its kind."""
+    """Return name and parameters of the registered robot ``name``; with a ``seed``, of a variant of it."""
     seed = checked_seed(f"robot {name}", seed)
     return (name, nominal) if seed is None else (f"{name}:{seed}", nominal.perturbed(seed))

@@ -1,4 +1,4 @@
-"""A pendulum on a motor too weak to lift it: it must be swung up. Its encoder sees the angle only."""
+"""A pendulum on a motor too weak to lift it, to be swung up; its encoder measures the angle only."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sysid_evo.types import Array
 
 FINE_DT = 0.005  # s
 REPEATS = 10  # fine steps in one sample of 50 ms
-STICKING = 0.1  # rad/s: dry friction grows up to here
-TORQUE = 0.45  # N m, what the motor gives; holding the pendulum level takes 1.2
+STICKING = 0.1  # rad/s: dry friction grows up to this speed
+TORQUE = 0.45  # N m, of the motor; holding the pendulum level takes 1.2
 ENCODER = 2.0 * math.pi / 4096.0  # rad
 
 SYSTEM = System(
@@ -83,7 +83,7 @@ class PendulumPhysics(SensedPhysics):
         return DynamicsKernel(ScalarStep(pendulum_step, n_carry=3, nu=1, n_noise=1), numbers)
 
     def release_state(self, rng: np.random.Generator) -> Array:
-        """Return any angle, at rest: somebody holds it there."""
+        """Return any angle, held at rest."""
         return np.array([rng.uniform(-math.pi, math.pi), 0.0])
 
 
@@ -97,6 +97,6 @@ def pendulum_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 
 @register_robot("pendulum")
 def pendulum(*, seed: int | None = None) -> SensedRobot:
-    """A pendulum with a weak motor and an encoder, in simulation; with a ``seed`` another of its kind."""
+    """A pendulum with a weak motor and an encoder, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("pendulum", PendulumParameters(), seed)
     return SensedRobot(kind, PendulumPhysics(parameters), repeats=REPEATS)

@@ -26,28 +26,28 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class Sensor:
-    """Reads a state with a normal error of deviation ``noise``, in whole steps of ``resolution``; 0 is none."""
+    """Sensor of a state with a normal error of deviation ``noise`` and steps of ``resolution``; 0 is none."""
 
     noise: float = 0.0
     resolution: float = 0.0
 
 
 EXACT = Sensor()
-"""Reads a state as it is."""
+"""A sensor without errors."""
 
 
 class SensedPhysics(PlainDynamics):
-    """Physics in fine steps, and what is measured of them.
+    """Physics in fine steps, and their sensors.
 
-    ``sensors`` names the states that are measured, ``estimated_rates`` the state whose change per second each of the
-    others is: that one is estimated. A state that is in neither is read as it is.
+    ``sensors`` names the measured states. ``estimated_rates`` names for each other state the measured one whose rate it
+    is: it is estimated from that. A state that is in neither is measured without errors.
     """
 
     sensors: ClassVar[Mapping[str, Sensor]] = {}
     estimated_rates: ClassVar[Mapping[str, str]] = {}
 
     def release_state(self, rng: np.random.Generator) -> Array:
-        """Return the state (nx,) in which a recording begins: at rest, or where somebody lets the robot go."""
+        """Return the state (nx,) in which a recording begins, by default at rest."""
         return self.system.neutral_state.copy()
 
     @property
@@ -59,10 +59,10 @@ class SensedPhysics(PlainDynamics):
 
 
 class Equations(SensedPhysics):
-    """Derive from it, give ``system`` and `rates_of_change`, and `SensedRobot` makes a robot of it.
+    """Base class of robots from equations: give ``system`` and `rates_of_change`, and make a `SensedRobot` of it.
 
-    One step of ``system.dt`` takes ``substeps`` steps of Runge and Kutta's fourth-order method, under one control. The
-    carry is the state. Where states have limits, the loops that step it clip to them. Raises `InvalidSystem`
+    One step of ``system.dt`` takes ``substeps`` steps of the classical fourth-order Runge-Kutta method, under one
+    control. The carry is the state. If states have limits, the loops that step it clip to them. Raises `InvalidSystem`
     without a system.
     """
 
@@ -104,7 +104,7 @@ class Equations(SensedPhysics):
         return carry
 
     def _rates(self, states: Array, controls: Array) -> Array:
-        """Return the change per second (B, nx). Raises `InvalidSystem` for names that are not those of the states."""
+        """Return the change per second (B, nx). Raises `InvalidSystem` for other names than those of the states."""
         given, names = self.rates_of_change(states, controls), self.system.state_names
         if isinstance(given, Mapping):
             if set(given) != set(names):
@@ -117,7 +117,7 @@ class Equations(SensedPhysics):
 
 
 class SensedRobot(SimulatedRobot):
-    """A robot without a pose; its sensors are read at every fine step, controllers see every ``repeats``-th."""
+    """A robot without a pose; its sensors are read at every fine step, controllers run at every ``repeats``-th."""
 
     stepped: ClassVar[bool] = True
 
@@ -134,7 +134,7 @@ class SensedRobot(SimulatedRobot):
     def self_test(
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
-        """Say what the sensors read at rest, and what the equations do under each control."""
+        """Report the sensor readings at rest, and the response of the equations to each control."""
         period, readings = self.frame_period, []
         stop = StopRequest() if stop is None else stop
         with self.connect(seed=seed) as connection:
@@ -152,10 +152,10 @@ class SensedRobot(SimulatedRobot):
         return excitation_manoeuvres(self.system, duration=duration, rng=rng)
 
     def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
-        """Drive these manoeuvres, read the sensors, and estimate the rest from what they say.
+        """Drive these manoeuvres, read the sensors, and estimate the other states from them.
 
-        Each manoeuvre is a session of its own, begun where the robot is let go. Nothing is written to the job's
-        folder: a session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
+        Each manoeuvre is a session of its own, begun in the release state. Nothing is written to the job's folder: a
+        session in simulated time cannot be lost half way. Raises `InvalidData` if it is too short.
         """
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
@@ -180,7 +180,7 @@ class SensedRobot(SimulatedRobot):
         return RecordingResult(tuple(logs), prepare_logs(logs, self.system), report)
 
     def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stops: StopRequest) -> RawLog:
-        """Return what the sensors said during a manoeuvre, up to a stop, and the rates estimated from it."""
+        """Return the sensor readings during a manoeuvre, up to a stop, and the rates estimated from them."""
         release, session = seeds.spawn(2)
         state = self.physics.release_state(np.random.default_rng(release))
         system, period = self.system, self.frame_period
@@ -213,10 +213,10 @@ NOISE_BLOCK = 1024  # fine steps of noise drawn at once
 
 
 class SensedConnection(SimulatedConnection):
-    """A session with a `SensedRobot`: each frame lets the physics take one step; there is no pose to see.
+    """A session with a `SensedRobot`: for each frame the physics take one step; there is no pose.
 
-    ``reading`` holds what the sensors said last, in their order. Noise and draws come from ``seed``; the
-    session begins in ``state`` (nx,), at rest by default.
+    ``reading`` are the last sensor readings, in order. Noise and draws come from ``seed``; the session begins in
+    ``state`` (nx,), at rest by default.
     """
 
     def __init__(self, name: str, physics: SensedPhysics, *, seed: int | None, state: Array | None = None) -> None:
@@ -232,7 +232,7 @@ class SensedConnection(SimulatedConnection):
 
     @property
     def state(self) -> Array:
-        """The true state (nx,), which a real robot does not tell."""
+        """The true state (nx,), which a real robot does not report."""
         return self._carry[0, : self._physics.system.nx].copy()
 
     def _advance(self) -> None:

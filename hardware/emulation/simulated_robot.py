@@ -1,4 +1,4 @@
-"""Robots in simulated time: a session whose clock is the tracker's, and its real-time pace."""
+"""Robots in simulated time: a session whose clock is the tracker's, and its real-time form."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class SimulatedRobot(Robot):
 class SimulatedConnection(Connection):
     """A session in simulated time: nothing waits, the clock is the tracker's.
 
-    The first `measure` is the frame at 0 s; each further one lets the robot move for ``period`` s.
-    ``control`` (nu,) is the command in force, ``pose`` (n_pose,) the true one.
+    The first `measure` is the frame at 0 s; for each further one the robot moves for ``period`` s. ``control`` (nu,) is
+    the command in force, ``pose`` (n_pose,) the true one.
     """
 
     def __init__(self, name: str, system: System, period: float) -> None:
@@ -77,7 +77,7 @@ class SimulatedConnection(Connection):
 
     @abstractmethod
     def _advance(self) -> None:
-        """Let the robot move for ``period`` s under ``control``."""
+        """Move the robot for ``period`` s under ``control``."""
 
     @abstractmethod
     def _look(self, time: float) -> Measurement:
@@ -90,12 +90,12 @@ class SimulatedConnection(Connection):
 
 
 def in_real_time(robot: Robot) -> Robot:
-    """Return ``robot`` if its sessions run on the host's clock, else its paced form."""
+    """Return ``robot`` if its sessions run on the host's clock, else its real-time form."""
     return RealTimeRobot(robot) if isinstance(robot, SimulatedRobot) else robot
 
 
 class RealTimeRobot(Robot):
-    """A simulated robot whose sessions keep pace with `time.monotonic`, so that a person can drive it."""
+    """A simulated robot whose sessions run in step with `time.monotonic`, so that a person can drive it."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
         self.robot = robot
@@ -108,9 +108,8 @@ class RealTimeRobot(Robot):
 class RealTimeConnection(Connection):
     """A session of ``simulated`` on the host's clock, on which it began at 0 s.
 
-    The robot moves on its own, as a real one does, whether or not anybody looks: whoever calls late
-    finds the frames of the time in between waiting, and commands that have expired meanwhile have
-    had their effect no longer than they were valid.
+    The robot moves continuously, like a real one: a late caller gets the frames of the time in between, and commands
+    that have expired meanwhile have acted no longer than they were valid.
     """
 
     def __init__(self, simulated: SimulatedConnection) -> None:
@@ -128,8 +127,8 @@ class RealTimeConnection(Connection):
 
     @property
     def status(self) -> RobotStatus | None:
-        said = self.simulated.status
-        return None if said is None else replace(said, time=said.time + self._began)
+        status = self.simulated.status
+        return None if status is None else replace(status, time=status.time + self._began)
 
     def send(self, control: Array, *, valid_for: float) -> None:
         self._catch_up()
@@ -155,7 +154,7 @@ class RealTimeConnection(Connection):
         return self._began + (self.simulated.frame + 1) * self.simulated.period
 
     def _catch_up(self) -> float:
-        """Let the robot move up to now, which is returned."""
+        """Move the robot up to the present time, which is returned."""
         self.simulated.check_open()
         now = time.monotonic()
         while self._due <= now:

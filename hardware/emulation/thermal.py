@@ -1,4 +1,4 @@
-"""A heated block: a slow power stage, a delay, and only the temperature of the block is measured."""
+"""A heated block with a slow power stage and a delay, of which only the temperature of the block is measured."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class ThermalParameters(RobotParameters):
     """A small block of metal with a heating element, in a draught."""
 
     power: float = parameter(45.0, "W", 0.1, "of the heater when full on; the block ends at 76 degC")
-    block: float = parameter(9.0, "J/K", 0.15, "heat that the block holds: with the loss a time constant of 11 s")
-    element: float = parameter(2.0, "J/K", 0.15, "heat that the element holds")
+    block: float = parameter(9.0, "J/K", 0.15, "heat capacity of the block: with the loss a time constant of 11 s")
+    element: float = parameter(2.0, "J/K", 0.15, "heat capacity of the element")
     contact: float = parameter(1.5, "W/K", 0.15, "from the element to the block")
     loss: float = parameter(0.8, "W/K", 0.15, "from the block to the room")
     power_lag: float = parameter(1.0, "s", 0.3, "the power stage follows slowly")
@@ -45,14 +45,14 @@ class ThermalParameters(RobotParameters):
 class ThermalPhysics(SensedPhysics):
     """The block in steps of 50 ms; the room has 20 degC.
 
-    The carry is the block's temperature T, the element's E (degC), the power h (share of full), and the eight
-    commands under way, the oldest first::
+    The carry is the block's temperature T, the element's E (degC), the power h (share of full), and the eight delayed
+    commands, the oldest first::
 
         block T' = contact (E - T) - loss (1 + draught noise) (T - room)
         element E' = power h - contact (E - T)
         h' = (command of 0.4 s ago - h) / power_lag
 
-    A start takes the element for as warm as the block needs it to stay where it is.
+    At a start the element is in equilibrium with the block.
     """
 
     system = SYSTEM
@@ -85,7 +85,7 @@ class ThermalPhysics(SensedPhysics):
         return DynamicsKernel(ScalarStep(thermal_step, n_carry=self.n_carry, nu=1, n_noise=1), numbers)
 
     def release_state(self, rng: np.random.Generator) -> Array:
-        """Return the block as cold as the room, or still warm."""
+        """Return the block at room temperature, or still warm."""
         return np.array([rng.uniform(ROOM, 60.0)])
 
 
@@ -100,6 +100,6 @@ def thermal_step(x: Any, u: Any, w: Any, p: Any) -> Any:
 
 @register_robot("thermal")
 def thermal(*, seed: int | None = None) -> SensedRobot:
-    """A heated block with a slow power stage and a delay, in simulation; with a ``seed`` another of its kind."""
+    """A heated block with a slow power stage and a delay, in simulation; with a ``seed`` a variant of it."""
     kind, parameters = of_kind("thermal", ThermalParameters(), seed)
     return SensedRobot(kind, ThermalPhysics(parameters), repeats=REPEATS)

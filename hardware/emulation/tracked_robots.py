@@ -19,10 +19,10 @@ NOISE_BLOCK = 1024  # frames of noise drawn at once
 
 
 class TrackedRobot(SimulatedRobot):
-    """A planar robot whose physics step at the tracker's rate; controllers see every ``repeats``-th.
+    """A planar robot whose physics step at the tracker's rate; controllers run at every ``repeats``-th step.
 
-    ``gate`` says what the body can do, if that is more than the limits that hold for most
-    (`GateLimits`). Raises `IncompatibleSystem` for another motion.
+    ``gate`` are the limits of the body's motion, if they are above the defaults (`GateLimits`). Raises
+    `IncompatibleSystem` for another motion.
     """
 
     def __init__(self, name: str, physics: Dynamics, *, repeats: int, gate: GateLimits | None = None) -> None:
@@ -40,7 +40,7 @@ class TrackedRobot(SimulatedRobot):
 
 
 class TrackedConnection(SimulatedConnection):
-    """A session with an emulated robot: each frame lets the physics take one step.
+    """A session with an emulated robot: for each frame the physics take one step.
 
     Noise, draws and the tracker's errors come from ``seed``.
     """
@@ -62,7 +62,7 @@ class TrackedConnection(SimulatedConnection):
 
     @property
     def state(self) -> Array:
-        """The true state (nx,), which a real robot does not tell."""
+        """The true state (nx,), which a real robot does not report."""
         return self._carry[0, : self._physics.system.nx].copy()
 
     def _advance(self) -> None:
@@ -81,15 +81,15 @@ class TrackedConnection(SimulatedConnection):
 
 TRACKER_DELAY = 0.004  # s from frame to arrival: "in the order of milliseconds" (paper, section 3)
 POSITION_ERROR = 0.001  # m: "in the order of millimeters" (paper, section 3)
-HEADING_ERROR = math.radians(0.3)  # what 1 mm on markers some 15 cm apart amounts to
+HEADING_ERROR = math.radians(0.3)  # from 1 mm on markers some 15 cm apart
 CORRELATION = 0.3
-"""Of one frame's error with the next: the cameras see the same markers from almost the same angle."""
+"""Correlation of one frame's error with the next: the cameras see the same markers from almost the same angle."""
 
 
 class TrackerErrorModel:
     """Adds first-order correlated normal errors to planar poses, frame by frame.
 
-    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings lie in [-pi, pi).
+    Standard deviations are 1 mm in x and y and 0.3 degrees in heading; headings are in [-pi, pi).
     """
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -98,7 +98,7 @@ class TrackerErrorModel:
         self._scale = np.array([POSITION_ERROR, POSITION_ERROR, HEADING_ERROR])
 
     def observe(self, pose: Array) -> Array:
-        """Return what the tracker makes of the true ``pose`` (3,): m, m, rad."""
+        """Return the measurement of the true ``pose`` (3,): m, m, rad."""
         measured: Array = pose + self._scale * self._error
         measured[2] = (measured[2] + math.pi) % (2.0 * math.pi) - math.pi
         fresh = math.sqrt(1.0 - CORRELATION**2)
@@ -116,10 +116,9 @@ counts for its own sample.
 
 
 class ModelRobot(SimulatedRobot):
-    """Any ``dynamics`` whose motion has a pose, seen by a tracker without errors.
+    """Any ``dynamics`` whose motion has a pose, with a tracker without errors, so that a person can drive a model.
 
-    A person drives it to feel a model (paper, section 5.2.3).
-    Raises `IncompatibleSystem` for dynamics without a motion.
+    Paper, section 5.2.3. Raises `IncompatibleSystem` for dynamics without a motion.
     """
 
     def __init__(self, name: str, dynamics: Dynamics) -> None:
@@ -138,11 +137,10 @@ class ModelRobot(SimulatedRobot):
 
 
 class ModelConnection(SimulatedConnection):
-    """A session with a model, which takes up the command in force at the start of each of its samples.
+    """A session with a model, which uses the command in force at the start of each of its samples.
 
-    It rests in the origin until the first command that is not neutral; its samples are counted from
-    there. Poses are exact at the ends of a sample and, in between, those of a state that changes
-    evenly. The body is lost from sight once the state is no longer finite.
+    It rests in the origin until the first command that is not neutral; its samples are counted from there. Poses are
+    exact at the ends of a sample and interpolated in between. The body is lost once the state is no longer finite.
     """
 
     def __init__(self, name: str, dynamics: Dynamics, *, seed: int | None) -> None:
@@ -158,7 +156,7 @@ class ModelConnection(SimulatedConnection):
 
     @property
     def gate_limits(self) -> GateLimits:
-        """None: a model may go as it likes, and its poses have no noise."""
+        """None: a model has no limits of motion, and its poses have no noise."""
         return GateLimits(speed=math.inf, yaw_rate=math.inf, jump=math.inf, turn=math.inf, frozen=None)
 
     def send(self, control: Array, *, valid_for: float) -> None:

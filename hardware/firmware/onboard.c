@@ -1,4 +1,4 @@
-/* See onboard.h. The controller's file is included, so that nothing of it need be declared twice. */
+/* See onboard.h. The controller's file is included, so that it need not be declared twice. */
 
 #include "onboard.h"
 
@@ -42,7 +42,7 @@ uint8_t onboard_buttons(const rcb_core *core, uint32_t now_ms) {
         driving = 0;
         return 0;
     }
-    if (!driving) { /* another run: nothing is remembered of the last one */
+    if (!driving) { /* another run, without memory of the last one */
         controller_reset(&memory);
         driving = 1;
         due_at = now_ms;
@@ -50,7 +50,7 @@ uint8_t onboard_buttons(const rcb_core *core, uint32_t now_ms) {
     if ((int32_t)(now_ms - due_at) >= 0) {
         controller_real observation[CONTROLLER_OBSERVATIONS], control[CONTROLLER_CONTROLS];
         due_at += period;
-        if ((int32_t)(now_ms - due_at) >= 0) { /* late by a sample or more: it is left out, never made up for */
+        if ((int32_t)(now_ms - due_at) >= 0) { /* late by a sample or more: it is skipped, not caught up */
             due_at = now_ms + period;
         }
         decided = 0;

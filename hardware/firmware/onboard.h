@@ -1,7 +1,7 @@
-/* A controller on the board: what `sysid-evo export --to c --name controller` wrote decides on the buttons.
+/* A controller on the board: the file of `sysid-evo export --to c --name controller` decides on the buttons.
  *
- * The host still holds the dead man's switch: the controller drives only while commands of the host count, whatever
- * buttons they name. The board's own file gives onboard_observe. */
+ * The host keeps the dead-man function: the controller drives only while commands of the host are accepted,
+ * whatever their buttons. The board's own file defines onboard_observe. */
 
 #ifndef ONBOARD_H
 #define ONBOARD_H
@@ -12,7 +12,7 @@
 extern "C" {
 #endif
 
-/* Wait for the host; the controller has seen nothing yet. */
+/* Wait for the host; the controller has no observations yet. */
 void onboard_init(void);
 
 /* The buttons to close at this time: those of the newest decision, none unless the core drives.
@@ -20,7 +20,7 @@ void onboard_init(void);
  * Call it at least every few ms; the controller decides once every CONTROLLER_DT. */
 uint8_t onboard_buttons(const rcb_core *core, uint32_t now_ms);
 
-/* Write what the controller is shown, in the order of its file, to the n numbers; return 0 if the robot is not seen.
+/* Write the controller's observations, in the order of its file, to the n numbers; return 0 without a pose.
  *
  * float or double as the controller was written: ONBOARD_REAL. */
 #ifndef ONBOARD_REAL

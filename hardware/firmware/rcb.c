@@ -52,7 +52,7 @@ size_t rcb_encode(const uint8_t *body, size_t length, uint8_t *out) {
     return end;
 }
 
-/* Undo COBS in place; return the decoded length, 0 if the bytes are none. */
+/* Decode COBS in place; return the decoded length, 0 if the bytes are invalid. */
 static uint8_t decode(uint8_t *data, uint8_t length) {
     uint8_t in = 0, out = 0;
     while (in < length) {
@@ -70,7 +70,7 @@ static uint8_t decode(uint8_t *data, uint8_t length) {
     return out;
 }
 
-/* Queue a frame for the wire; without room for all of it, drop it: the next one says more. */
+/* Queue a frame for the wire; without room for all of it, drop it: the next one is newer. */
 static void transmit(rcb_core *core, const uint8_t *body, uint8_t length) {
     if (core->out_begin > 0) {
         core->out_end = (uint8_t)(core->out_end - core->out_begin);
@@ -114,7 +114,7 @@ static void release(rcb_core *core, uint8_t state) {
     core->state = state;
 }
 
-/* Another session number, without a zero byte: those cost COBS codes, whose damage a CRC sees less well. */
+/* Another session number, without a zero byte: those need COBS codes, whose damage a CRC detects less well. */
 static uint16_t next_session(const rcb_core *core, uint32_t nonce) {
     uint16_t session = (uint16_t)(core->session ^ core->boot_count ^ (nonce & 0xFFFFu) ^ (nonce >> 16));
     do {
@@ -189,7 +189,7 @@ static void receive_command(rcb_core *core, const struct rcb_command *command, u
     report(core, now_ms);
 }
 
-/* Whether the buttons and their complement agree, exclude each other, and the time to live is one we grant. */
+/* Whether the buttons and their complement agree, exclude each other, and the time to live is allowed. */
 static uint8_t is_legal(uint8_t buttons, uint8_t time_to_live) {
     uint8_t const both_ways = RCB_FORWARD | RCB_BACKWARD, both_sides = RCB_LEFT | RCB_RIGHT;
     return (buttons ^ (buttons >> 4) ^ 0x0F) % 16 == 0 && (buttons & both_ways) != both_ways
@@ -229,7 +229,7 @@ void rcb_init(rcb_core *core, uint16_t firmware_build, uint8_t reset_cause, uint
 }
 
 void rcb_receive(rcb_core *core, uint8_t byte, uint32_t now_ms) {
-    rcb_tick(core, now_ms); /* first, so that a command that comes too late does not feed the deadman */
+    rcb_tick(core, now_ms); /* first, so that a late command does not reset the dead-man timer */
     if (byte != 0) {
         if (core->received < RCB_ENCODED_MAX) {
             core->in[core->received++] = byte;

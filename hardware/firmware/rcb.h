@@ -1,8 +1,8 @@
 /* RCB/1, the robot's side: frames in, buttons and frames out; plain C99 without allocation or hardware.
  *
  * Feed every byte that arrives to rcb_receive, call rcb_tick at least every 10 ms, copy rcb_buttons to the
- * pins and what rcb_transmit returns to the wire. Times are a free-running count of milliseconds that may
- * wrap. README.md beside this file describes the bytes and the rules. */
+ * pins and the bytes of rcb_transmit to the wire. Times are a free-running count of milliseconds that may
+ * wrap. README.md in this folder describes the bytes and the rules. */
 
 #ifndef RCB_H
 #define RCB_H
@@ -40,10 +40,10 @@ typedef struct rcb_core {
     uint32_t accepted; /* commands, since the start */
     struct rcb_command command; /* the last accepted one */
     uint16_t firmware_build, boot_count, session, last_sequence;
-    uint16_t offset; /* ms: the smallest robot clock less host clock of this session */
+    uint16_t offset; /* ms: the smallest robot clock minus host clock of this session */
     uint16_t crc, length, duplicate, late, trips;
     uint8_t reset_cause, state, buttons;
-    uint8_t overlong, received; /* bytes of the frame that is coming in */
+    uint8_t overlong, received; /* bytes of the incoming frame */
     uint8_t out_begin, out_end;
     uint8_t in[RCB_ENCODED_MAX];
     uint8_t out[RCB_OUTPUT_SIZE];
@@ -61,10 +61,10 @@ void rcb_tick(rcb_core *core, uint32_t now_ms);
 /* The buttons to close: never forward and backward, never left and right together. */
 uint8_t rcb_buttons(const rcb_core *core);
 
-/* How many commands have been accepted since the start. */
+/* The number of commands accepted since the start. */
 uint32_t rcb_accepted(const rcb_core *core);
 
-/* Move up to capacity bytes for the wire to out and return how many. */
+/* Move up to capacity bytes for the wire to out and return their number. */
 size_t rcb_transmit(rcb_core *core, uint8_t *out, size_t capacity);
 
 /* The size of rcb_core in bytes, for callers in other languages. */
@@ -73,7 +73,7 @@ size_t rcb_size(void);
 /* CRC-16/CCITT-FALSE. */
 uint16_t rcb_crc(const uint8_t *data, size_t length);
 
-/* Write COBS(body, CRC) and the delimiter to out, which holds length + 4 bytes; return how many were written. */
+/* Write COBS(body, CRC) and the delimiter to out, which has length + 4 bytes; return the number written. */
 size_t rcb_encode(const uint8_t *body, size_t length, uint8_t *out);
 
 #ifdef __cplusplus

@@ -1,5 +1,5 @@
 /* The remote control of the toy car on an ATmega328P (Arduino Uno, Nano): pins, clock, wire and watchdog
- * around the protocol core. Build and flash with the Makefile beside this file. */
+ * around the protocol core. Build and flash with the Makefile in this folder. */
 
 #include <avr/eeprom.h>
 #include <avr/interrupt.h>
@@ -44,7 +44,7 @@ void second(void) {
     wdt_enable(WDTO_60MS);
 }
 
-/* The only place that writes the pins. A pair that excludes itself opens everything, whoever asks for it. */
+/* The only place that writes the pins. A mutually exclusive pair opens everything, whoever requests it. */
 static void write_pins(uint8_t buttons) {
     uint8_t const both_ways = RCB_FORWARD | RCB_BACKWARD, both_sides = RCB_LEFT | RCB_RIGHT;
     if ((buttons & both_ways) == both_ways || (buttons & both_sides) == both_sides) {
@@ -59,7 +59,7 @@ ISR(USART_RX_vect) {
     uint8_t const damaged = UCSR0A & (_BV(FE0) | _BV(DOR0));
     uint8_t const byte = UDR0;
     uint8_t const next = (uint8_t)((received_end + 1) % RECEIVED_SIZE);
-    if (!damaged && next != received_begin) { /* what is lost here the checksum finds */
+    if (!damaged && next != received_begin) { /* the checksum detects a loss here */
         received[received_end] = byte;
         received_end = next;
     }

@@ -23,11 +23,11 @@ def encode(body: bytes) -> bytes:
 
 
 class FrameDecoder:
-    """Cuts a stream of bytes into frames and drops the damaged ones.
+    """Splits a stream of bytes into frames and drops the damaged ones.
 
-    Takes any bytes without an error and keeps at most one frame of them. ``crc_errors`` counts
-    frames of a legal length with a wrong checksum, ``length_errors`` those that are too long, too
-    short or not COBS; after either the next delimiter starts afresh.
+    It accepts any bytes without an error and keeps at most one frame of them. ``crc_errors`` counts frames of a legal
+    length with a wrong checksum, ``length_errors`` those that are too long, too short or not COBS; after either,
+    decoding restarts at the next delimiter.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class FrameDecoder:
 
     @property
     def buffered(self) -> int:
-        """How many bytes of an unfinished frame are kept."""
+        """Number of bytes kept of an unfinished frame."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> list[bytes]:

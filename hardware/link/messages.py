@@ -1,4 +1,4 @@
-"""The messages of RCB/1: what a frame's type and payload say, little-endian."""
+"""The messages of RCB/1: content of a frame's type and payload, little-endian."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Buttons(IntFlag):
 
 
 class State(IntEnum):
-    """What the robot does: no session, a session without a command, under command, stopped by its deadman."""
+    """Mode of the robot: no session, a session without a command, under command, stopped by its deadman."""
 
     WAITING = 0
     NEUTRAL = 1
@@ -37,7 +37,7 @@ EXCLUSIVE = (Buttons.FORWARD | Buttons.BACKWARD, Buttons.LEFT | Buttons.RIGHT)
 
 @dataclass(frozen=True)
 class Message(ABC):
-    """A message; its fields stand in the order of the wire, a field ``buttons`` takes its complement along."""
+    """A message; its fields are in the order of the wire, and a field ``buttons`` is followed by its complement."""
 
     type: ClassVar[int]
     layout: ClassVar[struct.Struct]
@@ -52,7 +52,7 @@ class Message(ABC):
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self | None:
-        """Undo `pack` without the type; None if the length, the buttons or the state are none of this message."""
+        """Inverse of `pack` without the type; None if length, buttons or state are not those of this message."""
         if len(payload) != cls.layout.size:
             return None
         names = (field.name for field in fields(cls))
@@ -71,7 +71,7 @@ class Message(ABC):
 
 @dataclass(frozen=True)
 class Hello(Message):
-    """Asks for a new session; ``nonce`` is another for each."""
+    """Asks for a new session; ``nonce`` is different for each."""
 
     type = 0x01
     layout = struct.Struct("<BBI")
@@ -97,7 +97,7 @@ class CommandMessage(Message):
 
 @dataclass(frozen=True)
 class Stop(Message):
-    """Opens all buttons and ends the session, whichever it is."""
+    """Opens all buttons and ends any session."""
 
     type = 0x03
     layout = struct.Struct("<HH")
@@ -108,7 +108,7 @@ class Stop(Message):
 
 @dataclass(frozen=True)
 class HelloAcknowledgement(Message):
-    """Answers a HELLO with what the robot is and, if the major versions agree, a session other than 0."""
+    """Answers a HELLO with the robot's identity and, if the major versions agree, a session other than 0."""
 
     type = 0x81
     layout = struct.Struct("<BBHBBHIH")
@@ -125,7 +125,7 @@ class HelloAcknowledgement(Message):
 
 @dataclass(frozen=True)
 class StatusMessage(Message):
-    """What the robot does, on its own clock in ms, and what it has refused since it started (modulo 65536)."""
+    """Mode of the robot, its clock in ms, and its counters of refused commands since it started (modulo 65536)."""
 
     type = 0x82
     layout = struct.Struct("<HHBBIHHHHH")

@@ -1,4 +1,4 @@
-"""A serial port as a descriptor: never blocks, belongs to one program, says at once that it is gone."""
+"""A serial port as a descriptor: never blocks, belongs to one program, reports at once that it is gone."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ REASONS = {
     errno.EBUSY: "another program uses it",
 }
 CHUNK = 4096
-CHUNKS = 16  # read at most at once, so that a chattering device cannot hold the host up
+CHUNKS = 16  # read at most at once, so that a device that sends continuously cannot block the host
 
 
 def only_port() -> str:
-    """Return the only serial device there is. Raises `InvalidArgument` if there are none or several."""
-    ports = sorted(map(str, BY_ID.iterdir())) if BY_ID.is_dir() else []  # the same when plugged in again
+    """Return the only serial device. Raises `InvalidArgument` if there are none or several."""
+    ports = sorted(map(str, BY_ID.iterdir())) if BY_ID.is_dir() else []  # the names do not change when plugged in again
     if len(ports) != 1:
         raise InvalidArgument(
             f"serial robot: expected port, or one device in {BY_ID} to choose; found {', '.join(ports) or 'none'}"
@@ -34,9 +34,9 @@ def only_port() -> str:
 
 
 class SerialPort:
-    """An open port, 115200 8N1. Raises `LinkLost` if it is missing, not permitted, taken, or goes away.
+    """An open port, 115200 8N1. Raises `LinkLost` if it is missing, not permitted, in use, or disconnected.
 
-    ``dropped`` counts the frames that found no room on their way out; nothing is repeated.
+    ``dropped`` counts the outgoing frames for which there was no room; nothing is repeated.
     """
 
     def __init__(self, name: str) -> None:
@@ -74,7 +74,7 @@ class SerialPort:
         return bytes(data)
 
     def write(self, frames: bytes) -> None:
-        """Hand ``frames`` to the port, or as much of them as there is room for."""
+        """Pass ``frames`` to the port, or as much of them as there is room for."""
         if self._torn:
             frames = b"\0" + frames
         try:
@@ -88,7 +88,7 @@ class SerialPort:
         self.dropped += written < len(frames)
 
     def discard(self) -> None:
-        """Throw away what has been written and not sent."""
+        """Discard data that have been written and not sent."""
         try:
             self._serial.reset_output_buffer()
         except (OSError, termios.error) as error:
@@ -96,5 +96,5 @@ class SerialPort:
         self._torn = True
 
     def close(self) -> None:
-        """Give the port back; a second call does nothing."""
+        """Release the port; a second call does nothing."""
         self._serial.close()

@@ -29,12 +29,12 @@ PATIENCE = 5.0  # s
 
 @register_robot("serial")
 class SerialRobot(Robot):
-    """The toy car behind its remote control (docs/hardware.md).
+    """The toy car with its remote control (docs/hardware.md).
 
-    ``port`` is the serial device, best by its name in /dev/serial/by-id; None for the only one
-    there. ``tracker`` is a `Tracker` or a table with its registered name as ``driver`` and its
-    arguments; without one the car can be commanded, not seen. ``patience`` is how long in s
-    `connect` tries. ``gate`` is a table of what the car can do, if that is more than `GateLimits` says.
+    ``port`` is the serial device, best by its name in /dev/serial/by-id; None for the only one there. ``tracker`` is a
+    `Tracker` or a table with its registered name as ``driver`` and its arguments; without one the car can be commanded,
+    but has no pose. ``patience`` is the time in s for which `connect` tries. ``gate`` is a table of the car's limits of
+    motion, if they are above the defaults of `GateLimits`.
     The constructor opens nothing. Raises `InvalidArgument`, `UnknownName`.
     """
 
@@ -58,7 +58,7 @@ class SerialRobot(Robot):
         self.gate = GateLimits.read(gate)
 
     def check(self) -> None:
-        """Raise `LinkLost` or `InvalidArgument` if there is no such port, and what the tracker finds missing."""
+        """Raise `LinkLost` or `InvalidArgument` if there is no such port, and the errors of the tracker's check."""
         super().check()
         port = self.port or only_port()
         if not Path(port).exists():
@@ -139,14 +139,14 @@ def _shake_hands(name: str, deadline: float) -> tuple[SerialPort, HostSession]:
         raise
 
 
-LONGEST_WAIT = 0.1  # s after which a measurement looks at the robot again
+LONGEST_WAIT = 0.1  # s after which a measurement checks the robot again
 
 
 class SerialConnection(Connection):
     """An open session; the clock is `time.monotonic`. Made by `SerialRobot.connect`.
 
-    Whatever ends it (silence, a trip, a pulled plug) ends it for good: every later call raises
-    `LinkLost`, and only another `connect` drives on. Without a tracker `measure` never sees a frame.
+    Any end (silence, a trip, an unplugged cable) is final: every later call raises `LinkLost`, and only another
+    `connect` continues. Without a tracker `measure` never returns a frame.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class SerialConnection(Connection):
 
     @property
     def acknowledgement(self) -> HelloAcknowledgement:
-        """What the robot said of itself when the session began: versions, reset cause, boot count."""
+        """The robot's message at the start of the session: versions, reset cause, boot count."""
         assert self._session.acknowledgement is not None
         return self._session.acknowledgement
 
@@ -197,7 +197,7 @@ class SerialConnection(Connection):
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What the host has counted: commands, dropped ones, good, damaged and unknown frames."""
+        """Counters of the host: commands, dropped ones, good, damaged and unknown frames."""
         return {**self._session.counters, "dropped": self._port.dropped}
 
     def send(self, control: Array, *, valid_for: float) -> None:
@@ -231,7 +231,7 @@ class SerialConnection(Connection):
                 self._tracker.close()
 
     def _listen(self) -> None:
-        """Take in all that the robot has said, then judge by the newest."""
+        """Take in all data from the robot, then check the newest."""
         if not self._open:
             raise LinkLost(f"the connection on {self._port.name} is closed: open another with connect()")
         if self._lost is not None:
@@ -258,7 +258,7 @@ STEER = {-1.0: Buttons.RIGHT, 0.0: Buttons.NONE, 1.0: Buttons.LEFT}
 def buttons_of(control: Array) -> Buttons:
     """Return the buttons for ``control`` (2,): drive and steer, each -1, 0 or 1.
 
-    Buttons that exclude each other cannot come out. Raises `ShapeError`, `InvalidArgument`.
+    Mutually exclusive buttons never result. Raises `ShapeError`, `InvalidArgument`.
     """
     values = check_shape("control", control, (CAR.nu,)).tolist()
     pressed = Buttons.NONE
@@ -270,7 +270,7 @@ def buttons_of(control: Array) -> Buttons:
 
 
 def control_of_buttons(buttons: Buttons) -> Array:
-    """Return the control (2,) that closes ``buttons``. Raises `InvalidArgument` for a pair that excludes itself."""
+    """Return the control (2,) that closes ``buttons``. Raises `InvalidArgument` for a mutually exclusive pair."""
     if any(buttons & pair == pair for pair in EXCLUSIVE):
         raise InvalidArgument(f"buttons: expected at most one of each pair, got {buttons!r}")
     drive = (Buttons.FORWARD in buttons) - (Buttons.BACKWARD in buttons)

@@ -1,4 +1,4 @@
-"""The host's side of one session with a robot: bytes in, bytes out, and when to give up; no port, no clock."""
+"""The host's side of one session with a robot: bytes in, bytes out, and time-outs; no port, no clock."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from hardware.link.messages import (
 )
 from sysid_evo.errors import IncompatibleRobot, InvalidArgument, LinkLost
 
-SILENCE = 0.25  # s without a word of the robot after which the link is lost
+SILENCE = 0.25  # s without a message of the robot after which the link is lost
 STOPS = 3
-REMEMBERED = 64  # commands whose time of sending is kept until their status comes
+REMEMBERED = 64  # commands whose time of sending is kept until their status arrives
 
 
 class HostSession:
     """One session: from the HELLO with ``nonce``, which no other session has, to the STOP.
 
-    Times are in s on the host's clock. The host repeats nothing but the HELLO: what is lost is
-    replaced by the next command. Whatever ends a session ends it for good.
+    Times are in s on the host's clock. The host repeats only the HELLO: a lost command is replaced by the next one.
+    Any end of a session is final.
     """
 
     def __init__(self, *, nonce: int) -> None:
@@ -56,7 +56,7 @@ class HostSession:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What was sent and what came: commands, good frames, damaged and unknown ones."""
+        """Number of commands sent and of frames received: good, damaged and unknown ones."""
         decoder = self._decoder
         return {
             "commands": self.commands,
@@ -67,11 +67,11 @@ class HostSession:
         }
 
     def hello(self) -> bytes:
-        """Return the frame that asks for the session; the robot takes a repetition for the same request."""
+        """Return the frame that asks for the session; a repetition is the same request for the robot."""
         return encode(Hello(MAJOR, MINOR, self.nonce).pack())
 
     def receive(self, data: bytes, now: float) -> None:
-        """Take in what came from the robot, any bytes at all; the newest status counts."""
+        """Take in bytes from the robot; the newest status counts."""
         for body in self._decoder.feed(data):
             message = unpack(body)
             if isinstance(message, HelloAcknowledgement):
@@ -84,25 +84,25 @@ class HostSession:
                 self._unknown += 1
 
     def check(self, now: float) -> None:
-        """Raise `LinkLost` if the session has ended, the robot has tripped or has been silent for long.
+        """Raise `LinkLost` if the session has ended, or the robot has tripped or has been silent for too long.
 
-        Raises `IncompatibleRobot` if it speaks another major version. Take in what has come before.
+        Raises `IncompatibleRobot` if it uses another major version. Call `receive` with all waiting bytes before.
         """
         acknowledgement = self.acknowledgement
         if acknowledgement is not None and acknowledgement.major != MAJOR:
             raise IncompatibleRobot(
-                f"the robot speaks RCB/{acknowledgement.major}.{acknowledgement.minor}, this host RCB/{MAJOR}.{MINOR}: "
+                f"the robot uses RCB/{acknowledgement.major}.{acknowledgement.minor}, this host RCB/{MAJOR}.{MINOR}: "
                 "flash the firmware of this version"
             )
         if not self._ended:
             self._ended = self._end(now)
         if self._ended:
-            raise LinkLost(f"{self._ended}; connect again to go on")
+            raise LinkLost(f"{self._ended}; connect again to continue")
 
     def command(self, buttons: Buttons, valid_for: float, now: float) -> bytes:
         """Return the frame that closes ``buttons`` for ``valid_for`` s at most, and no longer than the robot allows.
 
-        A neutral command goes before it until the robot says that it has one. Raises `LinkLost`,
+        A neutral command is sent before it until the robot has confirmed one. Raises `LinkLost`,
         `InvalidArgument`.
         """
         self.check(now)

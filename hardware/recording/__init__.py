@@ -1,1 +1,1 @@
-"""Recording: manoeuvres that excite a robot, journals of how it answers, and data sets made of them."""
+"""Recording: manoeuvres that excite a robot, journals of its response, and data sets made of them."""

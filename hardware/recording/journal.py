@@ -1,10 +1,10 @@
-"""The journal of a session: record format, writer, the recorder that listens, and reader.
+"""The journal of a session: record format, writer, recorder (a listener), and reader.
 
-Readable up to the moment of a crash: an append-only file of checked records. Each is handed to the system by
-one write as it happens, so a process that is killed loses at most the record it was writing.
+It is readable up to a crash: an append-only file of records with checksums. Each is passed to the system by one write
+as it happens, so a process that is killed loses at most the record that it was writing.
 
 A record is its length (u32, of the payload), its kind (u8), the payload and a CRC-32 of all before it;
-little-endian throughout. Text in a payload is UTF-8 behind its length.
+little-endian throughout. Text in a payload is UTF-8 after its length.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _STATUS = struct.Struct("<ddBH")
 
 
 class RecordKind(IntEnum):
-    """What a record is about; the first of a journal is its header, the last of a finished one its end."""
+    """Kind of a record; the first of a journal is its header, the last of a finished one its end."""
 
     HEADER = 1
     FRAME = 2
@@ -55,7 +55,7 @@ class RecordKind(IntEnum):
 
 @dataclass(frozen=True)
 class TimedCommand:
-    """A command, and ``robot_time``: when it was sent on the robot's clock (s; nan before the robot told its own)."""
+    """A command, and ``robot_time``: when it was sent on the robot's clock (s; NaN before its first status)."""
 
     command: Command
     robot_time: float
@@ -115,7 +115,7 @@ def unpack(kind: RecordKind, payload: bytes, system: System) -> Event:
             raise ValueError("counters")
         return RobotStatus(time, robot_time, state.decode(), control, counters)
     except (struct.error, ValueError, RecursionError) as error:
-        raise InvalidData(f"journal: a record of kind {kind.name.lower()} does not hold what it should") from error
+        raise InvalidData(f"journal: invalid content of a record of kind {kind.name.lower()}") from error
 
 
 def _numbers(values: Array) -> bytes:
@@ -128,7 +128,7 @@ def _text(text: str, longest: int) -> bytes:
 
 
 def _split(payload: bytes, start: int, lengths: tuple[int, ...], count: int) -> tuple[list[bytes], Array]:
-    """Return texts of these ``lengths`` from ``start`` on, and the ``count`` numbers that end the payload."""
+    """Return texts of these ``lengths`` from ``start``, and the ``count`` numbers at the end of the payload."""
     parts = []
     for length in lengths:
         parts.append(payload[start : start + length])
@@ -138,11 +138,11 @@ def _split(payload: bytes, start: int, lengths: tuple[int, ...], count: int) -> 
     return parts, np.frombuffer(payload, "<f8", count, start).astype(np.float64)
 
 
-TAKEN = "{}: a recording is there already; choose another folder or name"
+TAKEN = "{}: a recording exists already; choose another folder or name"
 
 
 def check_journals(folder: Path, names: Iterable[str]) -> None:
-    """Raise `InvalidArgument` unless journals of these ``names`` can be begun in ``folder``; makes nothing."""
+    """Raise `InvalidArgument` unless journals of these ``names`` can be created in ``folder``; creates nothing."""
     for name in names:
         path = folder / f"{name}{SUFFIX}"
         if path.exists():
@@ -157,7 +157,7 @@ def check_journals(folder: Path, names: Iterable[str]) -> None:
 
 
 class JournalWriter(Closeable):
-    """Appends records to a new file; nothing is kept back in this process."""
+    """Appends records to a new file, without buffering in this process."""
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ class JournalWriter(Closeable):
         self.append(MAGIC + seal(RecordKind.HEADER, pack_header({"schema": SCHEMA, **header})))
 
     def append(self, record: bytes) -> None:
-        """Write a sealed record, all of it or nothing. Raises `OSError`."""
+        """Write a sealed record completely or not at all. Raises `OSError`."""
         written = os.write(self._file, record)
         if written != len(record):
             os.ftruncate(self._file, self._size)
@@ -201,10 +201,9 @@ VERSIONS = {name: version(name) for name in ("sysid-evo", "numpy")} | {"python":
 class Recorder(Closeable, Listener):
     """Writes every frame, command and status of a session with ``robot`` to a new journal at ``path``.
 
-    ``body`` (default: the first seen) and ``limits`` tell what reads it which frames to believe.
-
+    ``body`` (default: the first seen) and ``limits`` tell readers which frames to accept.
     Each call is one write to the system's cache, some ten microseconds. A disk that cannot take a
-    record does not stop a robot: the record is counted in ``lost``, and ``problem`` says why.
+    record does not stop a robot: the record is counted in ``lost``, and ``problem`` gives the reason.
     `close` waits for the disk.
     """
 
@@ -262,10 +261,10 @@ def recorder_of(folder: Path, robot: Connectable, name: str, limits: GateLimits 
 
 @dataclass(frozen=True)
 class Journal:
-    """What a journal holds: ``events`` in the order in which they were told, ``limits`` of the gate they met.
+    """Content of a journal: ``events`` in the order of their arrival, ``limits`` of the gate during the run.
 
-    ``closed`` says whether the recorder came to its end, ``torn`` how many bytes of an unfinished
-    record were left out.
+    ``closed`` is true if the recorder was closed; ``torn`` is the number of bytes of an unfinished record that were
+    left out.
     """
 
     name: str
@@ -278,7 +277,7 @@ class Journal:
 
     @property
     def frames(self) -> tuple[Measurement, ...]:
-        """Frames of the tracker, believed or not."""
+        """Frames of the tracker, accepted or not."""
         return tuple(event for event in self.events if isinstance(event, Measurement))
 
     @property
@@ -288,13 +287,13 @@ class Journal:
 
     @property
     def statuses(self) -> tuple[RobotStatus, ...]:
-        """What the robot said of itself."""
+        """Status messages of the robot."""
         return tuple(event for event in self.events if isinstance(event, RobotStatus))
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is not as it should be, in sentences."""
-        notes = [] if self.closed else [f"{self.name}: the journal has no end, so its recorder was stopped by force"]
+        """Problems, in sentences."""
+        notes = [] if self.closed else [f"{self.name}: the journal has no end, so its recorder was killed"]
         if self.torn:
             notes.append(f"{self.name}: {self.torn} bytes of an unfinished record at the end left out")
         return tuple(notes)
@@ -303,8 +302,8 @@ class Journal:
 def read_journal(path: str | Path) -> Journal:
     """Read a journal, finished or not.
 
-    An unfinished record at the end is left out (`Journal.torn`). Raises `InvalidData` on anything
-    else that is not as `JournalWriter` writes it.
+    An unfinished record at the end is left out (`Journal.torn`). Raises `InvalidData` for any other deviation from the
+    format of `JournalWriter`.
     """
     path = Path(path)
     data = path.read_bytes()
@@ -318,7 +317,7 @@ def read_journal(path: str | Path) -> Journal:
         if closed:
             raise InvalidData(f"{path.name}, byte {end}: a record after the end of the journal")
         if (system is None) != (kind is RecordKind.HEADER):
-            raise InvalidData(f"{path.name}, byte {end}: expected one header, and first")
+            raise InvalidData(f"{path.name}, byte {end}: expected one header, as the first record")
         if system is None:
             header, system = _described(payload, path.name)
         elif kind is RecordKind.END:
@@ -378,4 +377,4 @@ def _limits(header: Mapping[str, Any], name: str) -> GateLimits:
     try:
         return GateLimits.from_dict(header["limits"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InvalidData(f"{name}: the header does not say what the gate's limits are: {error}") from error
+        raise InvalidData(f"{name}: the header has no valid limits of the gate: {error}") from error

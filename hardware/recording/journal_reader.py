@@ -22,7 +22,7 @@ from sysid_evo.types import Array, IntArray
 class JournalReader(Reader):
     """A recorder's journal as a table: ``t``, the pose and the controls under the names of its system.
 
-    Rows are numbered by frame, the first being 1; frames that the gate drops are left out.
+    Rows are numbered by frame, from 1; frames that the gate rejects are left out.
     """
 
     suffixes = (SUFFIX,)
@@ -52,17 +52,16 @@ def column_names(system: System) -> tuple[str, ...]:
 
 
 BREAK = 3.0
-"""How many periods of the tracker are left out where a track breaks: the preparation bridges up to 2.5."""
+"""Periods of the tracker that are left out where a track breaks: the preparation bridges up to 2.5."""
 CLOCK_TOLERANCE = 1e-6  # s
 
 
 def raw_log(journal: Journal, limits: GateLimits | None = None) -> RawLog:
-    """Return the run in ``journal``, from its first tick on, as rows of poses and commands in force.
+    """Return the run in ``journal``, from its first tick, as rows of poses and commands in force.
 
-    The frames pass the same gate as in the loop, or one of other ``limits``, and those that it drops are
-    left out. Where a track breaks, so many more are left out that the preparation splits there. A
-    command is in force from when it was sent until the next, for 150 ms at most. Raises `InvalidData`
-    if there are fewer than two rows.
+    The frames pass the same gate as in the loop, or one of other ``limits``; rejected ones are left out. Where a track
+    breaks, enough further frames are left out for the preparation to split there. A command is in force from its time
+    of sending until the next, for 150 ms at most. Raises `InvalidData` if there are fewer than two rows.
     """
     rows, _ = raw_log_and_frames(journal, limits)
     return rows
@@ -72,13 +71,13 @@ def raw_log_and_frames(journal: Journal, limits: GateLimits | None = None) -> tu
     """Return `raw_log` and the numbers (N,) of its frames in the journal, counted from 1."""
     commands = [event.command for event in journal.commands]
     if commands and isinstance(journal.events[-1], TimedCommand):
-        commands.pop()  # the neutral that ends a run acts on no frame of it
+        commands.pop()  # the neutral command at the end of a run acts on none of its frames
     begin = next((command.time for command in commands if command.tick >= 0), None)
     if begin is None:
         raise InvalidData(f"{journal.name}: expected a run, but no command was sent; the robot was never driven")
-    frames, numbers, broke = _believed(journal, begin, limits)
+    frames, numbers, broke = _accepted(journal, begin, limits)
     if len(frames) < 2:
-        raise InvalidData(f"{journal.name}: expected at least two frames that can be believed, got {len(frames)}")
+        raise InvalidData(f"{journal.name}: expected at least two plausible frames, got {len(frames)}")
     time = np.array([frame.source_time for frame in frames])
     kept = _apart(time, broke)
     time, numbers = time[kept], numbers[kept]
@@ -90,10 +89,10 @@ def raw_log_and_frames(journal: Journal, limits: GateLimits | None = None) -> tu
     return RawLog(journal.name, time - time[0], pose, controls), numbers
 
 
-def _believed(
+def _accepted(
     journal: Journal, begin: float, limits: GateLimits | None
 ) -> tuple[list[Measurement], IntArray, list[bool]]:
-    """Return the frames from ``begin`` on that the gate lets pass, their numbers, and which begin a track."""
+    """Return the accepted frames from ``begin``, their numbers, and which of them begin a track."""
     gate = PoseGate(journal.header.get("body"), journal.limits if limits is None else limits)
     neutral = journal.system.neutral_control
     driving, number = False, 0
@@ -114,7 +113,7 @@ def _believed(
 
 
 def _apart(time: Array, broke: list[bool]) -> IntArray:
-    """Return the rows that keep a hole before each break that no preparation bridges."""
+    """Return the rows that leave a gap before each break that no preparation bridges."""
     hole = max(MAX_GAP, BREAK * float(np.median(np.diff(time)))) + CLOCK_TOLERANCE
     kept: list[int] = []
     barrier = -np.inf

@@ -27,24 +27,24 @@ class Manoeuvre:
 
 
 Segment: TypeAlias = tuple[Array, float]
-"""A control (nu,) and how long to hold it, in s."""
+"""A control (nu,) and the time in s for which it is held."""
 
 DURATION = 360.0  # s: "about 6 minutes of driving data"
 ROUND = 300
-"""Samples that a manoeuvre of a system that goes nowhere lasts; there are as many rounds as fit."""
-SHORTEST = 1.0  # s that a manoeuvre must last to be worth a recording
-LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, leaves the launch in
+"""Approximate number of samples of each manoeuvre of a system without a motion; rounds are repeated to fit."""
+SHORTEST = 1.0  # s: the shortest manoeuvre that is recorded
+LEAD = 0.5  # s without a command at the start, so that preparation, which cuts the ends, does not cut the launch
 HOLDS = (0.1, 0.2, 0.4, 0.8, 1.6)  # s: mean time between random switches, from faster than the car to slower
 
 
 def excitation_manoeuvres(system: System, *, duration: float = DURATION, rng: np.random.Generator) -> list[Manoeuvre]:
     """Return manoeuvres of equal length, ``duration`` s in all, each with half a second of rest first.
 
-    A system without a motion gets `signal_scripts`, in as many rounds as last some `ROUND` samples each. One with
-    a motion gets twelve manoeuvres that span how it drives without racing (paper, section 3): the first control is
-    taken for the one that propels, the last for the one that steers; controls between them move in the random
-    manoeuvres only. A continuous control uses its two limits and its neutral value. Manoeuvres for which a system
-    has no control (steering, driving backward) are left out. Raises `InvalidArgument`.
+    A system without a motion gets `signal_scripts`, in rounds of about `ROUND` samples each. A system with a motion
+    gets twelve manoeuvres that cover its driving without racing (paper, section 3): the first control counts as the
+    drive, the last as the steering; controls between them move in the random manoeuvres only. A continuous control uses
+    its two limits and its neutral value. Manoeuvres that need a missing control (steering, driving backward) are left
+    out. Raises `InvalidArgument`.
     """
     scripts = _driving(system, rng) if system.motion is not None else _rounds(system, duration, rng)
     each = duration / len(scripts)
@@ -59,7 +59,7 @@ def excitation_manoeuvres(system: System, *, duration: float = DURATION, rng: np
 
 
 def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
-    """Return the signals as often as there is time for, numbered from the second round on."""
+    """Return the signals as often as there is time for, numbered from the second round."""
     scripts = signal_scripts(system, rng)
     rounds = round(duration / (len(scripts) * ROUND * system.dt))
     for number in range(2, rounds + 1):
@@ -68,7 +68,7 @@ def _rounds(system: System, duration: float, rng: np.random.Generator) -> dict[s
 
 
 def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
-    """Return an endless script for each manoeuvre; each has its own stream of random numbers."""
+    """Return an endless script for each manoeuvre, each with its own random numbers."""
     ends = _speeds(system)
     scripts: dict[str, Iterator[Segment]] = {}
 
@@ -89,7 +89,7 @@ def _driving(system: System, rng: np.random.Generator) -> dict[str, Iterator[Seg
 
 
 def _speeds(system: System) -> list[float]:
-    """Return full speed forward and, if the system can, backward."""
+    """Return full speed forward and, if the system allows it, backward."""
     high, low = extremes(system.controls[0])[[-1, 0]].tolist()
     return [high] if low == system.controls[0].neutral else [high, low]
 
@@ -103,7 +103,7 @@ def _command(system: System, propel: float, steer: float | None = None) -> Array
 
 
 def _shuffled(values: Array, rng: np.random.Generator) -> Iterator[float]:
-    """Yield all values in random order, for ever."""
+    """Yield all values in random order, endlessly."""
     while True:
         yield from rng.permutation(values).tolist()
 
@@ -126,7 +126,7 @@ def _figure_8(system: System, propel: float, rng: np.random.Generator) -> Iterat
 
 
 def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
-    """Full speed and short taps of the steering, forward and backward in turn."""
+    """Full speed and short steering pulses, forward and backward in turn."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _speeds(system):
@@ -135,7 +135,7 @@ def _weave(system: System, rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segment]:
-    """Launches in either direction, then coasting until the car stands, under every steering."""
+    """Launches in either direction, then coasting to rest, with every steering."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _speeds(system):
@@ -145,7 +145,7 @@ def _start_and_stop(system: System, rng: np.random.Generator) -> Iterator[Segmen
 
 
 def _reverse(system: System, rng: np.random.Generator) -> Iterator[Segment]:
-    """From full speed one way to full speed the other, under every steering."""
+    """From full speed in one direction to full speed in the other, with every steering."""
     steers = _shuffled(extremes(system.controls[-1]), rng)
     while True:
         for propel in _speeds(system):
@@ -171,11 +171,11 @@ SWITCH_HOLDS = (5, 15, 45)
 FASTEST, SLOWEST = 6, 150
 """Periods between which a sine sweeps, in samples."""
 SWEEP = 280
-"""Samples that the sweeps of all controls take, one after the other; then they begin anew."""
+"""Samples of the sweeps of all controls, one after the other; then they are repeated."""
 
 
 def signal_scripts(system: System, rng: np.random.Generator) -> dict[str, Iterator[Segment]]:
-    """Return an endless script for each signal, for systems that go nowhere; each has its own random numbers."""
+    """Return an endless script for each signal, for systems without a motion; each has its own random numbers."""
     scripts: dict[str, Iterator[Segment]] = {}
     for mean in STEP_HOLDS:
         scripts[f"steps-{mean * system.dt:g}"] = steps(system, mean * system.dt, rng.spawn(1)[0])
@@ -198,13 +198,13 @@ def extremes(channel: Channel) -> Array:
 
 
 def switches(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
-    """Every control jumps to a random extreme at random times, ``mean`` s apart, each for itself."""
+    """Every control jumps to a random extreme at random times, ``mean`` s apart, independently."""
     levels = [extremes(channel) for channel in system.controls]
     return _jumps(system.nu, lambda control: float(rng.choice(levels[control])), mean, rng)
 
 
 def steps(system: System, mean: float, rng: np.random.Generator) -> Iterator[Segment]:
-    """Every control jumps to a random value within its limits at random times, ``mean`` s apart, each for itself."""
+    """Every control jumps to a random value within its limits at random times, ``mean`` s apart, independently."""
     levels = [extremes(channel) for channel in system.controls]
 
     def draw(control: int) -> float:
@@ -214,7 +214,7 @@ def steps(system: System, mean: float, rng: np.random.Generator) -> Iterator[Seg
 
 
 def sweep(system: System, first: float, last: float) -> Iterator[Segment]:
-    """Each control in turn follows a sine over its limits, its period going from ``first`` to ``last`` samples."""
+    """Each control in turn follows a sine over its limits, with a period from ``first`` to ``last`` samples."""
     ends = [extremes(channel)[[0, -1]].tolist() for channel in system.controls]
     each = SWEEP // system.nu
     while True:
@@ -249,7 +249,7 @@ def _legal(channel: Channel, value: float) -> float:
 
 KINDS = ("step", "coast_down", "circle")
 HELD = {"step": 4.0, "coast_down": 2.0, "circle": 5.0}
-"""How long in s a command is held, of a system that drives; of others, 80 samples."""
+"""Time in s for which a command is held, for a system with a motion; for others, 80 samples."""
 SAMPLES = 80
 REST = 3.0  # s without a command after it, in which the body comes to rest
 
@@ -257,20 +257,19 @@ REST = 3.0  # s without a command after it, in which the body comes to rest
 def measuring_manoeuvres(system: System, kind: str) -> list[Manoeuvre]:
     """Return the manoeuvres of one ``kind``, each from rest and back to it, named KIND-CONTROL-VALUE.
 
-    After Abbeel et al. (2006); `sysid_evo.data.response` reads the answers.
-    ``step``: each control in turn goes to each of its ends, the others at rest, and back; of a system that drives, the
-    propelling one only. ``coast_down``: full speed each way, then no command. ``circle``: left and right at full and,
-    if the drive is continuous, at half speed; forwards, and backwards if it can. The last two want a motion.
-    Raises `InvalidArgument`.
+    After Abbeel et al. (2006); `sysid_evo.data.response` evaluates the responses. ``step``: each control in turn goes
+    to each of its ends, the others at rest, and back; for a system with a motion, the drive only. ``coast_down``: full
+    speed in each direction, then no command. ``circle``: left and right at full and, if the drive is continuous, at
+    half speed; forwards, and backwards if possible. The last two need a motion. Raises `InvalidArgument`.
     """
     if kind not in KINDS:
         raise InvalidArgument(f"manoeuvre: expected one of {', '.join(KINDS)}, got {kind!r}")
     if system.nu == 0:
         raise InvalidArgument("manoeuvre: expected a system with at least one control, got none")
     if kind != "step" and system.motion is None:
-        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; take step")
+        raise InvalidArgument(f"manoeuvre {kind}: expected a system that drives, this one has no motion; use step")
     if kind == "circle" and system.nu < 2:
-        raise InvalidArgument("manoeuvre circle: expected a control that propels and one that steers, got one control")
+        raise InvalidArgument("manoeuvre circle: expected a drive and a steering control, got one control")
     made: list[Manoeuvre] = []
     for control, value, steer in _commands(system, kind):
         command = system.neutral_control.copy()

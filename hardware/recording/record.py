@@ -32,7 +32,7 @@ PAUSE = 2.0  # s in neutral between manoeuvres of a physical robot, so that each
 
 @dataclass(frozen=True)
 class RecordingResult:
-    """What a recording left: its logs and data set, how its last run ended, what is to be said about it."""
+    """Result of a recording: its logs and data set, and the report of its last run."""
 
     logs: tuple[RawLog, ...]
     dataset: Dataset
@@ -41,7 +41,7 @@ class RecordingResult:
 
 @dataclass(frozen=True)
 class RecordingJob:
-    """How one recording is made: its seed, the folder of its journals, who may stop it, who hears of its progress.
+    """Settings of one recording: its seed, the folder of its journals, its stop request, its progress.
 
     Without a ``folder`` journals are temporary. The same seed gives the same recording on an emulated robot.
     """
@@ -53,9 +53,9 @@ class RecordingJob:
 
 
 def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
-    """Drive these manoeuvres through the control loop, and prepare what was recorded, whole or not.
+    """Drive these manoeuvres through the control loop, and prepare the recording, complete or not.
 
-    Raises `LinkLost` or `InvalidData` if it is too short to make a data set of it.
+    Raises `LinkLost` or `InvalidData` if it is too short for a data set.
     """
     check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
@@ -81,11 +81,11 @@ def record_journals(
 ) -> LoopReport:
     """Drive each manoeuvre through the control loop into a journal of its own, ``folder/NAME.rcj``.
 
-    An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays
-    connected and stands in neutral for 2 s in between. The first fault ends the recording: the
-    report says which, and the journals keep what was recorded. ``progress`` counts control samples.
-    Raises `LinkLost` if the robot cannot be reached; before it connects, `InvalidArgument` if one of
-    the journals is there already or cannot be, `IncompatibleSystem` if the loop cannot drive the system.
+    An emulated robot begins each in a session of its own, drawn from ``seed``; a physical one stays connected and is at
+    rest in neutral for 2 s in between. The first fault ends the recording: the report names it, and the journals keep
+    the data up to it. ``progress`` counts control samples. Raises `LinkLost` if the robot cannot be reached; before it
+    connects, `InvalidArgument` if one of the journals exists or cannot be created, `IncompatibleSystem` if the loop
+    cannot drive the system.
     """
     if not manoeuvres:
         raise InvalidArgument("record: expected at least one manoeuvre, got none")
@@ -94,7 +94,7 @@ def record_journals(
     total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
     done = 0
     stop = StopRequest() if stop is None else stop
-    # Journals wait for the disk when they close, which may take longer than a robot goes without a command.
+    # Journals wait for the disk when they close, which may take longer than the time to live of a command.
     with ExitStack() as journals, ExitStack() as stack:
         connection: Connection | None = None
         for number, manoeuvre in enumerate(manoeuvres):
@@ -108,14 +108,14 @@ def record_journals(
                 report = _run(connection, robot, rest, (), stop)
                 if report.reason.is_fault:
                     return report
-            told = None if progress is None else _counter(progress, done, total)
+            on_decision = None if progress is None else _counter(progress, done, total)
             path = folder / f"{manoeuvre.name}{SUFFIX}"
             recorder = journals.enter_context(
                 Recorder(path, robot.system, robot=robot.name, limits=connection.gate_limits)
             )
-            report = _run(connection, robot, manoeuvre, (recorder,), stop, told)
+            report = _run(connection, robot, manoeuvre, (recorder,), stop, on_decision)
             if recorder.problem is not None:
-                raise InvalidData(f"the recording has holes, {recorder.lost} records are lost: {recorder.problem}")
+                raise InvalidData(f"the recording has gaps, {recorder.lost} records are lost: {recorder.problem}")
             if report.reason.is_fault:
                 return report
             done += len(manoeuvre.controls)
@@ -127,11 +127,11 @@ class ManoeuvrePilot(Pilot):
 
     def __init__(self, manoeuvre: Manoeuvre, on_decision: Callable[[int], None] | None = None) -> None:
         self._controls = manoeuvre.controls
-        self._told = on_decision
+        self._on_decision = on_decision
 
     def decide(self, tick: int, estimate: StateEstimate) -> Array | None:
-        if self._told is not None:
-            self._told(min(tick, len(self._controls)))
+        if self._on_decision is not None:
+            self._on_decision(min(tick, len(self._controls)))
         return self._controls[tick] if tick < len(self._controls) else None
 
 
@@ -141,7 +141,7 @@ def _run(
     manoeuvre: Manoeuvre,
     listeners: Sequence[Recorder],
     stop: StopRequest,
-    told: Callable[[int], None] | None = None,
+    on_decision: Callable[[int], None] | None = None,
 ) -> LoopReport:
     loop = ControlLoop(
         connection,
@@ -150,7 +150,7 @@ def _run(
         estimator=NewestPoseEstimator(robot.system),
         stop=stop,
     )
-    return loop.run(ManoeuvrePilot(manoeuvre, told))
+    return loop.run(ManoeuvrePilot(manoeuvre, on_decision))
 
 
 def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]:
@@ -158,9 +158,9 @@ def _counter(progress: Progress, done: int, total: int) -> Callable[[int], None]
 
 
 def read_logs(folder: Path, names: Iterable[str], limits: GateLimits | None = None) -> list[RawLog]:
-    """Return the raw logs of the journals of these manoeuvres, leaving out those that hold no run.
+    """Return the raw logs of the journals of these manoeuvres, without those that contain no run.
 
-    ``limits`` are for another gate than the one a journal names.
+    ``limits`` are those of another gate than the one in a journal.
     """
     logs = []
     for name in names:
@@ -185,14 +185,14 @@ def prepare_logs(logs: Sequence[RawLog], system: System) -> Dataset:
     episodes = [episode for one in made for episode in one.episodes]
     notes = [*left_out, *said_once(made)]
     if not episodes:
-        raise InvalidData("\n".join(["the recording is too short to make a data set of it:", *notes]))
+        raise InvalidData("\n".join(["the recording is too short for a data set:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))
 
 
 def store_journals(folder: Path, runs: Iterable[tuple[str, GateLimits | None]], system: System) -> Dataset | None:
-    """Store what the journals of these runs in ``folder`` hold as CSV (``raw/``) and as a data set, and return that.
+    """Store the journals of these runs in ``folder`` as CSV (``raw/``) and as a data set, which is returned.
 
-    Each run has a name, and limits for another gate than the one its journal names. None if no journal holds a run.
+    Each run has a name, and limits of another gate than the one in its journal. None if no journal contains a run.
     Raises `InvalidData` if all are too short.
     """
     logs = [log for name, limits in runs for log in read_logs(folder / JOURNALS, [name], limits)]

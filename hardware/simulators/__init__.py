@@ -1,1 +1,1 @@
-"""Simulators of others as robots, one module each: how they are recorded and how controllers run in them."""
+"""External simulators as robots, one module each: their recording, and controllers run in them."""

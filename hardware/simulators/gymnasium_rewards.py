@@ -1,7 +1,7 @@
 """Kernel functions: rewards and ends of the classic environments over lanes.
 
-``before``, ``control`` and ``after`` hold rows of 64 trials, of which ``lane`` is one. The rules are those of the
-environments themselves, as Gymnasium documents them.
+``before``, ``control`` and ``after`` are rows of 64 trials, of which ``lane`` is one. The rules are those of the
+environments, as documented by Gymnasium.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ CONTINUOUS_GOAL, GOAL = 0.45, 0.5
 
 
 def pendulum(before, control, after, lane):
-    """Minus the square of the angle from upright, and a little of the speed's and the torque's."""
+    """Minus the square of the angle from upright, and small shares of the squares of speed and torque."""
     angle = before[lane] - TURN * nearest(before[lane] * PER_TURN)
     speed = min(max(before[LANES + lane], -FASTEST_SWING), FASTEST_SWING)
     return -(angle * angle + 0.1 * speed * speed + 0.001 * control[lane] * control[lane])
 
 
 def never(after, lane):
-    """The pendulum goes on until its time is up."""
+    """The pendulum continues until its time is up."""
     return 0.0
 
 
@@ -40,7 +40,7 @@ def fallen(after, lane):
 
 
 def continuous_hill(before, control, after, lane):
-    """100 at the goal, less a tenth of the square of every force."""
+    """100 at the goal, minus a tenth of the square of every force."""
     return 100.0 * on_continuous_hill(after, lane) - 0.1 * control[lane] * control[lane]
 
 
@@ -60,7 +60,7 @@ def on_hill(after, lane):
 
 
 def acrobot(before, control, after, lane):
-    """Every step costs 1, but for the one that reaches the height."""
+    """Every step costs 1, except the one that reaches the height."""
     return raised(after, lane) - 1.0
 
 

@@ -29,15 +29,15 @@ if TYPE_CHECKING:
 class GymnasiumRobot(SimulatorRobot):
     """An environment of Gymnasium, by its ``id``.
 
-    The states are its observations: a Box of numbers in a row. ``angle`` says which of them are angles, so that they
+    The states are its observations: a Box of numbers in a row. ``angle`` names those that are angles, so that they
     become one periodic state: ``"0,1"`` for a cosine and its sine, ``"2"`` for an angle in rad, several separated by
     semicolons. ``channels`` names the states and ``controls`` the controls, with units in brackets:
     ``"angle [rad], speed [rad/s]"``, ``"force [N]"``. ``dt`` (s) is the time from one step to the next, by default
-    what the environment says of itself. The classic environments have names, units and angles already. ``settings`` is
-    a table of what `gymnasium.make` is given besides.
+    that of the environment. The classic environments have names, units and angles already. ``settings`` is a table of
+    further arguments of `gymnasium.make`.
 
-    An environment of a package of its own is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no
-    such environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
+    An environment of another package is named ``"package:Name-v0"``. Raises `InvalidArgument` if there is no such
+    environment, `IncompatibleSystem` if its spaces cannot be states and controls, `MissingExtra`.
     """
 
     requires: ClassVar[tuple[str, ...]] = ("gymnasium",)
@@ -68,7 +68,7 @@ class GymnasiumRobot(SimulatorRobot):
 class GymnasiumSimulator(ExternalSimulator):
     """The environment called ``name``, made with ``settings``: states and controls for observations and actions.
 
-    One that is ``settable`` can be put into any state, as the classic ones can: its attribute ``state`` holds them.
+    A ``settable`` one can be put into any state, like the classic ones: its attribute ``state`` holds all states.
     """
 
     name: str
@@ -89,7 +89,7 @@ class GymnasiumSimulator(ExternalSimulator):
         dt: float | None,
         settings: Mapping[str, Any],
     ) -> GymnasiumSimulator:
-        """Make the environment once, look at its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
+        """Make the environment once, read its spaces, and close it. The arguments are those of `GymnasiumRobot`."""
         what, known = f"robot gymnasium({name})", KNOWN.get(name)
         env = make_environment(name, settings)
         try:
@@ -138,17 +138,17 @@ class GymnasiumSession(SimulatorSession):
 
 
 def make_environment(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
-    """Return the environment called ``name``. Raises `InvalidArgument` that says why there is none."""
+    """Return the environment called ``name``. Raises `InvalidArgument` with the reason if there is none."""
     import gymnasium
 
     try:
         return gymnasium.make(name, disable_env_checker=True, **settings)
     except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
-        raise InvalidArgument(f"robot gymnasium: no environment can be made of {name!r}: {error}") from error
+        raise InvalidArgument(f"robot gymnasium: cannot make the environment {name!r}: {error}") from error
 
 
 def _keeps_its_states(env: gymnasium.Env[Any, Any], observations: ObservationMap) -> bool:
-    """Whether its attribute ``state`` holds the states that it shows, so that it can be put into any."""
+    """Whether its attribute ``state`` holds its states, so that it can be put into any."""
     observation, _ = env.reset(seed=0)
     kept: Any = getattr(env.unwrapped, "state", None)
     shown = observations.state(observation)
@@ -161,23 +161,22 @@ def _keeps_its_states(env: gymnasium.Env[Any, Any], observations: ObservationMap
 
 
 def _dt(what: str, env: gymnasium.Env[Any, Any]) -> float:
-    """Return the time of a step as the environment says it: ``dt``, ``tau``, or one picture of its drawing."""
+    """Return the time of a step from the environment: ``dt``, ``tau``, or one frame of its rendering."""
     inner = env.unwrapped
     rate = (inner.metadata or {}).get("render_fps")
     for value in (getattr(inner, "dt", None), getattr(inner, "tau", None), 1.0 / rate if rate else None):
         if isinstance(value, int | float) and math.isfinite(value) and value > 0.0:
             return float(value)
-    raise InvalidArgument(f"{what}: the environment does not say how long a step is; give dt=..., in s")
+    raise InvalidArgument(f"{what}: the environment does not define the time of a step; give dt=..., in s")
 
 
 @dataclass(frozen=True)
 class KnownEnvironment:
-    """What the spaces of an environment do not say.
+    """Properties that the spaces of an environment do not contain.
 
-    ``states`` and ``controls`` are its channels, ``scale`` how far the states go; ``angle`` says which observations are
-    angles, see `parse_angles`.
-    Its own state, which ``env.unwrapped.state`` holds, are the same numbers in the same order, so that a trial can
-    begin anywhere.
+    ``states`` and ``controls`` are its channels, ``scale`` is the range of the states; ``angle`` names the observations
+    that are angles, see `parse_angles`. ``env.unwrapped.state`` has the same numbers in the same order, so that a trial
+    can begin anywhere.
     """
 
     states: tuple[Channel, ...]
@@ -232,25 +231,25 @@ KNOWN: Mapping[str, KnownEnvironment] = {
 """By the environment's id. The upright pendulum and cart-pole have angle 0; the hanging acrobot has."""
 
 LARGEST = 1e6
-"""A limit beyond this is none."""
+"""A limit beyond this counts as none."""
 MOST = 64
-"""More observations than this are no state of a small model but a picture."""
+"""More observations than this are not a state of a small model but an image."""
 NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
 
 @dataclass(frozen=True)
 class ObservationMap:
-    """How observations (n,) become states: each state is one observation, or an angle.
+    """Conversion of observations (n,) to states: each state is one observation, or an angle.
 
-    ``places`` holds for each state the observation it is, or the cosine and the sine that it is the angle of;
-    ``wrapped`` are the states that are angles, one number or two.
+    ``places`` has for each state its observation, or the cosine and the sine of its angle; ``wrapped`` are the states
+    that are angles, from one number or two.
     """
 
     places: tuple[tuple[int, ...], ...]
     wrapped: frozenset[int]
 
     def state(self, observation: npt.ArrayLike) -> Array:
-        """Return the states (..., nx) that ``observation`` (..., n) shows; angles are in (-pi, pi]."""
+        """Return the states (..., nx) of ``observation`` (..., n); angles are in (-pi, pi]."""
         seen = np.asarray(observation, dtype=np.float64)
         columns = [
             np.arctan2(seen[..., place[1]], seen[..., place[0]]) if len(place) == 2 else seen[..., place[0]]
@@ -278,14 +277,14 @@ def parse_angles(what: str, text: str, n: int) -> tuple[tuple[int, ...], ...]:
         groups.append(group)
     used = [number for group in groups for number in group]
     if len(set(used)) < len(used):
-        raise InvalidArgument(f"{what}: angle: an observation stands in two angles of {text!r}")
+        raise InvalidArgument(f"{what}: angle: an observation occurs in two angles of {text!r}")
     return tuple(groups)
 
 
 def observation_map(what: str, space: gymnasium.Space[Any], angle: str) -> tuple[ObservationMap, tuple[Channel, ...]]:
-    """Return how observations in ``space`` become states, and the channels of these, named by their numbers.
+    """Return the conversion of observations in ``space`` to states, and their channels, named by their numbers.
 
-    Raises `IncompatibleSystem` if they are no plain vector of numbers.
+    Raises `IncompatibleSystem` if they are not a plain vector of numbers.
     """
     from gymnasium import spaces
 
@@ -337,13 +336,13 @@ def control_channels(what: str, space: gymnasium.Space[Any]) -> tuple[Channel, .
 
 @dataclass(frozen=True)
 class ActionMap:
-    """How a control (nu,) in the units of ``controls`` becomes an action of ``space``."""
+    """Conversion of a control (nu,) in the units of ``controls`` to an action of ``space``."""
 
     space: gymnasium.Space[Any]
     controls: tuple[Channel, ...]
 
     def action(self, control: Array) -> Any:
-        """Return the action of ``control``; a discrete one is taken at its nearest level."""
+        """Return the action of ``control``; a discrete one is rounded to its nearest level."""
         from gymnasium import spaces
 
         if isinstance(self.space, spaces.Box):
@@ -359,7 +358,7 @@ class ActionMap:
 
 
 def named_channels(what: str, given: str, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
-    """Return ``channels`` under the names ``given``, separated by commas, each with its unit in brackets if it has one.
+    """Return ``channels`` with the names ``given``, separated by commas, each with its unit in brackets if it has one.
 
     Raises `InvalidArgument` for another number of names.
     """
@@ -377,7 +376,7 @@ def named_channels(what: str, given: str, channels: tuple[Channel, ...]) -> tupl
 
 
 def _limited(name: str, low: float, high: float) -> Channel:
-    """Return a channel with the limits that mean something."""
+    """Return a channel with those limits that are finite and not huge."""
     if not low < high:
         return Channel(name)
     return Channel(name, low=low if low > -LARGEST else -np.inf, high=high if high < LARGEST else np.inf)

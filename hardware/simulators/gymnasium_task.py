@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KnownReward:
-    """The reward of a step and when it is the last, see `rewards`.
+    """The reward of a step and the end of a trial, see `rewards`.
 
-    ``least`` is the lowest reward of a step, ``horizon`` the steps after which the environment's time is up. ``most``
-    is the highest reward of a step, if every step can bring it.
+    ``least`` is the lowest reward of a step, ``horizon`` the number of steps until the environment's time is up.
+    ``most`` is the highest reward of a step, if every step can give it.
     """
 
     reward: Callable[..., float]
@@ -55,7 +55,7 @@ RULES: Mapping[str, KnownReward] = {
     "MountainCarContinuous-v0": CLIMB,
     "Acrobot-v1": KnownReward(gymnasium_rewards.acrobot, gymnasium_rewards.raised, -1.0, 500),
 }
-"""Those of the classic environments."""
+"""Rewards of the classic environments."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,15 @@ class EnvironmentTaskState(TaskState):
 
 @register_task("environment")
 class EnvironmentTask(Task):
-    """Fitness is the sum of the rewards of the environment ``id``, as it gives them itself.
+    """Fitness is the sum of the rewards of the environment ``id``.
 
-    A trial begins where the environment begins an episode with the trial's seed. It is over where the environment
-    ends it, or after ``horizon`` steps, by default those of the environment. The controller is shown a constant 1, then
-    every state: of an angle the sine and the cosine, of any other the distance from rest in units of its scale.
-    The rewards of the classic environments are known as functions and compiled. Any other is put into each state and
-    asked, which takes some hundred times as long; its attribute ``state`` must hold all that it depends on, in
-    the order of its states. What it rewards below ``lowest`` counts as that; by default a little less than what
-    random steps showed. Raises `IncompatibleTask` for one that cannot be asked, `InvalidArgument`.
+    A trial begins where the environment begins an episode with the trial's seed. It ends where the environment
+    ends it, or after ``horizon`` steps, by default those of the environment. The controller observes a constant 1, then
+    every state: the sine and the cosine of an angle, the distance from rest in units of its scale for any other.
+    The rewards of the classic environments are known as functions and compiled. For any other the environment is put
+    into each state and stepped, which takes some hundred times as long; its attribute ``state`` must hold everything
+    that it depends on, in the order of its states. Rewards below ``lowest`` count as that; by default it is slightly
+    below the rewards of random steps. Raises `IncompatibleTask` if the reward cannot be computed, `InvalidArgument`.
     """
 
     fitness_unit = "reward"
@@ -94,7 +94,7 @@ class EnvironmentTask(Task):
         if self.asked is not None and lowest is not None:
             self.asked = found = replace(self.asked, least=lowest)
         elif lowest is not None:
-            raise InvalidArgument(f"task environment: the least reward of {id} is known, {found.least:g}")
+            raise InvalidArgument(f"task environment: the lowest reward of {id} is known, {found.least:g}")
         self.horizon = found.horizon if horizon is None else horizon
         if self.horizon < 1:
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
@@ -102,7 +102,7 @@ class EnvironmentTask(Task):
 
     @property
     def scale(self) -> tuple[float, ...]:
-        """How far each state goes."""
+        """Range of each state."""
         if self.known is not None:
             return self.known.scale
         assert self.asked is not None
@@ -114,7 +114,7 @@ class EnvironmentTask(Task):
             n, controls = len(self.asked.scale), self.asked.controls
             if system.nx != n or _size(system.controls) != _size(controls):
                 raise IncompatibleTask(
-                    f"the task of {self.id} needs {n} states, those in which the environment keeps itself, and its own "
+                    f"the task of {self.id} needs {n} states, those of the environment itself, and its own "
                     f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
                     f"controls {', '.join(system.control_names) or 'none'}"
                 )
@@ -212,7 +212,7 @@ class EnvironmentTask(Task):
 
 
 def _size(channels: tuple[Channel, ...]) -> list[tuple[float, ...]]:
-    """Return what counts of controls whose names are not known."""
+    """Levels or limits of each control, to compare controls whose names may differ."""
     return [channel.levels or (channel.low, channel.high) for channel in channels]
 
 
@@ -231,7 +231,7 @@ def initial_states(name: str, seeds: tuple[int, ...]) -> Array:
     begun = []
     for seed in seeds:
         env.reset(seed=seed % LONGEST_SEED)
-        begun.append(np.array(vars(env.unwrapped)["state"], dtype=np.float64))  # every one that can be asked keeps one
+        begun.append(np.array(vars(env.unwrapped)["state"], dtype=np.float64))  # every queried environment has one
     env.close()
     states = np.array(begun)
     states.flags.writeable = False
@@ -239,17 +239,17 @@ def initial_states(name: str, seeds: tuple[int, ...]) -> Array:
 
 
 TRIED = 400
-"""Random steps from which the lowest reward and the size of the states are taken."""
+"""Number of random steps for the lowest reward and the range of the states."""
 LONGEST = 500
-"""Steps of a trial where the environment has no end of its time."""
+"""Number of steps of a trial if the environment has no time limit."""
 
 
 @dataclass(frozen=True)
 class QueriedReward:
     """The environment called ``id``, whose attribute ``state`` (n,) holds all that its steps depend on.
 
-    ``least`` is the lowest reward of some hundred random steps, and a tenth of their range less; ``scale`` (n,) how
-    far its states went; ``horizon`` the steps after which its time is up.
+    ``least`` is the lowest reward of some hundred random steps, minus a tenth of their range; ``scale`` (n,) is the
+    range of its states; ``horizon`` the number of steps until its time is up.
     """
 
     id: str
@@ -260,7 +260,7 @@ class QueriedReward:
 
     @classmethod
     def of(cls, name: str) -> QueriedReward:
-        """Try the environment called ``name``. Raises `IncompatibleTask` if its reward cannot be asked for."""
+        """Try the environment called ``name``. Raises `IncompatibleTask` if its reward cannot be computed."""
         env = make_environment(name, {})
         inner: Any = env.unwrapped
         rng = np.random.default_rng(0)
@@ -269,8 +269,8 @@ class QueriedReward:
         kept: Any = getattr(inner, "state", None)
         if kept is None or np.ndim(kept) != 1:
             raise IncompatibleTask(
-                f"task environment: {name} has no attribute state, a row of numbers into which it could be put, so "
-                "that its reward cannot be computed. Write it as a function: register_reward"
+                f"task environment: {name} has no attribute state, a row of numbers that can be set, so "
+                "its reward cannot be computed. Write it as a function: register_reward"
             )
         rewards, seen = [], []
         for _ in range(TRIED):
@@ -279,8 +279,8 @@ class QueriedReward:
             first, again = (_stepped(inner, before, action) for _ in range(2))
             if not np.array_equal(first, again):
                 raise IncompatibleTask(
-                    f"task environment: {name}, put twice into one state, went on in two ways: its state is not all "
-                    "that it depends on, so that its reward cannot be computed. Write it as a function: register_reward"
+                    f"task environment: {name}, put into the same state twice, continued differently: it depends on "
+                    "more than its state, so its reward cannot be computed. Write it as a function: register_reward"
                 )
             rewards.append(float(first[-2]))
             if first[-1]:
@@ -295,13 +295,13 @@ class QueriedReward:
         """Return the rewards (B,) of steps from states (B, n) under controls (B, nu), and which were the last."""
         actions = ActionMap(self.environment.action_space, controls)
         inner: Any = self.environment.unwrapped
-        told = [_stepped(inner, x, actions.action(u))[-2:] for x, u in zip(before, control, strict=True)]
-        rewards, over = np.array(told, dtype=np.float64).reshape(-1, 2).T
+        results = [_stepped(inner, x, actions.action(u))[-2:] for x, u in zip(before, control, strict=True)]
+        rewards, over = np.array(results, dtype=np.float64).reshape(-1, 2).T
         return np.where(rewards >= self.least, rewards, self.least), over > 0.0
 
     @property
     def controls(self) -> tuple[Channel, ...]:
-        """Its actions as channels, by whatever names."""
+        """Its actions as channels, with any names."""
         return control_channels(f"task environment: {self.id}", self.environment.action_space)
 
 

@@ -1,4 +1,4 @@
-"""Excitation of a simulator (steps, sweeps, random feedback) and the data set it gives."""
+"""Excitation of a simulator (steps, sweeps, random feedback) and the resulting data set."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from sysid_evo.system import System
 from sysid_evo.types import Array
 
 FEWEST = 100
-"""Samples that every script must last to be worth a recording."""
+"""Minimum number of samples of every script."""
 SHORTEST = 2
-"""Samples of an episode that is kept."""
+"""Minimum number of samples of an episode that is kept."""
 
 HOLDS = (1.0, 4.0, 12.0)
-"""Mean samples from one step of a control to the next, from faster than most systems to slower."""
+"""Mean samples between steps of a control, from faster than most systems to slower."""
 
 SCRIPTS = (*(f"steps-{hold:g}" for hold in HOLDS), "sweep", *(f"feedback-{i}" for i in range(1, 5)))
-"""Feedback is half of the recording."""
+"""Half of the recording is feedback."""
 
 
 def record_simulator(simulator: ExternalSimulator, duration: float, job: RecordingJob) -> RecordingResult:
-    """Excite ``simulator`` for ``duration`` s of its time and return what it showed.
+    """Excite ``simulator`` for ``duration`` s of its time and return the recording.
 
-    An eighth of the time goes to each of steps of three lengths, sine sweeps, and four times random feedback.
-    Whenever an episode ends, because it is over or its time is up, the next begins where the simulator puts it.
-    The same seed gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the
-    simulator returns what is no number or ends every episode at once.
+    An eighth of the time is used for each of steps of three lengths, sine sweeps, and four times random feedback. When
+    an episode ends, because it is over or its time is up, the next begins with a reset of the simulator. The same seed
+    gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the simulator returns
+    numbers that are not finite or ends every episode at once.
     """
     system, stops = simulator.system, job.stops
     each = samples_each(simulator, duration)
@@ -134,17 +134,17 @@ SWEEP = 200
 FASTEST, SLOWEST = 4.0, 100.0
 """Samples in one period at either end of a sweep."""
 FEEDBACK = 0.2
-"""Mean share of a feedback's samples in which a step stands in for it."""
+"""Mean share of the samples of a feedback that are replaced by steps."""
 FEW, AGAIN, NEAR = 20, 0.5, 0.1
-"""Feedbacks tried before one comes again, the share of episodes in which one does, and how far its weights move."""
+"""Number of feedbacks before one is reused, share of episodes with a reused one, and change of its weights."""
 
 
 class ExcitationScript(ABC):
-    """Gives one control after the other, for ever: numbers in [-1, 1] for `System.actuate`."""
+    """An endless sequence of controls: numbers in [-1, 1] for `System.actuate`."""
 
     @abstractmethod
     def begin(self, lasted: int) -> None:
-        """Start anew: an episode begins; the one before ``lasted`` so many steps, 0 if there was none."""
+        """Begin an episode; the one before ``lasted`` that many steps, 0 if there was none."""
 
     @abstractmethod
     def next(self, state: Array) -> Array:
@@ -152,7 +152,7 @@ class ExcitationScript(ABC):
 
 
 class RandomSteps(ExcitationScript):
-    """Every control jumps to a value at random times, each for itself; one time in three to one of its limits."""
+    """Every control jumps to a value at random times, independently; one time in three to one of its limits."""
 
     def __init__(self, system: System, mean: float, rng: np.random.Generator) -> None:
         self._rng, self._mean = rng, mean
@@ -172,7 +172,7 @@ class RandomSteps(ExcitationScript):
 
 
 class SineSweep(ExcitationScript):
-    """Sines that grow faster, from one period in 100 samples to one in 4, each control at its own phase and height."""
+    """Sines of rising frequency, from one period in 100 samples to one in 4, each control with its phase and height."""
 
     def __init__(self, system: System, rng: np.random.Generator) -> None:
         self._rng, self._nu = rng, system.nu
@@ -192,12 +192,12 @@ class SineSweep(ExcitationScript):
 
 
 class RandomFeedback(ExcitationScript):
-    """A feedback towards a state seen before, with weights drawn for every episode and some steps in between.
+    """A feedback towards an earlier state, with weights drawn for every episode and some steps in between.
 
-    A system whose episodes end soon under any fixed sequence, as those of a cart with a pole do, lasts under
-    some feedbacks, and swings far under others. Every second episode takes weights near those of one that lasted
-    long, so that it goes where the state can be kept. ``seen`` are states (N, nx) that give scale and aims,
-    ``tried`` the steps that earlier feedbacks lasted and their weights (nu, n), to which this one adds.
+    A system whose episodes end soon under any fixed sequence, such as a cart with a pole, lasts under some feedbacks,
+    and has large motions under others. Every second episode uses weights near those of one that lasted long, so that it
+    goes where the state can be kept. ``seen`` are states (N, nx) that give scale and targets, ``tried`` the durations
+    in steps and weights (nu, n) of earlier feedbacks, to which this one adds.
     """
 
     def __init__(self, system: System, seen: Array, tried: list[tuple[int, Array]], rng: np.random.Generator) -> None:
@@ -223,7 +223,7 @@ class RandomFeedback(ExcitationScript):
         return np.tanh(self._weights @ ((self._system.regressors(state) - self._aim) * self._scale))
 
     def _drawn(self) -> Array:
-        """Return new weights, or some near those that lasted longest."""
+        """Return new weights, or weights near those that lasted longest."""
         drawn = self._rng.standard_normal(self._weights.shape)
         if len(self._tried) >= FEW and self._rng.random() < AGAIN:
             longest = sorted(self._tried, key=lambda one: -one[0])[: max(1, len(self._tried) // 20)]

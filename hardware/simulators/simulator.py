@@ -1,6 +1,6 @@
-"""The contract of a simulator that steps when told, and the runner of controllers in it.
+"""The contract of a simulator that advances step by step, and the runner of controllers in it.
 
-A simulator runs episodes: each is begun from a seed and steps one sample at a time until it is over. None of it is
+A simulator runs episodes: each is begun from a seed and advances one sample at a time until it is over. It does not run
 in real time.
 """
 
@@ -26,13 +26,13 @@ from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
 LONGEST_SEED = 2**31
-"""Seeds of episodes lie below it."""
+"""Upper bound of the seeds of episodes."""
 
 
 class ExternalSimulator(ABC):
-    """What steps when it is told to; ``name`` is what people call it.
+    """A simulator that advances only when it is stepped; ``name`` is shown in reports.
 
-    One that is ``settable`` can be put into any state of its ``system``.
+    A ``settable`` one can be put into any state of its ``system``.
     """
 
     name: str
@@ -49,7 +49,7 @@ class SimulatorSession(Closeable):
 
     @abstractmethod
     def reset(self, seed: int, at: Array | None = None) -> Array:
-        """Begin an episode and return its first state (nx,); ``at`` puts one that is settable into that state."""
+        """Begin an episode and return its first state (nx,); ``at`` puts a settable simulator into that state."""
 
     @abstractmethod
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
@@ -58,21 +58,21 @@ class SimulatorSession(Closeable):
 
 ENGINE = "environment"
 AT_ONCE = 128
-"""Sessions that run side by side, so that controller and task are asked once for all."""
+"""Number of sessions that run in parallel, with one call of controller and task for all."""
 
 
 @dataclass(frozen=True)
 class SimulatorRunner:
     """Runs every candidate in the simulator itself, step by step: its column of the transfer matrix.
 
-    A trial begins in the state in which the task begins it, if the simulator can be put there, else where its
-    own reset with the trial's seed puts it. It is over when the simulator or the task ends it.
+    A trial begins in the initial state of the task, if the simulator can be put there, else with the simulator's own
+    reset with the trial's seed. It is over when the simulator or the task ends it.
     """
 
     simulator: ExternalSimulator
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
-        """Return what runs ``controller`` at ``task``, see `Runner`."""
+        """Return a function that runs ``controller`` at ``task``, see `Runner`."""
         bound = task.bind(self.simulator.system)
         return partial(self._run, controller.bind_to(bound), bound)
 
@@ -162,7 +162,7 @@ class _Trials:
         return self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state), ended
 
     def trajectories(self) -> list[Trajectory]:
-        """Return what was recorded of the trials that made a step."""
+        """Return the recordings of the trials with at least one step."""
         return [
             Trajectory(
                 np.array(self.states[i]),
@@ -175,7 +175,7 @@ class _Trials:
         ]
 
     def fitness(self) -> Array:
-        """Return the fitness of every trial, as `Rollouts` wants it."""
+        """Return the fitness of every trial, in the form of `Rollouts`."""
         return results.scored(self.task, self.task.fitness(self.task_state), self.survived, self.diverged)
 
 

@@ -21,7 +21,7 @@ from sysid_evo.errors import IncompatibleSystem
 
 
 class SimulatorRobot(Robot):
-    """A ``simulator`` that steps when it is told to, so that nothing runs in real time."""
+    """A ``simulator`` that advances only when it is stepped, so that nothing runs in real time."""
 
     stepped: ClassVar[bool] = True
     dynamics = None
@@ -33,7 +33,7 @@ class SimulatorRobot(Robot):
     def connect(self, *, seed: int | None = None) -> Connection:
         """Raise `IncompatibleSystem`: an environment has no clock and no tracker."""
         raise IncompatibleSystem(
-            f"{self.name} is an environment: it has no clock and no tracker, so that the control loop cannot drive it. "
+            f"{self.name} is an environment: it has no clock and no tracker, so the control loop cannot drive it. "
             "sysid-evo record and compare run it step by step"
         )
 
@@ -55,16 +55,16 @@ class SimulatorRobot(Robot):
     def self_test(
         self, *, seconds: float, seed: int | None = None, stop: StopRequest | None = None
     ) -> tuple[SelfTestFinding, ...]:
-        """Say what its channels are, and how its episodes go under random controls for ``seconds`` of its own time."""
+        """Report its channels, and how episodes run under random controls for ``seconds`` of its own time."""
         return simulator_findings(self.simulator, seconds=seconds, seed=seed or 0, stop=stop)
 
     def manoeuvres(self, *, duration: float, rng: np.random.Generator) -> list[Manoeuvre]:
-        """Return none, for what excites an environment answers to its state; a ``duration`` too short is refused."""
+        """Return none, since excitation of an environment depends on its state; a short ``duration`` is an error."""
         samples_each(self.simulator, duration)
         return []
 
     def _record_run(self, manoeuvres: Sequence[Manoeuvre], job: RecordingJob) -> RecordingResult:
-        """Raise `IncompatibleSystem`: what excites an environment answers to its state."""
+        """Raise `IncompatibleSystem`: the excitation of an environment depends on its state."""
         raise IncompatibleSystem(f"{self.name} is an environment, which is recorded without manoeuvres: leave them out")
 
     def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:
@@ -73,7 +73,7 @@ class SimulatorRobot(Robot):
 
 
 FEWEST = 200
-"""Steps that are tried at least."""
+"""Minimum number of steps that are tried."""
 
 
 def simulator_findings(
@@ -82,7 +82,7 @@ def simulator_findings(
     """Step the simulator under random controls for ``seconds`` of its time; a stop from outside ends it."""
     system = simulator.system
     states, controls = (", ".join(map(describe_channel, channels)) for channels in (system.states, system.controls))
-    sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it waits to be told to step."
+    sentence = f"States: {states}. Controls: {controls}. One step is {system.dt:g} s; it does not run in real time."
     rng, steps = np.random.default_rng(seed), max(FEWEST, round(seconds / system.dt))
     lengths, seen, rewards = [0], [], []
     began = time.perf_counter()

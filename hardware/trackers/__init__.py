@@ -1,1 +1,1 @@
-"""Where a robot is: optical trackers and other sources of poses, each behind one contract."""
+"""Optical trackers and other sources of a robot's pose, each behind one contract."""

@@ -23,8 +23,8 @@ from sysid_evo.errors import SysidEvoError
 def hang_on_life_line() -> None:
     """Let the system end this process when standard input closes, even while it blocks inside a library.
 
-    SIGIO comes when the state of the pipe changes, and its default is to end the process; nothing in
-    Python need run for that, as it would for a thread that waits.
+    SIGIO is sent when the state of the pipe changes, and its default is to end the process; no Python code needs to run
+    for that, unlike with a waiting thread.
     """
     fcntl.fcntl(0, fcntl.F_SETOWN, os.getpid())
     fcntl.fcntl(0, fcntl.F_SETFL, fcntl.fcntl(0, fcntl.F_GETFL) | os.O_ASYNC)
@@ -33,7 +33,7 @@ def hang_on_life_line() -> None:
 
 
 def make(description: dict[str, Any]) -> ProcessTracker:
-    """Return the tracker that ``description`` describes."""
+    """Return the tracker with this ``description``."""
     thing = getattr(importlib.import_module(description["module"]), description["class"])
     if not (isinstance(thing, type) and issubclass(thing, ProcessTracker)):
         raise TypeError(f"expected a ProcessTracker, got {description['class']}")
@@ -41,7 +41,7 @@ def make(description: dict[str, Any]) -> ProcessTracker:
 
 
 def feed(tracker: ProcessTracker, pipe: int) -> None:
-    """Write the tracker's frames to ``pipe`` until they end; frames that it has no room for are dropped."""
+    """Write the tracker's frames to ``pipe`` until they end; frames without room are dropped."""
     os.set_blocking(pipe, False)
     answered = False
     for item in tracker.frames():
@@ -70,7 +70,7 @@ def main() -> None:
         last = "the source has ended"
     except SysidEvoError as error:
         last = str(error)
-    except Exception as error:  # a driver may fail in any way; the other side must hear of it
+    except Exception as error:  # a driver may fail in any way; the other side must be notified
         last = f"{type(error).__name__}: {error}"
     os.set_blocking(pipe, True)
     with contextlib.suppress(OSError):

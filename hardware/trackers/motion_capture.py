@@ -30,12 +30,11 @@ if TYPE_CHECKING:
 class MotionCaptureTracker(ProcessTracker):
     """The rigid body ``body`` of the system ``kind`` at ``host``.
 
-    ``up`` is the axis that points up, ``scale`` the unit of length in m; ``heading_offset`` rad are added
-    to the heading. The package gives no time stamps, neither of the frame nor of its arrival: frames are
-    stamped when they come, and ``latency`` s, if it is known, are taken off. Raises `InvalidArgument`.
+    ``up`` is the vertical axis, ``scale`` the unit of length in m; ``heading_offset`` rad are added to the heading. The
+    package gives no time stamps, neither of the frame nor of its arrival: frames are stamped when they arrive, and
+    ``latency`` s, if it is known, are subtracted. Raises `InvalidArgument`.
 
-    A system that ``polls`` answers with the last pose when there is no new one: a pose that is the
-    same to the last bit is then no frame.
+    A system that ``polls`` answers with the last pose if there is no new one: an identical pose is then no new frame.
     """
 
     body: str
@@ -56,7 +55,7 @@ class MotionCaptureTracker(ProcessTracker):
 
     @property
     def settings(self) -> dict[str, str]:
-        """What the package is told of the system."""
+        """Settings of the system for the package."""
         return {"hostname": self.host}
 
     def frames(self) -> Iterator[Measurement | None]:
@@ -101,15 +100,15 @@ class ViconTracker(MotionCaptureTracker):
 @register_tracker("vrpn")
 @dataclass(frozen=True)
 class VrpnTracker(MotionCaptureTracker):
-    """A body of a VRPN server at ``host`` (``name`` or ``name:port``), which is asked 200 times a second."""
+    """A body of a VRPN server at ``host`` (``name`` or ``name:port``), which is polled 200 times a second."""
 
     name = "vrpn"
     kind: ClassVar[str] = "vrpn"
     polls: ClassVar[bool] = True
 
 
-ANSWER = 3.0  # s within which the server and its list of bodies must come
-SILENCE = 0.1  # s after which it says that nothing came
+ANSWER = 3.0  # s within which the server and its list of bodies must answer
+SILENCE = 0.1  # s without a frame after which it yields None
 
 
 @register_tracker("natnet")
@@ -117,11 +116,10 @@ SILENCE = 0.1  # s after which it says that nothing came
 class NatNetTracker(ProcessTracker):
     """The rigid body ``body`` as streamed by the server at ``server`` to this host's address ``local``.
 
-    ``multicast`` says which way Motive streams, to ``multicast_address`` if it is true; the ports are
-    ``command_port`` and ``data_port``. Motive's default is y ``up``; ``scale`` is its unit of length in
-    m, ``heading_offset`` rad are added to the heading. Times are the frames' own, mapped by
-    `SourceClock`; they are late by the shortest way of a frame from the exposure to here, and
-    ``latency`` s are taken off for that. Raises `InvalidArgument`.
+    ``multicast`` is true if Motive streams to ``multicast_address``; the ports are ``command_port`` and ``data_port``.
+    Motive's default is y ``up``; ``scale`` is its unit of length in m, ``heading_offset`` rad are added to the heading.
+    Times are the frames' own, mapped by `SourceClock`; they are late by the shortest transport from the exposure to
+    this host, and ``latency`` s are subtracted for that. Raises `InvalidArgument`.
     """
 
     body: str
@@ -207,7 +205,7 @@ class NatNetTracker(ProcessTracker):
     def _measurement(
         self, frame: Any, arrival: float, number: int | None, clock: SourceClock, axes: Axes
     ) -> Measurement:
-        """Return what ``frame`` says of the rigid body of this number; not valid if it is not in it."""
+        """Return the pose of the rigid body with this number in ``frame``; not valid if it is not in it."""
         source = clock.map(frame.suffix.timestamp, arrival) - self.latency
         seen = next(
             (one for one in frame.rigid_bodies if one.id_num == number and one.tracking_valid is not False), None
@@ -218,13 +216,13 @@ class NatNetTracker(ProcessTracker):
 
 
 MOST_IGNORED = 5
-"""Senders that are kept to be named in an error."""
+"""Number of senders that are kept for an error message."""
 
 
 def listening_to(addresses: Collection[str]) -> tuple[type[NatNetClient], set[str]]:
-    """Return natnet's client that hears these addresses alone, and the set in which it notes others.
+    """Return natnet's client that accepts these addresses alone, and the set in which it stores others.
 
-    The package takes packets from anybody, and one that it cannot read ends the thread that reads.
+    The package accepts packets from any sender, and one that it cannot read ends the reading thread.
     """
     from natnet import NatNetClient
     from natnet.packet_buffer import PacketBuffer
@@ -241,10 +239,10 @@ def listening_to(addresses: Collection[str]) -> tuple[type[NatNetClient], set[st
                 if send_keep_alive:
                     self.send_request(self.NAT_KEEPALIVE)
                 data, (sender, _) = in_socket.recvfrom(recv_buffer_size)
-            except OSError:  # nothing came, or the network is away for a while
+            except OSError:  # nothing received, or the network is temporarily unavailable
                 return False
             if sender in addresses:
-                with suppress(Exception):  # whatever a packet does that is damaged
+                with suppress(Exception):  # a damaged packet may cause any error
                     self._NatNetClient__process_message(PacketBuffer(data))
             elif len(ignored) < MOST_IGNORED:
                 ignored.add(sender)

@@ -1,9 +1,8 @@
-"""Trackers that run in a process of their own: whatever blocks, crashes or starts threads does it there.
+"""Trackers in a process of their own, which isolates whatever blocks, crashes or starts threads.
 
-The process sends records of one length (`RECORD` bytes of JSON) through a pipe. A record is written
-whole or not at all, so the pipe is the bounded queue: when nobody reads for a while (128 frames,
-0.6 s at 200 Hz), further frames are dropped there. Its standard input is its life line: when this
-process ends in any way, the system closes it, and the other is ended by a signal.
+The process sends records of one length (`RECORD` bytes of JSON) through a pipe. A record is written completely or not
+at all, so the pipe is a bounded queue: if it is not read for a while (128 frames, 0.6 s at 200 Hz), further frames are
+dropped there. When this process ends in any way, the system closes the other's standard input, and a signal ends it.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from hardware.connection import Measurement
 from hardware.trackers.tracker import Tracker, TrackerStream
 from sysid_evo.errors import LinkLost
 
-RECORD = 512  # bytes: what POSIX promises to write whole into a pipe
+RECORD = 512  # bytes: POSIX writes these to a pipe completely or not at all
 PATIENCE = 10.0  # s for the source to answer
 
 
@@ -38,10 +37,10 @@ class ProcessTracker(Tracker):
 
     @abstractmethod
     def frames(self) -> Iterator[Measurement | None]:
-        """Connect, then yield frames as they come; runs in the other process.
+        """Connect, then yield frames as they arrive; runs in the other process.
 
-        Times are on `time.monotonic`. The first item, and any while nothing comes, is None. Raises
-        `LinkLost`; the end of the iterator is the end of the stream.
+        Times are on `time.monotonic`. The first item, and any while there is no frame, is None. Raises `LinkLost`; the
+        end of the iterator is the end of the stream.
         """
 
     def open(self) -> TrackerStream:
@@ -50,7 +49,7 @@ class ProcessTracker(Tracker):
         return ProcessStream(self)
 
     def describe(self) -> dict[str, Any]:
-        """Return what the other process needs to make the same tracker, as JSON."""
+        """Return a description, as JSON, with which the other process makes the same tracker."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {"module": type(self).__module__, "class": type(self).__qualname__, "arguments": values}
 
@@ -61,7 +60,7 @@ class ProcessStream(TrackerStream):
     def __init__(self, tracker: ProcessTracker) -> None:
         self._name, self._body = tracker.name, tracker.body
         self._pipe, theirs = os.pipe()
-        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)  # what this process may import, no more
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)  # as in this process
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "hardware.trackers.feed", str(theirs)],
@@ -89,7 +88,7 @@ class ProcessStream(TrackerStream):
 
     @property
     def pid(self) -> int:
-        """The number of the process."""
+        """The process id."""
         return self._process.pid
 
     def read(self, timeout: float) -> Measurement | None:

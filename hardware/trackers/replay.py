@@ -20,7 +20,7 @@ from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 
 COLUMNS = ("t", "x", "y", "heading")
-STEP = 0.1  # s: the longest it waits without a word
+STEP = 0.1  # s: the longest wait without a frame
 
 
 @register_tracker("replay")
@@ -28,9 +28,8 @@ STEP = 0.1  # s: the longest it waits without a word
 class ReplayTracker(ProcessTracker):
     """The frames of ``body`` in the file ``path``: a journal, or a log with the columns t, x, y, heading.
 
-    The log's units are s, m, m, rad. ``speed`` 1 is the log's own pace, 2 twice as fast, on
-    `time.monotonic`; at speed 0 frames come as fast as they are asked for, with the times of the log.
-    The end of the log is a lost link.
+    The log's units are s, m, m, rad. ``speed`` 1 is the log's own rate, 2 twice as fast, on `time.monotonic`; at speed
+    0 frames are returned as fast as they are read, with the times of the log. The end of the log is a lost link.
     """
 
     body: str
@@ -66,7 +65,7 @@ class ReplayTracker(ProcessTracker):
 
 
 class _AskedStream(TrackerStream):
-    """Frames that are always there; a pipe that always holds a byte says so to `select`."""
+    """Frames that are always available; a pipe with one byte makes it readable for `select`."""
 
     def __init__(self, frames: Iterator[Measurement]) -> None:
         self._frames = frames
@@ -91,7 +90,7 @@ class _AskedStream(TrackerStream):
 
 
 def logged(path: Path, body: str) -> list[Measurement]:
-    """Return the frames of ``body`` in a log; a table's are all its. Raises `InvalidData`, `LinkLost`."""
+    """Return the frames of ``body`` in a log; in a table, all of them. Raises `InvalidData`, `LinkLost`."""
     _there(path)
     if path.suffix == SUFFIX:
         frames = [frame for frame in read_journal(path).frames if frame.body == body]
@@ -111,4 +110,4 @@ def logged(path: Path, body: str) -> list[Measurement]:
 
 def _there(path: Path) -> None:
     if not path.is_file():
-        raise InvalidData(f"{path}: expected a log, found nothing there")
+        raise InvalidData(f"{path}: expected a log, found no such file")

@@ -1,4 +1,4 @@
-"""The contract of a tracker, and what a driver keeps it with: axes to the plane, source clock to host clock."""
+"""The contract of a tracker, and tools of drivers: axes to the plane, source clock to host clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class TrackerStream(Closeable):
     def read(self, timeout: float) -> Measurement | None:
         """Return the next frame, or None if there is none within ``timeout`` s. Raises `LinkLost`.
 
-        Frames that came in between calls are kept and returned in turn.
+        Frames that arrive between calls are kept and returned in turn.
         """
 
     @abstractmethod
@@ -32,14 +32,14 @@ class TrackerStream(Closeable):
 
     @abstractmethod
     def close(self) -> None:
-        """End the stream and whatever feeds it; a second call does nothing."""
+        """End the stream and its source; a second call does nothing."""
 
 
 class Tracker(ABC):
     """A source of poses of one ``body``, described by its arguments and opened for a session.
 
-    The constructor checks its arguments and touches nothing else: no network, no device, no file.
-    ``requires`` are the modules that it imports only when it is opened.
+    The constructor checks its arguments and accesses no network, device or file. ``requires`` are the modules that it
+    imports only when it is opened.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
@@ -47,7 +47,7 @@ class Tracker(ABC):
     body: str
 
     def check(self) -> None:
-        """Raise what `open` would raise and what can be known without opening anything: a package, a file."""
+        """Raise the errors of `open` that can be detected without opening anything: a package, a file."""
         check_installed(f"tracker {self.name!r}", self.requires)
 
     @abstractmethod
@@ -57,10 +57,10 @@ class Tracker(ABC):
 
 @dataclass(frozen=True)
 class Axes:
-    """How a tracker sees the plane: which of its axes points ``up``, and how many m its unit of length is.
+    """Axes of a tracker: which of them is vertical (``up``), and its unit of length in m.
 
-    With z up, x and y are the tracker's; with y up they are its x and -z, so that both are right-handed.
-    The heading is where the x axis of the body's own frame points, plus ``heading_offset`` rad.
+    With z up, x and y are the tracker's; with y up they are its x and -z, so that both are right-handed. The heading is
+    the direction of the x axis of the body's own frame, plus ``heading_offset`` rad.
     """
 
     up: Literal["y", "z"] = "z"
@@ -90,17 +90,16 @@ class Axes:
 
 
 LEAK = 2e-4
-"""Upward drift of the offset that is followed, in s per s: more than two quartz clocks part by."""
-RESTART = 1.0  # s that the source's clock may jump back or ahead of the host's before it counts as set anew
+"""Upward drift of the offset that is followed, in s per s: more than two quartz clocks differ by."""
+RESTART = 1.0  # s: a jump of the source's clock against the host's beyond this is a restart
 
 
 class SourceClock:
-    """Maps times of a source onto `time.monotonic` by the smallest difference of arrival and source time seen.
+    """Maps times of a source to `time.monotonic` by the smallest difference of arrival and source time so far.
 
-    The smallest difference belongs to the frame that travelled fastest, so a mapped time is late by
-    the shortest way from the source to here, and never by a queue in between. The offset leaks
-    upward by `LEAK`, to follow a source that runs slow. A clock that jumps starts anew; ``restarts``
-    counts that.
+    The smallest difference is that of the frame with the shortest transport, so a mapped time is late by that
+    transport, and never by a queue in between. The offset rises by `LEAK`, to follow a source that runs slow. After a
+    jump of the clock it starts again; ``restarts`` counts that.
     """
 
     def __init__(self) -> None:
@@ -109,7 +108,7 @@ class SourceClock:
         self.restarts = 0
 
     def map(self, source: float, arrival: float) -> float:
-        """Return when a frame of ``source`` s that came at ``arrival`` s was sent, in s of the host; never later."""
+        """Return the host time (s) at which a frame of ``source`` s, arrived at ``arrival`` s, was sent."""
         if math.isfinite(self._offset):
             jumped_back = source < self._newest - RESTART
             jumped_ahead = arrival - source < self._offset - RESTART

@@ -21,7 +21,7 @@ from sysid_evo.errors import InvalidData, LinkLost
 from sysid_evo.registry import register_tracker
 from sysid_evo.types import Array
 
-BUFFER = 1 << 18  # bytes the system keeps for us: over two seconds of a body at 200 Hz
+BUFFER = 1 << 18  # bytes of the system's buffer: over two seconds of a body at 200 Hz
 FUTURE = 0.01  # s that a frame on the host's own clock may be ahead of it
 
 
@@ -30,10 +30,9 @@ FUTURE = 0.01  # s that a frame on the host's own clock may be ahead of it
 class UdpTracker(Tracker):
     """Listens on ``host``:``port`` for ``{"time": s, "frame": n, "body": str, "valid": bool, "pose": [m, m, rad]}``.
 
-    One datagram is one frame: any tracker can be made to send them in ten lines.
-    ``clock`` is "source" for times on any clock, which are mapped by `SourceClock`, or "host" for
-    times that are the host's `time.monotonic` already. Port 0 takes a free one. Only datagrams
-    from the address ``sender`` count, if it is given.
+    One datagram is one frame: any tracker can send them with ten lines of code. ``clock`` is "source" for times on any
+    clock, which are mapped by `SourceClock`, or "host" for times of the host's `time.monotonic`. Port 0 is a free one.
+    With ``sender`` only datagrams from that address are accepted.
     """
 
     body: str
@@ -68,7 +67,7 @@ class UdpTracker(Tracker):
 
 
 class UdpStream(TrackerStream):
-    """An open socket. ``counters`` says how many datagrams became frames, and why the others did not."""
+    """An open socket. ``counters`` are the numbers of datagrams that became frames, and of others by reason."""
 
     def __init__(self, tracker: UdpTracker, receiver: socket.socket) -> None:
         self._tracker = tracker
@@ -80,13 +79,13 @@ class UdpStream(TrackerStream):
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port that it listens on."""
+        """Host and port of the socket."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """Datagrams by what became of them."""
+        """Number of datagrams by result."""
         return {**self._counts, "clock_restarts": self._clock.restarts}
 
     def read(self, timeout: float) -> Measurement | None:
@@ -106,7 +105,7 @@ class UdpStream(TrackerStream):
         self._socket.close()
 
     def _receive(self) -> Measurement | None:
-        """Return the frame of the datagram that waits, None if none does or it is not a good one."""
+        """Return the frame of the waiting datagram, None if there is none or it is invalid."""
         if self._socket.fileno() < 0:
             raise LinkLost("tracker udp: the stream is closed: open another")
         try:
@@ -128,7 +127,7 @@ class UdpStream(TrackerStream):
         return self._stamp(message, arrival)
 
     def _stamp(self, message: FrameMessage, arrival: float) -> Measurement | None:
-        """Return ``message`` with its times on the host's clock, None if it was overtaken or its time cannot be."""
+        """Return ``message`` with its times on the host's clock, None if out of order or with an impossible time."""
         if self._tracker.clock == "host":
             source = message.time
             if source > arrival + FUTURE:
@@ -149,13 +148,13 @@ class UdpStream(TrackerStream):
 LONGEST = 1024  # bytes of a message
 LARGEST_FRAME = 2**63 - 1
 LARGEST = 1e12
-"""Of times in s, coordinates in m and angles in rad: room for a clock in any use, none for an overflow."""
+"""Limit of times in s, coordinates in m and angles in rad: above any clock in use, below an overflow."""
 N_POSE = 3
 
 
 @dataclass(frozen=True)
 class FrameMessage:
-    """What a message says: ``time`` in s on the source's clock, planar ``pose`` (3,) in m, m, rad or nan."""
+    """Content of a message: ``time`` in s on the source's clock, planar ``pose`` (3,) in m, m, rad or NaN."""
 
     time: float
     frame: int
@@ -165,7 +164,7 @@ class FrameMessage:
 
 
 def parse_message(data: bytes) -> FrameMessage:
-    """Return what ``data`` says. Raises `InvalidData` on anything but a whole message of sound numbers."""
+    """Return the message in ``data``. Raises `InvalidData` for anything but a complete message of valid numbers."""
     if len(data) > LONGEST:
         raise InvalidData(f"frame: expected at most {LONGEST} bytes, got more")
     try:

@@ -70,7 +70,7 @@ def check_robot(
     else:
         for finding in findings:
             word = ("ok    ", "green") if finding.ok else ("wrong ", "red")
-            out.print(Text.assemble(word, (f"{finding.what}: ", "bold"), finding.sentence))
+            out.print(Text.assemble(word, (f"{finding.check}: ", "bold"), finding.sentence))
     if stops.reason is not None:
         err.print(stops.reason.sentence)
         raise typer.Exit(stops.reason.exit_code)

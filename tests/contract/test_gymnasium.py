@@ -142,10 +142,10 @@ def test_the_force_of_the_cart_has_the_sign_of_its_push():
 @pytest.mark.parametrize(
     ("parameters", "error", "words"),
     [
-        ({"id": "Pendulum-v99"}, InvalidArgument, "no environment can be made of 'Pendulum-v99'"),
+        ({"id": "Pendulum-v99"}, InvalidArgument, "cannot make the environment 'Pendulum-v99'"),
         ({"id": ROTOR, "angle": "1,7"}, InvalidArgument, "from 0 to 2; got '1,7'"),
         ({"id": ROTOR, "angle": "x"}, InvalidArgument, "expected the numbers of a cosine and of its sine"),
-        ({"id": ROTOR, "angle": "1,2; 2"}, InvalidArgument, "stands in two angles"),
+        ({"id": ROTOR, "angle": "1,2; 2"}, InvalidArgument, "occurs in two angles"),
         ({"id": ROTOR, "channels": "speed"}, InvalidArgument, "expected 3 names"),
         ({"id": ROTOR, "dt": 0.0}, InvalidArgument, "dt: expected a number above 0"),
         ({"id": ROTOR, "settings": {"limit": np.inf}}, IncompatibleSystem, "a Box of them with finite limits"),
@@ -419,10 +419,10 @@ def test_what_is_below_the_least_counts_as_the_least():
         ({"horizon": 0}, InvalidArgument, "a horizon of at least one step, got 0"),
         ({"id": "CartPole-v1"}, IncompatibleTask, "needs the states position, speed, angle, angular_speed"),
         ({"id": ROTOR}, IncompatibleTask, r"has no attribute state.*register_reward"),
-        ({"id": "Forgetful-v0"}, IncompatibleTask, r"went on in two ways.*register_reward"),
-        ({"id": "Nothing-v9"}, InvalidArgument, "no environment can be made of 'Nothing-v9'"),
-        ({"id": "CartPole-v1", "least": -1.0}, InvalidArgument, "the least reward of CartPole-v1 is known, 0"),
-        ({"id": SLIDER}, IncompatibleTask, "needs 2 states, those in which the environment keeps itself"),
+        ({"id": "Forgetful-v0"}, IncompatibleTask, r"continued differently.*register_reward"),
+        ({"id": "Nothing-v9"}, InvalidArgument, "cannot make the environment 'Nothing-v9'"),
+        ({"id": "CartPole-v1", "least": -1.0}, InvalidArgument, "the lowest reward of CartPole-v1 is known, 0"),
+        ({"id": SLIDER}, IncompatibleTask, "needs 2 states, those of the environment itself"),
     ],
 )
 def test_a_task_that_does_not_fit_or_cannot_be_asked_is_refused_with_what_to_do(parameters, error, words):

@@ -78,7 +78,7 @@ def talk(url, *, origin="ours"):
 
 
 def say(line, keys):
-    line.send(json.dumps({"type": "keys", "keys": keys, "clock": time.monotonic(), "new": False}))
+    line.send(json.dumps({"type": "keys", "keys": keys, "clock": time.monotonic(), "new_trial": False}))
 
 
 def drain(line):
@@ -176,7 +176,8 @@ def gone(line):
 
 def test_nonsense_ends_the_conversation(desk):
     for nonsense, reason in (
-        ("{", "Expecting property name"), ('{"keys": 1}', "expected a message of the type keys with keys, clock, new"),
+        ("{", "Expecting property name"),
+        ('{"keys": 1}', "expected a message of the type keys with keys, clock, new_trial"),
         ('["' + "\N{SNOWMAN}" * 60 + '"]', "expected a message"), (b"\x00", "expected text, got bytes"),
         ("x" * 1000, ""),
     ):  # fmt: skip
@@ -190,7 +191,7 @@ def test_nonsense_ends_the_conversation(desk):
 
 def test_one_page_drives_and_the_next_takes_over_when_it_goes(desk):
     def drives(line):
-        return json.loads(line.recv(timeout=5.0)).get("drives", False)
+        return json.loads(line.recv(timeout=5.0)).get("is_driver", False)
 
     with talk(desk.page.url) as watcher_to_be:
         wait_until(lambda: drives(watcher_to_be))

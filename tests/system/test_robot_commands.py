@@ -184,7 +184,7 @@ def test_robots_are_listed_as_table_and_as_json(there):
 
 def test_check_says_in_sentences_what_is_right_and_in_its_exit_code_what_is_not(there):
     right = there.works("robots", "check", "emulated_car", "--seconds", "1", "--json")
-    findings = {finding["what"]: finding for finding in json.loads(right.stdout)}
+    findings = {finding["check"]: finding for finding in json.loads(right.stdout)}
     assert list(findings) == ["handshake", "link", "tracker", "loop", "estimate"]
     assert findings["tracker"]["figures"]["rate"] == pytest.approx(200.0)
     assert findings["estimate"]["figures"]["delay"] == pytest.approx(0.02, abs=0.002)

@@ -1,26 +1,26 @@
-// The page says many times a second which keys are held; what it does not say again counts for nothing.
+// The page sends the held keys many times a second; a key that is not repeated counts as released.
 
 import { MESSAGES } from "./messages.js";
 import { Traces } from "./traces.js";
 import { View } from "./view.js";
 
 const KEYS = { ArrowUp: 1, KeyW: 1, ArrowDown: 2, KeyS: 2, ArrowLeft: 4, KeyA: 4, ArrowRight: 8, KeyD: 8 };
-const EVERY = 25; // ms between two words
-const BACKLOG = 1024; // bytes under way that make another word pointless
-const STALE = 0.1; // s: an older pose means neutral
-const SILENT = 400; // ms without a word of the server
-const GOING_AWAY = [1001, 1012], INVALID = 1008; // codes with which the server closes the line
+const EVERY = 25; // ms between two messages
+const BACKLOG = 1024; // bytes in the send queue that make another message useless
+const STALE = 0.1; // s: with an older pose the command is neutral
+const SILENT = 400; // ms without a message of the server
+const GOING_AWAY = [1001, 1012], INVALID = 1008; // codes with which the server closes the socket
 const part = (id) => document.getElementById(id);
 const write = (id, text) => { if (part(id).textContent !== text) part(id).textContent = text; };
 
 const view = new View(part("view"));
 const traces = new Traces(part("traces"));
-const held = new Map(); // what is down (a key's code, a pointer's number) and its bit
+const held = new Map(); // held key (its code) or pointer (its number), and its bit
 let socket = null;
 let reading = null;
-let heard = 0;
+let received = 0; // ms: time of the newest message
 let over = false;
-let trouble = ""; // why the two do not understand each other
+let trouble = ""; // why page and server do not match
 let tries = 0;
 
 function keys() {
@@ -29,60 +29,60 @@ function keys() {
   return bits;
 }
 
-function say(more) {
+function send(more) {
   if (socket?.readyState !== WebSocket.OPEN || socket.bufferedAmount > BACKLOG) return;
-  const said = { type: "keys", keys: document.hidden ? 0 : keys(), clock: performance.now() / 1000, new: false, ...more };
-  socket.send(JSON.stringify(said));
+  const message = { type: "keys", keys: document.hidden ? 0 : keys(), clock: performance.now() / 1000, new_trial: false, ...more };
+  socket.send(JSON.stringify(message));
 }
 
-function letGo() {
+function releaseAll() {
   held.clear();
-  say();
+  send();
 }
 
 function connect() {
   const address = new URL("socket", location.href);
   address.protocol = "ws:";
   socket = new WebSocket(address);
-  socket.onopen = () => { held.clear(); tries = 0; say(); };
+  socket.onopen = () => { held.clear(); tries = 0; send(); };
   socket.onmessage = (event) => {
-    const said = JSON.parse(event.data);
-    trouble = problem(said);
-    heard = performance.now();
+    const message = JSON.parse(event.data);
+    trouble = problem(message);
+    received = performance.now();
     if (trouble) socket.close();
-    else if (said.type === "setting") arrange(said);
-    else if (said.type === "scenery") view.scenery = traces.scenery = said;
-    else look(said);
+    else if (message.type === "setting") arrange(message);
+    else if (message.type === "scenery") view.scenery = traces.scenery = message;
+    else look(message);
   };
   socket.onclose = (event) => {
     held.clear();
     over = GOING_AWAY.includes(event.code);
-    if (event.code === INVALID) trouble = `The server refuses what this page says: ${event.reason}`;
+    if (event.code === INVALID) trouble = `The server rejects the messages of this page: ${event.reason}`;
     tries += 1;
     if (!over && !trouble) setTimeout(connect, Math.min(2000, 250 * tries));
   };
 }
 
-// What is wrong with a message of the server, in a sentence; empty if it is as the table of messages describes it.
-function problem(said) {
-  const table = MESSAGES[said?.type];
-  if (!table) return `The server says what this page does not know: ${said?.type}`;
+// The error in a message of the server, in a sentence; empty if it matches the table of messages.
+function problem(message) {
+  const table = MESSAGES[message?.type];
+  if (!table) return `The server sends an unknown message: ${message?.type}`;
   const kind = (value) => value === null ? "null" : Array.isArray(value) ? "array" : typeof value;
-  const wrong = Object.keys(table).find((name) => !table[name].includes(kind(said[name])));
-  return wrong ? `${said.type}: expected ${wrong} as ${table[wrong].join(" or ")}, got ${kind(said[wrong])}` : "";
+  const wrong = Object.keys(table).find((name) => !table[name].includes(kind(message[name])));
+  return wrong ? `${message.type}: expected ${wrong} as ${table[wrong].join(" or ")}, got ${kind(message[wrong])}` : "";
 }
 
-function look(said) {
-  if (said.trial !== reading?.trial) {
+function look(message) {
+  if (message.trial !== reading?.trial) {
     view.clear();
     traces.clear();
   }
-  reading = said;
-  view.show(said);
-  traces.show(said);
+  reading = message;
+  view.show(message);
+  traces.show(message);
 }
 
-// Show what this robot and this task have: a top view, traces, keys.
+// Show the elements of this robot and this task: a top view, traces, keys.
 function arrange(setting) {
   view.setting = traces.setting = setting;
   view.half = null;
@@ -97,13 +97,13 @@ function arrange(setting) {
 function banner() {
   if (trouble) return trouble;
   if (over) return "The session is over.";
-  if (socket?.readyState !== WebSocket.OPEN) return tries > 3 ? "No answer: does sysid-evo drive still run?" : "Connecting";
+  if (socket?.readyState !== WebSocket.OPEN) return tries > 3 ? "No answer: is sysid-evo drive still running?" : "Connecting";
   if (!reading) return "";
   if (view.setting.controller !== null) return watched();
-  if (!reading.drives) return "Watching: another page drives.";
+  if (!reading.is_driver) return "Watching: another page drives.";
   switch (reading.phase) {
-    case "settling": return "Release all keys; the robot must stand still.";
-    case "ready": return "Press an arrow key to start: the clock starts with it.";
+    case "settling": return "Release all keys and wait for the robot to stop.";
+    case "ready": return "Press an arrow key to start; the clock starts with it.";
     case "finished": return `Trial over, score ${score(reading.score)}. R starts the next.`;
     case "ended": return reading.message ? `${reading.message}. R starts another trial.` : "R starts a trial.";
     default: return "";
@@ -111,9 +111,9 @@ function banner() {
 }
 
 function watched() {
-  const { controller, faster } = view.setting;
-  const pace = faster > 1 ? `, ${faster.toFixed(faster < 10 ? 1 : 0)} times as fast` : "";
-  if (reading.phase === "settling") return `Waiting until the robot stands; then ${controller} drives.`;
+  const { controller, playback_speed: speed } = view.setting;
+  const pace = speed > 1 ? `, shown at ${speed.toFixed(speed < 10 ? 1 : 0)} times real time` : "";
+  if (reading.phase === "settling") return `Waiting for the robot to stop; then ${controller} takes over.`;
   return reading.phase === "finished" ? `Trial over, score ${score(reading.score)}.` : `${controller} drives${pace}`;
 }
 
@@ -133,9 +133,9 @@ function health(id, state, text) {
 function panel() {
   write("banner", banner());
   const { setting } = view, byHand = setting.controller === null;
-  const alive = socket?.readyState === WebSocket.OPEN && performance.now() - heard < SILENT;
-  const watchers = reading?.drives && reading.watchers ? `, ${reading.watchers} watching` : "";
-  health("page", alive ? "good" : "bad", alive ? (byHand && reading?.drives ? "in control" : "watching") + (byHand ? watchers : "") : "not connected");
+  const alive = socket?.readyState === WebSocket.OPEN && performance.now() - received < SILENT;
+  const watchers = reading?.is_driver && reading.watchers ? `, ${reading.watchers} watching` : "";
+  health("page", alive ? "good" : "bad", alive ? (byHand && reading?.is_driver ? "in control" : "watching") + (byHand ? watchers : "") : "not connected");
   if (!reading) return;
   write("trial", `trial ${reading.trial}`);
   write("score", score(reading.score));
@@ -151,7 +151,7 @@ function panel() {
   if (!link || !reading.control) health("link", "off", "–");
   else health("link", link === "tripped" || reading.link_age > 0.25 ? "bad" : "good", link);
   const mean = scores.reduce((sum, score) => sum + score, 0) / scores.length;
-  write("scores", scores.length ? `scores ${scores.slice(-8).map(score).join(" ")}, mean ${mean.toFixed(1)}` : "no trial driven to its end yet");
+  write("scores", scores.length ? `scores ${scores.slice(-8).map(score).join(" ")}, mean ${mean.toFixed(1)}` : "no finished trial yet");
   for (const button of part("pad").children) button.classList.toggle("held", Boolean(reading.keys & button.dataset.key));
 }
 
@@ -168,31 +168,31 @@ addEventListener("keydown", (event) => {
     event.preventDefault();
     if (event.repeat) return;
     held.set(event.code, KEYS[event.code]);
-    say();
+    send();
   } else if (event.code === "Space") {
     event.preventDefault();
-    letGo();
+    releaseAll();
   } else if (event.code === "KeyR" && !event.repeat) {
-    say({ new: true });
+    send({ new_trial: true });
   }
 });
-addEventListener("keyup", (event) => { if (held.delete(event.code)) say(); });
-for (const away of ["blur", "pagehide", "contextmenu"]) addEventListener(away, letGo);
-document.addEventListener("visibilitychange", letGo);
+addEventListener("keyup", (event) => { if (held.delete(event.code)) send(); });
+for (const away of ["blur", "pagehide", "contextmenu"]) addEventListener(away, releaseAll);
+document.addEventListener("visibilitychange", releaseAll);
 
 for (const button of part("pad").children) {
   button.addEventListener("pointerdown", (event) => {
     event.preventDefault();
     button.setPointerCapture(event.pointerId);
     held.set(event.pointerId, Number(button.dataset.key));
-    say();
+    send();
   });
-  button.addEventListener("lostpointercapture", (event) => { if (held.delete(event.pointerId)) say(); });
+  button.addEventListener("lostpointercapture", (event) => { if (held.delete(event.pointerId)) send(); });
 }
-// A long touch asks for a menu, which would let go of the keys.
+// A long touch opens a menu, which would release the keys.
 part("pad").addEventListener("contextmenu", (event) => { event.preventDefault(); event.stopPropagation(); });
-part("again").addEventListener("click", () => { part("again").blur(); say({ new: true }); });
+part("again").addEventListener("click", () => { part("again").blur(); send({ new_trial: true }); });
 
-setInterval(() => say(), EVERY);
+setInterval(() => send(), EVERY);
 connect();
 requestAnimationFrame(frame);

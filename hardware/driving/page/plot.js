@@ -1,4 +1,4 @@
-// What both drawings share: a canvas as large as it is shown, its colours, and when it is drawn anew.
+// Base of both drawings: a canvas of the size on the screen, its colours, and when it is redrawn.
 
 export class Plot {
   setting = {};

@@ -1,9 +1,9 @@
-// States and controls over time, one strip each: what they are in colour, what they were to be in grey.
+// States and controls over time, one strip each: values in colour, targets in grey.
 
 import { Plot } from "./plot.js";
 
 const LEFT = 52, RIGHT = 10, GAP = 12, HEAD = 18, FOOT = 20; // px
-const SPARE = 0.06; // of the range, above and below what must be seen
+const SPARE = 0.06; // margin above and below the values, as a share of the range
 
 export class Traces extends Plot {
   clear() {
@@ -25,7 +25,7 @@ export class Traces extends Plot {
     this.clock(wide, high);
   }
 
-  // Where a strip lies, and how a step and a value become a place in it.
+  // Position of a strip, and the conversion of a step and a value to a point in it.
   frame(range, top, tall, wide) {
     const { horizon } = this.setting, up = top + HEAD, down = top + tall - GAP;
     return {

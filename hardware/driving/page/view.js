@@ -1,9 +1,9 @@
-// The top view: metres, x to the right, y up; what the tracker sees, nothing predicted.
+// The top view: metres, x to the right, y up; poses of the tracker, nothing predicted.
 
 import { Plot } from "./plot.js";
 
 const CAR = { length: 0.17, width: 0.08 }; // m
-const MARGIN = 0.35; // m of floor beyond what must be seen
+const MARGIN = 0.35; // m of floor around the arena and the robot
 const SPACING = 0.01; // m between two points of the trail
 const TRAIL = 4000; // points
 

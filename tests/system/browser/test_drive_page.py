@@ -299,11 +299,11 @@ def test_the_page_draws_the_states_beside_their_targets_and_offers_no_keys(visit
 @pytest.mark.parametrize(
     ("where", "says", "sentence"),
     [
-        ("server.as_text", lambda _: '{"type": "weather"}', "The server says what this page does not know: weather"),
+        ("server.as_text", lambda _: '{"type": "weather"}', "The server sends an unknown message: weather"),
         ("server.as_text", lambda said: as_text(said).replace('"score": 0.0', '"score": null'),
          "reading: expected score as number, got null"),
         ("keyboard.keys_message", lambda said: keys_message({**said, "keys": 16}),
-         "The server refuses what this page says: keys: expected 0 to 15, got 16"),
+         "The server rejects the messages of this page: keys: expected 0 to 15, got 16"),
     ],
 )  # fmt: skip
 def test_a_wrong_message_ends_the_conversation_and_the_page_says_why(visitor, monkeypatch, where, says, sentence):

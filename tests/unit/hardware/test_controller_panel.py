@@ -46,12 +46,12 @@ def as_sent(message):
 
 def test_the_page_reads_every_field_that_it_is_sent_and_no_other():
     scripts = "".join(path.read_text() for path in PAGE.glob("*.js"))
-    for kind, called in (("setting", "setting"), ("scenery", "scenery"), ("reading", "(?:reading|said)")):
+    for kind, called in (("setting", "setting"), ("scenery", "scenery"), ("reading", "(?:reading|message)")):
         read = re.findall(rf"\b{called}\??\.(\w+)", scripts)
         taken = re.findall(rf"const {{ ([^}}]+) }} = (?:this\.|view\.)?{called}\b", scripts)
         names = {*read, *(part.split(":")[0] for some in taken for part in some.split(", "))}
         assert names - {"type"} == TABLE[kind].keys()
-    (said,) = re.findall(r"said = {(.+)};", scripts)
+    (said,) = re.findall(r"message = {(.+)};", scripts)
     assert re.findall(r"(\w+)(?=: )", re.sub(r"\?[^,]+", "", said)) == ["type", *TABLE["keys"]]
 
 

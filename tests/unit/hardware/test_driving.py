@@ -250,7 +250,7 @@ def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones_whose_cl
 
 
 def word(keys, clock, **more):
-    return {"type": "keys", "keys": keys, "clock": clock, "new": False, **more}
+    return {"type": "keys", "keys": keys, "clock": clock, "new_trial": False, **more}
 
 
 def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard):
@@ -265,7 +265,7 @@ def test_a_page_that_opens_with_a_key_down_must_release_it_first(keyboard):
 def test_what_was_held_up_on_its_way_presses_no_key_and_yet_ends_the_trial(keyboard):
     seat = PageClients(keyboard).join()
     seat.receive(word(0, 1.0), 1.0)
-    seat.receive(word(FORWARD, 1.1, new=True), 2.1)
+    seat.receive(word(FORWARD, 1.1, new_trial=True), 2.1)
     assert keyboard.keys == 0
     assert keyboard.new_trial_wanted
 
@@ -276,7 +276,7 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
     assert (first.is_driver, second.is_driver, seats.watchers) == (True, False, 1)
     for seat, keys in ((first, FORWARD), (second, LEFT)):
         seat.receive(word(0, 1.0), 1.0)
-        seat.receive(word(keys, 1.0, new=seat is second), 1.0)
+        seat.receive(word(keys, 1.0, new_trial=seat is second), 1.0)
     assert keyboard.keys == FORWARD
     assert not keyboard.new_trial_wanted
     second.leave()
@@ -288,7 +288,7 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
     first.receive(word(FORWARD, 1.1), 1.1)
     assert keyboard.keys == 0
     second.receive(word(0, 1.2), 1.2)
-    second.receive(word(RIGHT, 1.2, new=True), 1.2)
+    second.receive(word(RIGHT, 1.2, new_trial=True), 1.2)
     assert keyboard.keys == RIGHT
     assert keyboard.take_new_trial()
     assert not keyboard.take_new_trial()
@@ -297,11 +297,11 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
 @pytest.mark.parametrize(
     ("said", "sentence"),
     [
-        *((said, "expected a message of the type keys with keys, clock, new, got")
+        *((said, "expected a message of the type keys with keys, clock, new_trial, got")
           for said in (None, [], {"keys": 1}, word(1, 0.0, type="steer"), word(1, 0.0, drive=True))),
         *((word(keys, 0.0), f"keys: expected 0 to 15, got {keys!r}") for keys in (16, -1, True, "1", 1.0)),
         *((word(1, clock), "clock: expected seconds, got") for clock in (float("nan"), 1e300, "0")),
-        (word(1, 0.0, new=1), "new: expected true or false, got 1"),
+        (word(1, 0.0, new_trial=1), "new_trial: expected true or false, got 1"),
     ],
 )  # fmt: skip
 def test_what_a_page_does_not_say_is_refused_with_a_sentence(keyboard, said, sentence):

@@ -112,8 +112,8 @@ def straight(count, speed=0.0, yaw_rate=0.0, *, rate, start=0):
 @pytest.mark.parametrize(
     "frames, sentence",
     [
-        (straight(60, 8.0, rate=200.0), "it moves at 8.0 m/s, and a frame is believed up to speed = 5 m/s"),
-        (straight(60, yaw_rate=40.0, rate=60.0), "it turns at 40.0 rad/s, and a frame is believed up to yaw_rate = 12"),
+        (straight(60, 8.0, rate=200.0), "it moves at 8.0 m/s, frames above speed = 5 m/s are rejected"),
+        (straight(60, yaw_rate=40.0, rate=60.0), "it turns at 40.0 rad/s, frames above yaw_rate = 12"),
         (drive(50) + moved(drive(50, start=50), [1.5, 0, 0]), "it was seen 1."),
         (drive(50) + moved(drive(50, start=50), [0, 0, 3.0]), "it was seen turned by "),
     ],

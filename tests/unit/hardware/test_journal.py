@@ -82,7 +82,7 @@ def test_unfinished_journal_is_whole_up_to_its_last_record(path):
     journal = read_journal(path)
     assert len(journal.frames) == 40
     assert not journal.closed
-    assert "stopped by force" in journal.notes[0]
+    assert "was killed" in journal.notes[0]
     recorder.close()
     assert read_journal(path).closed
 

@@ -165,7 +165,7 @@ def test_what_cannot_be_driven_is_refused_in_a_sentence(car):
     heater = System(("heat",), (Channel("power", "W", 0.0, 2.0),), dt=0.1)
     with pytest.raises(InvalidArgument, match="expected one of step, coast_down, circle, got 'loop'"):
         measuring_manoeuvres(car, "loop")
-    with pytest.raises(InvalidArgument, match="expected a system that drives, this one has no motion; take step"):
+    with pytest.raises(InvalidArgument, match="expected a system that drives, this one has no motion; use step"):
         measuring_manoeuvres(heater, "circle")
     environment = find_robot("gymnasium")
     with pytest.raises(IncompatibleSystem, match="recorded without manoeuvres"):

@@ -87,7 +87,7 @@ def test_what_a_robot_cannot_do_is_said_before_it_moves(car, tmp_path):
     narrow = np.zeros((1, 5))
     for check, error, sentence in (
         (lambda: check_driving(Parked(PENDULUM), PointToPoint()), IncompatibleSystem, "planar pose.*got no motion"),
-        (lambda: check_driving(Parked(MAST), PointToPoint()), IncompatibleSystem, "do not tell the states roll"),
+        (lambda: check_driving(Parked(MAST), PointToPoint()), IncompatibleSystem, "do not determine the states roll"),
         (lambda: check_driving(Parked(endless), PointToPoint()), InvalidSystem, "'drive' has no finite limits"),
         (
             lambda: check_driving(Parked(car), PointToPoint(), RecurrentNetwork(), narrow),
@@ -131,13 +131,13 @@ def test_folders_that_cannot_take_the_journals_are_refused_before_the_first_mano
     file = tmp_path / "file"
     file.touch()
     for folder, sentence in (
-        (tmp_path, r"weaving\.rcj: a recording is there already"),
+        (tmp_path, r"weaving\.rcj: a recording exists already"),
         (file / "journal", "expected a folder for journals, but .*file is a file"),
     ):
         with pytest.raises(InvalidArgument, match=sentence):
             check_recording(Parked(car), folder, duration=60.0)
     manoeuvres = [Manoeuvre(name, np.zeros((9, 2))) for name in ("rest", "weaving")]
-    with pytest.raises(InvalidArgument, match=r"weaving\.rcj: a recording is there already"):
+    with pytest.raises(InvalidArgument, match=r"weaving\.rcj: a recording exists already"):
         record_journals(Parked(car), manoeuvres, tmp_path, seed=0)
 
 
@@ -177,6 +177,6 @@ def test_a_robot_is_found_by_name_and_what_is_none_is_refused(register):
 )
 def test_each_fault_is_found_where_it_is_and_the_robot_closed_without_having_been_driven(emulated, faults, wrong):
     robot = FaultyRobot(emulated, **faults)
-    assert {finding.what for finding in self_test(robot, seconds=1.0, seed=1) if not finding.ok} == wrong
+    assert {finding.check for finding in self_test(robot, seconds=1.0, seed=1) if not finding.ok} == wrong
     assert robot.connection.closed
     assert not robot.connection.driven, "nothing but neutral was sent"

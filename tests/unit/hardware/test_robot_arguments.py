@@ -75,7 +75,7 @@ def test_a_port_that_is_not_there_is_found_without_opening_anything():
 
 def test_a_robot_asks_its_tracker_what_is_missing():
     robot = robots.make("serial", port="/dev/null", tracker={"driver": "replay", "body": "car", "path": "nowhere.rcj"})
-    with pytest.raises(InvalidData, match=r"nowhere\.rcj: expected a log, found nothing there"):
+    with pytest.raises(InvalidData, match=r"nowhere\.rcj: expected a log, found no such file"):
         robot.check()
 
 

@@ -246,7 +246,7 @@ class Tank(Equations):
 
 
 def findings(physics):
-    return {finding.what: finding for finding in SensedRobot("tank", physics).self_test(seconds=2.0, seed=1)}
+    return {finding.check: finding for finding in SensedRobot("tank", physics).self_test(seconds=2.0, seed=1)}
 
 
 def test_sound_equations_have_nothing_wrong_and_their_answers_are_told():
@@ -256,7 +256,7 @@ def test_sound_equations_have_nothing_wrong_and_their_answers_are_told():
         "States: level (0 to 1 m). Controls: pump (0 to 10 V), valve (0, 1). One sample every 0.5 s"
     )
     assert "level 0 m" in found["sensors"].sentence
-    assert found["rest"].sentence == "Without a command for 150 s it stays where it is."
+    assert found["rest"].sentence == "Without a command for 150 s it does not move."
     assert "at 0 V: level 0 m; at 10 V: level 0 to 1 m (level held at the limit)" in found["pump"].sentence
     assert "with the other controls full, at 0: level 0 to 1 m" in found["valve"].sentence
 
@@ -280,8 +280,8 @@ class Unlimited(Tank):
 @pytest.mark.parametrize(
     ("physics", "said"),
     [
-        (Forgotten, "changes nothing in 150 s"),
-        (Bursting, "at 10 V: it leaves all bounds: level is no finite number after"),
+        (Forgotten, "has no effect in 150 s"),
+        (Bursting, "at 10 V: it leaves all bounds: level is not finite after"),
         (Unlimited, "give low and high"),
     ],
 )
@@ -296,19 +296,19 @@ def test_a_stop_from_outside_leaves_the_rest_out():
     stops = StopRequest()
     stops.request(StopReason.SIGINT)
     found = SensedRobot("tank", Tank()).self_test(seconds=2.0, stop=stops)
-    assert [finding.what for finding in found] == ["system", "sensors", "rest", "speed"]
+    assert [finding.check for finding in found] == ["system", "sensors", "rest", "speed"]
 
 
 @pytest.mark.parametrize("name", ["pendulum", "cart_pole", "thermal", "gymnasium(id='MountainCar-v0')"])
 def test_every_robot_without_a_pose_that_comes_with_the_program_is_sound(name):
     robot = find_robot(name)
-    found = {finding.what: finding for finding in robot.self_test(seconds=1.0, seed=2)}
+    found = {finding.check: finding for finding in robot.self_test(seconds=1.0, seed=2)}
     assert all(finding.ok for finding in found.values()), [f.sentence for f in found.values() if not f.ok]
     assert all(channel.name in found["system"].sentence for channel in robot.system.states)
 
 
 def test_an_environment_tells_how_its_episodes_go_under_random_controls():
-    found = {f.what: f.sentence for f in find_robot("gymnasium(id='CartPole-v1')").self_test(seconds=8.0, seed=3)}
+    found = {f.check: f.sentence for f in find_robot("gymnasium(id='CartPole-v1')").self_test(seconds=8.0, seed=3)}
     assert "force (-10, 10 N)" in found["system"]
     assert "in 400 steps; rewards from 1 to 1 a step" in found["episodes"]
     low, high = (float(word) for word in found["episodes"].split("after ")[1].split(" steps")[0].split(" to "))
