@@ -147,7 +147,7 @@ class JudgeFit(CellSettings):
         return Cell(
             kind="judge",
             name=f"judged-{name}",
-            title=f"judge {name}",
+            title=f"score {name}",
             settings=self,
             needs=(self.fit.settings.data, self.fit),
             expected_seconds=self.fit.expected_seconds,

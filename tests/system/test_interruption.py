@@ -120,7 +120,7 @@ def ctrl_c(condition):
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.parametrize(("jobs", "last", "kept"), [(1, "fit linear", 2), (2, "judge linear", 3)])
+@pytest.mark.parametrize(("jobs", "last", "kept"), [(1, "fit linear", 2), (2, "score linear", 3)])
 def test_ctrl_c_ends_fits_in_good_order_and_the_same_command_goes_on(jobs, last, kept, call, stored_data, monkeypatch):
     """Side by side, the processes run the plugin that is given, unasked, and nothing else of the current folder."""
     monkeypatch.setenv("XDG_STATE_HOME", "/proc")  # no decision on a plugin can be remembered
