@@ -281,7 +281,7 @@ def by_hand(robot, task, parameters, seed, at):
         control = robot.system.actuate(np.tanh(memory @ w_out))
         total += control[0]
         observation, _, ended, late, _ = env.step(robot.simulator.actions.action(control))
-        states.append(robot.system.near(robot.simulator.observations.state(observation), states[-1]))
+        states.append(robot.system.unwrap_towards(robot.simulator.observations.state(observation), states[-1]))
         if ended or late or states[-1][0] > task.end:
             break
     return total, np.array(states)
@@ -421,7 +421,7 @@ def test_what_is_below_the_least_counts_as_the_least():
         ({"id": ROTOR}, IncompatibleTask, r"has no attribute state.*register_reward"),
         ({"id": "Forgetful-v0"}, IncompatibleTask, r"continued differently.*register_reward"),
         ({"id": "Nothing-v9"}, InvalidArgument, "cannot make the environment 'Nothing-v9'"),
-        ({"id": "CartPole-v1", "least": -1.0}, InvalidArgument, "the lowest reward of CartPole-v1 is known, 0"),
+        ({"id": "CartPole-v1", "lowest": -1.0}, InvalidArgument, "the lowest reward of CartPole-v1 is known, 0"),
         ({"id": SLIDER}, IncompatibleTask, "needs 2 states, those of the environment itself"),
     ],
 )

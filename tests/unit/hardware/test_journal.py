@@ -131,10 +131,10 @@ def header(**fields):
         (MAGIC + record(1, b"[]"), "an object"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/2"}'), "schema"),
         (MAGIC + record(1, b'{"schema": "sysid-evo/journal/1", "system": {"states": 3}}'), "a system"),
-        (MAGIC + record(1, header(limits={"speed": -1.0})), "the gate's limits are: gate: speed: expected a number"),
-        (MAGIC + record(1, header(limits={"pace": 1.0})), "the gate's limits"),
-        (MAGIC + record(1, header(limits={"speed": "9"})), "the gate's limits"),
-        (MAGIC + record(2, b""), "header, and first"),
+        (MAGIC + record(1, header(limits={"speed": -1.0})), "limits of the gate: gate: speed: expected a number"),
+        (MAGIC + record(1, header(limits={"pace": 1.0})), "limits of the gate"),
+        (MAGIC + record(1, header(limits={"speed": "9"})), "limits of the gate"),
+        (MAGIC + record(2, b""), "header, as the first record"),
         (MAGIC + record(77, b""), "no kind of record has the number 77"),
     ],
 )
@@ -175,7 +175,7 @@ def test_flipped_and_cut_journals_are_a_beginning_of_what_was_told_or_invalid_da
 
 def test_journal_is_never_overwritten(path):
     session(path).close()
-    with pytest.raises(InvalidArgument, match="there already"):
+    with pytest.raises(InvalidArgument, match="exists already"):
         Recorder(path, CAR, robot="toy")
 
 
@@ -230,7 +230,7 @@ def test_journal_keeps_the_limits_of_its_gate(path):
     journal = driven(path, [measurement(900)], limits=limits)
     assert journal.limits == limits
     assert len(raw_log(journal).time) == 2
-    with pytest.raises(InvalidData, match="at least two frames"):
+    with pytest.raises(InvalidData, match="at least two plausible frames"):
         raw_log(journal, GateLimits())
 
 
