@@ -146,7 +146,9 @@ def test_a_linear_state_space_rests_and_is_moved_by_a_control():
 
 @pytest.mark.parametrize("family", at_night(["nonlinear_state_space", "latent_ode"], ("nonlinear_state_space",)))
 def test_every_kind_of_unit_is_the_same_compiled(family):
-    model = make_model(family, order=2, members=1, trial=2, iterations=2, horizon=50).fit(one_output(0), rng=0)
+    model = make_model(family, order=2, members=1, screening_iterations=2, iterations=2, horizon=50).fit(
+        one_output(0), rng=0
+    )
     model.inner_ = [4.0 * inner for inner in model.inner_]
     model.outer_ = [outer + 0.1 for outer in model.outer_]
     for kind in range(len(UNITS)):

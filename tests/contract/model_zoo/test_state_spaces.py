@@ -267,7 +267,7 @@ def test_rest_is_left_by_a_control_and_kept_without(linear):
         assert np.array_equal(held.step(rest, np.array([[control]])), rest) != moves
 
 
-FEW = {"order": 2, "members": 2, "mixtures": 3, "trial": 3, "iterations": 2, "horizon": 100}
+FEW = {"order": 2, "members": 2, "mixtures": 3, "screening_iterations": 3, "iterations": 2, "horizon": 100}
 
 
 def test_a_record_too_short_for_networks_gives_a_linear_space_and_a_note():
@@ -282,13 +282,29 @@ def test_a_record_too_short_for_networks_gives_a_linear_space_and_a_note():
 
 def test_networks_have_as_many_states_as_a_longer_chain_needs():
     """Five, which is not among the first three orders."""
-    few = {"gated": False, "members": 1, "mixtures": 1, "trial": 4, "hidden": 3, "iterations": 4, "horizon": 200}
+    few = {
+        "gated": False,
+        "members": 1,
+        "mixtures": 1,
+        "screening_iterations": 4,
+        "hidden": 3,
+        "iterations": 4,
+        "horizon": 200,
+    }
     model = make_model("nonlinear_state_space", **few).fit(chain(0), rng=0)
     assert [len(outer) for outer in model.outer_] == [5]
 
 
 def test_networks_become_wider_only_where_that_pays():
-    few = {"order": 2, "gated": False, "members": 1, "mixtures": 1, "trial": 5, "hidden": 2, "iterations": 10}
+    few = {
+        "order": 2,
+        "gated": False,
+        "members": 1,
+        "mixtures": 1,
+        "screening_iterations": 5,
+        "hidden": 2,
+        "iterations": 10,
+    }
     for bend, waves, wider in ((0.03, 0.0, False), (0.0, 2.0, True)):
         data = one_output(0, 600, noise=0.01, bend=bend, waves=waves)
         model = make_model("nonlinear_state_space", **few).fit(data, rng=0)
@@ -309,8 +325,8 @@ def test_networks_of_a_short_record_are_accepted_only_if_they_predict_better(fam
 
 
 OWN = {
-    "nonlinear_state_space": {"members": 3, "trial": 5, "hidden": 6, "iterations": 15, "horizon": 300},
-    "latent_ode": {"members": 2, "trial": 5, "hidden": 6, "iterations": 15, "horizon": 300},
+    "nonlinear_state_space": {"members": 3, "screening_iterations": 5, "hidden": 6, "iterations": 15, "horizon": 300},
+    "latent_ode": {"members": 2, "screening_iterations": 5, "hidden": 6, "iterations": 15, "horizon": 300},
 }
 
 
