@@ -197,7 +197,7 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
     told = call.told(*command, "--json", "--out", "there")
     assert told["decision"].startswith("no correction: the best")
     assert not told["corrected"]
-    assert "refit" in [row["correction"] for row in told["tried"]]
+    assert "refit" in [row["correction"] for row in told["candidates"]]
     blocks = {row["correction"]: len(row["blocks"]) for row in told["tried"]}
     assert all(count == 3 for name, count in blocks.items() if name.count("ridge") == 1 and " and " not in name)
     assert blocks["fit anew"] < 3  # it is no better in the first
