@@ -1,4 +1,4 @@
-"""A controller that plans with a model inside, by path integrals (MPPI)."""
+"""A controller that plans with a model, by path integrals (MPPI)."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from sysid_evo.types import Array, check_shape
 
 LEVELS = np.array([1.0, 0.0, -1.0])
 SETS = 8
-"""Sets of random sequences, of which every step uses the next."""
+"""Number of sets of random sequences; every step uses the next one."""
 
 
 @register_controller("predictive")
 class Predictive(Controller):
     """Model predictive path integral control: state-based control with a model inside (MPPI).
 
-    At every step it imagines what the task would make of ``samples`` sequences of outputs over ``horizon`` steps: the
-    plan of the step before, each constant sequence of full and no output, and random variations of the plan, each
-    kept for ``hold`` steps. The new plan is their mean, weighted by exp((score - best) / (temperature sigma)), sigma
-    the standard deviation of the scores; its first outputs are given. The score is the task's own fitness
-    with its `Task.potential`, of what may be known of the trial (`Task.hide_future`).
+    At every step ``samples`` sequences of outputs over ``horizon`` steps are simulated and scored: the plan of the step
+    before, each constant sequence of full and no output, and random variations of the plan, each held for ``hold``
+    steps. The new plan is their mean, weighted by exp((score - best) / (temperature sigma)), where sigma is the
+    standard deviation of the scores; its first outputs are applied. The score is the fitness of the task plus its
+    `Task.potential`, without knowledge of the future (`Task.hide_future`).
 
-    ``model`` is the file of a fitted model, the name of an emulated robot, a `Dynamics`, or a list of these: then the
-    lowest of the scores counts. The two parameters are the logarithms of the temperature and of the ``spread`` of the
-    variations, relative to those given: with zeros it plans as it was made. Its random sequences follow
-    from ``seed`` alone. What it imagines runs compiled where model and task have a compiled form, the rest in NumPy.
+    ``model`` is the file of a fitted model, the name of an emulated robot, a `Dynamics`, or a list of these; of
+    several, the lowest score counts. The two parameters are the logarithms of the temperature and of the ``spread`` of
+    the variations, relative to the given values; zeros change nothing. The random sequences depend on ``seed`` alone.
+    Simulations run compiled if model and task have a compiled form, else in NumPy.
 
     Source: Williams, Aldrich and Theodorou, "Model Predictive Path Integral Control", J. Guidance 40 (2017).
     """
@@ -126,15 +126,15 @@ class Predictive(Controller):
         if len(corners) > self.samples // 2:
             corners = np.repeat(LEVELS[:, None], nu, axis=1)[: self.samples // 2]
         constant = np.tile(corners[:, None], (1, self.horizon, 1))
-        n, pieces = self.samples - 1 - len(constant), -(-self.horizon // self.hold) + 1
+        n, holds = self.samples - 1 - len(constant), -(-self.horizon // self.hold) + 1
         rng = np.random.default_rng(self.seed)
-        drawn = np.repeat(rng.standard_normal((SETS, n, pieces, nu)), self.hold, axis=2)
+        drawn = np.repeat(rng.standard_normal((SETS, n, holds, nu)), self.hold, axis=2)
         first = rng.integers(0, self.hold, (SETS, n))
         places = first[..., None] + np.arange(self.horizon)
         return constant, np.take_along_axis(drawn, places[..., None], axis=2)
 
     def _variations(self, plan: Array, steps: Array, spread: Array) -> Array:
-        """Return all sequences that are imagined, (samples, B, horizon, nu)."""
+        """Return all sequences to simulate, (samples, B, horizon, nu)."""
         drawn = self.random[steps.astype(np.int64) % SETS].transpose(1, 0, 2, 3)
         varied = np.clip(plan + spread[:, None, None] * drawn, -1.0, 1.0)
         constant = np.broadcast_to(self.constant[:, None], (len(self.constant), *plan.shape))

@@ -1,4 +1,4 @@
-"""Channels and systems: names, units, limits, levels, dt, motion."""
+"""Channels (name, unit, limits, levels) and systems (channels, sampling time, motion)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,11 @@ LOG = logging.getLogger(__name__)
 class Channel:
     """One state or control: its name, unit, limits, discrete levels, neutral value and period.
 
-    ``levels`` are the only legal values of a discrete control, in rising order; ``None`` means
-    continuous. ``neutral`` is the value at rest (a state) or without a command (a control): by
-    default 0, or the limit nearest to it. ``period`` makes a state come round again, 2 pi for an
-    angle in rad: values that differ by whole periods are the same one, and there are no limits.
-    None for all others. ``description`` is for readers, "0 hanging, counter-clockwise positive" for example; two
-    channels that differ only in it are equal.
+    ``levels`` are the only legal values of a discrete control, in rising order; None for a continuous one.
+    ``neutral`` is the value at rest (a state) or without a command (a control), by default 0 or the limit nearest to
+    it. ``period`` is that of a periodic state without limits, such as 2 pi for an angle in rad; values that differ by
+    whole periods are equal. ``description`` is for readers, for example "0 hanging, counter-clockwise positive"; it is
+    ignored when channels are compared.
     """
 
     name: str
@@ -104,9 +103,9 @@ class Channel:
 
 @dataclass(frozen=True, repr=False)
 class System(Displayed):
-    """States, controls, the sampling time ``dt`` in seconds, and how states move a pose.
+    """States, controls, the sampling time ``dt`` in seconds, and the ``motion`` that turns states into a pose.
 
-    A name in place of a `Channel` is a channel without unit and limits.
+    A name instead of a `Channel` is a channel without unit and limits.
     """
 
     states: tuple[Channel, ...]
@@ -136,7 +135,7 @@ class System(Displayed):
             raise InvalidSystem(f"system: expected dt > 0 s, got {self.dt!r}")
         for control in self.controls:
             if control.period is not None:
-                raise InvalidSystem(f"control {control.name!r}: expected no period, which only states have")
+                raise InvalidSystem(f"control {control.name!r}: expected no period, only states have one")
         if self.motion is not None:
             self.motion.check(self.state_names)
 
@@ -183,7 +182,7 @@ class System(Displayed):
         return np.array([channel.neutral for channel in self.controls], dtype=np.float64)
 
     def actuate(self, raw: Array) -> Array:
-        """Turn controller outputs in [-1, 1] into legal controls, (..., nu) -> (..., nu).
+        """Return the legal controls (..., nu) for controller outputs in [-1, 1], (..., nu).
 
         A continuous channel scales [-1, 1] to its limits. A discrete one switches between its
         levels: its boundaries are equal parts of [-1, 1] times 0.9, so three levels switch at
@@ -205,9 +204,9 @@ class System(Displayed):
         return control
 
     def raw_output(self, control: Array) -> Array:
-        """Return outputs in [-1, 1] that `actuate` turns into ``control`` (..., nu): its inverse.
+        """Return the outputs in [-1, 1] for ``control`` (..., nu), the inverse of `actuate`.
 
-        What lies beyond the limits becomes the limit, what lies between two levels the nearest one.
+        Values beyond the limits are clipped, values between two levels are rounded to the nearest level.
         """
         control = check_last("control", control, self.nu)
         raw = np.empty_like(control)
@@ -233,8 +232,8 @@ class System(Displayed):
     def acceleration(self, before: Array, after: Array) -> Array:
         """Return the change from ``before`` to ``after`` per second, (..., nx) each.
 
-        The motion takes the rotation of its frame out of the velocities it knows (paper,
-        footnote 1); all other channels are plain differences, of periodic ones the shortest way round.
+        The motion removes the rotation of its frame from its velocities (paper, footnote 1). Other channels are
+        differences, for periodic states the shortest one.
         """
         before, after = check_last("before", before, self.nx), check_last("after", after, self.nx)
         if self.periods:
@@ -245,11 +244,11 @@ class System(Displayed):
 
     @cached_property
     def periods(self) -> Mapping[int, float]:
-        """The period of each periodic state, by its place."""
+        """The period of each periodic state, by its index."""
         return {i: channel.period for i, channel in enumerate(self.states) if channel.period is not None}
 
     def difference(self, after: Array, before: Array) -> Array:
-        """Return ``after`` - ``before`` (..., nx), of periodic states the shortest way round."""
+        """Return ``after`` - ``before`` (..., nx), for periodic states the shortest difference."""
         change = np.asarray(after - before, dtype=np.float64)
         for i, period in self.periods.items():
             change[..., i] = wrap(change[..., i], period)
@@ -266,7 +265,7 @@ class System(Displayed):
     def spread(self, states: Array) -> Array:
         """Return the standard deviation (nx,) of ``states`` (..., nx).
 
-        That of a periodic state is around its mean direction, the shortest way, however many turns it has made.
+        That of a periodic state is the deviation from its mean direction, regardless of full turns.
         """
         axes = tuple(range(states.ndim - 1))
         if not self.periods:
@@ -279,7 +278,7 @@ class System(Displayed):
         return np.asarray(np.sqrt(np.mean(off**2, axis=axes)))
 
     def unwrap(self, states: Array) -> Array:
-        """Return the states of one run (T, nx) without the jumps of periodic ones; the first stays what it is."""
+        """Return the states of one run (T, nx) with periodic ones unwrapped; the first sample is unchanged."""
         if not self.periods:
             return states
         smooth = np.array(states, dtype=np.float64)
@@ -288,7 +287,7 @@ class System(Displayed):
         return smooth
 
     def regressors(self, states: Array) -> Array:
-        """Return ``states`` (..., nx) with each periodic one replaced by its sine and cosine, one beside the other."""
+        """Return ``states`` (..., nx) with each periodic one replaced by two columns, its sine and cosine."""
         columns: list[Array] = []
         for i in range(self.nx):
             if i in self.periods:
@@ -300,7 +299,7 @@ class System(Displayed):
 
     @cached_property
     def limits(self) -> Array:
-        """The lowest and highest value of each state, (2, nx), infinite where its channel names none."""
+        """The lowest and highest value of each state, (2, nx), infinite where its channel has no limit."""
         return np.array([[c.low for c in self.states], [c.high for c in self.states]], dtype=np.float64)
 
     @property
@@ -323,7 +322,7 @@ class System(Displayed):
     def motion_kernel(self) -> MotionKernel | None:
         """Return the compiled form of the motion, `STRAIGHT` without a motion; None if the motion has none.
 
-        A remark is logged once for each kind of motion without one: its systems run in NumPy.
+        Systems with such a motion run in NumPy, which is logged once for each kind of motion.
         """
         if self.motion is None:
             return STRAIGHT
@@ -337,10 +336,10 @@ class System(Displayed):
         return StraightGradient() if self.motion is None else self.motion.gradient_form(self.state_names)
 
     def differences(self, other: System) -> tuple[str, ...]:
-        """Return in what ``other`` is another system for a controller, in words; empty if it is the same.
+        """Return the differences to ``other`` that matter to a controller, as texts; empty if there are none.
 
-        Names, units and order of the channels count, legal controls, the sampling time and the motion.
-        Limits of states do not: they are what a recording happened to show.
+        Compared are names, units and order of the channels, legal controls, the sampling time and the motion. Limits
+        of states are not compared, because they depend on the recording.
         """
         found = []
         for what, mine, theirs in (("states", self.states, other.states), ("controls", self.controls, other.controls)):
@@ -360,7 +359,7 @@ class System(Displayed):
         return tuple(found)
 
     def frame_rotation(self, state: Array) -> Array:
-        """Return w(x) (..., nx): how the motion's turning frame changes the state, per second; zero without one."""
+        """Return w(x) (..., nx), the rate of change of the state per second due to the turning frame; 0 without one."""
         if self.motion is None:
             return np.zeros_like(state)
         return self.motion.frame_rotation(state, self.state_names)
@@ -368,14 +367,14 @@ class System(Displayed):
     def move(self, pose: Array, before: Array, after: Array, dt: float | None = None) -> Array:
         """Return the pose (..., n_pose) after ``dt`` s (default: the system's), given the states at both ends.
 
-        Without a motion there is no pose, and what came comes back.
+        Without a motion, ``pose`` is returned unchanged.
         """
         if self.motion is None:
             return pose
         return self.motion.move(pose, before, after, self.dt if dt is None else dt, self.state_names)
 
     def relative_pose(self, origin: Array, pose: Array) -> Array:
-        """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); without a motion what came."""
+        """Return ``pose`` (..., n_pose) in the frame of ``origin`` (n_pose,); unchanged without a motion."""
         return pose if self.motion is None else self.motion.relative_pose(origin, pose)
 
     def with_dt(self, dt: float) -> System:
@@ -414,7 +413,7 @@ def _legal(channel: Channel) -> str:
 
 
 def _channels(what: str, given: Iterable[Channel | str] | Channel) -> tuple[Channel, ...]:
-    """Return ``given`` with every name made a channel; one name alone is one channel."""
+    """Return ``given`` as channels; a single name is one channel."""
     listed = [given] if isinstance(given, (str, Channel)) else list(given)
     channels = [Channel(entry) if isinstance(entry, str) else entry for entry in listed]
     for channel in channels:
@@ -425,11 +424,11 @@ def _channels(what: str, given: Iterable[Channel | str] | Channel) -> tuple[Chan
 
 @cache
 def _remark_slow(kind: str) -> None:
-    LOG.warning("motion %s has no compiled form: what needs it runs in NumPy, some ten times slower", kind)
+    LOG.warning("motion %s has no compiled form: its systems run in NumPy, about ten times slower", kind)
 
 
 SWITCH_MARGIN = 0.9
-"""Boundaries between levels are equal parts of [-1, 1] drawn together by this factor.
+"""Factor that scales the boundaries between levels, which divide [-1, 1] equally.
 
 Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
 """
@@ -437,12 +436,12 @@ Three levels then switch at -0.3 and 0.3, as in section 5.2 of the paper.
 
 @cache
 def level_boundaries(n_levels: int) -> tuple[float, ...]:
-    """Return the ``n_levels - 1`` outputs at which a switch changes its level."""
+    """Return the ``n_levels - 1`` outputs at which the level changes."""
     return tuple(SWITCH_MARGIN * np.arange(2 - n_levels, n_levels, 2) / n_levels)
 
 
 def switch(raw: Array, levels: Sequence[float], control: Array) -> None:
-    """Write the level that each output in [-1, 1] selects to ``control``; a boundary itself is inner."""
+    """Write the level that each output in [-1, 1] selects to ``control``; a boundary belongs to its inner side."""
     control[...] = levels[0]
     for boundary, level in zip(level_boundaries(len(levels)), levels[1:], strict=True):
         np.copyto(control, level, where=(raw >= boundary) if boundary < 0 else (raw > boundary))

@@ -20,7 +20,7 @@ from hardware.recording.journal_reader import column_names, raw_log
 from hardware.recording.manoeuvres import Manoeuvre
 from hardware.run_report import LoopReport, StopRequest
 from sysid_evo.data import Dataset
-from sysid_evo.data.preparation import PreparedLog, RawLog, episodes_of, said_once
+from sysid_evo.data.preparation import PreparedLog, RawLog, episodes_of, merged_notes
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.files import write_atomically
 from sysid_evo.progress import Progress
@@ -183,7 +183,7 @@ def prepare_logs(logs: Sequence[RawLog], system: System) -> Dataset:
         except InvalidData as error:
             left_out.append(f"left out: {error}")
     episodes = [episode for one in made for episode in one.episodes]
-    notes = [*left_out, *said_once(made)]
+    notes = [*left_out, *merged_notes(made)]
     if not episodes:
         raise InvalidData("\n".join(["the recording is too short for a data set:", *notes]))
     return Dataset(system, tuple(episodes), tuple(notes))

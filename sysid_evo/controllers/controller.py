@@ -1,4 +1,4 @@
-"""The contract of a controller: a family of control laws, one for each parameter vector; channels by name."""
+"""The base class of controllers, families of control laws with a parameter vector; lookup of channels by name."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class View:
-    """All that a controller may look at, for P candidates in E trials.
+    """The inputs of a controller, for P candidates in E trials.
 
     ``observation`` (P, E, n_observations); ``state`` (P, E, nx); ``task_state`` with P E trials,
     candidate first; ``noise`` (P, E, n_noise) standard normal numbers, the same for all candidates in a
-    trial, or None for a controller that wants none.
+    trial, or None if ``n_noise`` is 0.
     """
 
     observation: Array
@@ -38,36 +38,35 @@ class View:
 
 
 class Controller(ABC):
-    """A control law with ``n_parameters`` parameters and ``n_memory`` numbers of memory.
+    """Base class of control laws with ``n_parameters`` parameters and ``n_memory`` numbers of memory.
 
     Batched over parameter vectors: P candidates act in E trials at once. Memory starts at zero.
-    ``n_noise`` standard normal numbers are given to every `act`, never drawn inside; such a controller
-    runs in the reference form. A ``is_baseline`` one drives with zeros as its parameters, so that it
-    needs no evolution.
+    ``n_noise`` standard normal numbers are passed to every `act`, never drawn inside; such a controller
+    runs in NumPy. A controller with ``is_baseline`` drives with zeros as parameters and needs no evolution.
 
-    A class writes `act` and one of `bind` and `bind_to`; a `LawController` sets its law there instead of `act`.
+    A class defines `act` and one of `bind` and `bind_to`; a `LawController` sets its law there instead of `act`.
     """
 
     is_baseline: ClassVar[bool] = False
     not_exportable: ClassVar[str] = "it has no `program`"
-    """Why it cannot be written in other languages, where `program` gives None."""
+    """Reason why the controller cannot be exported, if `program` returns None."""
 
     n_parameters: int
     n_memory: int
     n_noise: int = 0
 
     def bind(self, n_observations: int, n_outputs: int) -> Self:
-        """Return this controller with that many inputs and outputs, whatever they mean.
+        """Return this controller with these numbers of inputs and outputs, regardless of their meaning.
 
-        Raises `InvalidArgument` for a controller that must know what they mean.
+        Raises `InvalidArgument` for a controller that depends on their meaning.
         """
-        raise InvalidArgument(f"{type(self).__name__} goes by the names of a task's channels: use bind_to(task)")
+        raise InvalidArgument(f"{type(self).__name__} depends on the names of a task's channels: use bind_to(task)")
 
     def bind_to(self, task: Task) -> Self:
         """Return this controller for ``task``, which is bound to a system.
 
-        By default what counts is how many observations and controls there are; a controller that goes by
-        their names, or that looks ahead, writes this one. Raises `IncompatibleTask` if it cannot do the task.
+        The default only uses the numbers of observations and controls; a controller that uses their names, or that
+        looks ahead, overrides it. Raises `IncompatibleTask` if the controller does not fit the task.
         """
         return self.bind(len(task.observations), task.system.nu)
 
@@ -83,9 +82,9 @@ class Controller(ABC):
         return None
 
     def program(self, parameters: Array) -> Program | None:
-        """Return `act` of a bound controller with these parameters (n_parameters,), to be written in other languages.
+        """Return `act` of a bound controller with these parameters (n_parameters,) as a program, for export.
 
-        None if it cannot be written as a `Program`.
+        None if it cannot be expressed as a `Program`.
         """
         return None
 
@@ -94,8 +93,8 @@ class Controller(ABC):
 class ControllerLaw:
     """A control law for one rollout, see `sysid_evo.laws`, and the ``parameters`` that all candidates share.
 
-    ``function(theta, memory, observation, raw, parameters, scratch)`` writes ``raw``, overwrites ``memory``, and has
-    ``n_scratch`` numbers of ``scratch``. ``width`` as for `ScalarLaw`.
+    ``function(theta, memory, observation, raw, parameters, scratch)`` writes to ``raw`` and ``memory``; ``scratch``
+    holds ``n_scratch`` numbers. ``width`` as for `ScalarLaw`.
     """
 
     function: Callable[..., None]
@@ -115,11 +114,11 @@ class LawController(Controller):
     def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
         check_shape("parameters", parameters, (None, self.n_parameters))
         grid = view.observation.shape[:2]
-        kept, seen = (list(np.moveaxis(array, -1, 0)) for array in (memory, view.observation))
+        remembered, seen = (list(np.moveaxis(array, -1, 0)) for array in (memory, view.observation))
         raw, scratch = [0.0] * self.n_outputs, [0.0] * self.law.n_scratch
         law = read(self.law.function, ROLLOUTS)
-        law(list(parameters.T[:, :, None]), kept, seen, raw, self.law.parameters.tolist(), scratch)
-        return together(raw, grid), together(kept, grid)
+        law(list(parameters.T[:, :, None]), remembered, seen, raw, self.law.parameters.tolist(), scratch)
+        return together(raw, grid), together(remembered, grid)
 
     def kernel(self) -> ControllerKernel:
         source = ScalarLaw(self.law.function, rows=LAW_ROWS, width=self.law.width)
@@ -140,12 +139,12 @@ MEMORY = "memory"
 
 
 def observation_indices(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
-    """Return where ``names`` stand among the observations of ``task``. Raises `IncompatibleTask`."""
-    return _places(f"{what}: the task shows no", names, task.observations)
+    """Return the indices of ``names`` among the observations of ``task``. Raises `IncompatibleTask`."""
+    return _places(f"{what}: the task has no observation", names, task.observations)
 
 
 def control_indices(what: str, names: Sequence[str], task: Task) -> tuple[int, ...]:
-    """Return where ``names`` stand among the controls of the system of ``task``. Raises `IncompatibleTask`."""
+    """Return the indices of ``names`` among the controls of the system of ``task``. Raises `IncompatibleTask`."""
     return _places(f"{what}: the system has no control", names, task.system.controls)
 
 
@@ -158,20 +157,20 @@ def _places(what: str, names: Sequence[str], channels: Sequence[Channel]) -> tup
 
 
 def channel_scale(channel: Channel) -> float:
-    """Return how large the values of ``channel`` are: the larger of its limits, half a period, or 1 of its unit."""
+    """Return the size of the values of ``channel``: the larger of its limits, half a period, or 1 of its unit."""
     if channel.period is not None:
         return channel.period / 2.0
     return max(abs(channel.low), abs(channel.high)) if channel.bounded else 1.0
 
 
 def channel_period(channel: Channel) -> float | None:
-    """Return the period of ``channel``, also of an angle that is shown within one turn; None for all others."""
+    """Return the period of ``channel``, also of an angle that is observed within one turn; None for all others."""
     if channel.period is None and channel.unit == "rad" and math.isclose(channel.high - channel.low, TURN):
         return TURN
     return channel.period
 
 
 def make_controller(spec: str | Spec, /, **parameters: Any) -> Controller:
-    """Return the controller that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    """Return the controller that ``spec`` names, with its parameters and ``parameters``; see `Registry.make`."""
     made: Controller = controllers.make(spec, **parameters)
     return made

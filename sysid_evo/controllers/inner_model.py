@@ -1,4 +1,4 @@
-"""The model inside a controller: the file of a fitted one, the name of an emulated robot, or a `Dynamics`."""
+"""The model inside a controller: the file of a fitted model, the name of an emulated robot, or a `Dynamics`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sysid_evo.tasks.task import Task
 def load_inner_model(what: str, model: str | Dynamics, task: Task) -> Dynamics:
     """Return the dynamics that ``model`` names, for the controller ``what`` at a bound ``task``.
 
-    Raises `ArtefactError` and `UnknownName` for what is not there, `IncompatibleTask` for a model of another system.
+    Raises `ArtefactError` and `UnknownName` if it does not exist, `IncompatibleTask` for a model of another system.
     """
     dynamics = model if isinstance(model, Dynamics) else _named(what, model)
     differences = task.system.differences(dynamics.system)

@@ -1,4 +1,4 @@
-"""Linear feedback of what the task shows, and controls that never change."""
+"""Linear feedback of the observations, and constant controls."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from sysid_evo.tasks.task import Task
 
 @register_controller("linear")
 class LinearFeedback(LawController):
-    """y = W o + b, limited to [-1, 1]: state feedback where the task shows the state.
+    """y = W o + b, limited to [-1, 1]: state feedback if the task observes the state.
 
-    ``inputs`` names the observations that count, by default all. The parameters are W (inputs, n_outputs), row
+    ``inputs`` names the observations to use, by default all. The parameters are W (inputs, n_outputs), row
     by row, and then b (n_outputs,).
     """
 
@@ -59,9 +59,9 @@ def linear(theta, memory, observation, raw, parameters, scratch):
 
 @register_controller("constant")
 class Constant(LawController):
-    """y = y_0 + b, limited to [-1, 1]: y_0 gives every control its neutral value, of levels the nearest to it.
+    """y = y_0 + b, limited to [-1, 1]: y_0 gives every control its neutral value, or the level nearest to it.
 
-    The parameters are b (n_outputs,). With zeros it stays at rest.
+    The parameters are b (n_outputs,). With zeros all controls are neutral.
     """
 
     is_baseline: ClassVar[bool] = True

@@ -1,4 +1,4 @@
-"""LQR, computed from a linear model: the best linear feedback for it near the targets of a task."""
+"""LQR, computed from a linear model: the optimal linear feedback near the targets of a task."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from sysid_evo.types import Array, check_shape
 
 SAMPLES = 200
 NEAR = 0.01
-"""How far around targets the feedback is said in observations, in sizes of the states."""
+"""Distance from the targets, in sizes of the states, within which the feedback is fitted to observations."""
 MISFIT = 0.05
-"""The largest share of the feedback that observations may fail to say."""
+"""Largest share of the feedback that may remain unexplained by observations."""
 
 
 @register_controller("lqr")
 class Lqr(LawController):
-    """u = u_r - g K (x - x_r), as outputs within [-1, 1], for tasks that lead states to targets.
+    """u = u_r - g K (x - x_r), as outputs within [-1, 1], for tasks with target states.
 
     K is the gain of the linear quadratic regulator (python-control's ``dlqr``) for the linear model
     x' = A x + B u + c of the system: the matrices ``a``, ``b`` and ``c``, or a ``model`` (the file of a fitted one, an
-    emulated robot, a `Dynamics`), which is linearised numerically in the middle of the targets. x_r and u_r are at rest
-    with the led states on target. States count by their ``weights`` (led states 1, others 0.01) and controls by
-    ``effort``, each times the square of its share of its size, for led states of ten tolerances. The law is then said
-    in what the task shows, which is exact where that is linear in states and targets. The parameter is the logarithm
-    of g: with zero it is LQR itself.
+    emulated robot, a `Dynamics`), which is linearised numerically in the middle of the targets. x_r and u_r are the
+    equilibrium on target. The cost is the sum of squares of states, with ``weights`` (1 for target states, 0.01 for
+    others), and of controls, with ``effort``; each is divided by its size, for target states ten tolerances. The law
+    is then expressed by observations, which is exact if these are linear in states and targets. The parameter is the
+    logarithm of g: zero gives LQR itself.
     """
 
     is_baseline: ClassVar[bool] = True
@@ -57,7 +57,7 @@ class Lqr(LawController):
         effort: float = 0.01,
     ) -> None:
         if (model is None) == (a is None) or (a is None) != (b is None):
-            raise InvalidArgument("lqr: expected either a model, or the matrices a and b (and perhaps c)")
+            raise InvalidArgument("lqr: expected either a model, or the matrices a and b (and optionally c)")
         if not 0.0 < effort < np.inf or any(not 0.0 <= weight < np.inf for weight in (weights or {}).values()):
             raise InvalidArgument(f"lqr: expected effort > 0 and weights >= 0, got {effort} and {weights}")
         self.model, self.a, self.b, self.c = model, a, b, c
@@ -65,7 +65,7 @@ class Lqr(LawController):
 
     def bind_to(self, task: Task) -> Self:
         if not isinstance(task, TrackingTask):
-            raise IncompatibleTask(f"lqr leads states to targets, as set_point does; {type(task).__name__} has none")
+            raise IncompatibleTask(f"lqr needs a task with target states such as set_point, got {type(task).__name__}")
         unknown = [name for name in self.weights or () if name not in task.system.state_names]
         if unknown:
             raise IncompatibleTask(f"lqr: weights: no state {unknown[0]!r}; there are {task.system.state_names}")
@@ -115,7 +115,7 @@ class Lqr(LawController):
 def _in_observations(
     task: TrackingTask, linear: LinearModel, gain: Array, began: TrackingState, led: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Return tables (observations + 1, nu) that give the outputs at rest, and the feedback, from what is shown."""
+    """Return tables (observations + 1, nu) that map observations to the outputs at rest, and to the feedback."""
     system = task.system
     at_rest = [linear.at_rest(target, led) for target in began.target]
     states, controls = (np.array(part) for part in zip(*at_rest, strict=True))
@@ -130,7 +130,7 @@ def _in_observations(
     for what, outputs, table in zip(("targets", "states"), wanted, tables, strict=True):
         misfit = np.abs(shown @ table - outputs).max()
         if misfit > MISFIT * max(np.abs(outputs).max(), 1e-9) and misfit > 1e-3:
-            raise IncompatibleTask(f"lqr: what {type(task).__name__} shows does not tell all {what} that it needs")
+            raise IncompatibleTask(f"lqr: the observations of {type(task).__name__} do not determine all {what}")
     return cast("Array", tables[0]), cast("Array", tables[1])
 
 
@@ -138,7 +138,7 @@ HEAD = Layout("n_inputs", "n_outputs")
 
 
 def lqr(theta, memory, observation, raw, parameters, scratch):
-    """Outputs at rest plus so much of the feedback, see `Lqr`."""
+    """Outputs at rest plus g times the feedback, see `Lqr`."""
     n_inputs, n_outputs = int(parameters[HEAD.n_inputs]), int(parameters[HEAD.n_outputs])
     size = (n_inputs + 1) * n_outputs
     strength = math.exp(min(max(theta[0], -5.0), 5.0))
@@ -153,7 +153,7 @@ def lqr(theta, memory, observation, raw, parameters, scratch):
 
 
 STEP = 1e-4
-"""Of a difference quotient, in sizes of the channel."""
+"""Step of a difference quotient, in sizes of the channel."""
 
 
 @dataclass(frozen=True)
@@ -165,9 +165,9 @@ class LinearModel:
     c: Array
 
     def at_rest(self, target: Array, led: Sequence[int]) -> tuple[Array, Array]:
-        """Return the state (nx,) and control (nu,) that stay as they are with the ``led`` states at ``target``.
+        """Return the equilibrium state (nx,) and control (nu,) with the states ``led`` at ``target``.
 
-        Where there are several the smallest, where there is none the nearest to one.
+        The smallest of several equilibria; if there is none, the least-squares solution.
         """
         nx = len(self.a)
         wanted = np.zeros((len(led), nx + self.b.shape[1]))
@@ -180,7 +180,7 @@ class LinearModel:
 def linear_model(dynamics: Dynamics, state: Array) -> LinearModel:
     """Return ``dynamics`` linearised around ``state`` (nx,) and the neutral control, by central differences.
 
-    What it remembers beside the state is that of a system that has long been in this state, without noise.
+    The rest of the carry is that of a system that has long been in this state, without noise.
     """
     system = dynamics.system
     neutral = system.neutral_control

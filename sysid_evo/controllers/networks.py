@@ -1,4 +1,4 @@
-"""Networks: recurrent, feed-forward, and policies that reinforcement learning found elsewhere."""
+"""Neural networks: recurrent, feed-forward, and policies from reinforcement learning."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ from sysid_evo.types import Array, check_shape
 
 @register_controller("recurrent")
 class RecurrentNetwork(Controller):
-    """An Elman network: hidden units see the inputs and all hidden units one step ago.
+    """An Elman network: hidden units get the inputs and all hidden units of the step before.
 
     ::
 
         h_t = tanh(W_in o_t + W_h h_{t-1}),    y_t = tanh(W_out h_t)
 
     The parameters are W_in (n_inputs, hidden), W_h (hidden, hidden), W_out (hidden, n_outputs), row
-    by row; no bias of its own, since the task observes a constant 1. With 5 inputs, 6 hidden units
-    and 2 outputs there are 78 (paper, section 5.2).
+    by row. There are no biases, because one observation is a constant 1. With 5 inputs, 6 hidden units
+    and 2 outputs there are 78 parameters (paper, section 5.2).
     """
 
     def __init__(self, *, hidden: int = 6) -> None:
@@ -114,7 +114,7 @@ def recurrent_lanes(theta, memory, observation, raw, parameters, scratch):
 
 
 def sums(weights, seen, before, after, n_inputs, hidden):
-    """W_in o + W_h h in sixteen lanes, six units at a time, then two, so that a row is read once for all."""
+    """W_in o + W_h h in sixteen lanes, six units at a time, then two, so that each row is read once for all of them."""
     j = 0
     while j + 6 <= hidden:
         a, b, c = splat_quarter(0.0), splat_quarter(0.0), splat_quarter(0.0)
@@ -154,12 +154,12 @@ def sums(weights, seen, before, after, n_inputs, hidden):
 
 
 def rectified(values: Array) -> Array:
-    """Return ``values`` with those below zero as zero."""
+    """Return ``values`` with negative ones replaced by zero."""
     return np.maximum(values, 0.0)
 
 
 def clipped(values: Array) -> Array:
-    """Return ``values`` kept in [-1, 1]."""
+    """Return ``values`` clipped to [-1, 1]."""
     return np.clip(values, -1.0, 1.0)
 
 
@@ -169,7 +169,7 @@ OUTPUT: Mapping[str, Callable[[Array], Array]] = {"clip": clipped, "tanh": np.ta
 
 
 class Perceptron(Controller):
-    """What `FeedForward` and `Policy` share: units of the ``hidden`` layers, f (``inner``) and g (``output``).
+    """Base class of `FeedForward` and `Policy`: units of the ``hidden`` layers, f (``inner``) and g (``output``).
 
     ::
 
@@ -212,12 +212,12 @@ class Perceptron(Controller):
 
 
 def parameters_of(sizes: Sequence[int]) -> int:
-    """Return how many weights and biases a network with layers of these ``sizes`` has, inputs first."""
+    """Return the number of weights and biases of a network with layers of these ``sizes``, inputs first."""
     return sum((n_in + 1) * n_out for n_in, n_out in pairwise(sizes))
 
 
 def layers_of(parameters: Array, sizes: Sequence[int]) -> list[tuple[Array, Array]]:
-    """Return weights (P, n_in, n_out) and biases (P, 1, n_out) of every layer: in ``parameters`` one after the other.
+    """Return weights (P, n_in, n_out) and biases (P, 1, n_out) of every layer, which ``parameters`` holds in order.
 
     Raises `ShapeError`.
     """
@@ -276,7 +276,7 @@ def feed_forward_lanes(theta, memory, observation, raw, parameters, scratch):
 
 @register_controller("policy")
 class Policy(Perceptron):
-    """The mean of a policy: a multi-layer perceptron whose last layer is linear and then kept within [-1, 1].
+    """The mean of a policy: a multi-layer perceptron with a linear last layer, limited to [-1, 1].
 
     ::
 

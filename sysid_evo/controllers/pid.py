@@ -24,18 +24,18 @@ from sysid_evo.tasks.task import Task
 
 @register_controller("pid")
 class Pid(LawController):
-    """Every loop brings one observation to zero with one control; loops on the same control add up.
+    """PID loops, each of which brings one observation to zero with one control; loops of the same control add up.
 
     ::
 
         y = b + sum of K_p e + K_i (integral of e) / T + K_d T (change of e) / dt,    e = o / scale
 
     limited to [-1, 1]. ``loops`` maps a control to an observation or a list of them: ``{heater: error}``. By
-    default every control has a loop on every observation of the task called an error (where it is shown as sine and
-    cosine, on the sine), or, where there is none, on every observation but the bias. An error of 1 is the largest
-    value that the observation can take, 1 of its unit where it has no limits, or what ``scales`` says; T is ``time``
-    (s). So gains of about 1 are a fair start for any robot. Integrals stand still while the output is beyond its
-    limits and they would drive it further (anti-windup). Angles change the shortest way round.
+    default every control has a loop on every observation that is an error (its sine, if it is observed as sine and
+    cosine), or, without any, on every observation but the bias. ``scales`` are the observations that count as an error
+    of 1: by default the largest value, or 1 of the unit without limits. T is ``time`` (s). Gains of about 1 are
+    therefore a reasonable start for any robot. Integrals are frozen while the output is saturated and they would
+    increase it further (anti-windup). Changes of angles are the shortest ones.
 
     The parameters are K_p, K_i, K_d of every loop, then b of every control. The memory is the integral of every
     loop, its last error, and whether there was one.
@@ -87,20 +87,21 @@ def _all_loops(task: Task) -> dict[str, list[str]]:
     names = [channel.name for channel in task.observations if channel.name != "bias"]
     errors = [name for name in names if "error" in name and not name.startswith("cos_")]
     if not names:
-        raise InvalidArgument("pid: the task shows nothing that a loop could bring to zero")
+        raise InvalidArgument("pid: the task has no observation that a loop could bring to zero")
     return dict.fromkeys(task.system.control_names, errors or names)
 
 
 HEAD = Layout("n_loops", "n_outputs", "dt", "time")
 LOOP = Layout("observation", "control", "per_scale", "period", "per_period")
-"""A loop brings an ``observation`` to zero and moves a ``control``, by their places.
+"""A loop brings an ``observation`` to zero with a ``control``, both given by index.
 
-``per_scale`` is 1 / what counts as an error of 1; ``period`` (0: none) is that of the observation, in such errors.
+``per_scale`` is 1 / the observation that counts as an error of 1; ``period`` (0: none) is that of the observation
+times ``per_scale``.
 """
 
 
 def pid(theta, memory, observation, raw, parameters, scratch):
-    """Proportional, integral and derivative terms, then the outputs with integrals that do not wind up; see `Pid`."""
+    """Proportional, integral and derivative terms, then the outputs with anti-windup; see `Pid`."""
     n_loops, n_outputs = int(parameters[HEAD.n_loops]), int(parameters[HEAD.n_outputs])
     fraction = parameters[HEAD.dt] / parameters[HEAD.time]
     per_step = parameters[HEAD.time] / parameters[HEAD.dt]

@@ -1,7 +1,7 @@
-"""A control law as a short program over vectors, from which files in several languages are written.
+"""A control law as a short program of vector statements, which is exported to several languages.
 
 A program is a list of statements, ``name = expression``. Expressions work element by element on vectors of one
-length (a vector of one element goes with any), except for `Dot`, a matrix times a vector, and `Take`, some elements
+length (a vector of one element is broadcast), except for `Dot`, a matrix times a vector, and `Take`, some elements
 of a vector::
 
     seen = variable("observation", 5)
@@ -27,7 +27,7 @@ Vectors: TypeAlias = Mapping[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Something with ``size`` elements; ``+ - * /`` combine two, and comparisons are tests of a choice."""
+    """An expression of ``size`` elements; ``+ - * /`` combine two, and comparisons are tests of a choice."""
 
     size: int
 
@@ -86,7 +86,7 @@ class Relation:
     right: Expression
 
     def __bool__(self) -> bool:
-        raise InvalidArgument("program: an observation chooses what comes next: write a if test else b, not if")
+        raise InvalidArgument("program: a test of an observation must be written as 'a if test else b', not as 'if'")
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ class NamedValue(Expression):
 
 @dataclass(frozen=True, eq=False)
 class Joined(Expression):
-    """Several numbers one after the other, ``parts`` of one element each; the whole of a statement."""
+    """A vector made of ``parts`` of one element each; only used as a whole statement."""
 
     parts: tuple[Expression, ...]
 
@@ -184,7 +184,7 @@ OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
 
 @dataclass(frozen=True)
 class Statement:
-    """``name = expression``, and what it is in words."""
+    """``name = expression``, with a comment."""
 
     name: str
     expression: Expression
@@ -200,8 +200,8 @@ class Statement:
 class Program:
     """Statements in order; the ``result`` is the value of one of them.
 
-    ``remembered`` maps each vector of the memory, zeros at first, to the statement whose value it has in the next
-    sample. The one input is called `OBSERVATION`.
+    ``remembered`` maps each vector of the memory, zeros at first, to the statement whose value it takes for the next
+    sample. The only input is called `OBSERVATION`.
     """
 
     statements: tuple[Statement, ...]
@@ -213,7 +213,7 @@ class Program:
         return {name: np.zeros(value.size) for name, value in self.remembered.items()}
 
     def run(self, observation: Array, memory: Vectors) -> tuple[Array, dict[str, Array]]:
-        """Return the result for one observation (n,), and the memory after it, in the precision of what is given."""
+        """Return the result for one observation (n,), and the memory after it, in the precision of the input."""
         known: dict[str, Array] = {OBSERVATION: observation}
         for statement in self.statements:
             value = _value(statement.expression, known, memory, observation.dtype)
@@ -243,7 +243,7 @@ def observation(n: int) -> Variable:
 
 
 def remembered(name: str, n: int) -> Variable:
-    """Return a vector of the memory."""
+    """Return the vector ``name`` of the memory, (n,)."""
     return Variable(n, name, remembered=True)
 
 
@@ -299,7 +299,7 @@ def _binary(operator: str, left: Operand, right: Operand) -> Expression:
 
 
 def parts_of(expression: Expression) -> Iterator[Expression]:
-    """Yield ``expression`` and all that it is made of."""
+    """Yield ``expression`` and all its parts."""
     yield expression
     for name in ("left", "right", "yes", "no", "of"):
         part = getattr(expression, name, None)
@@ -344,7 +344,7 @@ def elements(of: Variable) -> list[Operand]:
 
 
 def program_of(result: Sequence[Operand], memory: Mapping[str, Sequence[Operand]]) -> Program:
-    """Return the program of values that a law came to: the ``result``, and what is remembered under each name."""
+    """Return the program that computes ``result`` and the new ``memory`` by name, from the values of a law."""
     writer = _Statements()
     raw = writer.joined("raw", result)
     after = {name: writer.joined(f"{name}_after", values) for name, values in memory.items()}
@@ -352,7 +352,7 @@ def program_of(result: Sequence[Operand], memory: Mapping[str, Sequence[Operand]
 
 
 class _Statements:
-    """Writes every named value as a statement, once, after those that it is made of."""
+    """Writes every named value as a statement, once, after the statements that it depends on."""
 
     def __init__(self) -> None:
         self.done: list[Statement] = []
@@ -370,7 +370,7 @@ class _Statements:
         return self.done[-1].value
 
     def plain(self, e: Expression) -> Expression:
-        """Return ``e`` with variables for what has a name."""
+        """Return ``e`` with named values replaced by variables."""
         if isinstance(e, NamedValue):
             if e not in self.known:
                 self.known[e] = self.statement(e.name, self.plain(e.of))
@@ -397,7 +397,7 @@ def _extreme(operator: str, of_numbers: Callable[[Any, Any], Any]) -> Callable[[
 
 
 def _function(function: Any) -> Callable[..., Operand]:
-    """Return ``function`` of numbers, which of an expression is one of `FUNCTIONS`."""
+    """Return ``function``, which for an expression is one of `FUNCTIONS`."""
     name = "round" if function is nearest else function.__name__
 
     def applied(*of: Operand) -> Operand:
@@ -405,18 +405,18 @@ def _function(function: Any) -> Callable[..., Operand]:
             return cast("float", function(*of))
         (one,) = of
         if name not in FUNCTIONS:
-            raise InvalidArgument(f"program: {name} of an observation has no form; there are {', '.join(FUNCTIONS)}")
+            raise InvalidArgument(f"program: {name} of an observation is not supported, only {', '.join(FUNCTIONS)}")
         return apply(name, number(one))
 
     return applied
 
 
 def _named(name: str, value: Any) -> Any:
-    """Return ``value`` under a name, if it is worth one."""
+    """Return ``value`` as a `NamedValue`, unless it is a number, a variable or an element of one."""
     if not isinstance(value, Expression) or isinstance(value, Number | Variable | Take | NamedValue):
         return value
     return NamedValue(value.size, name, value)
 
 
 SYMBOLS = LawReading(_chosen, _extreme("min", min), _extreme("max", max), {}, _function, _named, branches=True)
-"""A law of expressions: numbers are computed, the rest is written down."""
+"""Reads a law with expressions: numbers are computed, everything else becomes an expression."""

@@ -1,4 +1,4 @@
-"""Pure pursuit: drive a planar body along the arc that leads to the waypoint."""
+"""Pure pursuit: drive a planar body along the arc to the waypoint."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from sysid_evo.tasks.task import Task
 
 SHOWN = ("forward_speed", "yaw_rate", "waypoint_angle", "waypoint_distance")
 DAMPING = 0.1
-"""What a damping parameter of 1 means, in s."""
+"""Damping (s) for a parameter of 1."""
 CLOSEST = 0.05
-"""A waypoint nearer than this (m) is steered for as if it were this far."""
+"""Lower bound (m) of the distance to the waypoint."""
 STRAIGHTEST = 1e-3
-"""Arcs straighter than this (1/m) count as this."""
+"""Lower bound (1/m) of the curvature of an arc."""
 
 
 @register_controller("pursuit")
 class Pursuit(LawController):
     """Pure pursuit of the next waypoint, as fast as the arc to it allows.
 
-    With the waypoint at angle a and distance d, the arc there has the curvature c; a waypoint abreast or behind is
-    turned to as sharply as one abreast::
+    With the waypoint at angle a and distance d, the arc there has the curvature c; for a waypoint behind, it is that
+    for a waypoint at the side::
 
         c = 2 sin(a) / d,   or  2 sign(a) / d  for |a| > pi / 2
         steer = look c - damping yaw_rate
         drive = gain (sqrt(acceleration / |c|) - forward_speed)
 
-    limited to [-1, 1]; left and forward are positive. With ``backward`` the tail leads: a is the angle from there,
-    the speed is counted backward, drive and look c change their signs. ``look`` (m) is how hard it steers,
-    ``acceleration`` (m/s2) the sideways one that it counts on, ``gain`` is in s/m. The four parameters are the
-    logarithms of look, acceleration and gain, relative to those, and the damping in units of 0.1 s: all zero, it
-    drives as it was made. ``drive`` and ``steer`` name the controls; any others stay neutral.
+    limited to [-1, 1]; left and forward are positive. With ``backward`` the robot drives in reverse: a is the angle
+    from the tail, the speed is that backward, drive and look c change sign. ``look`` (m) is the gain of the steering,
+    ``acceleration`` (m/s2) the available lateral acceleration, ``gain`` is in s/m. The four parameters are the
+    logarithms of look, acceleration and gain, relative to the given values, and the damping in units of 0.1 s; zeros
+    change nothing. ``drive`` and ``steer`` name the controls; any others stay neutral.
     """
 
     is_baseline: ClassVar[bool] = True

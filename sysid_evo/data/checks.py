@@ -1,6 +1,6 @@
-"""What is wrong, or looks wrong, with a log: limits, rate, units, frozen poses.
+"""Checks of logs: limits, rate, units, frozen poses.
 
-A log that cannot be used is an error; what only looks wrong is a sentence.
+A log that cannot be used is an error; a possible fault is a remark.
 """
 
 from __future__ import annotations
@@ -19,15 +19,16 @@ from sysid_evo.errors import InvalidData
 from sysid_evo.types import Array, IntArray
 
 FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
-STILL = 0.05  # rad/s: a body that turns more slowly says nothing about its yaw rate
+STILL = 0.05  # rad/s: slower turns are not used to check the yaw rate
 EXPLAINED = 0.5  # misfit if a rate is 1.6 times the change or the reverse, or if they correlate by 0.87
 FAR_APART, AS_LARGE = np.log(10.0), 0.15
-"""A rate need not be that of this state. So units are inferred from its size only for degrees, cm and mm, whose factors
-are large, and only if it fits to within the noise of a differentiated encoder."""
+"""A rate may belong to another state. Units are therefore inferred from its size only for degrees, cm and mm, whose
+factors are large, and only if it agrees within the noise of a differentiated encoder."""
 UNUSED = 0.02
-"""Share of its limits below which a recording looks like one in another unit: 0.017 of degrees, 0.001 of mA."""
+"""A recorded range below this share of the limits suggests another unit: the factor is 0.017 for degrees, 0.001 for mA.
+"""
 TURNS = 2.0 * TURN
-"""An angle (rad), or what a body turns in a second, that is more looks like degrees: 13 of them are not much."""
+"""Larger angles (rad), or turns per second, suggest degrees: 13 degrees are a common value."""
 
 
 def check_time(table: Table, column: str, time: Array) -> None:
@@ -45,7 +46,7 @@ def check_time(table: Table, column: str, time: Array) -> None:
 def check_control(table: Table, name: str, control: ControlColumn, values: Array) -> Array:
     """Return ``values`` (N,), or raise `InvalidData` if one lies outside the limits or off the levels.
 
-    Values within 1e-6 of a level or limit, as single precision leaves them, are put on it.
+    Values within 1e-6 of a level or limit (single precision) are set to it.
     """
     given = control.all_levels
     if given is not None:
@@ -67,11 +68,11 @@ def check_control(table: Table, name: str, control: ControlColumn, values: Array
 
 
 def findings(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Return sentences on what looks wrong in ``log``, which came from ``table``; raise what is certainly wrong."""
+    """Return remarks on possible faults of ``log``, read from ``table``. Raises `InvalidData` for certain faults."""
     found = _beyond_limits(log, table, columns)
     found += [
         f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {state.column!r}: "
-        f"state {name!r} is constant at {log.extra[name][0]:g}; is the sensor alive?"
+        f"state {name!r} is constant at {log.extra[name][0]:g}; does the sensor work?"
         for name, state in columns.states.items()
         if state.column is not None and np.ptp(log.extra[name]) == 0.0
     ]
@@ -92,13 +93,13 @@ def _beyond_limits(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
         if len(bad):
             found.append(
                 f"{table.where(state.column, int(bad[0]))}: state {name!r} is {values[bad[0]]:g}, outside "
-                f"{low:g} to {high:g}{such_rows(len(bad))}; kept as it is"
+                f"{low:g} to {high:g}{such_rows(len(bad))}; not changed"
             )
     return found
 
 
 def constant_controls(logs: Sequence[RawLog], tables: Sequence[Table], columns: ColumnMap) -> list[str]:
-    """Return which controls have one value in all logs; in one of several logs that is a manoeuvre."""
+    """Return remarks on controls with one value in all logs; in one of several logs that is a manoeuvre."""
     found = []
     for i, (name, control) in enumerate(columns.controls.items()):
         values = np.concatenate([log.controls[:, i] for log in logs])
@@ -112,9 +113,9 @@ def constant_controls(logs: Sequence[RawLog], tables: Sequence[Table], columns: 
 
 
 def unused_limits(logs: Sequence[RawLog], tables: Sequence[Table], columns: ColumnMap) -> list[str]:
-    """Return which limits are so far from all that was recorded that they look like those of another unit.
+    """Return remarks on limits that are so far from the recorded values that they seem to be in another unit.
 
-    Those of a state may be wide without a mistake, so that only a unit that explains it counts.
+    Limits of a state may be wide on purpose, so they are only remarked on if another unit explains them.
     """
     found = []
     seen = {name: [log.controls[:, i] for log in logs] for i, name in enumerate(columns.controls)}
@@ -129,17 +130,17 @@ def unused_limits(logs: Sequence[RawLog], tables: Sequence[Table], columns: Colu
         if not 0.0 < share < UNUSED or not (meant or name in columns.controls):
             continue
         converted = f"low = {column.low * factor:g}, high = {column.high * factor:g}"
-        told = f"Are they in {column.unit}? Then give {converted}" if meant else "Are they right?"
+        question = f"Are they in {column.unit}? Then give {converted}" if meant else "Are they right?"
         files = ", ".join(table.path.name for table in tables)
         found.append(
-            f"{files}, column {column.column!r}: {name!r} goes from {low:g} to {high:g} {si_unit}, {share:.2g} of what "
-            f"its limits allow, {column.low:g} to {column.high:g} {si_unit}: limits are in SI units. {told}"
+            f"{files}, column {column.column!r}: {name!r} goes from {low:g} to {high:g} {si_unit}, {share:.2g} of the "
+            f"range of its limits, {column.low:g} to {column.high:g} {si_unit}: limits are in SI units. {question}"
         )
     return found
 
 
 def _turns(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Return which angles declared in rad go so far that they look like degrees; the rate of one is compared apart."""
+    """Return remarks on angles declared in rad that seem to be in degrees; rates are checked by `_rates`."""
     yaw_rate = "" if columns.motion is None else columns.motion.yaw_rate
     found = []
     for name, state in columns.states.items():
@@ -156,16 +157,16 @@ def _turns(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
 
 
 def _frozen(log: RawLog, table: Table) -> list[str]:
-    """Return where the pose stood still to the last digit and then jumped, as when a tracker loses a body."""
+    """Return a remark on a pose that is exactly constant and then jumps, as if the tracker had lost the body."""
     same = (np.diff(log.pose, axis=0) == 0.0).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8))).reshape(-1, 2)
     first, last = edges[edges[:, 1] + 1 < len(log.time)].T
     jump = np.hypot(*(log.pose[last + 1, :2] - log.pose[last, :2]).T)
     long = (last - first + 1 >= FROZEN_ROWS) & (log.time[last] - log.time[first] >= FROZEN_TIME)
     return [
-        f"{table.path.name}, rows {table.rows[first[i]]} to {table.rows[last[i]]}: the pose stands still for "
-        f"{log.time[last[i]] - log.time[first[i]]:.2f} s and then jumps by {jump[i]:.2f} m, as when the tracker "
-        "lost the body; cut the file there"
+        f"{table.path.name}, rows {table.rows[first[i]]} to {table.rows[last[i]]}: the pose is constant for "
+        f"{log.time[last[i]] - log.time[first[i]]:.2f} s and then jumps by {jump[i]:.2f} m, as if the tracker "
+        "had lost the body; cut the file there"
         for i in np.flatnonzero(long & (jump > FROZEN_JUMP))
     ]
 
@@ -191,9 +192,9 @@ def _heading_jumps(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
 
 
 def _rates(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Compare yaw rate and heading, and every state that could be the rate of another one with how that changes.
+    """Return remarks from a comparison of the yaw rate, and of possible rates of other states, with the derivative.
 
-    A factor between them that another unit explains is an error, and so is a yaw rate of the other sign.
+    A factor between them that another unit explains is an error, and so is a yaw rate of the opposite sign.
     """
     own = {name: (state, log.extra[name]) for name, state in columns.states.items() if state.column is not None}
     yaw_rate = own.get("" if columns.motion is None else columns.motion.yaw_rate)
@@ -221,8 +222,8 @@ def _rates(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
             explained = pair.explained(far)
             if explained:
                 raise InvalidData(
-                    f"{pair.where(table)}: it goes with the change of column {pair.of.column!r}, but is not its "
-                    f"derivative: {explained}. If it is no rate of it, put a unit in brackets, as "
+                    f"{pair.where(table)}: it is proportional to the change of column {pair.of.column!r}, but is "
+                    f"not its derivative: {explained}. If it is not its rate, put the unit in brackets: "
                     f'unit = "[{pair.by.unit}]"'
                 )
     return found
@@ -238,7 +239,7 @@ class _Pair:
         self.fits = self.misfit(1.0, 1.0) < 1.0
 
     def change(self, factor: float) -> Array:
-        """Return the change per second of the other column times ``factor``; angles may come round."""
+        """Return the change per second of the other column times ``factor``; angles may wrap."""
         steps = np.diff(self._values * factor)
         moved = np.cumsum(np.concatenate([[0.0], _wrap(steps) if to_si(self.of.unit)[0] == "rad" else steps]))
         return np.asarray(
@@ -246,14 +247,14 @@ class _Pair:
         )
 
     def misfit(self, factor: float, rate_factor: float) -> float:
-        """Return how far change and rate, times these factors, are from each other: 1 if one is 2.6 times the other."""
+        """Return the misfit of change and rate, times these factors: 1 if one is 2.6 times the other."""
         a, b = self.change(factor), rate_factor * self.rate
         scale = _rms(a) * _rms(b)
         return _rms(a - b) / float(np.sqrt(scale)) if scale > 0.0 else np.inf
 
     @property
     def units(self) -> dict[str, tuple[float, float]]:
-        """The factors of each other unit that one of the columns could be in, by a sentence that says so."""
+        """The factors of other units that one of the columns could be in, by the sentence that suggests the unit."""
         found = {}
         for column in (self.of, self.by):
             si_unit, declared = to_si(column.unit)
@@ -265,23 +266,23 @@ class _Pair:
         return found
 
     def is_near(self, factor: float, rate_factor: float) -> bool:
-        """Whether change and rate are as large as each other with these factors, which are far from 1."""
+        """Whether change and rate have the same size with these factors, which are far from 1."""
         ratio = rate_factor * _rms(self.rate) / max(_rms(self.change(factor)), 1e-300)
         return abs(np.log(factor / rate_factor)) > FAR_APART and abs(ratio - 1.0) < AS_LARGE
 
     def explained(self, factors: Mapping[str, tuple[float, float]]) -> str:
-        """Return the sentences of the factors with which rate and change differ least; none if that is much."""
+        """Return the sentences of the factors with the smallest misfit of rate and change; none if it is large."""
         off = {what: self.misfit(*pair) for what, pair in factors.items()}
         least = min(off.values(), default=np.inf)
         return "; or ".join(what for what, misfit in off.items() if misfit < min(EXPLAINED, least + 0.05))
 
     def where(self, table: Table) -> str:
-        """Return the place of the rate in words."""
+        """Return the rows and the column of the rate as text."""
         return f"{table.path.name}, rows {table.rows[0]} to {table.rows[-1]}, column {self.by.column!r}"
 
 
 def _course(log: RawLog, table: Table, columns: ColumnMap) -> list[str]:
-    """Compare the heading with the direction of motion, forwards or backwards, where the body is moving."""
+    """Return remarks from a comparison of the heading with the direction of motion, forwards or backwards."""
     column = columns.pose["heading"]
     before, after = _baseline(log.time)
     moved = log.pose[after, :2] - log.pose[before, :2]
@@ -331,21 +332,21 @@ def _wrap(angle: Array) -> Array:
 UNITS = ("s", "ms", "us", "ns")
 
 FAR = 20.0
-"""Rows this many ``dt`` apart, or more, look like a wrong unit of time; nearer ones like a wrong ``dt``."""
+"""A time between rows of at least this many ``dt`` suggests a wrong unit of time, a shorter one a wrong ``dt``."""
 
 FASTEST = 200.0
-"""Most rows for each ``dt`` that a log is expected to have."""
+"""Largest expected number of rows per ``dt``."""
 
 STRAY = 0.05
-"""Share of steps off the beat from which on a log is refused instead of split at each of them."""
+"""With a larger share of irregular steps a log is refused instead of split at each of them."""
 
 
 def check_rate(table: Table, column: TimeColumn, time: Array, dt: float, *, row_by_row: bool) -> None:
-    """Raise `InvalidData` if ``time`` (N,) in s cannot belong to samples every ``dt`` s, and say what to change.
+    """Raise `InvalidData`, with a remedy, if ``time`` (N,) in s cannot belong to samples every ``dt`` s.
 
-    Three mistakes are told apart: a wrong unit of time, a ``dt`` shorter than the log's steps, and
-    stamps that scatter. ``row_by_row`` says whether every state has a column, so that rows ``dt``
-    apart are samples; rows closer together are filtered, which takes care of their scatter.
+    Three mistakes are distinguished: a wrong unit of time, a ``dt`` shorter than the log's steps, and
+    scattered stamps. With ``row_by_row`` every state has a column, so that rows ``dt`` apart are samples; the scatter
+    of rows that are closer together is removed by the filter.
     """
     steps = np.diff(time)
     period = float(np.median(steps))
@@ -374,7 +375,7 @@ def check_rate(table: Table, column: TimeColumn, time: Array, dt: float, *, row_
 
 
 def _unit_of(declared: str, period: float, dt: float) -> str | None:
-    """Return the unit of time that makes the rows a likely part of ``dt`` apart, None if there is none."""
+    """Return the unit of time with which the time between rows is a plausible part of ``dt``, or None."""
     for unit in UNITS:
         read = period * to_si(unit)[1] / to_si(declared)[1]
         if unit != declared and dt / FASTEST <= read <= (1.0 + RATE_TOLERANCE) * dt:
@@ -391,7 +392,7 @@ def _check_scatter(where: str, steps: Array, dt: float) -> None:
         near = steps[steps < 3.0 * dt]
         raise InvalidData(
             f"{where}: the time between rows scatters by {1e3 * near.std():.3g} ms around {1e3 * dt:g} ms; "
-            f"{stray:.0%} of the steps are under {SHORTEST:g} or over {LONGEST:g} dt. If the rows were taken every "
+            f"{stray:.0%} of the steps are under {SHORTEST:g} or over {LONGEST:g} dt. If the rows were measured every "
             f"{1e3 * dt:g} ms and only stamped late, leave [time] out of the column map; if not, stamp each row where "
             "the sensor is read, or log three or more rows for each dt, which are filtered onto a steady clock"
         )

@@ -1,6 +1,6 @@
-"""The column map: which column of a log is which channel, in which unit, with which limits.
+"""Column maps: channel, unit and limits of each column of a log.
 
-A map is a TOML file (``docs/data.md`` describes it); some are shipped beside this file, in ``maps``.
+A map is a TOML file (described in ``docs/data.md``); some are shipped in the folder ``maps``.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class _Scaled(_Strict):
 
     @property
     def scale(self) -> float:
-        """What turns a value of the file into SI units."""
+        """The factor from values of the file to SI units."""
         return self.factor * to_si(self.unit)[1]
 
 
 class Column(_Scaled):
-    """One column: its value times ``factor`` is in ``unit``, which then becomes an SI unit."""
+    """One column: its value times ``factor`` is in ``unit``, which is converted to SI units."""
 
     column: str
 
@@ -60,7 +60,7 @@ class StateColumn(_Scaled):
     """A state: from a column, or, without one, by differentiating the pose.
 
     ``low``, ``high`` and ``neutral``, its value at rest, are in SI units. A ``periodic`` one is an angle
-    that comes round after a full turn.
+    with the period of a full turn.
     """
 
     column: str | None = None
@@ -79,11 +79,11 @@ class StateColumn(_Scaled):
 
 
 class ControlColumn(Column):
-    """A control: ``gate`` names a column it is multiplied by, ``non_negative`` sets negative values to 0.
+    """A control: it is multiplied by the column ``gate``; with ``non_negative``, negative values are set to 0.
 
     ``low`` and ``high``, or ``levels``, or ``neutral`` are in SI units, after factor and gate.
-    Without limits the channel gets the lowest and highest value of the recordings. ``words`` says what each text of
-    the column is worth as a number of the file; without limits these numbers are the levels.
+    Without limits the channel gets the lowest and highest value of the recordings. ``words`` maps each text of
+    the column to a number; without limits these numbers are the levels.
     """
 
     unit: str = ""
@@ -105,19 +105,19 @@ class ControlColumn(Column):
 
     @property
     def all_levels(self) -> tuple[float, ...] | None:
-        """The levels, given or those of the words, in rising order; None if the control is continuous."""
+        """The levels, given or from ``words``, in rising order; None if the control is continuous."""
         if self.levels is not None or self.words is None or self.low is not None:
             return self.levels
         return tuple(sorted({self.scale * number for number in self.words.values()}))
 
     @property
     def limited(self) -> bool:
-        """Whether the map says what values are legal."""
+        """Whether the map has limits or levels."""
         return self.all_levels is not None or self.low is not None
 
 
 class MotionRoles(_Strict):
-    """Which states move the pose of a planar body; without ``lateral`` it has no such state."""
+    """The states that move the pose of a planar body; ``lateral`` is optional."""
 
     kind: Literal["planar_body"] = "planar_body"
     forward: str
@@ -128,8 +128,8 @@ class MotionRoles(_Strict):
 class ColumnMap(_Strict):
     """A column map: control period ``dt`` in s, time, states, controls, pose, other columns, motion.
 
-    ``condition`` is the column that names the condition of each row, text or numbers. ``encoding`` is that of the logs
-    that are text. With ``missing`` "drop" rows that lack a number are left out, else they are an error.
+    ``condition`` is the column with the condition of each row, text or numbers. ``encoding`` is that of text logs.
+    With ``missing`` "drop", rows with missing numbers are left out; else they are an error.
     """
 
     name: str
@@ -150,7 +150,7 @@ class ColumnMap(_Strict):
         try:
             "".encode(encoding or "utf-8")
         except LookupError:
-            raise ValueError(f"no text encoding {encoding!r}: expected such as utf-8, utf-16, cp1252") from None
+            raise ValueError(f"no text encoding {encoding!r}: expected one such as utf-8, utf-16, cp1252") from None
         return encoding
 
     @model_validator(mode="after")
@@ -166,7 +166,7 @@ class ColumnMap(_Strict):
             _expect_unit(f"states.{state}", self.states[state].unit, ROLE_UNITS[role])
         pose = () if self.motion is None else tuple(zip(PlanarBody.pose_names, PlanarBody.pose_units, strict=True))
         if self.pose and set(self.pose) != {name for name, _ in pose}:
-            wanted = ", ".join(name for name, _ in pose) or "none, as there is no [motion]"
+            wanted = ", ".join(name for name, _ in pose) or "none, because there is no [motion]"
             raise ValueError(f"pose: expected {wanted}, got {', '.join(self.pose)}")
         for name, unit in pose if self.pose else ():
             _expect_unit(f"pose.{name}", self.pose[name].unit, unit)
@@ -179,7 +179,7 @@ class ColumnMap(_Strict):
 
     @property
     def differentiated(self) -> tuple[str, ...]:
-        """The states that have no column and come from the pose."""
+        """The states without a column, which are derived from the pose."""
         return tuple(name for name, state in self.states.items() if state.column is None)
 
     @property
@@ -197,7 +197,7 @@ class ColumnMap(_Strict):
 
     @property
     def number_columns(self) -> tuple[str, ...]:
-        """The columns of numbers, each once; not those of commands in words."""
+        """The columns of numbers, each once, without those of commands in words."""
         used = [] if self.time is None else [self.time.column]
         used += [state.column for state in self.states.values() if state.column is not None]
         for control in self.controls.values():
@@ -235,7 +235,7 @@ class ColumnMap(_Strict):
 
 
 def load_columns(source: str | Path) -> ColumnMap:
-    """Read a column map from a TOML file, or a shipped one by its name. Raises `InvalidData`."""
+    """Return the column map in a TOML file, or a shipped one by its name. Raises `InvalidData`."""
     path = Path(source)
     if path.suffix != ".toml" and str(source) in shipped_names():
         return shipped_columns()[str(source)]
@@ -279,8 +279,8 @@ def shipped_columns() -> dict[str, ColumnMap]:
 def choose_columns(header: Sequence[str], source: str) -> str:
     """Return the name of the shipped map for a log with this ``header``.
 
-    It is the map whose columns all stand in the header; of several, the one that uses all the
-    columns of the others. Raises `InvalidData` if there is none, or no such one.
+    All columns of the map must be in the header; of several such maps, the one that includes the columns of the others
+    is used. Raises `InvalidData` if there is none.
     """
     used = {name: set(columns.columns) for name, columns in shipped_columns().items()}
     fitting = {name: columns for name, columns in used.items() if columns <= set(header)}
@@ -291,7 +291,7 @@ def choose_columns(header: Sequence[str], source: str) -> str:
     found = f"{', '.join(fitting)} all fit" if fitting else "no shipped column map fits"
     raise InvalidData(
         f"{source}: {found} its columns ({', '.join(header)}). "
-        "For a robot of your own, write a column map, a TOML file as docs/data.md shows it, and name it with columns= "
+        "For your own robot, write a column map (a TOML file, see docs/data.md) and give it with columns= "
         f"(--columns). Shipped maps and the columns they need:\n{listed}"
     )
 
@@ -302,7 +302,7 @@ def _expect_unit(where: str, unit: str, si_unit: str) -> None:
 
 
 def _explain(error: ErrorDetails) -> str:
-    """Return what is wrong with a key, with a suggestion if there is no such key."""
+    """Return the error of a key, with a suggestion if the key is unknown."""
     if error["type"] != "extra_forbidden":
         return error["msg"].removeprefix("Value error, ")
     known = sorted({key for part in (ColumnMap, ControlColumn, StateColumn, MotionRoles) for key in part.model_fields})

@@ -1,4 +1,4 @@
-"""Several episodes of one system: made, read, split, thinned, cut into windows, stored."""
+"""Data sets of several episodes of one system: construction, reading, splitting, subsampling, windows, storage."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Transitions:
-    """N single steps: ``carry`` (N, n_carry) under ``control`` (N, nu) leads to ``after`` (N, nx).
+    """N single steps from ``carry`` (N, n_carry) under ``control`` (N, nu) to ``after`` (N, nx).
 
     ``carry`` is the state, then earlier states, then earlier controls, newest first.
     """
@@ -61,11 +61,10 @@ class Transitions:
 
 @dataclass(frozen=True, repr=False)
 class Dataset(Displayed):
-    """Episodes of possibly unequal length, all of one ``system`` and at its ``dt``.
+    """Episodes of one ``system``, sampled at its ``dt``; their lengths may differ.
 
-    Periodic states run on without jumps within an episode, as if they were not.
-    ``notes`` list what the preparation has to say about the recording. Conditions of episodes are no part of the
-    ``fingerprint``: they change nothing in what a model learns.
+    Periodic states are unwrapped within an episode. ``notes`` are remarks of the preparation on the recording. The
+    conditions of episodes are not part of the ``fingerprint``, because they do not affect a fit.
     """
 
     system: System
@@ -78,8 +77,8 @@ class Dataset(Displayed):
         other = next((type(entry).__name__ for entry in self.episodes if not isinstance(entry, Trajectory)), None)
         if other is not None:
             raise InvalidArgument(
-                f"data set: expected Trajectory objects as episodes, got {other}. Arrays become a data set by "
-                "Dataset.from_arrays(system, states, controls), a table by Dataset.from_pandas(system, frame)"
+                f"data set: expected Trajectory objects as episodes, got {other}. For arrays use "
+                "Dataset.from_arrays(system, states, controls), for a table Dataset.from_pandas(system, frame)"
             )
         if not self.episodes:
             raise InvalidData("data set: expected at least one episode, got none")
@@ -98,7 +97,7 @@ class Dataset(Displayed):
                 check_shape(f"pose of {episode.name!r}", episode.pose, (None, system.n_pose))
             if not np.isclose(episode.dt, system.dt, rtol=1e-9, atol=0.0):
                 raise InvalidData(
-                    f"episode {episode.name!r}: expected dt = {system.dt} s as the system has, got {episode.dt} s"
+                    f"episode {episode.name!r}: expected dt = {system.dt} s, that of the system, got {episode.dt} s"
                 )
 
     @classmethod
@@ -111,11 +110,12 @@ class Dataset(Displayed):
         poses: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         names: Sequence[str] | None = None,
     ) -> Dataset:
-        """Make a data set from arrays: a list with one for each episode, or one array for one episode.
+        """Return a data set made from arrays: a list with one for each episode, or one array for one episode.
 
-        States are (T + 1, nx). Controls are (T, nu), or (T + 1, nu) as logs have them: the last row
-        then leads nowhere and is left out. One state or one control may be 1-D. A system without
-        controls needs none. Raises `ShapeError`, `InvalidArgument`.
+        States are (T + 1, nx). Controls are (T, nu), or (T + 1, nu) as in logs; the last row, which has no next state,
+        is then dropped. One state or one control may be 1-D. A system without controls needs none.
+
+        Raises `ShapeError`, `InvalidArgument`.
         """
         _expect_system(system, "Dataset.from_arrays(system, states, controls)")
         states = _by_episode(states, system.nx)
@@ -146,30 +146,30 @@ class Dataset(Displayed):
 
     @classmethod
     def from_pandas(cls, system: System, frame: pd.DataFrame, *, episode: str | None = None) -> Dataset:
-        """Make a data set from a table with one column for each channel, one row for each ``dt``.
+        """Return a data set made from a table with one column for each channel and one row for each ``dt``.
 
-        ``episode`` is the column that names the episodes (default: all rows are one). Pose columns
-        (``x``, ``y``, ``heading`` for a planar body) are taken if all are there. Raises `InvalidData`
-        if a column is missing, or if a column ``time`` (s) or an index of times says that rows are not
-        ``dt`` apart (5 %), `InvalidArgument` if there is no table.
+        ``episode`` is the column that names the episodes (default: all rows are one episode). Pose columns
+        (``x``, ``y``, ``heading`` for a planar body) are used if all exist.
+
+        Raises `InvalidData` if a column is missing, or if the column ``time`` (s) or an index of times has steps that
+        differ from ``dt`` by more than 5 %; `InvalidArgument` if ``frame`` is not a table.
         """
         _expect_system(system, "Dataset.from_pandas(system, frame)")
         return cls(system, tuple(episodes_of_frame(system, frame, episode=episode)))
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return one row a sample: the columns ``episode`` and ``time`` (s), then states, controls and pose by name.
+        """Return a table with one row per sample: ``episode``, ``time`` (s), states, controls and pose by name.
 
-        The controls of an episode's last sample are nan, as nobody held them any longer.
-        ``Dataset.from_pandas(system, frame, episode="episode")`` makes the data set again. Raises `InvalidData` if a
-        channel has the name of another column.
+        The controls of an episode's last sample are nan. ``Dataset.from_pandas(system, frame, episode="episode")`` is
+        the inverse. Raises `InvalidData` if a channel has the name of another column.
         """
         return frame_of(self.system, self.episodes)
 
     def to_xarray(self) -> xr.Dataset:
         """Return one variable (episode, time) for each channel, with its unit and its role (state, control, pose).
 
-        Shorter episodes end in nan; the coordinate ``length`` says how many samples each has, ``condition`` when or
-        where it was recorded. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
+        Shorter episodes are padded with nan; the coordinate ``length`` is the number of samples of each episode,
+        ``condition`` its condition. Raises `MissingExtra` without xarray, `InvalidData` if a channel has the name of a
         coordinate.
         """
         return xarray_of(self.system, self.episodes)
@@ -182,14 +182,14 @@ class Dataset(Displayed):
         columns: str | Path | None = None,
         condition_column: str | None = None,
     ) -> Dataset:
-        """Read a log, several, a folder of logs, or what `save` wrote, see `read_recording`.
+        """Return the data set in one log, several logs, a folder of logs, or a stored data set; see `read_recording`.
 
-        Each remark about a log is also one `DataWarning`.
+        Each remark about a log is also issued as a `DataWarning`.
         """
         files = paths_of(paths)
         if len(files) == 1 and is_stored_dataset(files[0]):
             if columns is not None:
-                raise InvalidArgument(f"{files[0]}: this is a stored data set, which takes no column map")
+                raise InvalidArgument(f"{files[0]}: this is a stored data set, which needs no column map")
             if condition_column is not None:
                 raise InvalidArgument(
                     f"{files[0]}: this is a stored data set; name its conditions when the logs are imported"
@@ -202,7 +202,7 @@ class Dataset(Displayed):
 
     @classmethod
     def of_recording(cls, recording: Recording) -> Dataset:
-        """Prepare the logs of a recording, see `Recording.prepared`. Raises `InvalidData`."""
+        """Return the data set prepared from the logs of a recording, see `Recording.prepared`. Raises `InvalidData`."""
         return cls(recording.system, *recording.prepared())
 
     def facts(self) -> Mapping[str, str]:
@@ -224,7 +224,7 @@ class Dataset(Displayed):
         return iter(self.episodes)
 
     def __getitem__(self, chosen: int | slice | Sequence[int] | IntArray) -> Dataset:
-        """Return the data set of these episodes only, by number."""
+        """Return the data set of the episodes with these numbers."""
         if isinstance(chosen, slice):
             return self.with_episodes(self.episodes[chosen])
         return self.with_episodes([self.episodes[i] for i in np.atleast_1d(chosen)])
@@ -245,43 +245,44 @@ class Dataset(Displayed):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """The conditions of the episodes, each once, in the order of the recording; "" of those without."""
+        """The conditions of the episodes, each once, in the order of the recording; "" for episodes without one."""
         return tuple(dict.fromkeys(episode.condition for episode in self.episodes))
 
     def of_condition(self, *names: str) -> Dataset:
-        """Return the episodes that were recorded in one of these conditions. Raises `InvalidArgument` without any."""
+        """Return the episodes recorded in one of these conditions. Raises `InvalidArgument` if there are none."""
         unknown = [name for name in names if name not in self.conditions]
         if unknown or not names:
             raise InvalidArgument(
-                f"no episode has the condition {', '.join(map(repr, unknown)) or 'that was asked for'}; there are "
+                f"no episode has the condition {', '.join(map(repr, unknown)) or '(none given)'}; there are "
                 f"{', '.join(map(repr, self.conditions))}"
             )
         return self.with_episodes([episode for episode in self.episodes if episode.condition in names])
 
     def label_conditions(self, patterns: Mapping[str, str]) -> Dataset:
-        """Return this data set with a condition for each episode whose name fits one of the ``patterns``, by name.
+        """Return this data set with conditions assigned by the names of episodes.
 
-        ``{"wet": "*rain*", "dry": "2024-05-*"}``; a piece such as ``log[0:400]`` goes by the name of its log. Raises
-        `InvalidArgument` if a pattern fits nothing, or two fit one episode.
+        ``patterns`` maps each condition to a file pattern: ``{"wet": "*rain*", "dry": "2024-05-*"}``. A part such as
+        ``log[0:400]`` has the name of its log. Raises `InvalidArgument` if a pattern matches no episode, or two
+        patterns match the same one.
         """
         found: dict[str, str] = {}
         for name, pattern in patterns.items():
             fitting = [episode for episode in self.names if fnmatchcase(recording(episode), pattern)]
             if not fitting:
                 raise InvalidArgument(
-                    f"condition {name!r}: no episode fits {pattern!r}; there are {', '.join(self.names)}"
+                    f"condition {name!r}: no episode matches {pattern!r}; there are {', '.join(self.names)}"
                 )
             twice = [episode for episode in fitting if found.get(episode, name) != name]
             if twice:
                 raise InvalidArgument(
-                    f"condition {name!r}: {twice[0]!r} fits the pattern of {found[twice[0]]!r} as well"
+                    f"condition {name!r}: {twice[0]!r} also matches the pattern of {found[twice[0]]!r}"
                 )
             found.update(dict.fromkeys(fitting, name))
         return self.with_episodes([replace(e, condition=found.get(e.name, e.condition)) for e in self])
 
     @cached_property
     def moving(self) -> tuple[BoolArray, ...]:
-        """For each episode, which samples (T + 1,) are not part of a standstill (`moving_rows`)."""
+        """For each episode, a mask (T + 1,) of the samples that are not part of a standstill (`moving_rows`)."""
         return tuple(moving_rows(episode.states, self.system) for episode in self.episodes)
 
     @cached_property
@@ -289,7 +290,7 @@ class Dataset(Displayed):
         """SHA-256 of the system and of every number."""
         system = self.system.to_dict()
         for channel in (*system["states"], *system["controls"]):
-            channel.pop("description", None)  # words for readers: the same data
+            channel.pop("description", None)  # text for readers, not data
         digest = hashlib.sha256(json.dumps(system, sort_keys=True).encode())
         for episode in self.episodes:
             digest.update(episode.name.encode())
@@ -302,9 +303,9 @@ class Dataset(Displayed):
         return replace(self, episodes=tuple(episodes))
 
     def split(self, test: str | Sequence[str] | float) -> tuple[Dataset, Dataset]:
-        """Return training and test set: by one episode's name, several, or the last share of time of each episode.
+        """Return training and test set; ``test`` names episodes, or is the share of each episode's end to hold out.
 
-        A piece of an episode, such as ``log[0:400]``, goes where its name ``log`` goes.
+        The name of a log, ``log``, includes its parts, such as ``log[0:400]``.
         """
         if isinstance(test, (int, float)):
             if not 0.0 < test < 1.0:
@@ -315,12 +316,12 @@ class Dataset(Displayed):
                 raise InvalidData(f"split: every episode is too short to split at {test}")
             return self.with_episodes([a for a, _ in pairs]), self.with_episodes([b for _, b in pairs])
         test = [test] if isinstance(test, str) else list(test)
-        names = self.names  # an episode also goes by the names of those of which it is a piece
+        names = self.names  # an episode can also be named by the log of which it is a part
         owners = [[name, *(name[:place] for place, letter in enumerate(name) if letter == "[")] for name in names]
         known = {name for of_episode in owners for name in of_episode}
         unknown = [name for name in test if name not in known]
         if unknown:
-            stem = Path(unknown[0]).stem  # the name of a file, where that of its episode is meant
+            stem = Path(unknown[0]).stem  # a file name was given instead of the episode's name
             meant = f" Did you mean {stem!r}?" if stem in known else ""
             raise InvalidArgument(
                 f"split: no episode is called {', '.join(map(repr, unknown))}.{meant} There are {', '.join(self.names)}"
@@ -328,7 +329,7 @@ class Dataset(Displayed):
         asked = set(test)
         chosen = [any(name in asked for name in of_episode) for of_episode in owners]
         if all(chosen) or not any(chosen):
-            raise InvalidArgument("split: both sides need an episode; name some, not all or none, for the test")
+            raise InvalidArgument("split: training and test set need an episode each; name some episodes, not all")
         return (
             self.with_episodes([e for e, hit in zip(self.episodes, chosen, strict=True) if not hit]),
             self.with_episodes([e for e, hit in zip(self.episodes, chosen, strict=True) if hit]),
@@ -337,16 +338,16 @@ class Dataset(Displayed):
     def windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> Windows:
-        """Cut windows of ``horizon`` steps, see `find_windows`, which takes no memory for windows never looked at."""
+        """Return windows of ``horizon`` steps; `find_windows` returns their positions without copying samples."""
         places = self.find_windows(horizon, stride=stride, history=history, first=first, moving=moving)
         return places[:]
 
     def find_windows(
         self, horizon: int, *, stride: int = 1, history: int = 0, first: int | None = None, moving: bool = False
     ) -> WindowIndex:
-        """Find windows of ``horizon`` steps, see `WindowIndex.of`; with ``moving``, only those that start in motion.
+        """Return the positions of windows of ``horizon`` steps, see `WindowIndex.of`; ``index[rows]`` cuts some.
 
-        ``places[rows]`` cuts some of them.
+        With ``moving``, only windows that start in motion.
         """
         if horizon < 1 or stride < 1 or history < 0:
             raise InvalidArgument(
@@ -356,26 +357,26 @@ class Dataset(Displayed):
         return WindowIndex.of(self.episodes, horizon, stride=stride, history=history, first=first, rows=rows)
 
     def transitions(self, *, state_lags: int = 0, control_lags: int = 0, moving: bool = False) -> Transitions:
-        """Return every single step with that many earlier states and controls.
+        """Return all single steps with ``state_lags`` earlier states and ``control_lags`` earlier controls.
 
-        With ``moving``, only those that are no standstill, unless there is nothing else.
+        With ``moving``, standstills are left out, unless there is nothing else.
         """
         layout = CarryLayout(self.system.nx, self.system.nu, state_lags, control_lags)
         w = self.windows(1, history=layout.n_lags, moving=moving)
         if moving and not len(w):
             w = self.windows(1, history=layout.n_lags)
         if not len(w):
-            raise InvalidData(f"data set: no episode is longer than {layout.n_lags} steps, the history asked for")
+            raise InvalidData(f"data set: no episode is longer than {layout.n_lags} steps, the required history")
         carry = np.concatenate(layout.initial_parts(w.past_states, w.past_controls), axis=1)
         return Transitions(carry, w.controls[:, 0], w.states[:, 0])
 
     def save(self, path: str | Path) -> Path:
-        """Write the data set into the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
+        """Write the data set to the folder ``path`` (``dataset.json``, ``samples.parquet``)."""
         return write_samples(Path(path), self.system, self.episodes, self.notes, self.fingerprint)
 
     @classmethod
     def load(cls, path: str | Path) -> Dataset:
-        """Read what `save` wrote. Raises `ArtefactError`."""
+        """Return the data set that `save` wrote. Raises `ArtefactError`."""
         system, episodes, notes, fingerprint = read_samples(Path(path))
         try:
             dataset = cls(system, episodes, notes)
@@ -387,13 +388,13 @@ class Dataset(Displayed):
 
 
 def _expect_system(system: object, call: str) -> None:
-    """Raise `InvalidArgument`, which names the right ``call``, unless ``system`` is one."""
+    """Raise `InvalidArgument`, with the correct ``call``, unless ``system`` is a `System`."""
     if not isinstance(system, System):
         raise InvalidArgument(f"expected a System first, got {type(system).__name__}: {call}")
 
 
 def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> Sequence[npt.ArrayLike]:
-    """Return a list with one array for each episode; one array or list of rows, ``width`` long, is one episode."""
+    """Return one array per episode; a single array, or a list of rows of length ``width``, is one episode."""
     if isinstance(arrays, (list, tuple)) and arrays and np.ndim(arrays[0]) == 0:
         return [np.asarray(arrays)]
     if isinstance(arrays, (list, tuple)):
@@ -403,18 +404,18 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> 
 
 
 SHORTEST, LONGEST = 100, 1000
-"""Steps in a row: enough that few windows are lost at their ends."""
+"""Consecutive steps: so many that few windows are lost at the ends."""
 
 BLOCKS = 20
-"""Fewest blocks from different times, if they are not too short."""
+"""Least number of blocks from different times, unless they would be too short."""
 
 
 def subsample(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
-    """Return ``dataset`` if it has at most ``most`` steps, else so many of it or a little fewer.
+    """Return ``dataset`` if it has at most ``most`` steps, else a random part of it of at most ``most`` steps.
 
-    What is kept are blocks of up to 1000 consecutive steps (of a twentieth of ``most``, but 100, if that is less),
-    drawn without replacement and joined where they touch, in the order of the recording. ``rng`` is used only if
-    something is left out.
+    The part consists of blocks of up to 1000 consecutive steps (a twentieth of ``most``, at least 100, if that is
+    less), drawn without replacement and joined where they are adjacent, in the order of the recording. ``rng`` is used
+    only if something is left out.
     """
     if dataset.n_steps <= most:
         return dataset
@@ -430,12 +431,12 @@ def subsample(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
     kept = np.sort(order[np.cumsum((ends - begins)[order]) <= most])
     first = np.concatenate([[True], np.diff(kept) > 1]) | np.concatenate([[True], np.diff(owners[kept]) > 0])
     runs = np.split(kept, np.flatnonzero(first)[1:])
-    pieces = [dataset.episodes[owners[run[0]]][int(begins[run[0]]) : int(ends[run[-1]])] for run in runs]
-    return dataset.with_episodes(pieces)
+    blocks = [dataset.episodes[owners[run[0]]][int(begins[run[0]]) : int(ends[run[-1]])] for run in runs]
+    return dataset.with_episodes(blocks)
 
 
 EVEN = 1e-3
-"""Times are equally spaced if no step differs from the mean step by more than this share of it."""
+"""Largest deviation of a time step from the mean, as a share of the mean, in equally spaced times."""
 
 
 def from_samples(
@@ -444,17 +445,17 @@ def from_samples(
     u: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
     feature_names: Sequence[str] | None = None,
 ) -> Dataset:
-    """Make a data set of the states x0, x1, ... and the controls u0, u1, ... of arrays, as pysindy takes them.
+    """Return a data set made from arrays as in pysindy, with states x0, x1, ... and controls u0, u1, ...
 
-    ``feature_names`` are other names of the states, then of the controls.
-
-    ``x`` is (T + 1, nx), or a list with one for each trajectory; one state may be flat. ``t`` is the time step in
+    ``x`` is (T + 1, nx), or a list with one for each trajectory; one state may be 1-D. ``t`` is the time step in
     seconds, or the times (T + 1,), a list of them for a list. ``u`` is (T + 1, nu) or (T, nu), held from one
-    sample to the next. Raises `InvalidData` if the times are not equally spaced or do not belong to the samples,
-    `ShapeError`, `InvalidArgument`.
+    sample to the next. ``feature_names`` replaces the names of the states and controls, in this order.
+
+    Raises `InvalidData` if the times are not equally spaced or do not match the samples, `ShapeError`,
+    `InvalidArgument`.
     """
     if isinstance(x, Dataset) or (isinstance(x, (list, tuple)) and any(isinstance(part, Dataset) for part in x)):
-        raise InvalidArgument("fit: expected a Dataset alone, as it has times and controls of its own, got t or u too")
+        raise InvalidArgument("fit: a Dataset has its own times and controls: expected no t and no u")
     runs = [np.asarray(as_columns(part)) for part in _listed(x)]
     pushes = None if u is None else [np.asarray(as_columns(part)) for part in _listed(u)]
     for what, arrays in (("x", runs), ("u", pushes or [])):
@@ -474,14 +475,14 @@ def from_samples(
 
 
 def _listed(given: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[npt.ArrayLike]:
-    """Return one entry for each trajectory; an array, or a list of numbers or rows of them, is one."""
+    """Return one entry for each trajectory; an array, or a list of numbers or of rows, is one trajectory."""
     if isinstance(given, (list, tuple)) and any(isinstance(part, np.ndarray) for part in given):
         return list(given)
     return [np.asarray(given)]
 
 
 def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Array]) -> float:
-    """Return the one time step of all runs, in seconds."""
+    """Return the common time step of all runs, in seconds."""
     if isinstance(t, (int, float, np.integer, np.floating)):
         return float(t)
     times = [np.asarray(part, dtype=np.float64).ravel() for part in _listed(t)]
@@ -497,22 +498,21 @@ def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Arr
     worst = float(steps[np.argmax(np.abs(steps - dt))])
     if not abs(worst - dt) <= EVEN * abs(dt):
         raise InvalidData(
-            f"t: expected equally spaced times, got steps of {dt:g} s in the mean and one of {worst:g} s; write "
-            "the log to a file and `sysid-evo import` resamples it"
+            f"t: expected equally spaced times, got a mean step of {dt:g} s and one of {worst:g} s; write "
+            "the log to a file and resample it with `sysid-evo import`"
         )
     return dt
 
 
 STEPS_PER_CHANNEL = 10
-"""Fewest steps for each state, each control and one more: with less, a linear model is not determined well."""
+"""Least number of steps per state, per control and one more; with fewer, a linear model is poorly determined."""
 
 
 def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: str = "data set") -> None:
-    """Raise `InvalidData` if ``dataset`` is too short to fit a model to, or to test one on.
+    """Raise `InvalidData` if ``dataset`` is too short to fit or test a model, or shows no motion.
 
-    It needs one episode of ``first + horizon`` steps, those of a prediction over ``horizon`` steps after
-    ``first`` samples of history, ten steps in all for each channel and one more, and something that
-    moves. ``name`` stands at the head of the sentence.
+    It needs one episode of ``first + horizon`` steps (a prediction over ``horizon`` steps after ``first`` samples of
+    history), and in all ten steps for each channel and one more. ``name`` begins the message.
     """
     system = dataset.system
     longest = max(dataset, key=len)
@@ -522,27 +522,27 @@ def check_usable(dataset: Dataset, *, horizon: int = 10, first: int = 5, name: s
             f"{name}: expected an episode of {first + horizon} steps or more, to predict {horizon} steps after {first} "
             f"of history, and {wanted} steps in all for {system.nx + system.nu} states and controls; got "
             f"{dataset.n_steps} steps of {system.dt:g} s, the longest episode {longest.name!r} with {len(longest)}. "
-            "Record for longer, or see in the notes of the import why so little was left"
+            "Record for longer, or read in the notes of the import why samples were removed"
         )
     if not any(rows.any() for rows in dataset.moving):
-        raise InvalidData(f"{name}: the robot stands still throughout; record it in motion")
+        raise InvalidData(f"{name}: the robot never moves; record it in motion")
 
 
 LARGEST = 1e30
-"""Of a recorded number. All families learn such data as well as others; sums of squares, of 1e75 the fourth powers of
-Gaussian processes, stop being numbers later, and the float32 of compiled models at 3e38."""
+"""Largest recorded number. All families can be fitted up to this size; squares and fourth powers overflow later (1e75
+for Gaussian processes), the float32 of compiled models at 3e38."""
 CONSTANT = 1e-12
-"""Share of its size by which a state that never changes may change, by rounding."""
+"""Rounding errors of a constant state, as a share of its size."""
 
 
 FEWEST = 15
-"""Steps of one window of `check_usable`: a score of fewer is one of nothing."""
+"""Steps of one window of `check_usable`; an error over fewer steps is meaningless."""
 
 
 def warnings_about(dataset: Dataset) -> Iterator[str]:
-    """Yield why an error of a model fitted to ``dataset`` would say little, in parts of sentences after its name.
+    """Yield the reasons why the error of a model fitted to ``dataset`` is meaningless, to follow the model's name.
 
-    Raises `InvalidData` for numbers with which nothing can be computed.
+    Raises `InvalidData` for numbers that are too large to compute with.
     """
     system, states = dataset.system, np.concatenate([episode.states for episode in dataset])
     controls = np.concatenate([episode.controls for episode in dataset])
@@ -552,21 +552,21 @@ def warnings_about(dataset: Dataset) -> Iterator[str]:
         if most > LARGEST:
             raise InvalidData(
                 f"data set: expected numbers up to {LARGEST:g}, got {most:g} in {name!r}: look for a broken sample, or "
-                "take a larger unit"
+                "use a larger unit"
             )
-    wanted = max(FEWEST, 2 * (len(names) + 1))  # half of it a linear model, which may know nothing, hits exactly
+    wanted = max(FEWEST, 2 * (len(names) + 1))  # a linear model fits half as many exactly, whatever they are
     if dataset.n_steps < wanted:
         yield (
-            f"learns from {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
-            f"{wanted}, better {STEPS_PER_CHANNEL * (len(names) + 1)}. Whatever its error is, it says nothing of other "
-            "data; record for longer"
+            f"is fitted to {dataset.n_steps} steps, too few for {len(names)} states and controls: expected at least "
+            f"{wanted}, better {STEPS_PER_CHANNEL * (len(names) + 1)}. Its error does not carry over to other data; "
+            "record for longer"
         )
     if (np.ptp(states, axis=0) <= np.maximum(CONSTANT * size, 1.0 / LARGEST)).all():  # one may: a body that never slips
-        yield "learns nothing: no state changes in the recording, so that an error of 0 is no merit"
+        yield "learns nothing: no state changes in the recording, so an error of 0 is meaningless"
 
 
 def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dataset:
-    """Return the data set that was given, several joined to one. Raises `InvalidData` that names the right call.
+    """Return ``given`` as one data set; a list is joined. Raises `InvalidData` that shows the correct call.
 
     With ``of`` it must have that system's channels, else `IncompatibleSystem`.
     """
@@ -582,9 +582,9 @@ def as_dataset(given: object, asked_by: str, *, of: System | None = None) -> Dat
             raise InvalidData(f"{asked_by}: expected data sets of one system, got several systems")
         return parts[0].with_episodes([episode for part in parts for episode in part])
     if isinstance(given, Trajectory) or any(isinstance(part, Trajectory) for part in parts):
-        hint = "make a data set of episodes with Dataset(system, episodes)"
+        hint = "make a data set from episodes with Dataset(system, episodes)"
     elif type(given).__module__.split(".")[0] in ("pandas", "polars"):
-        hint = "make one of a table with Dataset.from_pandas(system, table)"
+        hint = "make one from a table with Dataset.from_pandas(system, table)"
     else:
-        hint = "make one of arrays with Dataset.from_arrays(system, states, controls), or say fit(x, t=dt, u=u)"
+        hint = "make one from arrays with Dataset.from_arrays(system, states, controls), or use fit(x, t=dt, u=u)"
     raise InvalidData(f"{asked_by}: expected a Dataset, got a {type(given).__name__}: {hint}")

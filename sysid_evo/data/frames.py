@@ -1,4 +1,4 @@
-"""A data set as a table: pandas, xarray, and the folder with Parquet on disk."""
+"""Conversion of data sets to and from pandas, xarray, and a folder with Parquet."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 
 UNEVEN = 0.05
-"""Share of dt by which a step of a table may differ from it."""
+"""Largest deviation of a time step of a table from dt, as a share of dt."""
 
 
 def episodes_of_frame(system: System, frame: pd.DataFrame, *, episode: str | None = None) -> list[Trajectory]:
     """Return the episodes of a table, see `Dataset.from_pandas`."""
     if not hasattr(frame, "columns") or not hasattr(frame, "groupby"):
         raise InvalidArgument(
-            f"from_pandas: expected a pandas table, got {type(frame).__name__}. Arrays become a data set by "
-            "Dataset.from_arrays(system, states, controls), log files by Dataset.read(path, columns=...)"
+            f"from_pandas: expected a pandas table, got {type(frame).__name__}. For arrays use "
+            "Dataset.from_arrays(system, states, controls), for log files Dataset.read(path, columns=...)"
         )
     wanted = [*system.state_names, *system.control_names, *([episode] if episode else [])]
     missing = [name for name in wanted if name not in frame.columns]
     if missing:
         raise InvalidData(
             f"table: missing columns {', '.join(missing)}; it has {', '.join(map(str, frame))}. "
-            "Each channel needs a column of its name: rename them, as frame.rename(columns={...})"
+            "Each channel needs a column of its name: rename them with frame.rename(columns={...})"
         )
     if len(frame) < 2:
         raise InvalidData(f"table: expected two rows or more, one for each dt, got {len(frame)}")
@@ -61,7 +61,7 @@ def episodes_of_frame(system: System, frame: pd.DataFrame, *, episode: str | Non
 
 
 def _expect_even(system: System, name: str, table: pd.DataFrame) -> None:
-    """Raise `InvalidData` if a table says when its rows were taken, and they are not ``dt`` apart."""
+    """Raise `InvalidData` if a table has times and its rows are not ``dt`` apart."""
     seconds = _seconds(system, table)
     if seconds is None:
         return
@@ -70,13 +70,13 @@ def _expect_even(system: System, name: str, table: pd.DataFrame) -> None:
     if len(wrong):
         raise InvalidData(
             f"table: episode {name!r} has {len(wrong)} of {len(steps)} steps that are not dt = {system.dt:g} s long, "
-            f"the first from row {wrong[0]} on, {steps[wrong[0]]:g} s. Every row is taken for one dt: resample the "
-            "table, save it as CSV for Dataset.read(path, columns=...), which resamples, or drop its time"
+            f"the first after row {wrong[0]}, {steps[wrong[0]]:g} s. Rows must be dt apart: resample the table, save "
+            "it as CSV for Dataset.read(path, columns=...), which resamples, or drop its time"
         )
 
 
 def _seconds(system: System, table: pd.DataFrame) -> Array | None:
-    """Return when the rows were taken (N,), in seconds: the column ``time``, or an index of times; None without."""
+    """Return the times of the rows (N,), in seconds: the column ``time``, or an index of times; None without."""
     import pandas as pd
 
     if "time" in table.columns and "time" not in (*system.state_names, *system.control_names):
@@ -131,9 +131,9 @@ def xarray_of(system: System, episodes: Sequence[Trajectory]) -> xr.Dataset:
 
 
 def sample_table(system: System, episode: Trajectory) -> Array:
-    """Return states, controls and pose side by side, one row a sample (T + 1, n); what is not known is nan.
+    """Return states, controls and pose as columns, one row per sample (T + 1, n).
 
-    That is the control at the last sample, which nobody held any longer, and the pose of an episode without one.
+    The controls of the last sample, and the pose of an episode without one, are nan.
     """
     blank = np.full((1, system.nu), np.nan)
     pose = np.full((len(episode) + 1, system.n_pose), np.nan) if episode.pose is None else episode.pose
@@ -141,12 +141,12 @@ def sample_table(system: System, episode: Trajectory) -> Array:
 
 
 def channel_names(system: System, *others: str) -> tuple[str, ...]:
-    """Return the names of states, controls and pose. Raises `InvalidData` if one is among ``others`` or there twice."""
+    """Return the names of states, controls and pose. Raises `InvalidData` if one is in ``others`` or used twice."""
     names = (*system.state_names, *system.control_names, *pose_names(system))
     taken = sorted({name for name in names if name in others or names.count(name) > 1})
     if taken:
         raise InvalidData(
-            f"data set: the channels {', '.join(taken)} cannot become columns, as {', '.join(others)} and the "
+            f"data set: the channels {', '.join(taken)} cannot become columns, because {', '.join(others)} and the "
             "coordinates of the pose have these names; rename the channels"
         )
     return names
@@ -169,7 +169,7 @@ HEADER, SAMPLES = "dataset.json", "samples.parquet"
 def write_samples(
     folder: Path, system: System, episodes: Sequence[Trajectory], notes: Sequence[str], fingerprint: str
 ) -> Path:
-    """Write a data set into ``folder``: one row a sample; the last controls of an episode are null.
+    """Write a data set to ``folder``, one row per sample; the last controls of an episode are null.
 
     Raises `InvalidData` if two columns would have the same name.
     """
@@ -203,7 +203,7 @@ def write_samples(
 
 
 def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[str, ...], str]:
-    """Return what `write_samples` was given. Raises `ArtefactError` if it is damaged or of another version."""
+    """Return the arguments of `write_samples`. Raises `ArtefactError` if a file is damaged or of another version."""
     import pyarrow as pa
 
     path = folder / HEADER
@@ -239,7 +239,7 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
 
 
 def unreadable(folder: Path, error: Exception) -> ArtefactError:
-    """Return what to raise where a stored data set is damaged."""
+    """Return the error to raise for a damaged data set."""
     kind = "" if isinstance(error, SysidEvoError) else f"{type(error).__name__}: "
     return ArtefactError(f"{folder}: not a readable data set: {kind}{error}")
 
@@ -250,6 +250,6 @@ def is_stored_dataset(path: str | Path) -> bool:
 
 
 def _columns(data: Mapping[str, Array], names: Sequence[str], rows: slice) -> Array:
-    """Return these columns side by side, (rows, len(names)); there may be none."""
+    """Return the columns ``names`` as (rows, len(names)); ``names`` may be empty."""
     columns = [data[name][rows] for name in names]
     return np.column_stack(columns) if columns else np.empty((rows.stop - rows.start, 0))

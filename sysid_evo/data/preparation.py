@@ -1,4 +1,4 @@
-"""A raw log becomes episodes: row by row, or by clock, differentiation, filter and decimation."""
+"""Preparation of raw logs: row by row, or by resampling, differentiation, filter and decimation."""
 
 from __future__ import annotations
 
@@ -46,20 +46,20 @@ class RawLog:
 
     @property
     def changes(self) -> BoolArray:
-        """Where the next row is of another condition, (N - 1,)."""
+        """A mask (N - 1,) of the rows whose next row has another condition."""
         if self.condition is None:
             return np.zeros(len(self.time) - 1, dtype=bool)
         found: BoolArray = self.condition[1:] != self.condition[:-1]
         return found
 
     def condition_at(self, row: int) -> str:
-        """Return the condition of a row, "" if none is known."""
+        """Return the condition of a row, "" without one."""
         return "" if self.condition is None else str(self.condition[row])
 
 
 @dataclass(frozen=True)
 class PreparedLog:
-    """The episodes of the log ``name``, and what was done to it, in sentences that do not name it."""
+    """The episodes of the log ``name``, and notes on its preparation, which do not contain the name."""
 
     name: str
     episodes: tuple[Trajectory, ...]
@@ -72,28 +72,26 @@ def episodes_of(log: RawLog, system: System) -> PreparedLog:
 
 
 RATE_TOLERANCE = 0.2
-"""How far the rows of a log may be from ``dt``, as a share of it, to be taken one by one."""
+"""Largest deviation of the time between rows from ``dt``, as a share of it, for a log that is used row by row."""
 
 SHORTEST, LONGEST = 0.5, 1.5
-"""Steps that may stand for one ``dt``, in units of it. A lost row makes 2: taken as one step it would
-teach two steps as one."""
+"""Range of steps that count as one ``dt``, in units of it. A lost row makes a step of 2, which must not count as 1."""
 
-TOLD = 1e-3
-"""Steps off by less than this share of ``dt`` are not worth a word."""
+REPORTED = 1e-3
+"""Smaller deviations of steps from ``dt``, as a share of it, are not reported."""
 
 
 def at_control_rate(log: RawLog, system: System) -> bool:
-    """Return whether the log has every state and its rows are within 20 % of ``dt`` apart."""
+    """Return whether the log has every state and the time between its rows is within 20 % of ``dt``."""
     has_states = all(name in log.extra for name in system.state_names)
     return has_states and bool(abs(np.median(np.diff(log.time)) / system.dt - 1.0) <= RATE_TOLERANCE)
 
 
 def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
-    """Make episodes whose samples are the rows of ``log``, its clock replaced by ``system.dt``.
+    """Return episodes whose samples are the rows of ``log``, with its clock replaced by ``system.dt``.
 
     ``log.extra`` must hold every state by its name. A step outside 0.5 to 1.5 dt or into another condition splits the
-    log into pieces called ``name[first:last]`` (rows from 0); a piece of one row is left out. Raises
-    `InvalidData`.
+    log into parts named ``name[first:last]`` (rows from 0); single rows are left out. Raises `InvalidData`.
     """
     missing = [name for name in system.state_names if name not in log.extra]
     if missing:
@@ -120,10 +118,10 @@ def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
             f"{log.name}: expected rows {system.dt:g} s apart, but no two of them are within 0.5 to 1.5 of that; "
             f"the steps are {steps.min():.3g} to {steps.max():.3g} s"
         )
-    kept = 1e3 * steps[~broken]
+    used = 1e3 * steps[~broken]
     measured = (
-        f"; their stamps are {kept.min():.1f} to {kept.max():.1f} ms apart (mean {kept.mean():.2f} ms)"
-        if np.abs(kept - 1e3 * system.dt).max() > TOLD * 1e3 * system.dt
+        f"; their stamps are {used.min():.1f} to {used.max():.1f} ms apart (mean {used.mean():.2f} ms)"
+        if np.abs(used - 1e3 * system.dt).max() > REPORTED * 1e3 * system.dt
         else ""
     )
     notes = [f"rows taken as samples every {system.dt * 1e3:g} ms{measured}"]
@@ -131,7 +129,7 @@ def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
         changes = f" and {int(log.changes.sum())} changes of condition" if log.changes.any() else ""
         notes.append(
             f"{int(broken.sum())} steps outside {SHORTEST * system.dt * 1e3:g} to "
-            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} pieces; "
+            f"{LONGEST * system.dt * 1e3:g} ms{changes} split it into {len(episodes)} parts; "
             f"{len(runs) - len(episodes)} single rows left out"
         )
     return PreparedLog(log.name, tuple(episodes), tuple(notes))
@@ -140,22 +138,21 @@ def rows_as_episodes(log: RawLog, system: System) -> PreparedLog:
 CUTOFF = 0.3
 """Default cut-off (half amplitude), in units of the control rate: 6 Hz at 20 Hz.
 
-Nothing may pass above half the control rate, or decimation folds it back. With a cut-off of 6 Hz
-the amplitude is right to 0.5 % up to 2 Hz, 4 % low at 3 Hz, 13 % low at 4 Hz and below 0.4 % from
-10 Hz on. A toy car (motor and steering lags of 60-80 ms) moves below 3 Hz; above 5 Hz a
-differentiated marker position is mostly noise.
+Frequencies above half the control rate would cause aliasing. With a cut-off of 6 Hz the amplitude error is 0.5 % up to
+2 Hz, 4 % at 3 Hz and 13 % at 4 Hz; the gain is below 0.4 % from 10 Hz on. A toy car (motor and steering lags of
+60-80 ms) moves below 3 Hz; above 5 Hz a differentiated marker position is mostly noise.
 """
 ATTENUATION = 50.0
-"""Of all that lies above half the control rate, in dB."""
+"""Attenuation of frequencies above half the control rate, in dB."""
 
 MAX_GAP = 0.025
-"""Longest hole in a log that is bridged by a straight line, in s.
+"""Longest gap in a log that is bridged by linear interpolation, in s.
 
-A line over a hole g under an acceleration a is off by at most a g^2 / 8: 0.4 mm at 5 m/s2. In a
-log slower than 100 Hz, 2.5 periods are bridged, so that it may miss one row.
+Over a gap g under an acceleration a the error is at most a g^2 / 8: 0.4 mm at 5 m/s2. In a log
+slower than 100 Hz, 2.5 periods are bridged, so that one row may be missing.
 """
 MIN_RATIO = 3
-"""Rows that a log needs for each control period, so that there is something to filter."""
+"""Least number of rows per control period of a log that is filtered."""
 
 STENCIL = np.array([-1.0, 8.0, 0.0, -8.0, 1.0]) / 12.0
 """Five-point central difference, to convolve with: amplitude error (omega h)^4 / 30, no delay."""
@@ -163,19 +160,17 @@ REACH = len(STENCIL) // 2
 
 
 def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap: float | None = None) -> PreparedLog:
-    """Make episodes of ``system`` from a log with at least three rows for each ``system.dt``.
+    """Return episodes of ``system`` from a log with at least three rows for each ``system.dt``.
 
-    The order matters. Turning before filtering keeps every steady turn exact, whatever the cut-off, because its
-    velocities are constant only in the body frame; a filter in the world frame would slow down a turning body. Source:
-    paper, section 3 (200 Hz, FIR with its delay taken out, 20 Hz).
+    The pose is resampled to a uniform clock (linear interpolation), differentiated over five points, rotated into the
+    body frame and low-pass filtered without phase delay; ``cutoff`` is in Hz (default 0.3 / dt). Then every n-th
+    sample is used. States in ``log.extra`` are only filtered. Controls are held: each sample has the command of the
+    last row up to half a row after it. A gap longer than ``max_gap`` seconds (default 0.025, or 2.5 rows if that is
+    longer) splits the log, and so does a change of condition. Each part loses half a filter length at both ends.
 
-    The pose is put on a uniform clock (linear interpolation), differentiated over five points,
-    turned into the body frame and low-pass filtered with linear phase and no delay left; ``cutoff``
-    is in Hz (default 0.3 / dt). Then every n-th sample is taken. States that stand in ``log.extra``
-    under their names are not derived from the pose, only filtered. Controls are held: each tick has
-    the command of the last row up to half a row after it. A hole longer than ``max_gap`` seconds
-    (default 0.025, or 2.5 rows if that is longer) splits the log, and so does a change of condition. Each piece loses
-    half a filter length at both ends, because nothing is made up beyond them.
+    The rotation comes before the filter, so that steady turns are exact for any cut-off: their velocities are constant
+    only in the body frame, and a filter in the world frame would reduce them. Source: paper, section 3 (200 Hz, FIR
+    with compensated delay, 20 Hz).
 
     Raises `InvalidData`, `InvalidArgument`, or `ShapeError`.
     """
@@ -218,29 +213,29 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
         )
     if not episodes:
         raise InvalidData(
-            f"{log.name}: expected a stretch of more than {2 * margin * step + system.dt:.2f} s (the filter and one "
-            f"step) without a hole over {max_gap * 1e3:.0f} ms; the longest hole is {steps.max():.3g} s"
+            f"{log.name}: expected more than {2 * margin * step + system.dt:.2f} s (the filter and one step) without "
+            f"a gap over {max_gap * 1e3:.0f} ms; the longest gap is {steps.max():.3g} s"
         )
     derived = [name for name in system.state_names if name not in log.extra]
     how = f"{', '.join(derived)} from the pose (5-point differences in the body frame); " if derived else ""
     notes = [
-        f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz taken down to "
-        f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each piece",
+        f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz decimated to "
+        f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each part",
         *([clock.note] if clock.note else []),
-        *_holes(steps, period, max_gap, int(log.changes.sum()), len(runs) - len(episodes)),
+        *_gaps(steps, period, max_gap, int(log.changes.sum()), len(runs) - len(episodes)),
     ]
     return PreparedLog(log.name, tuple(episodes), tuple(notes))
 
 
-def _holes(steps: Array, period: float, max_gap: float, changes: int, left_out: int) -> list[str]:
+def _gaps(steps: Array, period: float, max_gap: float, changes: int, left_out: int) -> list[str]:
     bridged = steps[(steps > 1.5 * period) & (steps <= max_gap)]
     splits = int((steps > max_gap).sum())
     notes = []
     if len(bridged):
-        notes.append(f"{len(bridged)} holes of up to {bridged.max() * 1e3:.0f} ms bridged by straight lines")
+        notes.append(f"{len(bridged)} gaps of up to {bridged.max() * 1e3:.0f} ms bridged by linear interpolation")
     if splits or changes:
-        short = f"; {left_out} pieces shorter than the filter left out" if left_out else ""
-        where = [f"{splits} holes of up to {steps.max():.3g} s"] * bool(splits)
+        short = f"; {left_out} parts shorter than the filter left out" if left_out else ""
+        where = [f"{splits} gaps of up to {steps.max():.3g} s"] * bool(splits)
         where += [f"{changes} changes of condition"] * bool(changes)
         notes.append(f"split at {' and '.join(where)}{short}")
     return notes
@@ -249,9 +244,9 @@ def _holes(steps: Array, period: float, max_gap: float, changes: int, left_out: 
 def low_pass(cutoff: float, rate: float, stop: float) -> Array:
     """Return an odd number of symmetric taps for a log at ``rate``, all in Hz.
 
-    The gain is a half at ``cutoff`` and under -50 dB from ``stop`` on: the ideal filter under a Kaiser window, whose
+    The gain is 0.5 at ``cutoff`` and below -50 dB from ``stop`` on: an ideal filter with a Kaiser window, whose
     length and shape follow from Kaiser's formulas (Oppenheim and Schafer, section 7.6). Raises `InvalidArgument`
-    unless 0 < cutoff < stop. Importing `scipy.signal`, which has the same, takes a second.
+    unless 0 < cutoff < stop. `scipy.signal` has the same, but its import takes a second.
     """
     if not 0.0 < cutoff < stop:
         raise InvalidArgument(
@@ -270,11 +265,11 @@ def checked_pose(log: RawLog, system: System) -> Array:
     """Return the pose (N, n_pose) with continuous angles, after checking the log against ``system``.
 
     Raises `ShapeError` if the log has other controls or another pose than the system, `InvalidData`
-    if time does not rise or a number is not finite.
+    if time does not increase or a number is not finite.
     """
     if log.controls.shape[1] != system.nu or log.pose.shape[1] not in (0, system.n_pose):
         raise ShapeError(
-            f"{log.name}: expected {system.nu} controls and {system.n_pose} pose coordinates as the system has, "
+            f"{log.name}: expected {system.nu} controls and {system.n_pose} pose coordinates, those of the system, "
             f"got {log.controls.shape[1]} and {log.pose.shape[1]}"
         )
     if len(log.time) < 2 or not (np.diff(log.time) > 0).all():
@@ -313,14 +308,14 @@ def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice
 
 
 UNIFORM = 0.01
-"""Stamps off by less than this share of a period need no interpolation worth mentioning."""
+"""Smaller deviations of time stamps, as a share of a period, are interpolated without a note."""
 
 
 @dataclass(frozen=True)
 class Clock:
     """Sample s of the uniform clock is at ``times[0] + s * step`` (s); ``times`` (N,) are the log's rows.
 
-    ``note`` says how the times came about if they are not simply the stamps of a uniform log.
+    ``note`` explains times that are not the stamps of a uniform log.
     """
 
     times: Array
@@ -328,28 +323,28 @@ class Clock:
     note: str = ""
 
     def samples(self, rows: slice) -> IntArray:
-        """Return the samples that lie within these rows."""
+        """Return the samples within ``rows``."""
         place = (self.times[rows] - self.times[0]) / self.step
         return np.arange(np.ceil(place[0] - UNIFORM), np.floor(place[-1] + UNIFORM) + 1, dtype=np.int64)
 
     def interpolate(self, values: Array, rows: slice, samples: IntArray) -> Array:
-        """Return ``values`` (N, c) at the samples, on straight lines between these rows."""
+        """Return ``values`` (N, c) at the samples, interpolated linearly between ``rows``."""
         at = self.times[0] + samples * self.step
         columns = [np.interp(at, self.times[rows], column) for column in values[rows].T]
         return np.stack(columns, axis=1) if columns else np.empty((len(samples), 0))
 
     def hold(self, values: Array, rows: slice, samples: IntArray) -> Array:
-        """Return ``values`` (N, c) as they are held at the samples: of the last row up to half a step after each."""
+        """Return ``values`` (N, c) held until the samples: those of the last row up to half a step after each."""
         at = self.times[0] + (samples + 0.5) * self.step
         return values[rows][np.searchsorted(self.times[rows], at, side="right") - 1]
 
 
 def fit_clock(stamps: Array, positions: Array, step: float) -> Clock:
-    """Return the clock of a log: its stamps as they are, or a steady clock through them.
+    """Return the clock of a log: its time stamps, or a uniform clock fitted to them.
 
-    A tracker takes its frames at a steady rate, but many loggers stamp them when they arrive. A late
-    stamp then looks like a wrong position. The ``positions`` (N, any) tell which clock is right: on it
-    they move more smoothly. ``stamps`` (N,) and ``step`` are in s.
+    A tracker measures at a uniform rate, but many loggers stamp frames on arrival. A late stamp then looks like a wrong
+    position. The clock on which the ``positions`` (N, any) move more smoothly is used. ``stamps`` (N,) and ``step`` are
+    in s.
     """
     since = (stamps - stamps[0]) / step
     if np.abs(since - np.round(since)).max() < UNIFORM:
@@ -359,14 +354,14 @@ def fit_clock(stamps: Array, positions: Array, step: float) -> Clock:
     rate, start = np.polyfit(frames, stamps, 1)
     steady = start + rate * frames
     scatter = stamps - steady
-    told = f"time stamps scatter by {1e3 * scatter.std():.2g} ms around a steady {1.0 / rate:.1f} Hz"
+    scattered = f"time stamps scatter by {1e3 * scatter.std():.2g} ms around a steady {1.0 / rate:.1f} Hz"
     if np.abs(scatter).max() < 0.5 * period and _roughness(positions, steady) < _roughness(positions, stamps):
-        return Clock(steady, step, f"{told} and the pose moves more smoothly on the steady clock, which is used")
-    return Clock(stamps, step, f"{told}; the pose is interpolated linearly onto a uniform clock")
+        return Clock(steady, step, f"{scattered} and the pose moves more smoothly on the steady clock, which is used")
+    return Clock(stamps, step, f"{scattered}; the pose is interpolated linearly onto a uniform clock")
 
 
 def contiguous_rows(breaks: BoolArray) -> list[slice]:
-    """Return the runs of rows between ``breaks`` (N - 1,), which are true where row k + 1 begins a new run."""
+    """Return the runs of rows between ``breaks`` (N - 1,), true at k if row k + 1 begins a new run."""
     edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(breaks) + 1]
     return [slice(first, last) for first, last in pairwise(edges)]
 
@@ -377,11 +372,11 @@ def _roughness(positions: Array, times: Array) -> float:
 
 
 LISTED = 4
-"""Logs that a note names."""
+"""Largest number of logs that a note names."""
 
 
-def said_once(prepared: Sequence[PreparedLog]) -> list[str]:
-    """Return the notes of all logs, each once and with the names of its logs before it."""
+def merged_notes(prepared: Sequence[PreparedLog]) -> list[str]:
+    """Return the distinct notes of all logs, each with the names of its logs before it."""
     logs: dict[str, list[str]] = {}
     for one in prepared:
         for note in one.notes:

@@ -1,4 +1,4 @@
-"""What a recording holds: excitation, coverage, sampling, delays."""
+"""Quality of a recording: excitation, coverage, sampling, delays."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from sysid_evo.system import Channel
 from sysid_evo.types import Array, IntArray
 
 LEVELS = 3
-"""Levels that a continuous control is counted by: each value belongs to the nearest."""
+"""Number of levels to which values of a continuous control are rounded for counting."""
 
 CELLS = 8
-"""Cells along each state over its visited range."""
+"""Number of cells along each state over its visited range."""
 
 MOST_COMMANDS = 81
-"""Combinations of levels listed in full; of more, only those that occur."""
+"""Largest number of combinations of levels to list in full; of more, only those that occur are listed."""
 
 BAND_SHARE = 0.95
 """Share of the power of a signal that lies within its bandwidth."""
 
 STANDING, STILL, FEWEST = 0.1, 0.01, 10
-"""Nothing moves in an episode if less than the first share of its time is in motion, or if every state stays
-within the second share of its range over all episodes; one of fewer steps is too short to tell."""
+"""An episode is idle if less than the first share of its time is in motion, or if every state stays within the second
+share of its range over all episodes. Episodes of fewer steps are never called idle."""
 
 
 @dataclass(frozen=True)
 class ControlUse:
-    """How often each level of a control was used; ``shares`` add up to 1, ``switches`` change the level."""
+    """Shares of time of each level of a control, which add up to 1, and the number of ``switches`` between levels."""
 
     name: str
     unit: str
@@ -48,7 +48,7 @@ class ControlUse:
 
 @dataclass(frozen=True)
 class StateUse:
-    """How a state moves: root mean square, range (of a periodic one within a turn), bandwidth, how far it is foretold.
+    """Excitation of a state: root mean square, range (for a periodic one within a turn), bandwidth, explained variance.
 
     ``bandwidth`` is the frequency in Hz below which 95 % of its power lies, ``explained`` the share of its
     variance that the sample before and the controls explain (`fit_linear`).
@@ -65,7 +65,7 @@ class StateUse:
 
 @dataclass(frozen=True)
 class CommandUse:
-    """One combination of levels: its share of time, and of the visited state cells where it was tried."""
+    """One combination of levels: its share of time, and the share of visited state cells in which it occurred."""
 
     levels: tuple[float, ...]
     share: float
@@ -93,13 +93,14 @@ class Sampling:
 
 @dataclass(frozen=True)
 class RecordingQuality:
-    """How much a recording holds of what models learn from, see `recording_quality`.
+    """Information content of a recording for model fitting, see `recording_quality`.
 
-    ``duration`` and ``dt`` are in s, ``moving`` is the share of samples not in a standstill, ``idle``
-    names the episodes in which nothing moves, ``scales`` are the system's own time scales in s
-    (`fit_linear`), ``unusable`` says why nothing can be done with so few data, if so. ``cells`` how
-    many of the ``grid`` cells of the visited state space were visited, ``sampling`` is empty unless
-    the logs were given.
+    - ``duration``, ``dt``: in s.
+    - ``moving``: share of samples that are not in a standstill; ``idle``: names of the episodes without motion.
+    - ``scales``: time constants of the system in s (`fit_linear`).
+    - ``unusable``: the reason why the data are not sufficient, or "".
+    - ``cells``: number of visited cells, of the ``grid`` cells of the range of the states.
+    - ``sampling``: empty unless the logs were given.
     """
 
     episodes: int
@@ -158,7 +159,7 @@ def recording_quality(dataset: Dataset, logs: Sequence[RawLog] = ()) -> Recordin
 
 
 def _idle(dataset: Dataset) -> tuple[str, ...]:
-    """Return the names of the episodes in which nothing moves."""
+    """Return the names of the episodes without motion."""
     lowest = np.min([episode.states.min(axis=0) for episode in dataset], axis=0)
     highest = np.max([episode.states.max(axis=0) for episode in dataset], axis=0)
     still = STILL * (highest - lowest)
@@ -178,7 +179,7 @@ def _unusable(dataset: Dataset) -> str:
 
 
 def _levels(channel: Channel, values: Array) -> tuple[float, ...]:
-    """Return the levels to count by; a missing limit is the recorded one."""
+    """Return the levels for counting; missing limits are replaced by the recorded ones."""
     if channel.levels is not None:
         return channel.levels
     low = channel.low if np.isfinite(channel.low) else values.min()
@@ -203,7 +204,7 @@ def _state_use(dataset: Dataset, i: int, explained: float) -> StateUse:
 def _bandwidth(series: Sequence[Array], rate: float) -> float:
     """Return the frequency below which 95 % of the power lies (Welch, segments of the same length), in Hz.
 
-    Segments of up to 256 samples overlap by half and have a Hann window; their mean is taken out.
+    Segments of up to 256 samples overlap by half and have a Hann window; their mean is removed.
     """
     segment = min(256, max(len(s) for s in series))
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(segment) / segment)
@@ -212,8 +213,8 @@ def _bandwidth(series: Sequence[Array], rate: float) -> float:
     power = np.zeros(segment // 2 + 1)
     for s in series:
         if len(s) >= segment:
-            pieces = sliding_window_view(s, segment)[:: segment - segment // 2]
-            spectra = np.abs(np.fft.rfft((pieces - pieces.mean(axis=1, keepdims=True)) * window)) ** 2
+            segments = sliding_window_view(s, segment)[:: segment - segment // 2]
+            spectra = np.abs(np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window)) ** 2
             power += len(s) * sides * spectra.mean(axis=0)
     total = np.cumsum(power)
     frequency = np.fft.rfftfreq(segment, 1.0 / rate)
@@ -221,14 +222,14 @@ def _bandwidth(series: Sequence[Array], rate: float) -> float:
 
 
 def _cells(states: Array) -> IntArray:
-    """Return the number of the grid cell of each state (N,), counted among those that were visited."""
+    """Return the number of the grid cell of each state (N,), numbered among the visited cells."""
     low, span = states.min(axis=0), np.ptp(states, axis=0)
     place = np.minimum((states - low) / np.where(span > 0.0, span, 1.0) * CELLS, CELLS - 1).astype(np.int64)
     return _numbered([(column, CELLS) for column in place.T])
 
 
 def _numbered(columns: Iterable[tuple[IntArray, int]]) -> IntArray:
-    """Return the number (N,) of each row among the different ones; columns (N,) hold 0 to that many, first most."""
+    """Return the number (N,) of each row among the distinct rows; each column (N,) comes with its number of values."""
     number = np.zeros(1, dtype=np.int64)
     for column, size in columns:
         number = np.unique(number * size + column, return_inverse=True)[1].reshape(-1)
@@ -238,7 +239,7 @@ def _numbered(columns: Iterable[tuple[IntArray, int]]) -> IntArray:
 def _command_uses(
     levels: Sequence[tuple[float, ...]], level: Sequence[IntArray], cell: IntArray
 ) -> Iterator[CommandUse]:
-    """Yield the use of every combination of levels, of very many only of those that occur."""
+    """Yield the use of every combination of levels; of more than `MOST_COMMANDS`, only of those that occur."""
     sizes, visited = [len(of_control) for of_control in levels], int(cell.max()) + 1
     used = _numbered(zip(level, sizes, strict=True)) if levels else np.zeros_like(cell)
     _, first, count = np.unique(used, return_index=True, return_counts=True)

@@ -1,4 +1,4 @@
-"""Readers: a file of columns becomes arrays of finite numbers, each with its row in the file."""
+"""Readers of files with columns, which return arrays of finite numbers and their rows in the file."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ WORDS = "A command in words needs the number of each in the column map: words = 
 class Table:
     """N rows of named columns (N,); ``rows`` (N,) are their numbers in the file ``path``.
 
-    ``texts`` are columns of words, by name, for those who read them too.
+    ``texts`` are columns of text, by name.
     """
 
     path: Path
@@ -48,19 +48,19 @@ class Table:
         return len(self.rows)
 
     def where(self, column: str, row: int) -> str:
-        """Return the place of an entry in words; ``row`` counts from 0 in this table."""
+        """Return file, row and column of an entry as text; ``row`` counts from 0 in this table."""
         return f"{self.path.name}, row {self.rows[row]}, column {column!r}"
 
 
 MISSING = ("", "nan", "NaN", "NA", "N/A", "null", "NULL", "None")
-"""How programs write that a cell has no value: empty, and the words of NumPy, pandas, R, SQL and Python."""
+"""Texts for a missing value: empty, and those of NumPy, pandas, R, SQL and Python."""
 
 
 class Reader(ABC):
     """Reads one kind of file, recognised by its suffix.
 
-    ``encoding`` is that of a text (None: UTF-8, or UTF-16 and UTF-32 by the mark at the start of the file). With
-    ``gaps`` a missing value is read as NaN; without, it is an error.
+    ``encoding`` is that of a text file (None: UTF-8, or UTF-16 and UTF-32 with a byte order mark). With ``gaps`` a
+    missing value is read as NaN; without, it is an error.
     """
 
     suffixes: ClassVar[tuple[str, ...]]
@@ -73,10 +73,10 @@ class Reader(ABC):
 
     @abstractmethod
     def read(self, path: Path, columns: Sequence[str]) -> Table:
-        """Return these columns. Raises `InvalidData`, which names file, row and column."""
+        """Return the table of ``columns``. Raises `InvalidData` with file, row and column."""
 
     def texts(self, path: Path, column: str) -> list[str]:
-        """Return what a column calls each row that `read` returns; here its numbers, as texts."""
+        """Return the texts of a column for the rows that `read` returns; by default its numbers as text."""
         return [f"{value:g}" for value in self.read(path, [column]).columns[column]]
 
 
@@ -84,8 +84,8 @@ class Reader(ABC):
 class CsvReader(Reader):
     """Text with one header line; separated by comma, semicolon or tab.
 
-    Rows are numbered as an editor does: the header is row 1. A flawless file is parsed by pyarrow; a
-    file that it refuses is read line by line, to name what is wrong with which row.
+    Rows are numbered as in an editor: the header is row 1. Files are parsed by pyarrow; a file that it
+    refuses is read line by line, to report the row and the error.
     """
 
     suffixes = (".csv", ".txt", ".tsv")
@@ -140,14 +140,14 @@ class CsvReader(Reader):
             row, width = uneven
             first_missing = f", so {header[width]!r} is missing" if width < len(header) else ""
             raise InvalidData(
-                f"{path.name}, row {row}: expected {len(header)} values as the header has, got {width}{first_missing}"
+                f"{path.name}, row {row}: expected {len(header)} values as in the header, got {width}{first_missing}"
             )
         if refused:
             first = min(refused)
             row, text = refused[first]
             raise InvalidData(
                 f"{path.name}, row {row}, column {columns[first]!r}: expected a number, got {text!r}"
-                f"{such_rows(counts[first])}. {_mended(text)}"
+                f"{such_rows(counts[first])}. {_remedy(text)}"
             )
         read = {name: np.frombuffer(column) for name, column in zip(columns, values, strict=True)}
         return _finite(Table(path, np.frombuffer(numbers, dtype=np.int64), read), self.gaps)
@@ -181,11 +181,11 @@ class CsvReader(Reader):
         values = [table[names[place]].to_numpy() for place in places]
         del table
         pa.default_memory_pool().release_unused()
-        blank = self.gaps and np.all([np.isnan(column) for column in values], axis=0).any()  # a row, to pyarrow
+        blank = self.gaps and np.all([np.isnan(column) for column in values], axis=0).any()  # a row for pyarrow
         return None if blank else values
 
     def _encoding(self, path: Path) -> str:
-        """Return the encoding of a text: the one that is given, else by its mark, else UTF-8."""
+        """Return the encoding of a text: the given one, else that of its byte order mark, else UTF-8."""
         with path.open("rb") as file:
             start = file.read(4)
         if self.encoding is not None:
@@ -198,13 +198,13 @@ class CsvReader(Reader):
         line = next(self._lines(path), "").removeprefix("\ufeff")
         if "\0" in line:
             raise InvalidData(
-                f"{path.name}: expected text, got bytes of 0 in row 1. If it is UTF-16 without a mark at its start, "
+                f"{path.name}: expected text, got bytes of 0 in row 1. If it is UTF-16 without a byte order mark, "
                 'give encoding = "utf-16-le" in the column map'
             )
         return line
 
     def _lines(self, path: Path) -> Iterator[str]:
-        """Yield the lines of a text, as `str.splitlines` gives them, without having all of it in memory."""
+        """Yield the lines of a text, as in `str.splitlines`, without reading the whole file into memory."""
         encoding = self._encoding(path)
         try:
             with path.open(encoding=encoding) as file:
@@ -249,44 +249,44 @@ class ParquetReader(Reader):
 
 
 MOST_ROWS = 20_000_000
-"""Rows of a Parquet file that are read without being asked for: 28 hours at 200 Hz.
+"""Largest number of rows of a Parquet file that are read by default: 28 hours at 200 Hz.
 
-A file of a few bytes can declare any number of them. A million rows of nine columns take 0.4 GB (docs/data.md, "Long
-recordings"), these take 8 GB.
+A file of a few bytes can declare any number of rows. A million rows of nine columns take 0.4 GB (docs/data.md, "Long
+recordings"), this number takes 8 GB.
 """
 VARIABLE = "SYSID_EVO_MOST_ROWS"
 
 
 def read_parquet(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Return these columns of a Parquet file. Raises `InvalidData`: before reading, if it declares too many rows."""
+    """Return ``columns`` of a Parquet file. Raises `InvalidData`, for too many rows before anything is read."""
     import pyarrow.parquet as pq
 
     given = os.environ.get(VARIABLE, "")
     if given and not given.isdecimal():
-        raise InvalidData(f"{VARIABLE}: expected the most rows of a Parquet file, got {given!r}")
+        raise InvalidData(f"{VARIABLE}: expected the largest number of rows of a Parquet file, got {given!r}")
     most = int(given or MOST_ROWS)
     with _named(path):
         about = pq.read_metadata(path)
-        # the reader goes by the groups, and the sum at the end of the file may be another
+        # the reader uses the counts of the groups; the sum at the end of the file may differ
         rows = max(about.num_rows, sum(about.row_group(group).num_rows for group in range(about.num_row_groups)))
         if rows > most:
             raise InvalidData(
                 f"{path.name}: declares {rows} rows, more than the {most} that are read. If that is right and there is "
-                f"memory for it, some 8 bytes for each row and column and as much again, set {VARIABLE}={rows}"
+                f"enough memory, about 16 bytes for each row and column, set {VARIABLE}={rows}"
             )
         return pq.read_table(path, columns=list(columns))
 
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Turn what pyarrow says of a damaged Parquet file into an `InvalidData` that names it."""
+    """Convert errors of pyarrow on a damaged Parquet file to `InvalidData` with the name of the file."""
     import pyarrow as pa
 
     try:
         yield
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:
-            raise  # of the operating system, which names the file itself; pyarrow's own have no number
+            raise  # an error of the operating system, which names the file; those of pyarrow have no number
         raise InvalidData(f"{path.name}: not a readable Parquet file: {error}") from error
 
 
@@ -303,7 +303,7 @@ def find_reader(path: Path, *, encoding: str | None = None, gaps: bool = False) 
 
 
 def such_rows(count: int) -> str:
-    """Return in how many rows the same is wrong, in brackets; nothing if it is the one that was named."""
+    """Return the number of rows with the same error, in brackets; empty for a single one."""
     return f" ({count} such rows)" if count > 1 else ""
 
 
@@ -313,19 +313,19 @@ def log_suffixes() -> tuple[str, ...]:
 
 
 def _no_text(path: Path, encoding: str, error: UnicodeError) -> InvalidData:
-    """Return what is wrong with a text; its ``error`` counts from the part that was read last, so the row is told."""
+    """Return the error for a text that cannot be decoded, with its row; ``error`` counts from the last part read."""
     found = ""
     if isinstance(error, UnicodeDecodeError):
         row = 0
         with path.open("rb") as file, suppress(UnicodeError):
-            for line in file:  # rows of UTF-16 do not end where these lines do, but neither is it named by its bytes
+            for line in file:  # wrong for UTF-16, for which no row is reported
                 row += 1
                 line.decode(encoding)
         found = f", got the byte {error.object[error.start]:#04x} in row {row}"
     kind = "UTF-8" if encoding == "utf-8-sig" else encoding
     return InvalidData(
         f"{path.name}: expected text ({kind}){found}. Name its encoding in the column map (docs/data.md), "
-        'encoding = "cp1252" for what Windows and Excel call ANSI or Latin-1, or save the file as UTF-8'
+        'encoding = "cp1252" for ANSI or Latin-1 of Windows and Excel, or save the file as UTF-8'
     )
 
 
@@ -345,8 +345,8 @@ def _place(name: str, header: Sequence[str], path: Path) -> int:
     raise InvalidData(f"{path.name}, row 1: column {name!r} is missing.{hint} The header has: {', '.join(header)}.")
 
 
-def _mended(text: str) -> str:
-    """Return what to do about an entry that is no number: nothing stands there, a comma for the point, or a word."""
+def _remedy(text: str) -> str:
+    """Return the remedy for an entry that is not a number: it is empty, has a decimal comma, or is a word."""
     if text.strip() in MISSING:
         return DROP
     try:
@@ -362,7 +362,7 @@ def _expect_rows(count: int, path: Path) -> None:
 
 
 def _finite(table: Table, gaps: bool) -> Table:
-    """Return ``table``, in which no number may be missing unless there may be ``gaps``, and none infinite."""
+    """Return ``table``. Raises `InvalidData` if a number is infinite or, without ``gaps``, missing."""
     for name, values in table.columns.items():
         bad = np.flatnonzero(np.isinf(values) if gaps else ~np.isfinite(values))
         if len(bad):

@@ -1,4 +1,4 @@
-"""Log files become a recording: find them, choose the column map, read, check, prepare."""
+"""Reading of log files: find them, choose the column map, read, check, prepare."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sysid_evo.data.checks import (
 )
 from sysid_evo.data.columns import ColumnMap, ControlColumn, choose_columns, load_columns, shipped_columns
 from sysid_evo.data.frames import is_stored_dataset
-from sysid_evo.data.preparation import RawLog, episodes_of, said_once
+from sysid_evo.data.preparation import RawLog, episodes_of, merged_notes
 from sysid_evo.data.readers import MISSING, Table, find_reader, log_suffixes, such_rows
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, did_you_mean
@@ -29,10 +29,10 @@ from sysid_evo.types import Array, IntArray
 
 @dataclass(frozen=True)
 class Recording:
-    """Logs of one system: what the files hold in SI units, and what was noticed.
+    """Logs of one system in SI units, with notes and remarks.
 
-    ``logs`` carry states that have a column, and the map's ``extra`` columns, in `RawLog.extra`.
-    ``notes`` say what was done, ``remarks`` what looks wrong.
+    In ``logs``, `RawLog.extra` holds the states that have a column and the map's ``extra`` columns.
+    ``notes`` list the processing steps, ``remarks`` possible faults.
     """
 
     system: System
@@ -41,12 +41,12 @@ class Recording:
     remarks: tuple[str, ...]
 
     def prepared(self) -> tuple[tuple[Trajectory, ...], tuple[str, ...]]:
-        """Return the episodes, logs at the control rate row by row, faster ones differentiated and filtered.
+        """Return the episodes, and all notes and remarks.
 
-        Beside them are all notes, also what was done to the logs, and the remarks. Raises `InvalidData`.
+        Logs at the control rate are used row by row, faster ones are differentiated and filtered. Raises `InvalidData`.
         """
         prepared = [episodes_of(log, self.system) for log in self.logs]
-        notes = [*self.notes, *said_once(prepared), *self.remarks]
+        notes = [*self.notes, *merged_notes(prepared), *self.remarks]
         episodes = [episode for one in prepared for episode in one.episodes]
         return tuple(episodes), tuple(dict.fromkeys(notes))
 
@@ -54,11 +54,11 @@ class Recording:
 def read_recording(
     paths: str | Path | Iterable[str | Path], *, columns: str | Path | None = None, condition_column: str | None = None
 ) -> Recording:
-    """Read log files, or folders of them, as one recording.
+    """Return the recording in log files, or in folders of them.
 
-    ``columns`` is a column map (a TOML file or the name of a shipped one); without it the shipped map
-    that fits the header is taken. ``condition_column`` names the condition of each row, text or numbers, instead of
-    the column that the map says. Raises `InvalidData`, which names file, row and column.
+    ``columns`` is a column map (a TOML file or the name of a shipped one); by default the shipped map
+    that matches the header is used. ``condition_column`` is the column with the condition of each row, text or
+    numbers, instead of that of the map. Raises `InvalidData` with file, row and column.
     """
     files = log_files(paths)
     notes = []
@@ -81,12 +81,12 @@ def read_recording(
                 f"control {name!r} is {control.column!r} times {control.gate!r}, 0 in {closed:.0%} of the rows"
             )
     if chosen.time is None:
-        notes.append(f"no time column: rows are taken to be {chosen.dt:g} s apart, and lost rows cannot be seen")
+        notes.append(f"no time column: rows are assumed to be {chosen.dt:g} s apart; lost rows cannot be detected")
     return Recording(chosen.system(control_limits), tuple(logs), tuple(notes), tuple(remarks))
 
 
 def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
-    """Return the log files that ``paths`` name: files as they are, of folders every log in them, sorted."""
+    """Return the log files in ``paths``: files, and the sorted logs of folders."""
     files: list[Path] = []
     for path in paths_of(paths):
         if path.is_dir():
@@ -98,8 +98,8 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
             inside = sorted(file for file in path.iterdir() if file.suffix.lower() in suffixes and file.is_file())
             if not inside and (path / "cells").is_dir():
                 raise InvalidArgument(
-                    f"{path}: expected recordings, but this is a run folder. Name the logs or the data set that it was "
-                    f"made of; sysid-evo compare --config {path} does the same again"
+                    f"{path}: expected recordings, but this is a run folder. Give the logs or the data set that the "
+                    f"run used; sysid-evo compare --config {path} repeats the run"
                 )
             if not inside:
                 raise InvalidData(f"{path}: expected logs ({', '.join(suffixes)}) in this folder, found none")
@@ -107,9 +107,9 @@ def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
         elif path.is_file():
             files.append(path)
         else:
-            beside = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
-            meant = did_you_mean(path.name, beside)
-            raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there.{meant}")
+            existing = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
+            hint = did_you_mean(path.name, existing)
+            raise InvalidArgument(f"{path}: expected a log or a folder of logs, found nothing there.{hint}")
     if not files:
         raise InvalidArgument("expected at least one log or folder of logs, got none")
     times = Counter(file.stem for file in files)
@@ -127,9 +127,9 @@ def paths_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
 
 
 def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str]) -> tuple[Table, IntArray]:
-    """Return the columns of a log, words too, and the place (N,) of each row among all rows of the file.
+    """Return the columns of a log, including text, and the index (N,) of each row among all rows of the file.
 
-    Rows that lack a number or a command in words are left out, if the map says so, and counted in ``notes``.
+    Rows without a number or a command are dropped, if the map allows it, and counted in ``notes``.
     """
     drop = columns.missing == "drop"
     reader = find_reader(path, encoding=columns.encoding, gaps=drop)
@@ -142,11 +142,11 @@ def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str
     gone = np.any([*lacking.values(), np.zeros(len(table), dtype=bool)], axis=0)
     if gone.any():
         counts = ", ".join(f"{name} {rows.sum()}" for name, rows in lacking.items() if rows.any())
-        told = f"{gone.sum()} of {len(gone)} rows have no value in some column ({counts})"
+        gaps = f"{gone.sum()} of {len(gone)} rows have no value in some column ({counts})"
         if (~gone).sum() < 2:
-            raise InvalidData(f"{path.name}: {told}: expected at least two rows that have them all")
+            raise InvalidData(f"{path.name}: {gaps}: expected at least two complete rows")
         first = table.rows[gone][0]
-        notes.append(f"{path.name}: {told} and are left out, the first is row {first}; the log has gaps there")
+        notes.append(f"{path.name}: {gaps} and are left out, the first is row {first}; the log has gaps there")
         places = places[~gone]
         texts = {name: [values[place] for place in places] for name, values in texts.items()}
         numbers = {name: values[~gone] for name, values in table.columns.items()}
@@ -155,10 +155,9 @@ def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str
 
 
 def _log(table: Table, columns: ColumnMap, places: IntArray, condition: str | None, notes: list[str]) -> RawLog:
-    """Return what ``table`` holds, in SI units; controls are gated, clipped and checked against their limits.
+    """Return the content of ``table`` in SI units; controls are gated, clipped and checked against their limits.
 
-    ``places`` (N,) count its rows and those left out of it; ``condition`` is the column that names the condition of
-    each row.
+    ``places`` (N,) are the indices of its rows in the file; ``condition`` is the column with the condition of each row.
     """
     data = table.columns
     labels = None if condition is None else np.array(table.texts[condition], np.str_)
@@ -196,7 +195,7 @@ def _log(table: Table, columns: ColumnMap, places: IntArray, condition: str | No
 
 
 def _commands(table: Table, name: str, control: ControlColumn) -> Array:
-    """Return the numbers of a control (N,), as they stand in the file or as the map says what its words are worth."""
+    """Return the values of a control (N,): the numbers in the file, or those that the map assigns to its words."""
     if control.words is None:
         return table.columns[control.column]
     labels = table.texts[control.column]
@@ -210,7 +209,7 @@ def _commands(table: Table, name: str, control: ControlColumn) -> Array:
 
 
 def _control_limits(logs: Sequence[RawLog], columns: ColumnMap, notes: list[str]) -> Mapping[str, tuple[float, float]]:
-    """Return the range over all logs of every control that has no limits in the map, and say so in ``notes``."""
+    """Return the range over all logs of every control that has no limits in the map; add a note on each."""
     control_limits = {}
     for i, (name, control) in enumerate(columns.controls.items()):
         if control.limited:

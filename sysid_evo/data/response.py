@@ -1,4 +1,4 @@
-"""How states respond to controls: delays, a linear fit, measured manoeuvres."""
+"""Responses of states to controls: delays, a linear fit, measured manoeuvres."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ ORDER = 8
 
 LATEST, LATEST_STEPS, MOST_STEPS = 0.5, 10, 50
 EARLIEST = -0.1
-"""Lags looked at: from -0.1 s to 0.5 s, but to 10 steps at least and to 50 at most.
+"""Range of lags: from -0.1 s to 0.5 s, but to at least 10 and at most 50 steps.
 
-A lag below 0 means that the body moved before the command was logged, so that the log's clocks
-disagree; a human driver, who reacts later than 0.1 s, cannot cause it.
+A negative lag means that the body moved before the command was logged, so the clocks of the log disagree. A human
+driver cannot be the cause, because reactions take more than 0.1 s.
 """
 
 CLEAR, WEAK = 4.0, 0.1
-"""A peak is clear from this many standard deviations of the correlation of unrelated series on, and from
-this correlation on."""
+"""A peak is clear above this many standard deviations of the correlation of unrelated series, and above this
+correlation."""
 
 FIRST = 0.5
-"""Share of the highest peak that makes a first peak worth mentioning."""
+"""Least height of a first peak, as a share of the highest one."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """How ``control`` acts on the acceleration of ``state``: first ``steps`` after it is set.
+    """The delay from ``control`` to the acceleration of ``state``, in ``steps``.
 
-    0 steps: the control at sample k acts on the change from k to k + 1. ``seconds`` is that between
-    steps, from a parabola through the peak. ``strength`` is the correlation there, in [-1, 1];
-    ``clear`` tells whether unrelated series of this length would rarely reach it.
+    0 steps: the control at sample k acts on the change from k to k + 1. ``seconds`` is the delay between
+    steps, from a parabola through the peak. ``strength`` is the correlation at the peak, in [-1, 1]; it is
+    ``clear`` if unrelated series of this length rarely reach it.
     """
 
     control: str
@@ -52,17 +52,16 @@ class Delay:
 
 
 def find_delays(dataset: Dataset) -> tuple[Delay, ...]:
-    """Return the delay of every control on every state; a control that is constant has none.
+    """Return the delay of every control on every state, except for constant controls.
 
-    Commands are strongly correlated with their own past, so that a plain cross-correlation is smeared over many lags.
-    Both series are therefore filtered with the autoregressive model that turns the control into white noise; what is
-    left of their correlation is the response to one impulse (Box and Jenkins, Time Series Analysis, chapter on transfer
-    functions). What a state does by itself is taken out of its acceleration first (`fit_linear`), so that the swing
-    back of a pendulum, or a position that follows its speed, is no answer to a control. The delay is that of the first
-    peak worth mentioning, as a later one may be a backswing, however large.
+    Commands are strongly correlated with their own past, so a plain cross-correlation is smeared over many lags.
+    Both series are therefore filtered with the autoregressive model that turns the control into white noise; the
+    remaining correlation is the impulse response (Box and Jenkins, Time Series Analysis, chapter on transfer
+    functions). The unforced response of a state, such as the swing back of a pendulum, is subtracted from its
+    acceleration first (`fit_linear`). The delay is that of the first high peak, because later peaks may be backswings.
 
     On a planar body the control and its product with the forward speed are tried, and the stronger
-    kept; not on the forward speed itself, whose noise would be on both sides.
+    correlation is used; except for the forward speed itself, whose noise would be on both sides.
     """
     system = dataset.system
     latest = min(max(LATEST_STEPS, round(LATEST / system.dt)), MOST_STEPS)
@@ -127,7 +126,7 @@ class _Whitened:
         return cls(whitening, [np.convolve(one, whitening, mode="valid") for one in series])
 
     def response(self, outputs: list[Array], lags: range) -> Array:
-        """Return the correlation with ``outputs``, filtered alike, at each lag."""
+        """Return the correlation with ``outputs``, passed through the same filter, at each lag."""
         answers = [np.convolve(one, self.filter, mode="valid") for one in outputs]
         return np.array([_correlation(self.series, answers, lag) for lag in lags])
 
@@ -141,7 +140,7 @@ def _correlation(commands: list[Array], responses: list[Array], lag: int) -> flo
 
 
 def _first_peak(curve: Array, clear: float) -> int:
-    """Return the place of the first peak that is clear and half as high as the highest; else of the highest."""
+    """Return the index of the first peak that is clear and half as high as the highest; else of the highest."""
     size = np.abs(curve)
     worth = np.flatnonzero(size >= max(clear, FIRST * size.max()))
     if not len(worth):
@@ -153,7 +152,7 @@ def _first_peak(curve: Array, clear: float) -> int:
 
 
 def _vertex(curve: Array, peak: int) -> float:
-    """Return where the parabola through the peak and its neighbours has its vertex, -0.5 to 0.5 from the peak."""
+    """Return the vertex of the parabola through the peak and its neighbours, -0.5 to 0.5 from the peak."""
     if not 0 < peak < len(curve) - 1:
         return 0.0
     before, at, after = curve[peak - 1 : peak + 2]
@@ -162,7 +161,8 @@ def _vertex(curve: Array, peak: int) -> float:
 
 
 INTEGRATES = 0.3
-"""A mode slower than this share of the longest episode counts as integrating: it has no time scale to tell."""
+"""Modes with a longer time constant, as a share of the longest episode, count as integrators without a time constant.
+"""
 
 BLOCK = 16384
 """Steps whose regressors are in memory at a time."""
@@ -170,12 +170,12 @@ BLOCK = 16384
 
 @dataclass(frozen=True)
 class LinearFit:
-    """The least-squares fit of a data set's changes.
+    """The least-squares fit of the changes of states in a data set.
 
     ``rate`` (nx + one for each periodic state, nx): the change of state j per second is
-    ``state_terms(states) @ rate[:, j]`` plus the answer to the controls. ``explained`` (nx,) is the
+    ``state_terms(states) @ rate[:, j]`` plus the response to the controls. ``explained`` (nx,) is the
     share of the variance of the next state that states and controls explain, 0 to 1. ``scales`` are
-    the time scales 1 / |eigenvalue| in s of the decaying modes, rising: decay time of a plain mode,
+    the time constants 1 / |eigenvalue| in s of the decaying modes, in rising order: decay time of a real mode,
     1 / angular frequency of an oscillation.
     """
 
@@ -185,12 +185,11 @@ class LinearFit:
 
 
 def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
-    """Fit changes to the state and the controls of this and ``lags`` earlier steps; None if there are too few rows.
+    """Return the fit of changes to the state and the controls of this and ``lags`` earlier steps; None for few rows.
 
-    The change of a state is partly the answer to a control and partly what the state does by itself: a pendulum that
-    was pushed swings back. The fit tells the two apart, and its modes are the system's own time scales.
-    On a planar body the controls times the forward speed are regressors too, as a steering wheel works
-    in proportion to it.
+    The fit separates the response to controls from the free response of the states, such as a pendulum that swings
+    back, whose modes give the time constants. On a planar body the controls times the forward speed are regressors
+    too, because the effect of steering is proportional to it.
     """
     system = dataset.system
     episodes = [episode for episode in dataset if len(episode) > lags]
@@ -213,10 +212,10 @@ def fit_linear(dataset: Dataset, lags: int) -> LinearFit | None:
 
 
 def state_terms(system: System, states: Array) -> Array:
-    """Return the terms of ``states`` (T, nx) that changes are fitted to, (T, nx + one for each periodic state).
+    """Return the regressors made from ``states`` (T, nx), (T, nx + one for each periodic state).
 
-    They are the states; of a periodic one the sine, scaled so that it is the angle near neutral, and,
-    after all the others, the cosine.
+    They are the states; a periodic one is replaced by its sine, scaled to equal the angle near neutral, and its cosine,
+    which follows all others.
     """
     terms, cosines = states.copy(), []
     for i, period in system.periods.items():
@@ -227,7 +226,7 @@ def state_terms(system: System, states: Array) -> Array:
 
 
 def _blocks(system: System, episodes: Sequence[Trajectory], lags: int) -> Iterator[tuple[Array, Array]]:
-    """Yield regressors (n, terms) and changes (n, nx) of up to `BLOCK` steps, which bounds the memory."""
+    """Yield regressors (n, terms) and changes (n, nx) of up to `BLOCK` steps, to limit the memory."""
     for episode in episodes:
         for first in range(lags, len(episode), BLOCK):
             last = min(first + BLOCK, len(episode))
@@ -280,7 +279,7 @@ LEAST = 1e-9
 
 @dataclass(frozen=True)
 class ManoeuvreResult:
-    """A ``value`` with its standard ``error`` and ``unit``; ``name`` says of what, ``episode`` where it was seen."""
+    """A measured ``value`` with ``name``, standard ``error`` and ``unit``, and the ``episode`` of the manoeuvre."""
 
     name: str
     value: float
@@ -293,10 +292,11 @@ class ManoeuvreResult:
 
 
 def manoeuvre_results(dataset: Dataset) -> list[ManoeuvreResult]:
-    """Return what the manoeuvres of a data set say, in their order; nothing if there are none.
+    """Return the values measured from the manoeuvres of a data set, in their order; empty without manoeuvres.
 
-    They are episodes whose names begin with ``step``, ``coast_down`` or ``circle``, as `sysid-evo record --manoeuvre`
-    makes them: first guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in reinforcement learning").
+    Manoeuvres are episodes whose names begin with ``step``, ``coast_down`` or ``circle`` (`sysid-evo record
+    --manoeuvre`). The values are initial guesses for a fit (Abbeel et al. 2006, "Using inaccurate models in
+    reinforcement learning").
     """
     ways: dict[str, Callable[[System, Trajectory], Iterator[ManoeuvreResult]]] = {
         "step": _step,
@@ -318,7 +318,7 @@ def _commanded(system: System, episode: Trajectory) -> tuple[int, int]:
 
 
 def _steady(values: Array) -> tuple[float, float]:
-    """Return mean and standard error of the last part; neighbours hang together, so that five count as one."""
+    """Return mean and standard error of the last part; five neighbouring samples count as one (correlation)."""
     last = values[-max(3, round(STEADY * len(values))) :]
     return float(last.mean()), float(last.std() / np.sqrt(max(1.0, len(last) / 5.0)))
 
@@ -334,7 +334,7 @@ def _direction(value: float) -> str:
 
 
 def _step(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Steady value and time constant of every state, or of the forward speed of what drives."""
+    """Steady value and time constant of every state, or of the forward speed if there is one."""
     first, last = _commanded(system, episode)
     if last - first < 5:
         return
@@ -346,22 +346,22 @@ def _step(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
         noise = float(np.std(np.diff(run[-max(3, round(STEADY * len(run))) :])))
         if abs(change) <= 5.0 * noise + LEAST:
             continue
-        said = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
-        yield ManoeuvreResult(said, abs(value) if forward is not None else value, error, unit, name)
+        what = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
+        yield ManoeuvreResult(what, abs(value) if forward is not None else value, error, unit, name)
         share = (run - run[0]) / change
         after = int(np.argmax(share >= RISEN))
         if after == 0:
             continue
-        whole = after - (share[after] - RISEN) / max(share[after] - share[after - 1], LEAST)
-        said = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
-        yield ManoeuvreResult(said, float(whole * system.dt), 0.5 * system.dt, "s", name)
+        steps = after - (share[after] - RISEN) / max(share[after] - share[after - 1], LEAST)
+        what = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
+        yield ManoeuvreResult(what, float(steps * system.dt), 0.5 * system.dt, "s", name)
         if forward is not None:
             start = float(np.max(np.abs(np.diff(run)[: after + 1])) / system.dt)
             yield ManoeuvreResult(f"acceleration from rest {_direction(value)}", start, 0.1 * start, "m/s^2", name)
 
 
 def _coast_down(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Rolling resistance c and drag d of du/dt = -(c + d |u|) without a command, from the shape of the free run."""
+    """Rolling resistance c and drag d of du/dt = -(c + d |u|) without a command, from the shape of the coast-down."""
     forward, (_, last) = _forward(system), _commanded(system, episode)
     if forward is None or not last:
         return
@@ -379,12 +379,12 @@ def _coast_down(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult
     left = speed - inputs @ solution
     covariance = np.linalg.inv(inputs.T @ inputs) * float(left @ left) / max(1, count - 3) * 5.0
     way, name = _direction(float(run[0])), recording(episode.name)
-    for said, i, unit in (("rolling resistance", 1, "m/s^2"), ("drag", 2, "1/s")):
-        yield ManoeuvreResult(f"{said} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
+    for what, i, unit in (("rolling resistance", 1, "m/s^2"), ("drag", 2, "1/s")):
+        yield ManoeuvreResult(f"{what} {way}", float(solution[i]), float(np.sqrt(covariance[i, i])), unit, name)
 
 
 def _circle(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
-    """Turning radius and speed on it; positive to the left."""
+    """Turning radius, positive to the left, and the speed."""
     if not isinstance(system.motion, PlanarBody):
         return
     first, last = _commanded(system, episode)

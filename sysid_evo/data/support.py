@@ -1,4 +1,4 @@
-"""Where recordings end: the distance of a state and control to the nearest recorded ones."""
+"""Extrapolation: the distance of a state and control from the nearest recorded ones."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from sysid_evo.types import Array, BoolArray, check_shape
 
 QUANTILE = 0.99
 KEPT_PAIRS = 2048
-"""Pairs of state and control that a fitted model keeps of its training data, evenly spread over them."""
+"""Number of pairs of state and control in the training sample of a fitted model, evenly spaced in the data."""
 
 
 @dataclass(frozen=True)
 class Support:
-    """Recorded states and controls (N, n), and the distance ``limit`` beyond which others are outside them.
+    """Recorded states and controls (N, n), and the distance ``limit`` beyond which others are outside the data.
 
-    Distances are Euclidean, every channel divided by ``scale`` (n,): its standard deviation in the recording
-    (a channel that is constant there counts in its own unit). Sine and cosine stand for a periodic state.
-    ``limit`` is the 99 % quantile of the distance from each recorded pair to its nearest other one, so that
-    about 1 % of the recording itself is outside.
+    Distances are Euclidean, with every channel divided by ``scale`` (n,): its standard deviation in the recording
+    (1 of its unit for a constant channel). A periodic state is replaced by sine and cosine. ``limit`` is the 99 %
+    quantile of the distance between each recorded pair and its nearest neighbour, so that about 1 % of the recording
+    itself is outside.
     """
 
     system: System
@@ -36,9 +36,9 @@ class Support:
 
     @classmethod
     def of(cls, system: System, states: Array, controls: Array, *, moving: BoolArray | None = None) -> Support:
-        """Build from states (N, nx) and controls (N, nu); ``moving`` (N,) says which rows set scale and limit.
+        """Return the support of states (N, nx) and controls (N, nu); ``moving`` (N,) are the rows for scale and limit.
 
-        By default all do that differ from every other one. Raises `InvalidData` with fewer than two.
+        By default these are all distinct rows. Raises `InvalidData` for fewer than two.
         """
         from scipy.spatial import cKDTree
 
@@ -66,12 +66,12 @@ class Support:
 
 
 def regressors(system: System, states: Array, controls: Array) -> Array:
-    """Return states and controls side by side, (N, n); sine and cosine stand for a periodic state."""
+    """Return states and controls as columns, (N, n); a periodic state is replaced by sine and cosine."""
     return np.concatenate([system.regressors(states), controls], axis=1)
 
 
 def recorded_pairs(episodes: Iterable[Trajectory], most: int = KEPT_PAIRS) -> Array:
-    """Return states and controls of ``episodes`` side by side, (N, nx + nu), at most ``most``, evenly spread."""
+    """Return at most ``most`` evenly spaced pairs of state and control of ``episodes``, (N, nx + nu)."""
     pairs = np.concatenate([np.concatenate([episode.states[:-1], episode.controls], axis=1) for episode in episodes])
     return pairs[evenly_spaced(len(pairs), most, nearest=True)]
 

@@ -1,4 +1,4 @@
-"""One episode: states, controls, pose; which samples move; windows cut out of episodes."""
+"""Episodes (states, controls, pose), detection of standstills, windows of episodes."""
 
 from __future__ import annotations
 
@@ -21,9 +21,8 @@ class Trajectory(Displayed):
 
     ``states`` is (T + 1, nx), ``controls`` (T, nu): ``controls[k]`` is held from k dt to (k + 1) dt
     and takes ``states[k]`` to ``states[k + 1]``. ``dt`` is in seconds. ``pose`` is (T + 1, n_pose)
-    in the units of the system's motion, or None. ``condition`` names the day, floor or battery it was recorded
-    with, if somebody said so. A single state or control may be 1-D. Raises
-    `ShapeError` or `InvalidData`.
+    in the units of the system's motion, or None. ``condition`` is the operating condition, such as the floor or the
+    battery, or "". A single state or control may be 1-D. Raises `ShapeError` or `InvalidData`.
     """
 
     states: Array
@@ -67,7 +66,7 @@ class Trajectory(Displayed):
         return len(self) * self.dt
 
     def __getitem__(self, steps: slice) -> Trajectory:
-        """Return the episode of a range of steps, with the state at its end."""
+        """Return the episode of a range of steps, including the state at its end."""
         if not isinstance(steps, slice) or steps.step not in (None, 1):
             raise InvalidData("episode: expected a plain range of steps, like episode[10:50]")
         first, last, _ = steps.indices(len(self))
@@ -82,23 +81,23 @@ class Trajectory(Displayed):
 
 
 def recording(name: str) -> str:
-    """Return the recording that the piece ``name`` of it was cut from: ``log`` for ``log[0:400]``."""
+    """Return the name of the recording of which ``name`` is a part: ``log`` for ``log[0:400]``."""
     return name.split("[")[0]
 
 
 def as_columns(values: npt.ArrayLike) -> npt.ArrayLike:
-    """Return 1-D ``values``, those of a single channel, as one column; anything else as it is."""
+    """Return 1-D ``values``, those of a single channel, as one column; anything else unchanged."""
     return np.asarray(values)[:, None] if np.ndim(values) == 1 else values
 
 
 STANDSTILL_SPEED = 0.05  # m/s
 STANDSTILL_YAW_RATE = 0.1  # rad/s
 STANDSTILL_TIME = 0.5  # s
-MARGIN_TIME = 0.25  # s, kept on either side, so that launches and stops stay in
+MARGIN_TIME = 0.25  # s, counted as motion on either side, so that starts and stops are included
 
 
 def moving_rows(states: Array, system: System) -> BoolArray:
-    """Return a mask (T + 1,) that is false where a planar body stands still.
+    """Return a mask (T + 1,) that is false in standstills of a planar body.
 
     A standstill is at least 0.5 s below 0.05 m/s and 0.1 rad/s; its first and last 0.25 s count as
     moving. A system without a planar motion always moves.
@@ -121,16 +120,16 @@ def moving_rows(states: Array, system: System) -> BoolArray:
 
 
 INDICES = 2**16
-"""Samples that are cut at a time."""
+"""Number of samples that are copied at a time."""
 
 
 @dataclass(frozen=True)
 class Windows:
-    """N windows of H steps, each with L samples of history; none crosses an episode.
+    """N windows of H steps, each with L samples of history and within one episode.
 
     ``past_states`` (N, L + 1, nx) ends at the start of the window, ``past_controls`` (N, L, nu) at
     the sample before it; ``controls`` (N, H, nu) lead to ``states`` (N, H, nx). ``episode`` and
-    ``start`` (N,) say where each window begins.
+    ``start`` (N,) are the episode and the sample at which each window begins.
     """
 
     past_states: Array
@@ -161,9 +160,9 @@ class Windows:
 
 @dataclass(frozen=True)
 class WindowIndex:
-    """Where N windows of ``horizon`` steps and ``history`` earlier samples lie; ``places[rows]`` cuts some of them.
+    """Positions of N windows of ``horizon`` steps with ``history`` earlier samples; ``index[rows]`` copies some.
 
-    ``states`` (M + E, nx) and ``controls`` (M, nu) are those of all E episodes in a row; a window begins at sample
+    ``states`` (M + E, nx) and ``controls`` (M, nu) are those of all E episodes, concatenated; a window begins at sample
     ``start`` (N,) of ``episode`` (N,), which is row ``place`` (N,) of ``states``.
     """
 
@@ -186,11 +185,10 @@ class WindowIndex:
         first: int | None = None,
         rows: Sequence[BoolArray] | None = None,
     ) -> WindowIndex:
-        """Find windows of ``horizon`` steps with ``history`` samples before them, every ``stride`` samples.
+        """Return the windows of ``horizon`` steps with ``history`` samples before them, every ``stride`` samples.
 
-        The first window starts at sample ``first``, or at ``history`` if that is later, so that all its
-        history is measured and none made up. ``rows`` are masks (T + 1,), one for each episode: a window
-        whose start is false in its mask is left out.
+        The first window starts at sample ``first``, or at ``history`` if that is later, so that its whole history is
+        measured. ``rows`` are masks (T + 1,), one for each episode: windows whose start is false there are left out.
         """
         first = history if first is None else max(first, history)
         starts = []
@@ -219,7 +217,7 @@ class WindowIndex:
         return self.states[self.place + self.horizon]
 
     def __getitem__(self, rows: IntArray | slice) -> Windows:
-        """Return these windows."""
+        """Return the windows ``rows``."""
         episode, start, place = self.episode[rows], self.start[rows], self.place[rows]
         before, ahead = np.arange(-self.history, 1), np.arange(self.horizon)
         return Windows(
@@ -233,9 +231,9 @@ class WindowIndex:
 
 
 def evenly_spaced(count: int, most: int, *, nearest: bool = False) -> IntArray:
-    """Return at most ``most`` of the rows 0 to ``count`` - 1, evenly spaced, the first and the last among them.
+    """Return at most ``most`` of the rows 0 to ``count`` - 1, evenly spaced, including the first and the last.
 
-    A place between two rows is cut to the lower one, or becomes the ``nearest``.
+    Positions between two rows are rounded down, or to the ``nearest``.
     """
     if count <= most:
         return np.arange(count, dtype=np.int64)

@@ -1,8 +1,8 @@
-"""The units a log may be written in, and what turns them into SI units.
+"""Units of logs and their conversion to SI units.
 
-A unit is a product of known symbols: ``m/s^2``, ``N m``, ``deg/s``, ``1/s``. One that is not known is
-refused, so that a slip of the pen is noticed; a unit of your own stands in brackets, ``[ticks]``,
-and is kept as it is. Empty means without unit.
+A unit is a product of known symbols: ``m/s^2``, ``N m``, ``deg/s``, ``1/s``. Unknown symbols are
+refused, so that typing errors are found. A unit of your own is written in brackets, ``[ticks]``,
+and is not converted. Empty means without unit.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ SYMBOLS: dict[str, tuple[dict[str, int], float]] = {
 }
 """Every known symbol: its SI units with their powers, and the factor to them; ``g`` is the acceleration.
 
-Degrees Celsius and per cent stay what they are.
+Degrees Celsius and per cent are not converted.
 """
 
 _FACTOR = re.compile(r"([A-Za-z%]+)(?:\^?(-?\d+))?")
@@ -86,13 +86,13 @@ def to_si(unit: str) -> tuple[str, float]:
 
 
 def units_of(si_unit: str) -> tuple[str, ...]:
-    """Return usual units that become ``si_unit``."""
+    """Return common units that convert to ``si_unit``."""
     usual = ("m/s", "cm/s", "mm/s", "km/h", "rad/s", "deg/s", "m/s^2", *SYMBOLS)
     return tuple(dict.fromkeys(unit for unit in usual if to_si(unit)[0] == si_unit))
 
 
 def _symbol(text: str, unit: str) -> tuple[str, int]:
-    """Return symbol and power of one factor, as ``s^2``, of ``unit``."""
+    """Return symbol and power of one factor of ``unit``, such as ``s^2``."""
     match = _FACTOR.fullmatch(text)
     if match is not None and match[1] in SYMBOLS:
         return match[1], int(match[2] or 1)
@@ -101,7 +101,7 @@ def _symbol(text: str, unit: str) -> tuple[str, int]:
     hint = f" Did you mean {unit.replace(named, close)!r}?" if close else ""
     raise InvalidArgument(
         f"expected a unit made of known symbols, got {unit!r}: {named!r} is not one.{hint} "
-        f'Known: {", ".join(SYMBOLS)}. A unit of your own stands in brackets: "[{unit.strip("[]")}]"'
+        f'Known: {", ".join(SYMBOLS)}. Write a unit of your own in brackets: "[{unit.strip("[]")}]"'
     )
 
 
@@ -117,14 +117,14 @@ def written(powers: dict[str, int]) -> str:
 
 
 MOST_DECIMALS = 6
-"""From more decimals on a number is written with an exponent."""
+"""Numbers that need more decimals are written with an exponent."""
 
 
 def spelled(value: float, among: Iterable[float] = (), *, digits: int = 3) -> str:
-    """Return the value of a channel as text: 1100, 0.5, 0.00314, without an exponent where there is a way.
+    """Return the value of a channel as text: 1100, 0.5, 0.00314, if possible without an exponent.
 
-    ``digits`` is the number of significant digits of the largest value in ``among``, of ``value`` itself without any:
-    in a channel that goes to 3.14 a value of 3e-6 is 0. Digits before the point are never rounded.
+    ``digits`` is the number of significant digits of the largest value in ``among`` (default: of ``value``): if that is
+    3.14, a value of 3e-6 is 0. Digits before the decimal point are never rounded.
     """
     size = max(map(abs, among), default=0.0) or abs(value)
     decimals = digits - 1 - math.floor(math.log10(size)) if 0.0 < size < math.inf else 0
@@ -140,7 +140,7 @@ def spelled_range(low: float, high: float) -> str:
 
 
 def spelled_time(seconds: float) -> str:
-    """Return a length of time in the unit that people use for it."""
+    """Return a duration in a common unit."""
     if seconds < 0.9995:
         return f"{1e3 * seconds:.0f} ms"
     size, unit = next(

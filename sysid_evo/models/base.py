@@ -55,61 +55,65 @@ from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
 MOST_LAGS = 10_000
-"""A guess: far more than any recording supports, and a carry of that size still fits into memory."""
+"""A guess: more than any recording supports, and a carry of that size still fits into memory."""
 
 
 @dataclass_transform(kw_only_default=True, eq_default=False)
 class DynamicsModel(Dynamics, ParameterAccess):
-    """A model family: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
+    """Base class of model families: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
-    A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``, and the
-    constructor follows, those of its bases included (one written out, which only stores its arguments, will do
-    as well). It writes `fit` and one of
+    A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``. The constructor is
+    generated from these and those of its base classes; a hand-written one may only store its arguments. The family
+    defines `fit` and one of
 
     - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);
     - `next_state`, if it predicts the next state;
-    - `step`, if its carry is more than states and controls.
+    - `step`, if its carry holds more than states and controls.
 
-    A family with the hyper-parameters ``state_lags`` or ``control_lags`` has a carry of the state,
-    that many earlier states (newest first) and that many earlier controls (newest first). None leaves
-    the number to `fit`, which then records it as ``state_lags_`` or ``control_lags_``. With
-    ``dead_band``, a state within 0.5 % of the training range around neutral stays at neutral as long as
-    the control is neutral, and so are the earlier controls in the carry, which may still act.
+    Hyper-parameters that the base class implements:
 
-    ``knowledge`` says how much physics the family assumes (black, dark grey, grey, white), ``model_class`` in which
-    class `auto` weighs it (network, polynomial, neighbours, physics, or another word); ``presets`` gives the
-    hyper-parameters that change with a budget (quick, standard, paper), ``search_ranges`` where `sysid_evo.tuning`
-    looks for some, ``limits`` what numbers they may be (types follow from the constructor); ``requires`` are optional
-    packages that `fit` imports; ``precision`` is the lowest in which the compiled form is exact enough. A family is
-    ``periodic`` if equal angles are equal to it, however many turns apart.
+    - ``state_lags``, ``control_lags``: the carry holds the state, that many earlier states and that many earlier
+      controls, newest first. None lets `fit` choose; it records ``state_lags_`` or ``control_lags_``.
+    - ``dead_band``: a state within 0.5 % of the training range around neutral stays neutral as long as the control,
+      and the earlier controls in the carry, are neutral.
+    - ``max_steps``: `fit` gets at most this many steps. Longer data are reduced to blocks of time at random places
+      (`sysid_evo.data.dataset`); a `DataWarning` and `fit_note` report it.
 
-    A family with the hyper-parameter ``max_steps`` is given no more steps than that to learn from: of longer data,
-    blocks of time at random places (`sysid_evo.data.dataset`), which a `DataWarning` and `fit_note` say.
+    Class attributes:
 
-    A family that is ``resumable`` keeps how far its `fit` is in ``checkpoint``, if somebody set one, and goes on from
-    there, to the same model.
+    - ``knowledge``: how much physics the family assumes (black, dark grey, grey, white).
+    - ``model_class``: the class in which `auto` compares it (network, polynomial, neighbours, physics, or another
+      word).
+    - ``presets``: hyper-parameters that change with the budget (quick, standard, paper); ``search_ranges``: where
+      `sysid_evo.tuning` searches; ``limits``: which numbers are allowed (types follow from the constructor).
+    - ``requires``: optional packages that `fit` imports; ``precision``: the lowest that is exact enough for the
+      compiled form.
+    - ``periodic``: angles that differ by whole turns are equal to the model.
+    - ``resumable``: `fit` stores its progress in ``checkpoint``, if one is set, and resumes from there to the same
+      model.
+    - ``fast_fit``: a fit takes about a second, so that advice may fit copies to parts of the data.
+    - ``chooses_families``: `fit` fits many other families, so it is not refitted for an adaptation.
 
-    A family is ``fast_fit`` if it is fitted within about a second: advice on it may then fit copies to parts of the
-    data.
+    The shapes of learned arrays are declared in `learned_arrays`; without a declaration, files are only checked for
+    nan.
 
-    A family that ``chooses_families`` among others fits many of them: it is not fitted anew for an adaptation.
+    The `fit` of a family gets a `Dataset`, a generator and a callable. Callers may write ``fit(dataset)``,
+    ``fit(dataset, rng=0, progress=True)``, or pass a list of data sets of one system. ``rng=None`` is seed 0;
+    ``progress=True`` shows a bar on standard error. Arrays are accepted as in pysindy:
+    ``fit(x, t=0.05, u=u, feature_names=[...])`` (`sysid_evo.data.dataset.from_samples`).
 
-    A family declares the shapes of what it learns in `learned_arrays`; of one that does not, a file is searched for
-    nan alone.
+    Learned values must be arrays, numbers, strings, fitted models, or lists of these, so that they can be stored.
+    Anything else is derived from them when needed: a `functools.cached_property`, such as a kernel, is cleared whenever
+    an attribute is set. Every `fit` also records
 
-    A family's own `fit` is given a `Dataset`, a generator and a callable. Callers may say less:
-    ``fit(dataset)``, ``fit(dataset, rng=0, progress=True)`` or a list of data sets of one system.
-    ``rng=None`` is seed 0; ``progress=True`` shows a bar on standard error. Arrays without names do as well, as in
-    pysindy: ``fit(x, t=0.05, u=u, feature_names=[...])`` (`sysid_evo.data.dataset.from_samples`).
+    - ``system_``;
+    - ``state_bounds_``: the centre of the training states plus and minus ``bounds_multiple`` half ranges; simulations
+      are clipped there (a periodic state has no bounds);
+    - ``training_sample_``: states and controls of the training data, to detect what lies outside them;
+    - ``fit_seconds``: the duration of the fit.
 
-    What `fit` learns must be arrays, numbers, strings, fitted models, or lists of these, so that it can be stored;
-    anything else is derived from them when needed; a `functools.cached_property`, a kernel among them, is
-    forgotten as soon as anything is set, by `fit`, by `set_params` or by hand. Every `fit` also records ``system_`` and
-    ``state_bounds_``: the centre of the training states plus and minus ``bounds_multiple`` half
-    ranges, beyond which a simulation is clipped (a periodic state has no limits), and ``training_sample_``, states and
-    controls of the training data, from which it is told what lies outside them; ``fit_seconds`` is how long it took. A
-    family that holds something back may record ``held_out_error_`` (`sysid_evo.models.adaptation.held_out_error`):
-    `adapt` leaves alone what is as near in the new seconds.
+    A family that holds data out may record ``held_out_error_`` (`sysid_evo.models.adaptation.held_out_error`): `adapt`
+    changes nothing if the error on the new data is similar.
     """
 
     knowledge: ClassVar[str] = "black"
@@ -167,7 +171,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
     def check_parameters(self) -> None:
         """Raise `InvalidArgument` if a hyper-parameter has the wrong type or is out of its ``limits``.
 
-        Called by the constructor, `set_params` and `fit`; a family adds what concerns several at once.
+        Called by the constructor, `set_params` and `fit`; a family may add checks of several at once.
         """
         check_values(type(self), self.get_params(deep=False))
 
@@ -175,13 +179,13 @@ class DynamicsModel(Dynamics, ParameterAccess):
     def check_installed(cls) -> None:
         """Raise `MissingExtra` with the command that installs it if a package of ``requires`` is missing."""
         for module in cls.requires:
-            if find_spec(module) is None:  # only then: to read all entry points takes longer than a small fit
+            if find_spec(module) is None:  # only then: reading all entry points takes longer than a small fit
                 points = entry_points(group="sysid_evo.models")
                 owner = next((point.dist for point in points if point.module == cls.__module__), None)
                 raise missing_extra(cls.__name__, module, owner or DISTRIBUTION)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Set what is learned or chosen, and forget every cached property: its kernel is made anew."""
+        """Set an attribute and clear all cached properties, the kernel included."""
         for derived in self._derived:
             self.__dict__.pop(derived, None)
         super().__setattr__(name, value)
@@ -195,13 +199,13 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     @property
     def lags(self) -> tuple[int, int]:
-        """Earlier states and earlier controls in the carry: as asked for, else as `fit` chose (0 before it)."""
+        """Number of earlier states and of earlier controls in the carry; if `fit` chooses them, 0 before it."""
         states = getattr(self, "state_lags_", 0) if self.state_lags is None else self.state_lags
         controls = getattr(self, "control_lags_", 0) if self.control_lags is None else self.control_lags
         return states, controls
 
     def record_lags(self, chosen: tuple[int, int]) -> None:
-        """Record the numbers of lags that `fit` chose where the hyper-parameters leave them open."""
+        """Record the lags ``chosen`` by `fit` (states, controls) where the hyper-parameters are None."""
         if self.state_lags is None:
             self.state_lags_ = chosen[0]
         if self.control_lags is None:
@@ -209,7 +213,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     @property
     def layout(self) -> CarryLayout:
-        """Where states and controls stand in the carry."""
+        """The positions of states and controls in the carry."""
         return CarryLayout(self.system.nx, self.system.nu, *self.lags)
 
     @property
@@ -226,18 +230,17 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     @abstractmethod
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
-        """Learn from ``dataset`` and return self.
+        """Fit the model to ``dataset`` and return self.
 
-        ``progress(done, total)`` is called at the beginning, now and then (about every second, if a
-        family takes longer), and at the end; what it raises, as Ctrl-C does, stops the fit, and the model
-        is as it was before.
+        ``progress(done, total)`` is called at the beginning, about once a second, and at the end. An exception that it
+        raises, or Ctrl-C, stops the fit and leaves the model as it was before.
         """
 
     def check_system(self, system: System) -> None:
         """Raise `IncompatibleSystem` if this family cannot describe ``system``; called before `fit`."""
 
     def record(self, dataset: Dataset) -> None:
-        """Record the system, the state_bounds and some pairs of ``dataset``, as every `fit` does first."""
+        """Record the system, the state bounds and a training sample of ``dataset``, as every `fit` does first."""
         self.system_ = dataset.system
         states = np.concatenate([episode.states for episode in dataset.episodes])
         self.state_bounds_ = training_bounds(states, self.bounds_multiple)
@@ -246,11 +249,11 @@ class DynamicsModel(Dynamics, ParameterAccess):
         self.training_sample_ = recorded_pairs(dataset)
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        """Declare the learned arrays of this fitted model by name: the shape of each, or `Numbers`.
+        """Return the shape, or `Numbers`, of each learned array of this fitted model by name.
 
         ``{"points_": ("points", self.n_carry), "rates_": ("points", self.system.nx)}``: a length given by name is the
         same in all arrays. Shapes are checked when a model is stored and loaded, so that a changed file cannot make a
-        kernel read beyond an array. Declarations of base classes hold too, without `super`, unless they are replaced.
+        kernel read beyond an array. Declarations of base classes are included, without `super`, unless redeclared.
         """
         nx, lags = self.system.nx, Numbers(whole=True, least=0, most=MOST_LAGS, optional=True)
         return {
@@ -263,27 +266,26 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     @property
     def fit_note(self) -> str:
-        """What there is to say of the data that it learned from, in a sentence; empty if nothing."""
+        """Remarks on the fit and its data in one sentence; empty if there are none."""
         far = [self.system.state_names[i] for i in far_from_zero(self.state_bounds)]
         precise = (
-            f"runs in double precision, which takes twice the time: {', '.join(far)} changes little for how far from "
-            "zero it is; subtract a constant from the recordings"
+            f"runs in double precision, which takes twice the time: {', '.join(far)} varies little compared with its "
+            "distance from zero; subtract a constant from the recordings"
         )
         return "; ".join(filter(None, (self._kept_note, precise if far else "")))
 
     @property
     def _kept_note(self) -> str:
-        """How much is learned from: known before the fit, where a family's own `fit_note` may need what it learns."""
+        """How much of the data is used; unlike `fit_note`, which may need learned values, known before the fit."""
         kept, given = getattr(self, "kept_steps_", (0, 0))
         if kept == given:
             return ""
         return (
-            f"learned from {kept:,} of {given:,} steps, blocks of time at random places, as many as "
-            f"max_steps={self.max_steps} allows"
+            f"uses {kept:,} of {given:,} steps, blocks of time at random places, limited by max_steps={self.max_steps}"
         )
 
     def equations(self) -> list[str]:
-        """Return the fitted model as equations in words, one for each state; empty for a family that has none."""
+        """Return the fitted model as equations in text, one for each state; empty for a family without equations."""
         return []
 
     def parameters_table(self) -> list[dict[str, Any]]:
@@ -291,15 +293,15 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return []
 
     def candidate_ranking(self) -> list[dict[str, str]]:
-        """Return what the fitted model was chosen from, best first; empty for a family that does not choose."""
+        """Return the candidates among which `fit` chose, best first; empty for a family that does not choose."""
         return []
 
     def facts(self) -> Mapping[str, str]:
-        """Return what there is to know of a fitted model at a glance, by name; nothing before `fit`."""
+        """Return a summary of the fitted model, text by name; empty before `fit`."""
         if not hasattr(self, "system_"):
             return {}
-        said = {name: text for name, text in self.system.facts().items() if name != "name"}
-        return {"fitted": f"{_numbers_learned(self):,} numbers", **said} | (
+        facts = {name: text for name, text in self.system.facts().items() if name != "name"}
+        return {"fitted": f"{_numbers_learned(self):,} numbers", **facts} | (
             {"note": self.fit_note} if self.fit_note else {}
         )
 
@@ -317,24 +319,24 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return html_table(super().__repr__(), facts)
 
     def families_used(self) -> tuple[str, ...]:
-        """Return the names of other registered families that `fit` makes, on which what is learned depends too."""
+        """Return the names of other registered families that `fit` uses, on which the result depends too."""
         return ()
 
     def without_noise(self) -> Self:
-        """Return this fitted model as it steps without noise; itself if it draws none."""
+        """Return this fitted model without noise; itself if it draws none."""
         return self.variant(stochastic=False) if self.get_params(deep=False).get("stochastic") else self
 
     def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
-        """Return this fitted model after so many more ``updates`` on ``dataset``; None if it does not learn in such."""
+        """Return this fitted model after ``updates`` more training updates on ``dataset``; None if it has no such."""
         return None
 
     def score(self, dataset: Dataset | Sequence[Dataset], y: None = None) -> float:
-        """Return minus the simulation error, so that more is better, as scikit-learn wants it.
+        """Return minus the simulation error: higher is better, as in scikit-learn.
 
-        The model runs free from every fourth moving sample (of long data fewer, 10,000 in all) for one second, at
-        least ten steps. The error is the root mean square divided by the standard deviation of the recording, the
-        mean over steps and states: 0 is perfect, about -1 no better than the mean of the recording. A model that
-        draws noise runs without. scikit-learn passes ``y``, which is unused.
+        Simulations of one second, at least ten steps, start at every fourth sample in motion (of long data fewer,
+        10,000 in all). The error is the root mean square divided by the standard deviation of the recording, averaged
+        over steps and states: 0 is perfect, about -1 no better than the mean of the recording. Noise is switched off.
+        ``y`` is unused; scikit-learn passes it.
         """
         data = as_dataset(dataset, f"{type(self).__name__}.score", of=self.system)
         return -simulation_error(self.without_noise(), error_windows(data, self.n_lags))
@@ -347,19 +349,20 @@ class DynamicsModel(Dynamics, ParameterAccess):
         rng: np.random.Generator | int | None = None,
         progress: Progress | bool | None = None,
     ) -> DynamicsModel:
-        """Return this model adapted to 10 to 30 s of another condition: one of the family ``adapted`` around it.
+        """Return this model adapted to a recording of 10 to 30 s in a new condition, as a model of family ``adapted``.
 
-        It is this model, unchanged, where a gate finds nothing much better; its `fit_note` says what was decided. A fit
-        to the new seconds alone, and with the ``training`` data of this model one to both, are judged alike; each takes
-        four fits. Raises `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short for one
-        free run.
+        Returns the model unchanged (inside ``adapted``) if no candidate passes the acceptance test; `fit_note` reports
+        the decision. A fit to the new data alone, and with ``training`` (the data of this model) a refit to both, are
+        candidates too; each takes four fits.
+
+        Raises `IncompatibleSystem` for data of another robot, `InvalidData` if they are too short to simulate 1 s.
         """
         family: Any = models.get("adapted")
         found: DynamicsModel = family(base=None).given(self, training).fit(dataset, rng=rng, progress=progress)
         return found
 
     def predictor(self) -> Predictor | None:
-        """Return the compiled form of `next_state`, or of `acceleration` where that is predicted; None without one."""
+        """Return the compiled form of `next_state` or `acceleration`, whichever is predicted; None without one."""
         return None
 
     def kernel(self) -> DynamicsKernel | None:
@@ -371,7 +374,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return None if predictor is None else self.stepping(predictor)
 
     def stepping(self, predictor: Predictor, noise: StepNoise | None = None) -> DynamicsKernel | None:
-        """Return the compiled form of `step` around what is predicted: motion, noise, lags, rest; None without one."""
+        """Return the compiled form of `step`: ``predictor`` with motion, noise, lags, dead band; None without one."""
         output: Output = "acceleration" if type(self).next_state is DynamicsModel.next_state else "next_state"
         kernel = stepping_kernel(
             predictor, self.system, output=output, lags=self.lags, dead_band_size=self.dead_band_size, noise=noise
@@ -382,7 +385,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return self.initial_carry(states, controls)
 
     def initial_carry(self, states: Array, controls: Array) -> Array:
-        """Return state, earlier states and earlier controls, newest first, side by side."""
+        """Return the carry (B, n_carry): state, earlier states and earlier controls, newest first."""
         return np.concatenate(self.layout.initial_parts(states, controls), axis=1)
 
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
@@ -399,7 +402,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
     @property
     def dead_band_size(self) -> Array | None:
-        """How near to neutral (nx,) a state counts as rest; None without ``dead_band``."""
+        """Half width (nx,) of the band around neutral that counts as rest; None without ``dead_band``."""
         return dead_band_size(self.system, self.state_bounds_, self.bounds_multiple) if self.dead_band else None
 
     def apply_limits(self, carry: Array, control: Array, after: Array) -> Array:
@@ -417,7 +420,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
         return self.system.integrate(carry[:, : self.system.nx], rates)
 
     def acceleration(self, carry: Array, control: Array) -> Array:
-        """Return the change of the state per second (B, nx), with the frame's rotation taken out."""
+        """Return the rate of change of the state per second (B, nx), without the rotation of the frame."""
         raise TypeError(f"{type(self).__name__} must define one of acceleration, next_state, step")
 
     def simulate(
@@ -431,19 +434,18 @@ class DynamicsModel(Dynamics, ParameterAccess):
         t: object = None,
         u: object = None,
     ) -> Array:
-        """Run free under recorded controls and return the states after each of H steps.
+        """Return the states after each of H steps of a simulation under given controls.
 
         One run: ``simulate(x0, u)`` with the state (nx,) or a history (L + 1, nx), and controls
-        (H, nu), (H,) for one control; returns (H, nx). Without enough history the first state is repeated,
-        and the controls before the run are neutral, unless given: ``simulate(history, past_u, u)``.
+        (H, nu), (H,) for one control; returns (H, nx). If the history is too short, its first state is repeated.
+        The controls before the run are neutral unless given: ``simulate(history, past_u, u)``.
         ``simulate(trajectory)`` starts from its first ``n_lags`` + 1 states and runs to its end.
 
         Many runs: ``simulate(states, past_controls, controls)`` with the measured history (B, L + 1, nx)
-        and (B, L, nu), L at least ``n_lags`` (more is left unused), and (B, H, nu); returns (B, H, nx).
+        and (B, L, nu), L at least ``n_lags`` (more is ignored), and (B, H, nu); returns (B, H, nx).
 
-        States are clipped to the state_bounds; a state that is not a number becomes its upper limit there
-        and stays nan without one. With ``samples``, a stochastic model is run that often, and these are
-        the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
+        States are clipped to the state bounds; nan becomes the upper bound, and stays nan without one. ``samples``
+        simulations of a stochastic model are the first axis of the result; ``rng`` (seed 0 by default) draws its noise.
         """
         system, lags = self.system, self.n_lags
         if t is not None or u is not None:
@@ -452,7 +454,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
             run = states
             if len(run) <= lags:
                 raise InvalidData(
-                    f"{type(self).__name__} needs {lags + 1} states to start, {run.name!r} ends with them"
+                    f"{type(self).__name__} needs {lags + 1} states to start, {run.name!r} has no more than these"
                 )
             states, past_controls, controls = run.states[: lags + 1], run.controls[:lags], run.controls[lags:]
         elif controls is None:
@@ -478,7 +480,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
 
 
 def _numbers_learned(model: DynamicsModel) -> int:
-    """Return how many numbers the arrays of a fitted model hold, those of models within it included."""
+    """Return the number of values in the arrays of a fitted model, nested models included."""
     learned = {name: value for name, value in vars(model).items() if name.endswith("_") and name != "training_sample_"}
     parts = [part for value in learned.values() for part in (value if isinstance(value, (list, tuple)) else [value])]
     arrays = sum(part.size for part in parts if isinstance(part, np.ndarray))
@@ -495,7 +497,7 @@ def require_planar(model: DynamicsModel, system: System) -> None:
 
 
 def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
-    """Wrap a family's `fit`: check what it is given, record system and state_bounds, undo what is interrupted."""
+    """Wrap a family's `fit`: check the arguments, record system and state bounds, restore the model if it fails."""
 
     @functools.wraps(fit)
     def wrapped(
@@ -511,7 +513,7 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         called, generator = f"{type(self).__name__}.fit", as_generator(rng)
         if (u is not None or feature_names is not None) and t is None:
             raise InvalidArgument(
-                f"{called}: expected the time step or the times as well as u and feature_names: fit(x, t=0.05, u=u); a "
+                f"{called}: expected the time step or the times t with u and feature_names: fit(x, t=0.05, u=u); a "
                 "Dataset has its own"
             )
         x = cast(npt.ArrayLike, dataset)
@@ -524,7 +526,7 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         with told(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)
 
-    del wrapped.__wrapped__  # so that its signature says what may be given
+    del wrapped.__wrapped__  # so that its signature shows all arguments
     return wrapped
 
 
@@ -536,13 +538,13 @@ def _kept(
     progress: Progress | None,
 ) -> DynamicsModel:
     before = dict(vars(self))
-    began, last, foreseen = time.perf_counter(), (0, 1), TimeLeft()
+    began, last, estimate = time.perf_counter(), (0, 1), TimeLeft()
 
-    def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
+    def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # a fit reports numbers only
         nonlocal last
         last = done, total
-        if (left := foreseen.long(done, total)) is not None:
-            what = f"may take {left / 60.0:.0f} min more; shorter with each of {shorter(self, dataset)}"
+        if (left := estimate.long(done, total)) is not None:
+            what = f"may take {left / 60.0:.0f} min more; each of these makes it shorter: {shorter(self, dataset)}"
             warnings.warn(f"{type(self).__name__} {what}", DataWarning, stacklevel=4)
         if progress is not None:
             progress(done, total)
@@ -555,7 +557,7 @@ def _kept(
             raise TypeError(f"{type(self).__name__}.fit must return self, got {type(fitted).__name__}")
         if last[0] != last[1]:
             report(last[1], last[1])
-    except BaseException:  # an interruption too leaves what was there before
+    except BaseException:  # also restored after Ctrl-C
         self.__dict__.clear()
         self.__dict__.update(before)
         raise
@@ -564,7 +566,7 @@ def _kept(
 
 
 def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator) -> Dataset:
-    """Return what there is to learn from; where that is not all of it, warn and record how much it is."""
+    """Return at most ``max_steps`` steps of ``dataset``; if that is not all, warn and record how many."""
     few = dataset if self.max_steps is None else subsample(dataset, self.max_steps, rng)
     self.__dict__.pop("kept_steps_", None)
     if few is not dataset:
@@ -576,7 +578,7 @@ def _few_enough(self: DynamicsModel, dataset: Dataset, rng: np.random.Generator)
 if TYPE_CHECKING:
 
     class AnyModel(DynamicsModel):
-        """A model of some family as callers see it: `fit` takes all that `recorded` makes a data set of."""
+        """A model of some family as callers see it: `fit` takes everything that `recorded` converts to a `Dataset`."""
 
         def fit(
             self,
@@ -594,6 +596,6 @@ else:
 
 
 def make_model(spec: str | Spec, /, **parameters: Any) -> AnyModel:
-    """Return the unfitted model that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    """Return the unfitted model that ``spec`` names, with its parameters and ``parameters``; see `Registry.make`."""
     made: AnyModel = models.make(spec, **parameters)
     return made

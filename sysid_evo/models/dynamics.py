@@ -1,4 +1,4 @@
-"""The contract of everything that steps, its simulation, a Runge-Kutta step."""
+"""The base class of all dynamics, their simulation, a Runge-Kutta step."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from sysid_evo.types import Array, IntArray, check_shape
 
 
 class Dynamics(ABC):
-    """Anything that steps by one ``system.dt``.
+    """Base class of everything that steps by ``system.dt``.
 
-    The *carry* (B, n_carry) is the state followed by whatever else is remembered; ``carry[:, :nx]``
-    is the state. ``n_lags`` samples of history are wanted by `start`; ``n_noise`` standard normal
-    numbers are given to every `step` and ``n_draws`` to every `start`, by whoever runs the loop:
-    never drawn inside. What controllers and tasks observe of the state stands in the carry from
-    ``observed_at`` on: the state itself, unless a wrapper puts an estimate beside it. A dynamics that
-    counts how far it is to be doubted does so in the carry at ``penalty_at``; None if it does not.
+    The *carry* (B, n_carry) is the state, ``carry[:, :nx]``, followed by all other memory.
+
+    - ``n_lags``: samples of history before the present one that `start` needs.
+    - ``n_noise``, ``n_draws``: standard normal numbers that the caller passes to every `step` and to `start`; random
+      numbers are never drawn inside.
+    - ``observed_at``: index in the carry of the state that controllers and tasks observe: 0, unless a wrapper adds an
+      estimate.
+    - ``penalty_at``: index in the carry of the accumulated uncertainty penalty; None without one.
     """
 
     observed_at: int = 0
     penalty_at: int | None = None
-    if TYPE_CHECKING:  # a family answers them by properties, `PlainDynamics` has plain names
+    if TYPE_CHECKING:  # properties in a family, plain attributes in `PlainDynamics`
 
         @property
         def system(self) -> System: ...
@@ -48,7 +50,7 @@ class Dynamics(ABC):
 
     @property
     def state_bounds(self) -> Array | None:
-        """Lowest and highest value of each state, (2, nx), to which a loop clips; None for no clip."""
+        """Lowest and highest value of each state, (2, nx), to which simulations are clipped; None for no clip."""
         return None
 
     @abstractmethod
@@ -63,7 +65,7 @@ class Dynamics(ABC):
     def step(self, carry: Array, control: Array, noise: Array | None = None) -> Array:
         """Return the next carry (B, n_carry) under ``control`` (B, nu), with ``noise`` (B, n_noise).
 
-        Pure: the same arguments give the same result, each row for itself.
+        Pure: the same arguments give the same result, and rows are independent.
         """
 
     def kernel(self) -> DynamicsKernel | None:
@@ -72,7 +74,7 @@ class Dynamics(ABC):
 
 
 class PlainDynamics(Dynamics):
-    """A dynamics whose system and sizes are plain names, which its class or its constructor sets."""
+    """A dynamics whose system and sizes are plain attributes, set by its class or its constructor."""
 
     system: System
     n_carry: int
@@ -82,7 +84,7 @@ class PlainDynamics(Dynamics):
 
 
 def started(dynamics: Dynamics, states: Array, draws: Array | None = None, *, controls: Array | None = None) -> Array:
-    """Return the carries (B, n_carry) of a system that has long been in ``states`` (B, nx) under ``controls`` (B, nu).
+    """Return the carries (B, n_carry) after a constant history of ``states`` (B, nx) and ``controls`` (B, nu).
 
     Controls are neutral by default, and ``draws`` (B, n_draws) zeros.
     """
@@ -93,7 +95,7 @@ def started(dynamics: Dynamics, states: Array, draws: Array | None = None, *, co
 
 
 def of_each_row(dynamics: Dynamics, method: str, carry: Array, values: Array) -> Array:
-    """Return what ``method`` gave for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
+    """Return ``values`` of ``method`` for ``carry`` (B, n_carry) as an array (B, nx), or raise `ShapeError`."""
     checked = check_shape(f"{type(dynamics).__name__}.{method}", values, (*carry.shape[:-1], dynamics.system.nx))
     return values if isinstance(values, np.ndarray) else checked
 
@@ -114,11 +116,10 @@ On a damped oscillation the rounding error of single precision after 3 s was 1e-
 
 
 def far_from_zero(state_bounds: Array | None) -> IntArray:
-    """Return the indices of the states whose bounds, ``state_bounds`` (2, nx), are more than `FAR` half widths from
-    zero.
+    """Return the indices of states whose bounds, ``state_bounds`` (2, nx), are over `FAR` half widths from zero.
 
-    A float32 is exact to 6e-8 of its size: 4e6 m to a quarter of a metre. Every step rounds, and the errors add up.
-    States without bounds, and states that do not change, are left out.
+    The relative precision of a float32 is 6e-8: 0.25 m at 4e6 m. Every step rounds, and the errors add up.
+    States without bounds, and states that do not change, are not included.
     """
     low, high = np.zeros((2, 0)) if state_bounds is None else state_bounds
     half, nearest = (high - low) / 2.0, np.maximum(low, -high)
@@ -126,7 +127,7 @@ def far_from_zero(state_bounds: Array | None) -> IntArray:
 
 
 def enough(precision: Precision, state_bounds: Array | None) -> Precision:
-    """Return ``precision``, or float64 if states within ``state_bounds`` need it, see `far_from_zero`."""
+    """Return ``precision``, or float64 if states within ``state_bounds`` require it, see `far_from_zero`."""
     return "float64" if len(far_from_zero(state_bounds)) else precision
 
 
@@ -173,7 +174,7 @@ def one_run(
 
 
 def no_times(system: System) -> str:
-    """Return what to write in place of pysindy's ``simulate(x0, t, u)``."""
+    """Return a message that shows what to write instead of pysindy's ``simulate(x0, t, u)``."""
     return (
         f"simulate: expected simulate(x0, u) with one row of u for each step of {system.dt:g} s, as trained: it "
         "takes no times t and returns the states after each step, without x0. pysindy's simulate(x0, t, u) is "
@@ -182,7 +183,7 @@ def no_times(system: System) -> str:
 
 
 def _columns(name: str, values: npt.ArrayLike, nu: int) -> Array:
-    """Return controls as (H, nu); (H,) is understood for one control."""
+    """Return controls as (H, nu); (H,) is accepted for one control."""
     array = np.asarray(values, dtype=np.float64)
     array = array[:, None] if array.ndim == 1 and nu == 1 else array
     if array.ndim != 2 or array.shape[1] != nu:

@@ -1,4 +1,4 @@
-"""Shapes and ranges that a family declares for its learned arrays, and the check against them."""
+"""Shapes and ranges that a family declares for its learned arrays, and their check."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _check(name: str, value: Any, declared: Declared, known: dict[str, int]) -> 
 
 
 def _what(value: object) -> str:
-    """Describe a value in a few words."""
+    """Return the type of a value in a few words."""
     if value is None:
         return "nothing"
     if isinstance(value, list):

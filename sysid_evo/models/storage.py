@@ -21,9 +21,9 @@ NESTED = ("name", "module", "parameters", "learned", "system")
 def save_model(model: DynamicsModel, path: str | Path, *, seed: int | None = None, data: str | None = None) -> Path:
     """Write ``<path>.safetensors`` and ``<path>.json``; return the path of the manifest.
 
-    ``seed`` and ``data`` (the fingerprint of the training set) are recorded. Models that ``model`` learned, by
-    themselves or in a list, are stored with it. Raises `NotFitted`, or `InvalidArgument` if something learned is
-    neither array, number, string, fitted model nor a list of these.
+    ``seed`` and ``data`` (the fingerprint of the training set) are recorded. Learned models, also in a list, are stored
+    with ``model``. Raises `NotFitted`, or `InvalidArgument` if a learned value is neither an array, a number, a string,
+    a fitted model nor a list of these.
     """
     tensors: dict[str, Any] = {}
     fields = {
@@ -37,7 +37,7 @@ def save_model(model: DynamicsModel, path: str | Path, *, seed: int | None = Non
 
 
 def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dict[str, Any]:
-    """Return what JSON holds of a model; its arrays are added to ``tensors``, their names behind ``place``."""
+    """Return the JSON part of a model; its arrays are added to ``tensors``, their names prefixed with ``place``."""
     name = family_name(model)
     if not hasattr(model, "system_"):
         raise NotFitted(f"model {name!r} is not fitted, so there is nothing to store: call fit(dataset, rng=...) first")
@@ -61,9 +61,8 @@ def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dic
             scalars[key] = value
         else:
             raise InvalidArgument(
-                f"model {name!r}: {key} is a {type(value).__name__}; what a model learns must be arrays, numbers, "
-                "strings, fitted models or lists of these, so that it can be stored (derive anything else when it is "
-                "needed)"
+                f"model {name!r}: {key} is a {type(value).__name__}; learned values must be arrays, numbers, strings, "
+                "fitted models or lists of these, so that they can be stored (derive anything else when it is needed)"
             )
     return {
         "name": name,
@@ -75,9 +74,9 @@ def _described(model: DynamicsModel, tensors: dict[str, Any], place: str) -> dic
 
 
 def load_model(path: str | Path) -> DynamicsModel:
-    """Read what `save_model` wrote; of a run, ``runs/mine/models/linear`` will do (`stored_file`).
+    """Return the model that `save_model` wrote to ``path``, such as ``runs/mine/models/linear`` (`stored_file`).
 
-    Raises `ArtefactError`; no code in the file is ever run.
+    Raises `ArtefactError`. Code in the file is never run.
     """
     path = stored_file(path, "model")
     manifest, tensors = read_artefact(path, "model")
@@ -85,7 +84,7 @@ def load_model(path: str | Path) -> DynamicsModel:
 
 
 def _restored(path: Path, described: Mapping[str, Any], tensors: Mapping[str, Any]) -> DynamicsModel:
-    """Undo `_described`, with ``tensors`` of this model alone."""
+    """Return the model that `_described` describes; ``tensors`` are those of this model alone."""
     name, module = described["name"], described["module"]
     try:
         family = models.get(name)
@@ -119,12 +118,12 @@ def _restored(path: Path, described: Mapping[str, Any], tensors: Mapping[str, An
     try:
         check_learned(model)
     except ShapeError as error:
-        raise ArtefactError(f"{path}: not a stored {name}: {error}; store it anew, or fit it again") from error
+        raise ArtefactError(f"{path}: not a stored {name}: {error}; store it again, or refit it") from error
     return model
 
 
 def _learned(path: Path, key: str, value: Any, tensors: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return what was learned as ``key``: a model and models in a list are restored, anything else is as it came."""
+    """Return the learned ``value`` of ``key``; a model, or models in a list, are restored from their description."""
     if isinstance(value, dict):
         return _restored(path, _nested(path, key, value), tensors.get(key, {}))
     if isinstance(value, list) and value and isinstance(value[0], dict):
@@ -135,7 +134,7 @@ def _learned(path: Path, key: str, value: Any, tensors: Mapping[str, Mapping[str
 
 
 def _nested(path: Path, key: str, value: object) -> dict[str, Any]:
-    """Return ``value`` if it describes a model within a model; raise `ArtefactError` if it does not."""
+    """Return ``value`` if it describes a nested model, else raise `ArtefactError`."""
     if not isinstance(value, dict) or set(value) != set(NESTED):
         raise ArtefactError(f"{path}: {key}: expected a model with {', '.join(NESTED)}")
     wrong = [
@@ -160,7 +159,7 @@ def family_name(model: DynamicsModel) -> str:
 
 
 def _all(value: object, kind: type) -> bool:
-    """Whether ``value`` is a list of one or more things of this kind."""
+    """Whether ``value`` is a non-empty list of instances of ``kind``."""
     return isinstance(value, list) and bool(value) and all(isinstance(item, kind) for item in value)
 
 

@@ -1,4 +1,4 @@
-"""Everything that has a name: registries, the grammar of names, plugin files."""
+"""Registries of named things, the grammar of their specifications, plugin files."""
 
 from sysid_evo.registry.grammar import Spec, check_labels, split_specs
 from sysid_evo.registry.plugins import (

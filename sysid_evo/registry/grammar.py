@@ -1,4 +1,4 @@
-"""The grammar that names everything that has a name: ``label=NAME(parameter=value, ...)``."""
+"""The grammar of specifications of registered things: ``label=NAME(parameter=value, ...)``."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from typing import Any
 
 from sysid_evo.errors import InvalidArgument
 
-PIECE = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w*)\s*(?P<arguments>\(.*\))?", re.DOTALL)
+SPEC = re.compile(r"(?:(?P<label>[A-Za-z_][\w.-]*)\s*=\s*)?(?P<name>[A-Za-z_]\w*)\s*(?P<arguments>\(.*\))?", re.DOTALL)
 SHORTHAND = re.compile(r"(?P<name>[A-Za-z_]\w*):(?P<seed>\d{1,18})")
 WORDS: dict[str, Any] = {"true": True, "false": False, "none": None}
 OPEN, CLOSE, QUOTES = "([{", ")]}", "'\""
 STRUCTURE = re.compile(r"""'(?:\\.|[^'\\])*'|"(?:\\.|[^"\\])*"|[][(){}'",]""", re.DOTALL)
 """A quoted text, which may hold escaped quotes; a bracket, a comma, or a quote that is not closed."""
 LONGEST = 100_000
-"""Characters of a text; the longest that the program writes, a list of candidates, has some thousands."""
+"""Largest number of characters; the longest text that the program writes, a list of candidates, has a few thousand."""
 DEEPEST = 12
-"""Lists, tables and things inside each other; with every thing inside another its text may double for its quotes."""
+"""Largest depth of nested lists, tables and specs; each level may double the length of the text by its quotes."""
 SHOWN = 200
-"""Characters of a text that a message repeats."""
+"""Largest number of characters of a text that a message quotes."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """A registered name, the parameters to make it with, and what it is called where several stand side by side.
+    """A registered name with parameters, and a label that distinguishes it from others in tables.
 
-    The text of a spec is ``NAME(parameter=value, ...)``, before it ``label=`` if it has a label of its own.
-    Values are numbers, text (quotes may be left out around a word), true, false, none, lists and tables; a
-    parameter that is itself a registered thing is written in the same grammar and handed over as text.
-    ``NAME:SEED`` stands for ``NAME(seed=SEED)``.
+    The text of a spec is ``NAME(parameter=value, ...)``, with ``label=`` before it if the label differs from the name.
+    Values are numbers, text (quotes around a word are optional), true, false, none, lists and tables. A parameter that
+    is itself a registered thing is written in the same grammar and passed on as text. ``NAME:SEED`` is short for
+    ``NAME(seed=SEED)``.
     """
 
     name: str
@@ -51,20 +51,20 @@ class Spec:
 
     @classmethod
     def parse(cls, text: str) -> Spec:
-        """Read one spec. Raises `InvalidArgument` that says what cannot be read."""
-        pieces = split_specs(text)
-        if len(pieces) != 1:
+        """Return the spec in ``text``. Raises `InvalidArgument` with the part that cannot be read."""
+        parts = split_specs(text)
+        if len(parts) != 1:
             raise InvalidArgument(f"expected one NAME(parameter=value, ...), got {_short(text)}")
-        return _parse(pieces[0])
+        return _parse(parts[0])
 
     @classmethod
     def parse_many(cls, text: str) -> tuple[Spec, ...]:
-        """Read specs separated by commas. Raises `InvalidArgument`, also if two have the same label."""
-        return check_labels(tuple(_parse(piece) for piece in split_specs(text)))
+        """Return the specs separated by commas. Raises `InvalidArgument`, also if two have the same label."""
+        return check_labels(tuple(_parse(part) for part in split_specs(text)))
 
     @property
     def text(self) -> str:
-        """The spec without its label: what decides what is made."""
+        """The spec without its label, which determines the thing that is made."""
         if not self.parameters:
             return self.name
         inside = ", ".join(f"{name}={_written(value)}" for name, value in self.parameters.items())
@@ -76,12 +76,12 @@ class Spec:
         return f"{self.label}={self.text}"
 
     def with_parameters(self, **parameters: Any) -> Spec:
-        """Return this spec with further parameters; those it names already keep their values."""
+        """Return this spec with further parameters; existing ones keep their values."""
         return Spec(self.name, {**parameters, **self.parameters}, self.label)
 
 
 def spec_of(given: Spec | str) -> Spec:
-    """Return ``given``, its text read."""
+    """Return ``given`` as a `Spec`."""
     return Spec.parse(given) if isinstance(given, str) else given
 
 
@@ -98,13 +98,13 @@ def check_labels(specs: tuple[Spec, ...]) -> tuple[Spec, ...]:
 
 
 def split_specs(text: str) -> list[str]:
-    """Split at the commas outside brackets and quotes. Raises `InvalidArgument` for empty parts and long texts."""
+    """Return the parts between commas outside brackets and quotes. Raises `InvalidArgument` for empty or long texts."""
     if len(text) > LONGEST:
         raise InvalidArgument(
             f"expected NAME(parameter=value, ...) of at most {LONGEST} characters, got {len(text)}: {_short(text)}"
         )
     if any("\ud800" <= character <= "\udfff" for character in text):
-        raise InvalidArgument(f"{_short(text)} cannot be read: it holds bytes that are no text in UTF-8")
+        raise InvalidArgument(f"{_short(text)} cannot be read: it contains bytes that are not UTF-8")
     cuts, depth = [-1], 0
     for found in STRUCTURE.finditer(text):
         character = found[0]
@@ -129,49 +129,49 @@ def split_specs(text: str) -> list[str]:
     return stripped
 
 
-def _parse(piece: str) -> Spec:
-    shorthand = SHORTHAND.fullmatch(piece)
+def _parse(part: str) -> Spec:
+    shorthand = SHORTHAND.fullmatch(part)
     if shorthand:
-        return Spec(shorthand["name"], {"seed": int(shorthand["seed"])}, piece)
-    found = PIECE.fullmatch(piece)
+        return Spec(shorthand["name"], {"seed": int(shorthand["seed"])}, part)
+    found = SPEC.fullmatch(part)
     if found is None:
-        path = "no such file, and no " if "/" in piece or piece.endswith(".json") else "expected "
-        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {_short(piece)}")
+        path = "no such file, and no " if "/" in part or part.endswith(".json") else "expected "
+        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {_short(part)}")
     try:
         call = ast.parse(f"f{found['arguments'] or '()'}", mode="eval").body
     except (SyntaxError, ValueError) as error:
         why = error.msg if isinstance(error, SyntaxError) else error
-        raise InvalidArgument(f"{_short(piece)} cannot be read: {why}") from error
-    except (RecursionError, MemoryError):  # how Python's parser gives up
-        raise _too_deep(piece) from None
-    return Spec(found["name"], _arguments(piece, call, 1), found["label"] or "")
+        raise InvalidArgument(f"{_short(part)} cannot be read: {why}") from error
+    except (RecursionError, MemoryError):  # raised by Python's parser
+        raise _too_deep(part) from None
+    return Spec(found["name"], _arguments(part, call, 1), found["label"] or "")
 
 
-def _arguments(piece: str, call: ast.expr, depth: int) -> dict[str, Any]:
+def _arguments(part: str, call: ast.expr, depth: int) -> dict[str, Any]:
     plain = isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and not call.args
     if not isinstance(call, ast.Call) or not plain or any(argument.arg is None for argument in call.keywords):
-        raise InvalidArgument(f"{_short(piece)}: expected parameter=value between the brackets, separated by commas")
+        raise InvalidArgument(f"{_short(part)}: expected parameter=value between the brackets, separated by commas")
     found: dict[str, Any] = {}
     for argument in call.keywords:
         assert argument.arg is not None
         if argument.arg in found:
-            raise InvalidArgument(f"{_short(piece)}: {argument.arg} is given twice")
-        found[argument.arg] = _value(piece, argument.value, depth)
+            raise InvalidArgument(f"{_short(part)}: {argument.arg} is given twice")
+        found[argument.arg] = _value(part, argument.value, depth)
     return found
 
 
-def _value(piece: str, node: ast.expr, depth: int) -> Any:
+def _value(part: str, node: ast.expr, depth: int) -> Any:
     if depth > DEEPEST:
-        raise _too_deep(piece)
+        raise _too_deep(part)
     if isinstance(node, ast.Name):
         return WORDS.get(node.id.lower(), node.id)
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        return Spec(node.func.id, _arguments(piece, node, depth + 1)).text
+        return Spec(node.func.id, _arguments(part, node, depth + 1)).text
     if isinstance(node, (ast.List, ast.Tuple)):
-        return [_value(piece, item, depth + 1) for item in node.elts]
+        return [_value(part, item, depth + 1) for item in node.elts]
     if isinstance(node, ast.Dict) and all(isinstance(key, (ast.Name, ast.Constant)) for key in node.keys):
         items = zip(node.keys, node.values, strict=True)
-        return {str(_key(key)): _value(piece, item, depth + 1) for key, item in items}
+        return {str(_key(key)): _value(part, item, depth + 1) for key, item in items}
     try:
         value = ast.literal_eval(node)
     except (ValueError, TypeError, RecursionError):
@@ -179,22 +179,22 @@ def _value(piece: str, node: ast.expr, depth: int) -> Any:
     plain = isinstance(value, (bool, int, float, str, type(None)))
     if not plain or (isinstance(value, (int, float)) and not abs(value) <= sys.float_info.max):
         raise InvalidArgument(
-            f"{_short(piece)}: {_said(node)} is no value; expected a number, text, true, false, none or a list"
+            f"{_short(part)}: {_source(node)} is no value; expected a number, text, true, false, none or a list"
         )
     return value
 
 
-def _too_deep(piece: str) -> InvalidArgument:
-    return InvalidArgument(f"{_short(piece)} cannot be read: expected at most {DEEPEST} brackets inside each other")
+def _too_deep(part: str) -> InvalidArgument:
+    return InvalidArgument(f"{_short(part)} cannot be read: expected at most {DEEPEST} nested brackets")
 
 
 def _short(text: str) -> str:
-    """Return ``text`` in quotes, its middle left out if it is long."""
+    """Return ``text`` in quotes; the middle of a long text is left out."""
     return repr(text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}")
 
 
-def _said(node: ast.expr) -> str:
-    """Return how a value was written, as far as it can be."""
+def _source(node: ast.expr) -> str:
+    """Return the source text of a value, if Python can write it."""
     try:
         return _short(ast.unparse(node))
     except (RecursionError, ValueError):

@@ -1,8 +1,8 @@
-"""Plugin files that are not installed: loading them, whether they may run, and the source of registered things.
+"""Plugin files that are not installed: loading, trust, and the source code of registered things.
 
-The user may load any file. One that a stored file names must be trusted: it has run here before and is unchanged since.
-The user's state folder holds a note for each plugin file that has run: its SHA-256 and its path. SECURITY.md states the
-rule for every kind of file.
+The user may load any file. A plugin that a stored file names must be trusted: it has run here before and has not
+changed since. The user's state folder records the SHA-256 and path of each plugin file that has run. SECURITY.md states
+the rule for every kind of file.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ PREFIX = "sysid_evo_plugin_"
 
 
 def load_plugin(path: str | Path) -> None:
-    """Import a plugin file that is not installed, so that its decorators run, and trust it from now on, unchanged.
+    """Import a plugin file, so that its decorators run, and trust it as long as it does not change.
 
     Raises `PluginError` if the file is missing or fails while it is imported, `RegistrationError` if it
-    takes a name that is in use.
+    registers a name that is in use.
     """
     file = Path(path).resolve()
     loaded = sys.modules.get(_module(file))
@@ -45,10 +45,10 @@ def load_plugin(path: str | Path) -> None:
 
 
 def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]:
-    """Import plugin files that the stored file ``by`` names, if they are trusted; return the files that are loaded.
+    """Import plugin files that the stored file ``by`` names, if they are trusted; return the loaded files.
 
-    A loaded plugin is used for a file of the same name, with a `PluginWarning` if its path differs. Raises
-    `PluginError` for those that this user has not run here, unchanged, and what `load_plugin` does.
+    A loaded plugin of the same file name is used instead, with a `PluginWarning` if its path differs. Raises
+    `PluginError` for files that are not trusted, and the errors of `load_plugin`.
     """
     found, refused = [], []
     for file in (Path(path).resolve() for path in paths):
@@ -68,34 +68,34 @@ def load_named_plugins(paths: Iterable[str | Path], by: Path) -> tuple[str, ...]
         names = " and ".join(f"the plugin {file}, which {why}" for file, why in refused)
         options = " ".join(f"--plugin {shlex.quote(str(file))}" for file, _ in refused)
         raise PluginError(
-            f"{by} names {names}. A plugin is code that runs with your rights, so none runs because a file names it: "
-            f"read it and, if you trust it, add {options} (in Python call load_plugin first)"
+            f"{by} names {names}. A plugin is code that runs with your rights, so it is not run just because a file "
+            f"names it: read it and, if you trust it, add {options} (in Python call load_plugin first)"
         )
     return tuple(dict.fromkeys(found))
 
 
 def loaded_plugins() -> tuple[str, ...]:
-    """Return the plugin files that this process has loaded, the first one first."""
+    """Return the plugin files that this process has loaded, in this order."""
     return tuple(str(module.__file__) for name, module in sys.modules.items() if name.startswith(PREFIX))
 
 
 def load_plugins_again(paths: Iterable[str]) -> None:
-    """Import the plugin files of the process that this one works for, which has decided to trust them."""
+    """Import the plugin files of the parent process, which has checked that they are trusted."""
     for file in map(Path, paths):
         if _module(file) not in sys.modules:
             _run(file, _source(file))
 
 
 def _trust(file: Path, source: bytes) -> None:
-    """Note that the user has asked for ``file``, an absolute path, while it held ``source``."""
+    """Record that the user has loaded ``file``, an absolute path, with this ``source``."""
     if _distrust(file, source):
         line = hashlib.sha256(source).hexdigest().encode() + b"  " + os.fsencode(file) + b"\n"
-        with suppress(OSError):  # a home that cannot be written: the user will be asked again
+        with suppress(OSError):  # the home folder is not writable: the user will be asked again
             write_atomically(_note(file), lambda note: note.write_bytes(line))
 
 
 def _distrust(file: Path, source: bytes) -> str:
-    """Return why ``file`` may not run unless the user asks for it; empty if it may."""
+    """Return the reason why ``file`` is not trusted; empty if it is."""
     try:
         known = _note(file).read_bytes().split(b" ")[0].decode(errors="replace")
     except OSError:
@@ -104,12 +104,12 @@ def _distrust(file: Path, source: bytes) -> str:
 
 
 def _note(file: Path) -> Path:
-    # by path as well as by content: the same text elsewhere may read or import other files next to it
+    # path and content: the same source in another folder may import other files next to it
     return state_folder("plugins") / hashlib.sha256(os.fsencode(file)).hexdigest()
 
 
 class _FromSource(SourceFileLoader):
-    """Loads a module from the ``source`` that was looked at, never from cached bytecode, which others may have made."""
+    """Loads a module from the ``source`` that was checked, never from cached bytecode, which may be another."""
 
     def __init__(self, name: str, path: str, source: bytes) -> None:
         super().__init__(name, path)
@@ -148,10 +148,10 @@ def _run(file: Path, source: bytes) -> None:
 
 
 def source_digest(factory: Callable[..., Any]) -> str:
-    """Return the SHA-256 of the source that brings ``factory``; empty for what this project ships.
+    """Return the SHA-256 of the source code that defines ``factory``; empty for code of this project.
 
-    A module of a package counts with every Python file of the package it stands in. What is shipped
-    changes with the version of the project, which every result is tied to anyway.
+    For a module in a package, all Python files of that package are included. The code of this project is identified
+    by its version, which every result records.
     """
     module = getattr(factory, "__module__", "")
     if module.split(".")[0] in SHIPPED:
@@ -173,9 +173,9 @@ def _digest_of(module: str) -> str:
 
 
 def declared(module: str, name: str) -> dict[str, Any] | None:
-    """Return the docstring (``__doc__``) and the literal class attributes of what a shipped ``module`` calls ``name``.
+    """Return the docstring (``__doc__``) and the literal attributes of the class that ``module`` registers as ``name``.
 
-    They are read from its source, as importing it takes a second where it brings Numba. None if it does not say.
+    They are read from the source of a shipped module, because an import with Numba takes a second. None if not found.
     """
     file = Path(__file__).parents[2].joinpath(*module.split("."))
     file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
@@ -188,7 +188,7 @@ def declared(module: str, name: str) -> dict[str, Any] | None:
             for item in node.body:
                 if isinstance(item, (ast.Assign, ast.AnnAssign)) and item.value is not None:
                     target = item.target if isinstance(item, ast.AnnAssign) else item.targets[0]
-                    with suppress(ValueError):  # no literal
+                    with suppress(ValueError):  # not a literal
                         found[ast.unparse(target)] = ast.literal_eval(item.value)
             return found
     return None

@@ -1,4 +1,4 @@
-"""Finding things by name: the class, the twelve registries, robots by name or file."""
+"""Registries that find things by name: the class, the twelve registries, robots by name or file."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Registry(Generic[T]):
-    """Names of one kind of thing, from decorators and from the entry points of one group.
+    """Registered classes and factories of one kind, from decorators and from the entry points of one group.
 
     An entry point names a module; importing it runs the decorator. Modules are imported only when
-    one of their names is asked for. ``given`` are the parameters that whoever runs a thing hands
-    over, so that nobody writes them in a spec.
+    one of their names is needed. ``given`` are parameters that the caller passes to the constructor, so that they
+    never appear in a spec.
     """
 
     def __init__(self, kind: str, group: str, *, given: frozenset[str] = frozenset()) -> None:
@@ -48,17 +48,17 @@ class Registry(Generic[T]):
         self._entries: dict[str, Callable[..., T]] = {}
 
     def register(self, name: str) -> Callable[[F], F]:
-        """Return a decorator that files a class or a factory under ``name``.
+        """Return a decorator that registers a class or a factory as ``name``.
 
-        Raises `RegistrationError` if somebody else has that name, naming both modules.
+        Raises `RegistrationError`, with both modules, if the name is in use.
         """
 
         def decorate(factory: F) -> F:
             lacking = sorted(getattr(factory, "__abstractmethods__", ()))
             if lacking:
                 raise RegistrationError(
-                    f"{self.kind} {name!r}: {_identity(factory)} does not define {', '.join(lacking)}, which every "
-                    f"{self.kind} has"
+                    f"{self.kind} {name!r}: {_identity(factory)} does not define {', '.join(lacking)}, required of "
+                    f"every {self.kind}"
                 )
             known = self._entries.get(name)
             if known is not None and _identity(known) != _identity(factory):
@@ -78,26 +78,26 @@ class Registry(Generic[T]):
         return decorate
 
     def forget(self, name: str) -> None:
-        """Undo `register` for ``name``, if it is registered; an entry point keeps its name and its imported module."""
+        """Undo `register` for ``name``; names from entry points, and imported modules, remain."""
         self._entries.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
-        """Return every known name, sorted; nothing is imported."""
+        """Return all names, sorted; nothing is imported."""
         return tuple(sorted({*self._entries, *(point.name for point in self._points())}))
 
     @property
     def loaded(self) -> Mapping[str, Callable[..., T]]:
-        """The names whose module has been imported, with their classes or factories."""
+        """The classes and factories of all imported modules, by name."""
         return MappingProxyType(self._entries)
 
     def module(self, name: str) -> str:
-        """Return the module that brings ``name``; nothing is imported. Raises `UnknownName`."""
+        """Return the module that registers ``name``; nothing is imported. Raises `UnknownName`."""
         if name in self._entries:
             return self._entries[name].__module__
         return self._point(name).value
 
     def get(self, name: str) -> Callable[..., T]:
-        """Return the class or factory called ``name``, importing its module if need be.
+        """Return the class or factory registered as ``name``, importing its module if necessary.
 
         Raises `UnknownName`, `PluginError` (its module is broken), `MissingExtra` (an optional
         package is not installed) or `RegistrationError` (the module registers another name).
@@ -106,26 +106,26 @@ class Registry(Generic[T]):
             point = self._point(name)
             _load(point, self.kind)
             if name not in self._entries:
-                came = sorted(entry for entry, thing in self._entries.items() if thing.__module__ == point.module)
+                found = sorted(entry for entry, thing in self._entries.items() if thing.__module__ == point.module)
                 raise RegistrationError(
                     f"entry point {self.group}: {name} = {point.value!r} should register {name!r}, "
-                    f"but the module registers {', '.join(map(repr, came)) or 'nothing'}. "
+                    f"but the module registers {', '.join(map(repr, found)) or 'nothing'}. "
                     "Use the same name in the decorator and in the entry point."
                 )
         return self._entries[name]
 
     def make(self, spec: str | Spec, /, **parameters: Any) -> T:
-        """Return a new instance of what ``spec`` names, built with its parameters and these.
+        """Return a new instance of the class that ``spec`` names, with its parameters and ``parameters``.
 
-        Raises what `get` and `check` raise, and what the constructor does with its values.
+        Raises the errors of `get`, `check` and the constructor.
         """
         found = self.check(spec, **parameters)
         return self.get(found.name)(**found.parameters)
 
     def check(self, spec: str | Spec, /, **parameters: Any) -> Spec:
-        """Return the whole spec if its name is known and its parameters are those of the constructor.
+        """Return the spec with ``parameters`` added, if its name is known and the constructor has all parameters.
 
-        Raises `UnknownName`, or `InvalidArgument` that names the right parameters.
+        Raises `UnknownName`, or `InvalidArgument` that lists the valid parameters.
         """
         found = Spec.parse(spec) if isinstance(spec, str) else spec
         found = Spec(found.name, {**found.parameters, **parameters}, found.label)
@@ -148,7 +148,7 @@ class Registry(Generic[T]):
         return found
 
     def parameters(self, name: str) -> Mapping[str | None, Any]:
-        """Return the parameters that a spec of ``name`` may set, with their defaults (None: any name)."""
+        """Return the parameters that a spec of ``name`` may set, with their defaults (key None: any name)."""
         found: dict[str | None, Any] = {}
         for parameter in _signature(self.get(name)).values():
             if parameter.kind is parameter.VAR_KEYWORD:
@@ -158,7 +158,7 @@ class Registry(Generic[T]):
         return found
 
     def identity(self, spec: str | Spec) -> dict[str, Any]:
-        """Return name, all parameters and a plugin's source: what decides the thing ``spec`` makes, as strict JSON."""
+        """Return name, all parameters and source digest of ``spec`` as strict JSON; they determine what it makes."""
         found = self.check(spec)
         defaults = {key: value for key, value in self.parameters(found.name).items() if key not in self.given}
         parameters: dict[str | None, Any] = defaults
@@ -170,9 +170,9 @@ class Registry(Generic[T]):
         }
 
     def missing_package(self, name: str) -> MissingExtra | None:
-        """Return why ``name`` cannot run here for want of an optional package; None if it can.
+        """Return the error for an optional package that ``name`` needs and that is not installed; None without one.
 
-        A class names what it imports late in ``requires``. Raises what `get` raises for other reasons.
+        Classes list lazily imported packages in ``requires``. Raises the other errors of `get`.
         """
         try:
             requires = self.glance(name, "requires") or ()
@@ -186,11 +186,11 @@ class Registry(Generic[T]):
         return None
 
     def load_all(self) -> Iterator[tuple[str, Callable[..., T]]]:
-        """Yield every name that can be loaded; each broken plugin gives one `PluginWarning`."""
+        """Yield every name that can be loaded, with its class; each broken plugin gives one `PluginWarning`."""
         return self.each(self.get)
 
     def each(self, look: Callable[[str], V]) -> Iterator[tuple[str, V]]:
-        """Yield every name with what ``look`` gives for it; each broken plugin gives one `PluginWarning`."""
+        """Yield every name with ``look(name)``; each broken plugin gives one `PluginWarning`."""
         for name in self.names():
             try:
                 yield name, look(name)
@@ -198,9 +198,9 @@ class Registry(Generic[T]):
                 warnings.warn(f"{self.kind} {name!r} left out: {error}", PluginWarning, stacklevel=2)
 
     def glance(self, name: str, attribute: str = "__doc__") -> Any:
-        """Return an attribute of the class or factory called ``name``, None if it has none. Raises what `get` raises.
+        """Return an attribute of the class or factory ``name``, None if it has none. Raises the errors of `get`.
 
-        A shipped class is not imported for it: the attribute must be in the class body, not in a base class.
+        Shipped classes are not imported for this, so the attribute must be defined in the class body itself.
         """
         if name not in self._entries and (module := self._point(name).value).split(".")[0] in SHIPPED:
             found = declared(module, name)
@@ -209,7 +209,7 @@ class Registry(Generic[T]):
         return getattr(self.get(name), attribute, None)
 
     def summary(self, name: str) -> str:
-        """Return the first line of what the class or factory called ``name`` says of itself, as plain text."""
+        """Return the first line of the docstring of the class or factory ``name``, as plain text."""
         return str(self.glance(name) or "").strip().partition("\n")[0].replace("`", "")
 
     def _points(self, name: str | None = None) -> list[EntryPoint]:
@@ -230,7 +230,7 @@ class Registry(Generic[T]):
         known = ", ".join(self.names()) or "none"
         return (
             f"no {self.kind} is called {name!r}.{did_you_mean(name, self.names())} Known: {known}. "
-            "One from a file of yours needs --plugin FILE (in Python load_plugin)."
+            "If it is defined in your own file, add --plugin FILE (in Python load_plugin)."
         )
 
     def _no_parameter(self, name: str, wrong: str, known: Mapping[str | None, Any]) -> str:
@@ -250,7 +250,7 @@ _VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 def _installed(
     _path: tuple[str, ...],
 ) -> Any:  # EntryPoints; in Python 3.11 SelectableGroups, which has the same select()
-    """Return all entry points that are found along ``sys.path``, which takes 10 ms or more."""
+    """Return all entry points along ``sys.path``; cached, because this takes 10 ms or more."""
     return entry_points()
 
 
@@ -260,7 +260,7 @@ def _signature(factory: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
 
 
 def _plain(value: Any) -> Any:
-    """Return ``value`` as strict JSON; what JSON cannot hold is its text."""
+    """Return ``value`` as strict JSON; values that JSON cannot hold become text."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -293,8 +293,8 @@ def _distribution(point: EntryPoint) -> str | Distribution:
     return DISTRIBUTION if point.dist is None else point.dist
 
 
-# A contract imports the registry to register what keeps it, so that the registry knows no classes: functions that make
-# a thing of its own type, `sysid_evo.models.base.make_model` and the like, stand with the contracts.
+# The registry knows no classes, because the modules of base classes import it. Functions that return an instance of a
+# certain type, such as `sysid_evo.models.base.make_model`, are therefore defined next to the base classes.
 
 models: Registry[Any] = Registry("model", "sysid_evo.models")
 tasks: Registry[Any] = Registry("task", "sysid_evo.tasks")
@@ -307,9 +307,9 @@ readers: Registry[Any] = Registry("reader", "sysid_evo.readers")
 probes: Registry[Any] = Registry("probe", "sysid_evo.probes")
 motions: Registry[Any] = Registry("motion", "sysid_evo.motions")
 noises: Registry[Any] = Registry("noise", "sysid_evo.noises")
-"""What ``--noise`` may name: one kind of noise, which the command line describes as options."""
+"""Names for ``--noise``."""
 penalties: Registry[Any] = Registry("penalty", "sysid_evo.penalties")
-"""What ``--penalty`` may name, likewise."""
+"""Names for ``--penalty``."""
 
 KINDS: dict[str, Registry[Any]] = {
     registry.kind: registry
@@ -337,8 +337,8 @@ SUFFIX = ".toml"
 def robot_spec(text: str) -> Spec:
     """Return the spec of ``NAME(parameter=value, ...)``, ``NAME:SEED``, or of a TOML file.
 
-    The file names the registered robot as ``driver``; its other keys are that robot's parameters, and
-    the robot is called as the file is. Raises `InvalidArgument`.
+    The file names the registered robot as ``driver``; its other keys are that robot's parameters. The label is the
+    name of the file. Raises `InvalidArgument`.
     """
     if text.endswith(SUFFIX):
         return _of_file(Path(text))
@@ -348,7 +348,7 @@ def robot_spec(text: str) -> Spec:
 def make_robot(spec: str | Spec) -> Any:
     """Return the robot that ``spec`` names, see `robot_spec`; it is not connected yet.
 
-    Raises `InvalidArgument`, also where somebody registered dynamics instead of a robot that has them.
+    Raises `InvalidArgument`, also if dynamics are registered instead of a robot.
     """
     found = robot_spec(spec) if isinstance(spec, str) else spec
     try:

@@ -1,4 +1,4 @@
-"""Tasks: what a controller is evolved for."""
+"""Tasks for which controllers are evolved."""
 
 from sysid_evo.tasks.point_to_point import PointToPoint
 from sysid_evo.tasks.references import Balance, SetPoint, SwingUp, TrackReference

@@ -37,7 +37,7 @@ from sysid_evo.types import Array, IntArray, Seeds
 MEAN_DISTANCE = 128.0 / (45.0 * np.pi)
 """Mean distance of two random points of a disc, in its radii."""
 TOO_FEW, SUGGESTED = 3.0, 10.0
-"""So few waypoints at full speed are told, and so many are what is proposed."""
+"""Waypoints per trial at full speed: with fewer than the first number a warning proposes enough for the second."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class PointToPointState(TaskState):
 
     @property
     def waypoint(self) -> Array:
-        """The waypoint to pass next, (B, 2) m."""
+        """The next waypoint, (B, 2) m."""
         trials, number, _ = self.waypoints.shape
         return self.waypoints.reshape(trials * number, 2).take(self.trial * number + self.passed, axis=0)
 
     def to_waypoint(self, pose: Array) -> tuple[Array, Array]:
-        """Return how far (m) the next waypoint lies from ``pose`` (B, 3) in x and in y, (B,) each."""
+        """Return the distance (m) from ``pose`` (B, 3) to the next waypoint in x and in y, (B,) each."""
         waypoint = self.waypoint
         return waypoint[:, 0] - pose[:, 0], waypoint[:, 1] - pose[:, 1]
 
@@ -67,8 +67,8 @@ class PointToPoint(Task):
     """Fitness is the number of waypoints passed in ``horizon`` steps.
 
     A waypoint is passed when the centre of the body is within ``waypoint_radius`` of it (0.3 m);
-    the next one then appears at a random place, uniform over the disc of ``arena_radius`` (1.5 m)
-    around the origin. Trials start at rest in the origin, heading along x (the paper does not say).
+    the next one then appears at a random position, uniform over the disc of ``arena_radius`` (1.5 m)
+    around the origin. Trials start at rest in the origin, heading along x (not specified in the paper).
     Only the next waypoint is known.
 
     | observation | unit |
@@ -136,7 +136,7 @@ class PointToPoint(Task):
         return cast("PointToPointState", task_state).passed.astype(np.float64)
 
     def hide_future(self, task_state: TaskState) -> PointToPointState:
-        """Return the trials with the next waypoint alone; what comes after it is expected in the arena's centre."""
+        """Return the trials with the next waypoint only; all later ones are moved to the centre of the arena."""
         here = cast("PointToPointState", task_state)
         trials = len(here.trial)
         known = np.zeros((trials, here.waypoints.shape[1], 2))
@@ -144,46 +144,46 @@ class PointToPoint(Task):
         return replace(here, waypoints=known, trial=np.arange(trials), passed=np.zeros(trials, dtype=np.int64))
 
     def potential(self, task_state: TaskState, state: Array) -> Array:
-        """Return 1 less the distance to the next waypoint, in diameters of the arena, at least 0."""
+        """Return 1 minus the distance to the next waypoint in diameters of the arena, at least 0."""
         here = cast("PointToPointState", task_state)
         dx, dy = here.to_waypoint(here.pose)
         return np.maximum(0.0, 1.0 - np.sqrt(dx * dx + dy * dy) / (2.0 * self.arena_radius))
 
     def feasibility_warnings(self, farthest: Array) -> tuple[str, ...]:
-        """Say if the waypoints are too far apart for the speed, or too small for one step, or the arena to turn in."""
+        """Return warnings if waypoints are too far apart or too small for the speed, or the arena too small to turn."""
         forward, yaw_rate = self._speeds
         speed, turning, dt = farthest[forward], farthest[yaw_rate], self.system.dt
         if speed <= 0.0:
-            return ("point_to_point: this robot was never seen to move, so that no waypoint can be reached",)
+            return ("point_to_point: this robot does not move in the recording, so it cannot reach any waypoint",)
         way = max(MEAN_DISTANCE * self.arena_radius - self.waypoint_radius, 1e-9)
         driven, size = speed * self.horizon * dt, 2.0 * self.waypoint_radius
         fastest = f"point_to_point: at its fastest, {speed:.2g} m/s, this robot"
-        told = []
+        found = []
         if driven < TOO_FEW * way:
             arena, steps = (
                 (driven / SUGGESTED + self.waypoint_radius) / MEAN_DISTANCE,
                 np.ceil(SUGGESTED * way / speed / dt),
             )
-            told.append(
-                f"{fastest} drives {driven:.2g} m in a trial of {self.horizon * dt:g} s, and from one waypoint to the "
-                f"next it is {way:.2g} m on average: it can pass about {driven / way:.1f}. Give it a smaller arena "
+            found.append(
+                f"{fastest} drives {driven:.2g} m in a trial of {self.horizon * dt:g} s, and the mean distance between "
+                f"waypoints is {way:.2g} m: it can pass about {driven / way:.1f}. Use a smaller arena "
                 f"(arena_radius={arena:.2g}) or more steps (horizon={steps:.0f})"
             )
         if speed * dt > size:
-            told.append(
+            found.append(
                 f"{fastest} drives {speed * dt:.2g} m in one step and may jump over a waypoint of {size:.2g} m: "
-                "give a larger waypoint_radius"
+                "use a larger waypoint_radius"
             )
         if speed > TOO_FEW * self.arena_radius * turning:
             circle = f"circles of {speed / turning:.2g} m" if turning > 0.0 else "no circle"
-            told.append(
+            found.append(
                 f"{fastest} turns at {turning:.2g} rad/s at most, in {circle}, in an arena of {self.arena_radius:g} m: "
-                "give a larger arena_radius"
+                "use a larger arena_radius"
             )
-        return tuple(told)
+        return tuple(found)
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
-        """Return the waypoints passed, in order, and the next one."""
+        """Return the passed waypoints in order, and the next one."""
         here = cast("PointToPointState", task_state)
         passed = int(here.passed[trial])
         markers = here.waypoints[here.trial[trial], : passed + 1].copy()
@@ -216,7 +216,7 @@ class PointToPoint(Task):
 
     @property
     def _speeds(self) -> tuple[int, int]:
-        """Where forward speed and yaw rate stand among the states."""
+        """The indices of forward speed and yaw rate among the states."""
         places = planar_places("point_to_point", self.system)
         return places["forward"], places["yaw_rate"]
 
@@ -225,7 +225,7 @@ class PointToPoint(Task):
 def waypoints(seeds: tuple[int, ...], count: int, arena_radius: float) -> Array:
     """Return ``count`` random waypoints for each seed, (E, count, 2) m.
 
-    Read-only, and remembered: all models of an ensemble meet the same trials.
+    Read-only and cached: all models of an ensemble are run in the same trials.
     """
     found = draw(np.array(seeds, dtype=np.uint64), TASK_STREAM, (count, 2), "random")
     radius, angle = arena_radius * np.sqrt(found[..., 0]), 2.0 * np.pi * found[..., 1]
@@ -265,7 +265,7 @@ def observe_lanes(task, state, observation, parameters):
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
-    """Let the motion move the pose, and pass the waypoints within reach."""
+    """Move the pose and count the waypoints within the radius."""
     reach = parameters[HEAD.radius_squared]
     move(view(task, ROWS.x * LANES), before, after, parameters[HEAD.dt], view(parameters, HEAD.size))
     dx = load(task, ROWS.next_x * LANES) - load(task, ROWS.x * LANES)
@@ -282,6 +282,6 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 
 
 def put(row, lane, number):
-    """Write one lane of a row by way of its quarter: a row read soon after a single number was written waits for it."""
+    """Write one lane of a row as a whole quarter; a vector read soon after a scalar write would stall."""
     first = lane - lane % QUARTER
     store(row, first, where_bits(1 << (lane % QUARTER), splat_quarter(number), load_quarter(row, first)))

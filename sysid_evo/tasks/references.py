@@ -17,12 +17,12 @@ from sysid_evo.types import Array
 
 @register_task("set_point")
 class SetPoint(TrackingTask):
-    """Every trial draws a value for each of ``channels`` (default: the first state) and holds it to the end.
+    """Hold each of ``channels`` (default: the first state) at a random target that is constant during a trial.
 
-    Values are uniform from ``low`` to ``high``: by default the middle half of the channel's limits, or 1 either side
-    of neutral. ``tolerance`` is by default a twentieth of that, ``rate_tolerance`` (per second) infinite. A trial
-    begins at rest, ``start_spread`` off at most, and is over once an error exceeds ``abort_error``. Each is one number,
-    or a list with one for each channel, in its unit. See `TrackingTask` for the score, the observations and ``effort``.
+    Targets are uniform from ``low`` to ``high``: by default the middle half of the channel's limits, or neutral +- 1.
+    ``tolerance`` is by default a twentieth of that, ``rate_tolerance`` (per second) infinite. A trial begins at rest,
+    at most ``start_spread`` away, and is over once an error exceeds ``abort_error``. Each is one number, or a list with
+    one for each channel, in its unit. See `TrackingTask` for the score, the observations and ``effort``.
     """
 
     name: ClassVar[str] = "set_point"
@@ -63,17 +63,17 @@ class SetPoint(TrackingTask):
 
 KINDS = ("sine", "steps", "random_walk")
 PERIODS = 4.0
-"""Periods of the reference that fit into a trial, where no period is given."""
+"""Periods of the reference in a trial, if no period is given."""
 
 
 @register_task("track_reference")
 class TrackReference(TrackingTask):
-    """Follow a reference in each of ``channels``, drawn anew for every trial, between ``low`` and ``high``.
+    """Follow a random reference between ``low`` and ``high`` in each of ``channels``, new in every trial.
 
     ``kind`` is "sine" (amplitude from a third to all of the range, period from ``period`` to twice that, any phase),
     "steps" (a new value at random times, ``period`` s apart on average), or "random_walk" (it crosses the range in
     about one ``period``, and is reflected at its ends). ``period`` is by default a quarter of the trial. The
-    controller is shown the error of now, not what comes. All else is as for `SetPoint`.
+    controller observes the present error only. All else is as for `SetPoint`.
     """
 
     name: ClassVar[str] = "track_reference"
@@ -135,9 +135,9 @@ def _random_walk(samples: int, period: float, rng: np.random.Generator) -> Array
 
 
 class Upright(TrackingTask):
-    """What `SwingUp` and `Balance` share: one periodic state, by default the first, and its ``target``.
+    """Base class of `SwingUp` and `Balance`: one periodic state, by default the first, and its ``target``.
 
-    The target is by default half a period from neutral: upright, where neutral is hanging.
+    The target is by default half a period from neutral: upright, if neutral is hanging.
     """
 
     def __init__(
@@ -172,8 +172,8 @@ class SwingUp(Upright):
     """Bring an angle from rest to the top and keep it there.
 
     ``channel`` is a periodic state (default: the first), ``target`` its value at the top (half a period from neutral).
-    Trials begin at rest, ``start_spread`` rad off at most. See `TrackingTask` for the score with ``tolerance`` (rad)
-    and ``rate_tolerance`` (rad/s: who spins through the top gains little), the observations and ``effort``.
+    Trials begin at rest, at most ``start_spread`` rad away. See `TrackingTask` for the score with ``tolerance`` (rad)
+    and ``rate_tolerance`` (rad/s: spinning through the top scores little), the observations and ``effort``.
     """
 
     name: ClassVar[str] = "swing_up"
@@ -194,9 +194,9 @@ class SwingUp(Upright):
 
 @register_task("balance")
 class Balance(Upright):
-    """Keep an angle at the top, from ``start_spread`` rad off at most; a trial is over once it is ``abort_error`` rad
-    off.
+    """Keep an angle at the top.
 
+    Trials begin at most ``start_spread`` rad away and are over once the error exceeds ``abort_error`` rad.
     ``channel``, ``target``, ``tolerance``, ``rate_tolerance`` and ``effort`` are as for `SwingUp`.
     """
 

@@ -1,4 +1,4 @@
-"""A task of one function: what each state and control are worth; and how a function of one's own becomes a task."""
+"""Tasks defined by a reward function of state and control, and the decorator that registers such a function."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sysid_evo.tasks.tracking import HEAD, OBSERVING, formulas_of_states, number
 from sysid_evo.types import Array, BoolArray, Seeds, check_shape
 
 RewardFunction: TypeAlias = Callable[[Array, Array], Array]
-"""From states (B, nx) and the controls given in them (B, nu) to rewards (B,)."""
+"""From states (B, nx) and the controls applied in them (B, nu) to rewards (B,)."""
 
 
 @dataclass(frozen=True)
@@ -31,16 +31,17 @@ class RewardState(TaskState):
 
 
 class Reward(Task):
-    """Fitness is the mean of ``reward(state, control)`` over the horizon, for states in which the controls are given.
+    """Fitness is the mean of ``reward(state, control)`` over the horizon; controls are applied in these states.
 
-    A reward below ``lowest``, or one that is not a number, counts as ``lowest``. ``terminated`` says of the states that
-    are reached (B, nx) which trials are over (B,); they get nothing from then on. ``start`` draws the state (nx,) in
-    which a trial begins, default at rest. ``states`` names what the function needs, in no order. ``scalar`` is
-    ``reward`` for one state and control, in plain numbers as kernels are written: with it, and without ``terminated``,
-    the task has a compiled form. The observations are a bias and every state, as for `set_point`.
+    - ``lowest``: lower bound of a reward, which also replaces nan.
+    - ``terminated``: maps the states reached (B, nx) to the trials that are over (B,); these get no further reward.
+    - ``start``: draws the start state (nx,) of a trial; at rest by default.
+    - ``states``: names of the states that the function needs, in any order.
+    - ``scalar``: ``reward`` for one state and control in plain numbers, as in kernels; with it, and without
+      ``terminated``, the task has a compiled form.
 
-    It has no name on the command line: `register_reward` gives one to a function of single numbers, or register a
-    function that returns such a task.
+    The observations are a bias and every state, as for `set_point`. To use such a task on the command line, give a
+    function of single numbers to `register_reward`, or register a function that returns the task.
     """
 
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
@@ -109,11 +110,11 @@ class Reward(Task):
         return advanced, after
 
     def over_after(self, control: Array, after: Array) -> BoolArray:
-        """Return which trials are over (B,) in the states ``after`` (B, nx), to which ``control`` (B, nu) led."""
+        """Return which trials are over (B,) in the states ``after`` (B, nx), reached with ``control`` (B, nu)."""
         return np.zeros(len(after), dtype=bool) if self.terminated is None else self.terminated(after)
 
     def fitness(self, task_state: TaskState) -> Array:
-        return np.maximum(cast("RewardState", task_state).score, self.worst)  # a sum of so many shares is rounded
+        return np.maximum(cast("RewardState", task_state).score, self.worst)  # sums are rounded
 
     def kernel(self) -> TaskKernel[Any] | None:
         if self.scalar is None or self.terminated is not None:
@@ -126,13 +127,15 @@ RESERVED = "horizon"
 
 
 class NamedReward(Reward):
-    """The mean over the horizon of a ``function`` of states and controls, whose arguments are called as these are.
+    """The mean over the horizon of a ``function`` whose arguments are named after states and controls.
 
-    Arguments that ``constants`` names get those numbers. ``terminated`` is a function of the same kind of the state
-    that is reached, and of the control that led there. ``start`` holds, by the names of states, between which two
-    values a trial begins; other states begin at rest. With ``compiled`` both functions are compiled: they must be
-    written in plain numbers and `math`, as kernels are. See `Reward` for ``min_reward``. `bind` raises
-    `IncompatibleTask` for an argument that is no state, control or constant.
+    - ``constants``: values of further arguments.
+    - ``terminated``: a function of the same kind, of the state reached and the control applied before.
+    - ``start``: range of the start value by name of the state; other states begin at rest.
+    - ``compiled``: compile both functions; they must be written in plain numbers and `math`, as kernels are.
+    - ``min_reward``: ``lowest`` of `Reward`.
+
+    `bind` raises `IncompatibleTask` for an argument that is not a state, control or constant.
     """
 
     def __init__(
@@ -188,7 +191,7 @@ class NamedReward(Reward):
         return np.array([self._value(self.function, *row) for row in zip(states, controls, strict=True)])
 
     def _value(self, function: Callable[..., Any], state: Array, control: Array) -> float:
-        """Return what ``function`` gives for one state and control; nan where it divides by 0 and the like."""
+        """Return ``function`` of one state and control; nan after an arithmetic error such as a division by 0."""
         known = dict(zip(self.system.state_names, state.tolist(), strict=True))
         known |= dict(zip(self.system.control_names, control.tolist(), strict=True)) | self.constants
         try:
@@ -226,8 +229,8 @@ def register_reward(
 ) -> Callable[[F], F]:
     """Return a decorator that registers a function as the task ``name``, see `NamedReward`.
 
-    The function's arguments are states and controls by name; those with a default are parameters of the task, as
-    ``horizon`` is: ``NAME(horizon=200, weight=0.5)``. Raises `InvalidArgument` for other kinds of arguments.
+    The function's arguments are named after states and controls; arguments with a default are parameters of the task,
+    like ``horizon``: ``NAME(horizon=200, weight=0.5)``. Raises `InvalidArgument` for other kinds of arguments.
     """
 
     def decorate(function: F) -> F:
@@ -235,8 +238,8 @@ def register_reward(
         odd = [p.name for p in found.values() if p.kind is not p.POSITIONAL_OR_KEYWORD or p.name == RESERVED]
         if odd:
             raise InvalidArgument(
-                f"reward {name!r}: expected arguments called as states and controls are, each by its name, and none "
-                f"called {RESERVED}; got {', '.join(odd)}"
+                f"reward {name!r}: expected arguments named after states and controls, and none named {RESERVED}; got "
+                f"{', '.join(odd)}"
             )
         defaults = {p.name: p.default for p in found.values() if p.default is not p.empty}
 
@@ -265,7 +268,7 @@ def register_reward(
 
 
 ROWS = Layout("score", "alive", "pose")
-"""After the pose comes one row in which the state and control of a lane stand side by side."""
+"""The pose is followed by one row that holds the state and the control of a lane."""
 OWN = Layout("lowest", "share")
 
 
@@ -304,7 +307,7 @@ def _state(here: RewardState, rows: Array) -> TaskState:
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
-    """Move the pose and add the reward of the state in which the control was given."""
+    """Move the pose and add the reward of the state in which the control was applied."""
     nx, nu, n_pose = int(parameters[HEAD.nx]), int(parameters[HEAD.nu]), int(parameters[HEAD.n_pose])
     own = view(parameters, int(parameters[HEAD.of_nu]))
     pose = view(task, ROWS.pose * LANES)
@@ -326,5 +329,5 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 
 
 def never(x, u):
-    """No trial is over before its time."""
+    """No trial ends before the horizon."""
     return 0.0

@@ -1,4 +1,4 @@
-"""The contract of a task: what to achieve, how to observe it, when it is over; what can be drawn of a trial."""
+"""The base class of tasks: fitness, observations, end of a trial; the scene in which a trial is drawn."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sysid_evo.types import Array, BoolArray, Seeds
 
 @dataclass(frozen=True)
 class TaskState:
-    """Where a batch of B trials stands. Tasks add fields of leading length B, or shared ones.
+    """State of a batch of B trials. Tasks add fields of leading length B, or shared ones.
 
     ``state`` (B, nx) is the start state, ``pose`` (B, n_pose), ``alive`` (B,) is false once a trial
     is over. A field in `shared` is common to all copies of a trial and never repeated.
@@ -33,7 +33,7 @@ class TaskState:
     alive: BoolArray
 
     def tile(self, copies: int) -> Self:
-        """Return the trials of every one of ``copies`` candidates: candidate first, trial second."""
+        """Return the trials repeated for each of ``copies`` candidates: candidate first, trial second."""
         changed = {}
         for item in fields(self):
             value = getattr(self, item.name)
@@ -42,7 +42,7 @@ class TaskState:
         return replace(self, **changed)
 
     def only(self, trial: int) -> Self:
-        """Return one of the trials."""
+        """Return the state of one trial."""
         one = slice(trial, trial + 1)
         return replace(
             self, **{item.name: getattr(self, item.name)[one] for item in fields(self) if item.name not in self.shared}
@@ -59,15 +59,14 @@ class TaskState:
 
 
 class Task(ABC):
-    """What to achieve in ``horizon`` steps; `fitness` is maximised and never below ``worst``.
+    """Base class of tasks of ``horizon`` steps; `fitness` is maximised and never below ``worst``.
 
-    ``max_fitness`` is the most that a trial can bring, if a good controller brings it in every trial; infinite by
-    default. ``rest_is_zero`` says that controls at rest are known to bring nothing, so that they need not be tried.
+    ``max_fitness`` is the highest fitness of a trial, if a good controller reaches it in every trial; infinite by
+    default. ``rest_is_zero``: controls at rest have fitness 0, so they need not be simulated.
     """
 
     default_noise: ClassVar[str] = ""
-    """What candidates meet in models at this task where no noise is named, see `DomainRandomisation`; empty for
-    none."""
+    """Noise of models in evolution, unless the user names another, see `DomainRandomisation`; empty for none."""
 
     horizon: int
     worst: float = 0.0
@@ -78,7 +77,7 @@ class Task(ABC):
     system: System
 
     def bind(self, system: System) -> Self:
-        """Return this task on ``system``; raises `IncompatibleTask` naming the role it lacks."""
+        """Return this task on ``system``. Raises `IncompatibleTask` with the role that it lacks."""
         self.check_system(system)
         bound = copy.copy(self)
         bound.system = system
@@ -90,19 +89,19 @@ class Task(ABC):
 
     @abstractmethod
     def begin(self, seeds: Seeds) -> TaskState:
-        """Return one trial for each of the seeds (E,): start state, pose, and what the task draws."""
+        """Return one trial for each of the seeds (E,): start state, pose, and random values of the task."""
 
     @abstractmethod
     def observe(self, task_state: Any, state: Array) -> Array:
-        """Return what the controller is given, (B, len(observations)), in state (B, nx).
+        """Return the observations (B, len(observations)) of the controller in ``state`` (B, nx).
 
-        Here and below, ``task_state`` is what `begin` of the same task made: a task may name its own class.
+        Here and below, ``task_state`` comes from `begin` of the same task; a task may declare its own class.
         """
 
     def formulas(self) -> Mapping[str, str]:
-        """Return how observations are computed from states and targets, by their names.
+        """Return the formulas of observations in terms of states and targets, by name; the task is bound.
 
-        It stands in the head of an exported controller. Those whose name says it are left out. The task is bound.
+        They are printed at the top of an exported controller. Observations with self-explanatory names have none.
         """
         return {}
 
@@ -110,11 +109,10 @@ class Task(ABC):
     def advance(
         self, task_state: Any, before: Array, after: Array, *, control: Array, pose: Array | None = None
     ) -> tuple[TaskState, Array]:
-        """Return the trials one step on, and the state (B, nx), which a wall may have altered.
+        """Return the trials after one step, and the state (B, nx), which a wall may have changed.
 
-        ``control`` (B, nu) led from the state ``before`` to the one ``after``. ``pose`` (B, n_pose) is
-        where a tracker saw the robots after the step; without one the motion
-        moves them.
+        ``control`` (B, nu) was applied between the states ``before`` and ``after``. ``pose`` (B, n_pose) is the pose
+        measured by a tracker after the step; without one it is computed by the motion.
         """
 
     @abstractmethod
@@ -122,35 +120,35 @@ class Task(ABC):
         """Return the fitness (B,) so far."""
 
     def hide_future(self, task_state: TaskState) -> TaskState:
-        """Return the trials with only what may be known of their future, for controllers that look ahead.
+        """Return the trials without information on the future, for controllers that look ahead.
 
         By default nothing is hidden. A task that reveals its goals one after the other hides the later ones.
         """
         return task_state
 
     def potential(self, task_state: TaskState, state: Array) -> Array:
-        """Return how near more fitness is in state (B, nx), in units of fitness and below 1, (B,); 0 by default.
+        """Return the potential (B,) of ``state`` (B, nx): below 1 unit of fitness, higher the closer the next gain.
 
-        It tells a controller that looks ahead only a few steps which way to go.
+        It guides controllers that look ahead only a few steps. 0 by default.
         """
         return np.zeros(len(state))
 
     def feasibility_warnings(self, farthest: Array) -> tuple[str, ...]:
-        """Return in sentences why the bound task cannot be done well by this robot; none by default.
+        """Return warnings, as sentences, if the bound task is hardly feasible for this robot; none by default.
 
-        ``farthest`` (nx,) is the largest absolute value that each state was seen to reach.
+        ``farthest`` (nx,) is the largest recorded absolute value of each state.
         """
         return ()
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
-        """Return what else is to be told of each trial, by its name with the unit in brackets, (B,) each.
+        """Return further measures of each trial, (B,) each, by name with the unit in brackets; none by default.
 
-        nan where a trial has none. Nothing by default; the task is bound.
+        nan where a trial has no value. The task is bound.
         """
         return {}
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
-        """Return what can be drawn of one trial, the row ``trial`` of ``task_state``; nothing by default.
+        """Return the scene to draw for one trial, row ``trial`` of ``task_state``; empty by default.
 
         The task need not be bound.
         """
@@ -163,9 +161,9 @@ class Task(ABC):
 
 @dataclass(frozen=True)
 class Target:
-    """Where a state was wanted: its ``channel``, its ``place`` among the states, and what it was to be.
+    """The target of one state: its ``channel``, its index ``place`` among the states, and the target values.
 
-    ``values`` (K,) holds one for each sample, or one for all of them; an error below ``tolerance`` counts as met.
+    ``values`` (K,) has one value for each sample, or one for all; errors below ``tolerance`` are accepted.
     """
 
     channel: Channel
@@ -176,11 +174,11 @@ class Target:
 
 @dataclass(frozen=True)
 class Scene:
-    """Places in a trial, in m from the task's origin, and targets of states; a task without any has an empty scene.
+    """Places in a trial, in m from the task's origin, and targets of states; empty for a task without any.
 
-    ``markers`` (k, 2) are places to be reached, in order: the first ``reached`` of them were, the others
-    lie ahead. ``radius`` is that of each marker, 0 for a point. What happens stays within ``extent`` of
-    the origin, None where that is not known. ``walls`` are lines (k, 2); ``targets`` what states were to be.
+    ``markers`` (k, 2) are places to reach in order, of which the first ``reached`` have been reached; ``radius`` is
+    that of each marker, 0 for a point. The trial stays within ``extent`` of the origin, None if that is not known.
+    ``walls`` are lines (k, 2), ``targets`` the targets of states.
     """
 
     markers: Array = field(default_factory=lambda: np.empty((0, 2)))
@@ -192,7 +190,7 @@ class Scene:
 
     @property
     def next_marker(self) -> Array | None:
-        """The first marker that lies ahead, (2,) m; None if there is none."""
+        """The first marker that is not reached yet, (2,) m; None if there is none."""
         return self.markers[self.reached] if self.reached < len(self.markers) else None
 
 
@@ -200,7 +198,7 @@ POSE = ("x", "y", "heading")
 
 
 def planar_places(task: str, system: System) -> dict[str, int]:
-    """Return where the states that move a planar body stand, by their roles. Raises `IncompatibleTask` without one."""
+    """Return the indices of the states of a planar body, by role. Raises `IncompatibleTask` without such a body."""
     motion = system.motion
     if motion is None or motion.pose_names != POSE or not {"forward", "yaw_rate"} <= motion.roles().keys():
         raise IncompatibleTask(
@@ -211,6 +209,6 @@ def planar_places(task: str, system: System) -> dict[str, int]:
 
 
 def make_task(spec: str | Spec, /, **parameters: Any) -> Task:
-    """Return the task that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    """Return the task that ``spec`` names, with its parameters and ``parameters``; see `Registry.make`."""
     made: Task = tasks.make(spec, **parameters)
     return made

@@ -1,12 +1,12 @@
-"""Closed tracks between two walls, drawn at random: their centre line, and how far a point lies from it.
+"""Random closed tracks between two walls: centre line, and distance of points from it.
 
-A track goes once round a centre c. In the direction phi as seen from there, its centre line lies at the distance::
+A track goes once around a centre c. In direction phi from there, its centre line is at the distance::
 
     r(phi) = R (1 + sum over k = 2 .. 5 of a_k cos(k phi) + b_k sin(k phi))
 
-so that where a point lies is known without a search. The offset of a point at distance rho in direction phi is
-n = (rho - r) r / sqrt(r^2 + r'^2): its distance from the centre line, to first order. The walls are where |n| is half
-the width.
+so that no search is needed to locate a point. The offset of a point at distance rho in direction phi is
+n = (rho - r) r / sqrt(r^2 + r'^2): its distance from the centre line, to first order. At the walls, |n| is half the
+width.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from sysid_evo.types import Array
 
 HARMONICS = (2, 3, 4, 5)
 NUMBERS = 5 + 2 * len(HARMONICS)
-"""Of a track: centre x and y (m), R (m), a_k and b_k in turn, least and greatest curvature of the centre line (1/m)."""
+"""Parameters of a track: centre x, y (m), R (m), a_k, b_k for each k, least and greatest curvature (1/m)."""
 MAX_RAY_STEPS = 16
-"""Steps that are taken along a ray, at most."""
+"""Largest number of steps along a ray."""
 LAST_STEP = 5e-3
-"""A step (m) so short that it is the last: by the order of convergence it ends within about 0.1 mm of the wall."""
+"""Length (m) of the last step along a ray: given the order of convergence, it ends within about 0.1 mm of the wall."""
 TINY = 1e-9
-"""How near zero (m) nothing is divided by."""
+"""Smallest divisor (m)."""
 WALL_POINTS = 181
-"""Points of a wall that is drawn."""
+"""Number of points of a wall to draw."""
 CURVATURE_POINTS = 96
-"""Directions in which the curvature of a centre line is looked at."""
+"""Number of directions in which the curvature of a centre line is computed."""
 
 
 class Place(NamedTuple):
-    """Where points (B,) lie on their tracks, in m.
+    """Positions of points (B,) on their tracks, in m.
 
-    ``distance`` from the centre in direction ``cosine`` and ``sine``, the centre line's distance ``middle`` from
-    it there, its ``slope`` dr/dphi and ``bend`` d2r/dphi2, the length ``per_radian`` of centre line for each radian,
-    and the ``offset``, positive outwards.
+    ``distance`` is that from the centre in direction ``cosine``, ``sine``; in this direction, ``middle`` is the
+    distance of the centre line, ``slope`` and ``bend`` are dr/dphi and d2r/dphi2, and ``per_radian`` is the length of
+    centre line per radian. ``offset`` is positive outwards.
     """
 
     distance: Array
@@ -54,7 +54,7 @@ class Place(NamedTuple):
     offset: Array
 
     def rise(self, way_x: Array, way_y: Array) -> Array:
-        """Return how fast the offset grows along a way of length 1."""
+        """Return the derivative of the offset along a direction of length 1."""
         middle, slope, along = self.middle, self.slope, self.per_radian
         turned = slope * (slope * slope - middle * self.bend) / along**3
         across = ((self.distance - middle) * turned - slope * middle / along) / self.distance
@@ -66,7 +66,7 @@ class Place(NamedTuple):
 def tracks_of(seeds: tuple[int, ...], radius: float, bends: float) -> Array:
     """Return the track of each seed, (E, NUMBERS).
 
-    Read-only, and remembered: all models of an ensemble meet the same trials.
+    Read-only and cached: all models of an ensemble are run in the same trials.
     """
     drawn = np.array([draw_track(generator(seed, TASK_STREAM), radius, bends) for seed in seeds])
     drawn.flags.writeable = False
@@ -74,7 +74,7 @@ def tracks_of(seeds: tuple[int, ...], radius: float, bends: float) -> Array:
 
 
 def draw_track(rng: np.random.Generator, radius: float, bends: float) -> Array:
-    """Return the numbers (NUMBERS,) of a track that begins in the origin, along x, counter-clockwise.
+    """Return the parameters (NUMBERS,) of a track that begins in the origin, along x, counter-clockwise.
 
     Each harmonic adds up to ``bends`` / ``radius`` to the curvature.
     """
@@ -92,7 +92,7 @@ def draw_track(rng: np.random.Generator, radius: float, bends: float) -> Array:
 
 
 def place_of(track: Array, x: Array, y: Array) -> Place:
-    """Return where the points ``x``, ``y`` (B,) lie on the tracks (B, NUMBERS)."""
+    """Return the positions of the points ``x``, ``y`` (B,) on the tracks (B, NUMBERS)."""
     dx, dy = x - track[:, 0], y - track[:, 1]
     distance = np.sqrt(dx * dx + dy * dy) + TINY
     cosine, sine = dx / distance, dy / distance
@@ -103,7 +103,7 @@ def place_of(track: Array, x: Array, y: Array) -> Place:
 
 
 def _centre_line(track: Array, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
-    """Return r, r' and r'' in these directions."""
+    """Return r, r' and r'' in the directions ``cosine``, ``sine``."""
     middle, slope, bend = np.ones_like(cosine), np.zeros_like(cosine), np.zeros_like(cosine)
     c, s = cosine, sine
     for i, order in enumerate(HARMONICS):
@@ -125,9 +125,9 @@ def _curvatures(track: Array) -> tuple[float, float]:
 
 
 def distance_to_wall(track: Array, x: Array, y: Array, angle: Array, half: float, reach: float) -> Array:
-    """Return how far (m) the wall lies from points (B,) in direction ``angle`` (rad), at most ``reach``; 0 behind it.
+    """Return the distance (m) from points (B,) to the wall in direction ``angle`` (rad), at most ``reach``; 0 behind.
 
-    It is found by walking along the ray, see `step_to_wall`, until a step is no longer than ``LAST_STEP``.
+    The ray is followed by `step_to_wall` until a step is no longer than ``LAST_STEP``.
     """
     way_x, way_y = np.cos(angle), np.sin(angle)
     gone, moving = np.zeros_like(x), np.ones(len(x), dtype=bool)
@@ -142,16 +142,17 @@ def distance_to_wall(track: Array, x: Array, y: Array, angle: Array, half: float
 
 
 def step_to_wall(offset: Array, rise: Array, half: float, least: Array, greatest: Array) -> Array:
-    """Return how far (m) a ray surely goes on between the walls, (B,); where the track is a circle, up to the wall.
+    """Return a lower bound (B,) m of the distance to the wall along a ray; exact if the track is a circle.
 
-    ``offset`` (m) is where it is, ``rise`` how fast that grows along it. A wall of a centre line of constant curvature
-    k is a circle of radius 1 / k + h, h = half outside and - half inside, which a ray from the offset n meets after::
+    ``offset`` (m) is the present offset, ``rise`` its derivative along the ray. If the centre line has the constant
+    curvature k, a wall is a circle of radius 1 / k + h, with h = half outside and - half inside. From the offset n, a
+    ray hits it after::
 
         t = (h - n) (2 + k (h + n)) / (b + sqrt(b^2 + k (h - n) (2 + k (h + n)))),     b = (1 + k n) rise
 
-    (outside; inside the root is subtracted, and none is met where it is of a negative number). The curvature of
-    the centre line lies between ``least`` and ``greatest`` (1/m): the outer wall is never nearer than with the
-    greatest, the inner one never nearer than with the least, and near a wall both are as right as Newton's method.
+    This is for the outer wall; for the inner one the root is subtracted, and there is no hit if its argument is
+    negative. The curvature lies between ``least`` and ``greatest`` (1/m): the outer wall is never closer than with the
+    greatest, the inner one never closer than with the least. Close to a wall the step is as accurate as Newton's.
     """
     outer, inner = half - offset, half + offset
     lead, room = (1.0 + greatest * offset) * rise, outer * (2.0 + greatest * inner)
@@ -163,7 +164,7 @@ def step_to_wall(offset: Array, rise: Array, half: float, least: Array, greatest
 
 
 def at_offset(track: Array, place: Place, offset: Array) -> tuple[Array, Array]:
-    """Return the points (B,) in the directions of ``place`` that have this offset."""
+    """Return the points x, y (B,) in the directions of ``place`` with this ``offset``."""
     distance = place.middle + offset * place.per_radian / place.middle
     return track[:, 0] + distance * place.cosine, track[:, 1] + distance * place.sine
 

@@ -1,4 +1,4 @@
-"""Leading states to targets: what a step scores and what a controller is shown, whatever the system."""
+"""Tasks that bring states of any system to targets: score, observations, measures."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 SETTLED_SHARE = 0.9
 """A state has settled if it stays within its tolerance from this share of the trial on."""
 OBSERVED_TOLERANCES = 10.0
-"""An error of so many tolerances is observed as 1."""
+"""The error, in tolerances, that is observed as 1."""
 
 
 @dataclass(frozen=True)
 class TrackingState(TaskState):
-    """Where B trials stand that are led along a reference of m channels.
+    """State of B trials that follow a reference of m channels.
 
-    ``reference`` (E, K, m) holds the targets of each of E trials, K = 1 where they do not change, else one for each
-    sample; ``step`` (B,) is the number of steps so far. ``score`` (B,) is the fitness so far; ``squared_error`` (B,)
-    the sum of square errors in tolerances; ``last_violation`` (B,) the last step at which an error exceeded its
-    tolerance; ``reached`` (B,) whether none ever did so; ``overshoot`` (B,) how far the states went past their targets
-    after that, in shares of the ``first_error`` error (B, m).
+    - ``reference`` (E, K, m): the targets of each of E trials; K = 1 for constant ones, else one per sample.
+    - ``step`` (B,): number of steps so far; ``score`` (B,): fitness so far.
+    - ``squared_error`` (B,): sum of squared errors, in tolerances.
+    - ``last_violation`` (B,): the last step at which an error exceeded its tolerance.
+    - ``reached`` (B,): whether all errors were within tolerance at some step.
+    - ``overshoot`` (B,): the largest distance beyond the targets after that, as a share of ``first_error`` (B, m).
     """
 
     shared: ClassVar[frozenset[str]] = frozenset({"reference", "goals"})
@@ -51,27 +52,26 @@ class TrackingState(TaskState):
 
     @property
     def target(self) -> Array:
-        """What is wanted now, (B, m)."""
+        """The present target, (B, m)."""
         return self.reference[self.trial, np.minimum(self.step, self.reference.shape[1] - 1)]
 
 
 class TrackingTask(Task):
-    """Fitness is the mean over the horizon, in per cent, of what each step scores.
+    """Fitness is the mean score of all steps over the horizon, in per cent.
 
-    A step scores ``c = 1 / (1 + sum (error / tolerance)^2 + (change per second / still)^2)`` over all channels:
-    1 at rest on the target, a half at one tolerance; so a channel with a small tolerance weighs more. With a weight
-    ``effort`` it scores ``(c + effort (1 - p)) / (1 + effort)``, p the mean over the controls of the square of their
-    share of the full one.
-    Errors of periodic channels count the shortest way round. A trial that is over early scores nothing from then on.
+    The score is ``c = 1 / (1 + sum (error / tolerance)^2 + (change per second / rate_tolerance)^2)``, summed over all
+    channels: 1 at rest on the target, 0.5 at one tolerance; a channel with a small tolerance weighs more. With a weight
+    ``effort`` it is ``(c + effort (1 - p)) / (1 + effort)``, where p is the mean square of the controls, each as a
+    share of its largest value. Errors of periodic channels are the shortest ones. After an early end the score is 0.
 
-    A class gives `goals` and `references`; ``starts_at_target`` says where its trials begin, else at rest.
+    Subclasses define `goals_on` and `references`; with ``starts_at_target`` trials begin at the target, else at rest.
 
     The observations are a bias (always 1); every state, scaled by its limits if it has both (-1 to 1), a periodic
     one as sine and cosine; and the error of every target in tens of tolerances, a periodic one as sine and cosine.
     """
 
     default_noise: ClassVar[str] = "domain_randomisation(process=0.02)"
-    """A model without noise never leaves the target that it rests on: nothing shows what would bring it back."""
+    """Without noise, a model at rest on the target never leaves it, so evolution would not see how to return."""
     fitness_unit = "% of full score"
     observations: tuple[Channel, ...] = (Channel("bias", neutral=1.0),)
     starts_at_target = False
@@ -90,11 +90,11 @@ class TrackingTask(Task):
 
     @abstractmethod
     def goals_on(self, system: System) -> tuple[Goal, ...]:
-        """Return what is wanted on ``system``. Raises `IncompatibleTask`, `InvalidArgument`."""
+        """Return the goals on ``system``. Raises `IncompatibleTask`, `InvalidArgument`."""
 
     @abstractmethod
     def references(self, rng: np.random.Generator) -> Array:
-        """Return the targets of one trial, (1, m), or (horizon + 1, m) where they change; the task is bound."""
+        """Return the targets of one trial, (1, m), or (horizon + 1, m) if they change; the task is bound."""
 
     def check_system(self, system: System) -> None:
         for goal in self.goals_on(system):
@@ -127,7 +127,7 @@ class TrackingTask(Task):
         return bound
 
     numbers: Array
-    """What `show` and `follow` read of a bound task."""
+    """The parameters of a bound task for `show` and `follow`."""
 
     def begin(self, seeds: Seeds) -> TrackingState:
         trials, system, goals = len(seeds), self.system, self.goals
@@ -185,7 +185,7 @@ class TrackingTask(Task):
         return cast("TrackingState", task_state).score
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
-        """Return how well the targets were met: settling and overshoot, or the error where targets change."""
+        """Return settling time and overshoot, or the error where targets change."""
         here = cast("TrackingState", task_state)
         if here.reference.shape[1] > 1:
             steps = np.maximum(1, here.step) * len(here.goals)
@@ -198,7 +198,7 @@ class TrackingTask(Task):
         }
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
-        """Return the targets of one trial at every sample, by the names of their channels."""
+        """Return the targets of one trial at every sample."""
         here = cast("TrackingState", task_state)
         values = here.reference[here.trial[trial]]
         return Scene(
@@ -227,7 +227,7 @@ class TrackingTask(Task):
         )
 
     def _errors(self, target: Array, state: Array) -> Array:
-        """Return target minus state (B, m), of periodic channels the shortest way round."""
+        """Return target minus state (B, m), for periodic channels the shortest difference."""
         errors = target - state[:, [goal.place for goal in self.goals]]
         for i, goal in enumerate(self.goals):
             if goal.period:
@@ -236,7 +236,7 @@ class TrackingTask(Task):
 
 
 def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]:
-    """Return what a controller of `TrackingTask` is shown."""
+    """Return the observations of a `TrackingTask`."""
     shown = [(channel, channel.name) for channel in system.states]
     shown += [(goal.channel, f"{goal.channel.name}_error") for goal in goals]
     found = [Channel("bias", neutral=1.0)]
@@ -246,21 +246,21 @@ def observations(system: System, goals: tuple[Goal, ...]) -> tuple[Channel, ...]
 
 
 def shown(numbers: Array, rows: Array, state: Array, count: int) -> Array:
-    """Return the ``count`` observations of the law `show` in states (B, nx), (B, count)."""
+    """Return the observations (B, count) of the law `show` for states (B, nx)."""
     found = [0.0] * count
     read(show, ROLLOUTS)(rows, state.T, found, numbers.tolist())
     return together(found, state.shape[:1])
 
 
 def scaling(channel: Channel) -> tuple[float, float]:
-    """Return centre and scale: (value - centre) scale is -1 to 1 between the limits of a state that has both."""
+    """Return centre and scale such that (value - centre) scale is -1 to 1 between both limits of a state."""
     if not channel.bounded:
         return 0.0, 1.0
     return 0.5 * (channel.low + channel.high), 2.0 / (channel.high - channel.low)
 
 
 def formulas_of_states(system: System) -> dict[str, str]:
-    """Return how what `show` shows of states is computed, by the name of the observation."""
+    """Return the formulas of the observed states in `show`, by the name of the observation."""
     found: dict[str, str] = {}
     for channel in system.states:
         found |= _formula(channel, channel.name, channel.name, *scaling(channel))
@@ -268,7 +268,7 @@ def formulas_of_states(system: System) -> dict[str, str]:
 
 
 def _formula(channel: Channel, name: str, value: str, centre: float, scale: float) -> dict[str, str]:
-    """Return the formulas of what `show` shows of a ``value``; none for what is shown as it is."""
+    """Return the formulas of the observations of a ``value`` in `show`; none if it is observed unchanged."""
     if channel.period:
         factor = "" if math.isclose(channel.period, TURN) else f"{TURN / channel.period:.10g} "
         inside = f"{factor}({value})" if factor and " " in value else f"{factor}{value}"
@@ -287,14 +287,14 @@ def full_controls(system: System) -> Array:
 
 Names: TypeAlias = str | Sequence[str]
 Numbers: TypeAlias = float | Sequence[float] | None
-"""One number for all channels, or one for each; None for the task's own choice."""
+"""One number for all channels, or one for each; None for the task's default."""
 TOLERANCES = 20.0
-"""The range of the targets in tolerances, where no tolerance is given."""
+"""The range of the targets in tolerances, if no tolerance is given."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """One state that is to be led: its ``channel`` and its ``place`` among the states of the system.
+    """The goal of one state: its ``channel`` and its index ``place`` among the states of the system.
 
     All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance``, or a change of
     ``rate_tolerance`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over
@@ -328,7 +328,7 @@ def goals_of(
     start_spread: Numbers = 0.0,
     abort_error: Numbers = math.inf,
 ) -> tuple[Goal, ...]:
-    """Return the goals for ``channels`` (default: the first state), with the usual values where none are given."""
+    """Return the goals for ``channels`` (default: the first state), with default values where none are given."""
     found = places(task, listed(channels) or system.state_names[:1], system)
     states, count = [system.states[place] for place in found], len(found)
     middle = [middle_half(channel) for channel in states]
@@ -344,14 +344,14 @@ def goals_of(
 
 
 def listed(names: Names) -> tuple[str, ...]:
-    """Return ``names`` as a tuple; an empty text is none."""
+    """Return ``names`` as a tuple; an empty text gives an empty one."""
     if isinstance(names, str):
         return (names,) if names else ()
     return tuple(names)
 
 
 def numbers(what: str, given: Numbers, count: int, default: Sequence[float]) -> tuple[float, ...]:
-    """Return ``given`` for each of ``count`` channels. Raises `InvalidArgument` unless there are one or ``count``."""
+    """Return ``given`` for each of ``count`` channels. Raises `InvalidArgument` unless it has one or ``count``."""
     if given is None:
         return tuple(default)
     values = [given] if isinstance(given, int | float) else list(given)
@@ -363,9 +363,9 @@ def numbers(what: str, given: Numbers, count: int, default: Sequence[float]) -> 
 
 
 def places(task: str, names: Sequence[str], system: System) -> tuple[int, ...]:
-    """Return where the states called ``names`` stand. Raises `IncompatibleTask` naming one that is missing."""
+    """Return the indices of the states ``names``. Raises `IncompatibleTask` with the name of a missing one."""
     if system.nx == 0:
-        raise IncompatibleTask(f"{task} needs a state to lead; {system.name or 'this system'} has none")
+        raise IncompatibleTask(f"{task} needs a state; {system.name or 'this system'} has none")
     for name in names:
         if name not in system.state_names:
             raise IncompatibleTask(f"{task} needs the state {name!r}; the states are {', '.join(system.state_names)}")
@@ -375,7 +375,7 @@ def places(task: str, names: Sequence[str], system: System) -> tuple[int, ...]:
 
 
 def middle_half(channel: Channel) -> tuple[float, float]:
-    """Return the middle half of a channel's limits; without both, 1 either side of neutral (an eighth of a period)."""
+    """Return the middle half of a channel's limits; without both limits, neutral +- 1 (or 1/8 of a period)."""
     if channel.bounded:
         quarter = 0.25 * (channel.high - channel.low)
         return channel.low + quarter, channel.high - quarter
@@ -384,7 +384,7 @@ def middle_half(channel: Channel) -> tuple[float, float]:
 
 
 ROWS = Layout("score", "alive", "step", "squared", "late", "reached", "beyond", "pose")
-"""The pose is followed by the target of each channel now, and its first error."""
+"""The pose is followed by the present target of each channel, and its first error."""
 HEAD = Layout(
     "nx", "nu", "goals", "dt", "n_pose", "gain", "effort", "stride", "n_data", "of_goals", "of_nu", "of_motion"
 )
@@ -404,7 +404,7 @@ def numbers_of(
     stride: int = 0,
     n_data: int = 0,
 ) -> Array:
-    """Return what `show` and `follow` read: `HEAD`, its tables, and the task's ``own`` numbers (of the controls)."""
+    """Return the parameters of `show` and `follow`: `HEAD`, its tables, and the task's ``own`` (of controls)."""
     states, of_goal = [_of_state(channel) for channel in system.states], [_of_goal(goal) for goal in goals]
     of_goals = HEAD.size + len(states) * STATE.size
     of_nu = of_goals + len(of_goal) * GOAL.size
@@ -465,7 +465,7 @@ def _state(here: TrackingState, rows: Array) -> TaskState:
 
 
 def show(task, state, observation, parameters):
-    """Bias, states, errors; sine and cosine of what is periodic. The law of both forms, see `sysid_evo.laws`."""
+    """Bias, states, errors; sine and cosine of periodic ones. The law of both forms, see `sysid_evo.laws`."""
     targets, at = ROWS.pose + int(parameters[HEAD.n_pose]), 1
     observation[0] = splat(1.0)
     for i in range(int(parameters[HEAD.nx])):
@@ -510,7 +510,7 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 
 
 def follow(task, before, after, control, parameters):
-    """Score how near the state is to the target, see `TrackingTask`; the law of both forms, see `sysid_evo.laws`."""
+    """The score of a step, see `TrackingTask`. The law of both forms, see `sysid_evo.laws`."""
     goals, nu = int(parameters[HEAD.goals]), int(parameters[HEAD.nu])
     targets = ROWS.pose + int(parameters[HEAD.n_pose])
     squares, moving, off = splat(0.0), splat(0.0), splat(0.0)
@@ -544,10 +544,10 @@ def follow(task, before, after, control, parameters):
 
 
 SHORTEST = 1e-6
-"""Periods are longer."""
+"""Lower bound of periods."""
 
 
 def nearest_way(error, period):
-    """Return ``error`` within half a ``period`` of 0, as `sysid_evo.angles.wrap` does; as it is without one (0)."""
+    """Return ``error`` wrapped to half a ``period`` around 0, as `sysid_evo.angles.wrap` does; unchanged for 0."""
     error = error - period * nearest(error / max(period, SHORTEST))
     return error + period if error <= -0.5 * period else error

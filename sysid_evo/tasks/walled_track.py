@@ -1,4 +1,4 @@
-"""Racing on a random track between walls, seen by distance sensors alone."""
+"""Racing on a random track between walls, observed by distance sensors only."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from sysid_evo.types import Array, IntArray, Seeds
 COLLISIONS = ("slow", "end")
 
 POTENTIAL = 0.1
-"""What a body that stands well promises, in m."""
+"""Highest potential, in m: in the middle of the track and along it."""
 
 SPEED_KEPT_AT_WALL = 0.5
-"""Share of its speed that a body keeps in each step at a wall."""
+"""Share of the speed that remains after each step at a wall."""
 TOUCH_MARGIN = 1e-6
-"""How far (m) beyond its place at a wall a body touches it: one that rests there does not."""
+"""Depth (m) beyond its position at a wall at which a body counts as touching it; a body at rest there does not."""
 
 
 @dataclass(frozen=True)
 class WalledTrackState(TaskState):
-    """``tracks`` (E, n) are the numbers of each trial's track, ``half`` its half width in m.
+    """``tracks`` (E, n) are the parameters of each trial's track, ``half`` its half width in m.
 
-    ``progress`` (B,) m is how far the body came along the centre line, ``furthest`` (B,) the most of it;
-    ``turned`` (B,) rad how far it came round the centre; ``touches`` (B,) the steps at a wall.
+    ``progress`` (B,) m is the distance along the centre line, ``furthest`` (B,) its maximum, ``turned`` (B,) rad the
+    angle around the centre, ``touches`` (B,) the number of steps at a wall.
     """
 
     shared: ClassVar[frozenset[str]] = frozenset({"tracks", "half"})
@@ -65,12 +65,12 @@ class WalledTrackState(TaskState):
 
 @register_task("walled_track")
 class WalledTrack(Task):
-    """Fitness is how far (m) the body comes along a closed track in ``horizon`` steps.
+    """Fitness is the distance (m) driven counter-clockwise along a closed track in ``horizon`` steps.
 
-    Every trial draws a track of mean ``radius`` (m) and ``width`` (m); ``bends`` says how curved it is at most: each of
-    four harmonics adds up to ``bends`` / ``radius`` to the curvature. A trial begins at rest on the centre line, along
-    it; counter-clockwise counts. A body of radius ``body`` (m) that touches a wall stays there and keeps half of its
-    speed in each step (``collision="slow"``), or the trial is over ("end").
+    Every trial draws a track of mean ``radius`` (m) and ``width`` (m); each of four harmonics adds up to ``bends`` /
+    ``radius`` to its curvature. A trial begins at rest on the centre line, heading along it. A body of radius ``body``
+    (m) that touches a wall is stopped there and loses half of its speed in each step (``collision="slow"``), or the
+    trial is over ("end").
 
     | observation | unit |
     |---|---|
@@ -183,13 +183,12 @@ class WalledTrack(Task):
         return cast("WalledTrackState", task_state).furthest
 
     def hide_future(self, task_state: TaskState) -> WalledTrackState:
-        """Return the trials as they stand, the track known; what was driven before does not count."""
+        """Return the trials with the present position as start; the track is known."""
         here = cast("WalledTrackState", task_state)
         return replace(here, furthest=here.progress)
 
     def potential(self, task_state: TaskState, state: Array) -> Array:
-        """Return up to ``POTENTIAL`` (m): all of it in the middle of the track and along it, 0 at a wall or
-        backwards."""
+        """Return the potential (m): `POTENTIAL` in the middle of the track and along it, 0 at a wall or backwards."""
         here = cast("WalledTrackState", task_state)
         x, y, heading = here.pose.T
         place = place_of(here.track, x, y)
@@ -197,7 +196,7 @@ class WalledTrack(Task):
         return POTENTIAL * 0.5 * (1.0 + along) * np.maximum(0.0, 1.0 - (place.offset / here.half) ** 2)
 
     def measures(self, task_state: TaskState) -> Mapping[str, Array]:
-        """Return the laps driven and the steps spent at a wall."""
+        """Return the number of laps and of steps at a wall."""
         here = cast("WalledTrackState", task_state)
         return {"laps": here.turned / TURN, "steps at a wall": here.touches.astype(np.float64)}
 
@@ -239,13 +238,13 @@ class WalledTrack(Task):
 
     @property
     def speeds(self) -> tuple[int, ...]:
-        """Where forward speed and, if there is one, lateral speed stand among the states."""
+        """The indices of forward speed and, if there is one, lateral speed among the states."""
         places = planar_places("walled_track", self.system)
         return tuple(places[role] for role in ("forward", "lateral") if role in places)
 
     @property
     def yaw_rate(self) -> int:
-        """Where the yaw rate stands among the states."""
+        """The index of the yaw rate among the states."""
         return planar_places("walled_track", self.system)["yaw_rate"]
 
 
@@ -278,7 +277,7 @@ def _state(here: WalledTrackState, rows: Array) -> TaskState:
 
 
 def observe_lanes(task, state, observation, parameters):
-    """Bias, forward speed, yaw rate, and how far the wall is along each ray; the first step is shared by all rays."""
+    """Bias, forward speed, yaw rate, and distance to the wall along each ray; all rays share their first step."""
     forward = view(state, int(parameters[HEAD.forward]) * LANES)
     yaw_rate = view(state, int(parameters[HEAD.yaw_rate]) * LANES)
     track, half, reach = view(task, ROWS.track * LANES), parameters[HEAD.half], parameters[HEAD.reach]
@@ -318,7 +317,7 @@ def observe_lanes(task, state, observation, parameters):
 
 
 def advance_lanes(task, before, after, control, trials, trial_data, parameters):
-    """Let the motion move the pose, measure the way, and stop at the walls."""
+    """Move the pose, measure the distance, and stop at the walls."""
     room, ends = parameters[HEAD.room], parameters[HEAD.ends]
     xs, ys, track = view(task, ROWS.x * LANES), view(task, ROWS.y * LANES), view(task, ROWS.track * LANES)
     first_x, first_y = view(task, ROWS.first_x * LANES), view(task, ROWS.first_y * LANES)
@@ -354,7 +353,7 @@ def advance_lanes(task, before, after, control, trials, trial_data, parameters):
 
 
 def level(track, lane, x, y):
-    """Return the offset of one point, and how fast it grows along x and along y, as `Place`."""
+    """Return the offset of one point and its derivatives with respect to x and y, as `Place`."""
     dx, dy = x - track[lane], y - track[LANES + lane]
     square = dx * dx + dy * dy + TINY * TINY
     inverse = 1.0 / math.sqrt(square)

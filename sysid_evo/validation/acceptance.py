@@ -1,4 +1,4 @@
-"""Whether a candidate is better: acceptance test, margins, simplest of those about as good."""
+"""Acceptance test of adaptation candidates, and margins within which candidates count as equal."""
 
 from __future__ import annotations
 
@@ -13,81 +13,81 @@ from sysid_evo.validation.estimates import Estimate, paired
 from sysid_evo.validation.simulation_error import error_of
 
 BETTER = 0.15
-"""Share by which the error must be lower than without a correction,"""
+"""Required reduction of the error over all blocks, as a share of the uncorrected error."""
 IN_EACH = 0.05
-"""that by which it must be lower in every block (second by second it must be surely lower, too, see `paired`),"""
+"""Required reduction in every block; the difference second by second must also be significant, see `paired`."""
 BETTER_OF_TRAINING = 1.0
-"""and the share for more training and for means, of which many are tried and each can learn much from little: this over
-the root of the seconds that are compared (19 % of 28, 38 % of 7), and `BETTER` at least;"""
+"""Required reduction for fine-tuned models and means with them, which can learn much from little data: this divided by
+the square root of the compared seconds (19 % for 28 s, 38 % for 7 s), but at least `BETTER`."""
 AMOUNTS = 3
-"""and so many amounts of training are looked at together, each as sure as that takes (Bonferroni): some 99 %."""
+"""Number of amounts of fine-tuning that are tested together (Bonferroni); each needs a probability of about 99 %."""
 
 FEWEST = 3
-"""Seconds that must be compared."""
+"""Least number of seconds to compare."""
 
 LEAST = 1e-12
-"""An error that others are divided by is no smaller."""
+"""Lower bound of an error in a denominator."""
 
 AND = " and "
-"""Between the two of a mean."""
-Kind: TypeAlias = Literal["alone", "further", "mean", "beside"]
-"""Whether a trial is a correction or another fit, more training of the model that there was, the mean of such training
-and a correction, or the mean of another fit and a correction."""
+"""Separates the names of the two models of a mean."""
+Kind: TypeAlias = Literal["fit", "fine_tuned", "fine_tuned_mean", "fit_mean"]
+"""Kind of a candidate: a correction or another fit, a fine-tuned model, or the mean of one of these and a correction.
+"""
 
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """The errors (B, H, nx) of free runs over a block that was held back, and the second in which each begins (B,)."""
+    """The errors (B, H, nx) of simulations of a held-out block, and the second in which each begins (B,)."""
 
     errors: Array
     second: IntArray
 
     def squares(self) -> dict[int, float]:
-        """Return the mean square of the errors of the runs that begin in each second."""
+        """Return the mean square of the errors of the simulations that begin in each second."""
         mean = np.mean(self.errors**2, axis=(1, 2))
         return {int(second): float(mean[self.second == second].mean()) for second in np.unique(self.second)}
 
     def share_of(self, before: HeldOutErrors) -> float:
-        """Return the error as a share of that ``before``."""
+        """Return the error as a share of the error ``before``."""
         return error_of(self.errors) / max(error_of(before.errors), LEAST)
 
 
 @dataclass(frozen=True)
 class AcceptanceResult:
-    """What one way to adapt was worth: its ``error`` over all blocks and in ``each`` (K,), as a share of none's.
+    """The ``error`` of a candidate over all blocks and in ``each`` (K,), as a share of the uncorrected error.
 
-    The blocks are fewer where it was given up before the last, since it had `failed` in one. ``sure`` says whether it
-    is better than none beyond what chance would do to so short a recording, ``asked`` by what share it must be.
+    There are fewer blocks if it was dropped after it had `failed` in one. ``sure``: the improvement is statistically
+    significant; ``required``: the least improvement, as a share of the error.
     """
 
     name: str
     error: float
     each: tuple[float, ...]
     sure: bool
-    kind: Kind = "alone"
-    asked: float = BETTER
+    kind: Kind = "fit"
+    required: float = BETTER
 
     @property
     def other(self) -> str:
-        """The second of a mean."""
+        """The name of the second model of a mean."""
         return self.name.rpartition(AND)[2]
 
     @property
     def good(self) -> bool:
-        """Whether it is better by enough, surely, and in every block."""
-        return self.sure and self.error <= 1.0 - self.asked and self.everywhere
+        """Whether the improvement is large enough, significant, and present in every block."""
+        return self.sure and self.error <= 1.0 - self.required and self.everywhere
 
     @property
     def everywhere(self) -> bool:
-        """Whether it is better in every block."""
+        """Whether every block is improved."""
         return max(self.each) <= 1.0 - IN_EACH
 
 
 def judged(
-    name: str, plain: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors], kind: Kind = "alone"
+    name: str, uncorrected: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors], kind: Kind = "fit"
 ) -> AcceptanceResult:
-    """Return a trial from what the blocks show without and with a correction, which may know the first ones only."""
-    pairs = list(zip(plain, corrected, strict=False))
+    """Return the result for the errors in all blocks without a correction, and in all or the first blocks with it."""
+    pairs = list(zip(uncorrected, corrected, strict=False))
     each = tuple(after.share_of(before) for before, after in pairs)
     whole = error_of(np.concatenate([after.errors for _, after in pairs]))
     before = error_of(np.concatenate([before.errors for before, _ in pairs]))
@@ -95,29 +95,29 @@ def judged(
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    asked, tried = BETTER, 1
-    if kind in ("further", "mean"):
-        asked, tried = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), AMOUNTS
+    required, tried = BETTER, 1
+    if kind in ("fine_tuned", "fine_tuned_mean"):
+        required, tried = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), AMOUNTS
     sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains), figures=tried))
-    return AcceptanceResult(name, whole / max(before, LEAST), each, sure, kind, float(asked))
+    return AcceptanceResult(name, whole / max(before, LEAST), each, sure, kind, float(required))
 
 
-def failed(plain: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors]) -> bool:
-    """Whether a correction is not better by enough in one of the blocks that it has been judged by."""
-    return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(plain, corrected, strict=False))
+def failed(uncorrected: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors]) -> bool:
+    """Whether the improvement is too small in one of the blocks in ``corrected``."""
+    return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(uncorrected, corrected, strict=False))
 
 
 def surely_more(gain: Estimate, margin: float = 0.0) -> bool:
-    """Whether a gain exceeds ``margin``, and is above zero by more than chance explains."""
+    """Whether a gain exceeds ``margin`` and is significantly above zero."""
     return bool(gain.value > margin and gain.low > 0.0)
 
 
-def inside(errors: Sequence[float], gate: float) -> list[int]:
-    """Return the numbers of those whose error is at most ``gate`` times the lowest, in their order."""
-    found: list[int] = np.flatnonzero(within_margin(np.array(errors), min(errors), gate - 1.0)).tolist()
+def inside(errors: Sequence[float], cutoff: float) -> list[int]:
+    """Return the indices of errors that are at most ``cutoff`` times the lowest, in their order."""
+    found: list[int] = np.flatnonzero(within_margin(np.array(errors), min(errors), cutoff - 1.0)).tolist()
     return found
 
 
 def within_margin(losses: Array, reference: float, margin: float) -> BoolArray:
-    """Return which ``losses`` (N,), errors or negative fitness, exceed ``reference`` by at most that share of it."""
+    """Return which ``losses`` (N,), errors or negative fitness, exceed ``reference`` by at most ``margin`` times it."""
     return np.isfinite(losses) & (losses <= reference + margin * abs(reference))

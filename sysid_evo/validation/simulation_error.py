@@ -62,7 +62,7 @@ def error_windows(
     longest = max(len(episode) for episode in dataset.episodes) - history
     horizon = min(max(fewest, round(seconds / dataset.system.dt)), longest)
     if horizon < 1:
-        raise InvalidData(f"data set: no episode is longer than {history} steps, the history asked for")
+        raise InvalidData(f"data set: no episode is longer than {history} steps, the required history")
     least = -(-dataset.n_steps // MOST_WINDOWS)
     windows = dataset.windows(horizon, stride=max(stride, least), history=history, moving=True)
     return windows if len(windows) else dataset.windows(horizon, stride=least, history=history)

@@ -205,7 +205,7 @@ def test_the_quick_preset_gives_way_to_what_is_asked_for(register):
 
 
 def test_a_class_without_what_every_model_has_is_refused_where_it_is_registered():
-    with pytest.raises(RegistrationError, match=r"model 'unfinished': .*Unfinished does not define fit, which every"):
+    with pytest.raises(RegistrationError, match=r"model 'unfinished': .*Unfinished does not define fit, required of"):
 
         @models.register("unfinished")
         class Unfinished(DynamicsModel):

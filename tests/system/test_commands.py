@@ -176,14 +176,14 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     command = ("adapt", floors / "base", "--data", floors / "other", "--out", "there")
     done = call.works(*command)
     assert "products, ridge" in done.stdout
-    assert "better than none on 3 blocks it did not learn from" in " ".join(done.stdout.split())
+    assert "lower on 3 blocks it was not fitted to" in " ".join(done.stdout.split())
     assert "Free runs over 3 blocks, 15 s in all, each by what was learned" in " ".join(done.stdout.split())
     lines = done.stdout.splitlines()
     (more,) = [line for line in lines if "that were worse (--json has them)" in line]
     assert int(more.split()[1]) == 14 - 12
-    table = [line for line in lines if re.search(", ridge|^fit anew|updates", line) and "better than" not in line]
+    table = [line for line in lines if re.search(", ridge|^fit to the|updates", line) and "lower on" not in line]
     assert len(table) == 12
-    assert any("trained further, 800 updates" in line for line in table)
+    assert any("fine-tuned, 800 updates" in line for line in table)
     assert all(len(line.split("  ")[-1]) == 4 or line.endswith(" -") for line in table), table
     assert max(map(len, lines)) <= 80
     test = drive(FloorCar(thrust=1.8, turn=2.0), seconds=20.0, seed=9)
@@ -195,12 +195,12 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "same", "--train", floors / "old", "--seconds", "12")
     told = call.told(*command, "--json", "--out", "there")
-    assert told["decision"].startswith("no correction: the best")
+    assert told["decision"].startswith("not adapted: the best candidate")
     assert not told["corrected"]
     assert "refit" in [row["correction"] for row in told["candidates"]]
     blocks = {row["correction"]: len(row["blocks"]) for row in told["tried"]}
     assert all(count == 3 for name, count in blocks.items() if name.count("ridge") == 1 and " and " not in name)
-    assert blocks["fit anew"] < 3  # it is no better in the first
+    assert blocks["fit to the new data"] < 3  # it is no better in the first
 
 
 def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(call, stored_data):

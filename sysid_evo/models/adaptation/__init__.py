@@ -1,4 +1,4 @@
-"""A model meets another condition: corrections of its accelerations, and the gate that believes them or not."""
+"""Adaptation of models to new conditions: corrections of accelerations, and the acceptance test."""
 
 from sysid_evo.models.adaptation.adapted import as_of
 from sysid_evo.models.adaptation.correction import CorrectionTerms

@@ -1,4 +1,4 @@
-"""The family adapted: a model of another condition, with what some seconds of the new one say of it."""
+"""The model family adapted: a model with a correction for a new condition."""
 
 from __future__ import annotations
 
@@ -32,18 +32,21 @@ from sysid_evo.validation.intervals import MAX_WINDOWS, Case, horizon_scales, st
 
 @register_model("adapted")
 class Adapted(DynamicsModel):
-    """A model plus a correction of its accelerations, learned by free runs and believed only if a gate finds it good.
+    """A model plus a correction of its accelerations, if the correction passes an acceptance test.
 
-    ``base`` is the path of a stored model, or a family, which is then fitted to the same data first; None in a model
-    that was made by ``model.adapt(dataset)``. To whatever the base predicts under its own carry is added what the
-    acceleration c = C phi(x, u) moves the state by, phi being 1, state and control, then the accelerations that the
-    base itself predicts, then products of states and controls too, kept within what the data cover. C is learned by
-    free runs of a second and shrunk towards nothing. The gate holds back three blocks of time in turn: a correction
-    must be 15 % better than none there, in every block by 5 %, and by more than chance explains; otherwise the model is
-    its base. More training of a base that learns in updates, and a fit of its family to these data alone, are judged
-    alike (of training more is asked), and so are the means of these and the best correction: such a mean is a base of
-    the family ``average``. `fit_note` says what was decided. The spread of a ``stochastic`` base is calibrated anew on
-    the blocks, each run through by what was learned without it.
+    ``base`` is the path of a stored model, or a family, which is first fitted to the same data; None in a model
+    made by ``model.adapt(dataset)``.
+
+    The acceleration c = C phi(x, u) is added to that of the base. phi contains 1, state and control; then also the
+    accelerations that the base predicts; then also products of states and controls. All are clipped to the range of the
+    data. C is fitted to simulations of one second with a ridge penalty.
+
+    Other candidates are a fine-tuned base, a fit of its family to the new data, a refit to old and new data, and the
+    means of these and the best correction (a base of the family ``average``). The acceptance test holds out three
+    blocks of time in turn: the error must be at least 15 % lower over all blocks, 5 % lower in every block, and the
+    difference must be statistically significant; fine-tuned models have to pass a stricter test. Otherwise the model is
+    its base. `fit_note` reports the decision. The noise of a ``stochastic`` base is calibrated again on the blocks,
+    each simulated by the model fitted without it.
     """
 
     knowledge = "dark grey"
@@ -53,7 +56,7 @@ class Adapted(DynamicsModel):
     dead_band: bool = False
 
     def given(self, base: DynamicsModel, training: Dataset | None = None) -> Self:
-        """Take ``base`` to be adapted by the next `fit`, and the data it learned from, if a refit is to be tried."""
+        """Return this model with the ``base`` for `fit` to adapt and, for a refit, its ``training`` data."""
         self.base_ = base
         vars(self)["_training"] = None if training is None else as_of(base.system, training)
         return self
@@ -72,7 +75,7 @@ class Adapted(DynamicsModel):
             )
         elif not hasattr(self, "base_"):
             raise InvalidArgument(
-                "adapted: there is nothing to adapt: give base=, the path of a stored model or a family, or call "
+                "adapted: there is no model to adapt: give base=, the path of a stored model or a family, or call "
                 "adapt(dataset) of a fitted model"
             )
         dataset = as_of(self.base_.system, dataset)
@@ -80,9 +83,9 @@ class Adapted(DynamicsModel):
         if found.learned.model is not self.inner:
             self.base_ = found.learned.model
         self._hold(found.learned)
-        self.decision_, self.chosen_ = found.verdict.sentence, found.verdict.chosen
-        self.test_errors_ = [[trial.error, *trial.each] for trial in found.verdict.trials]
-        self.candidates_ = [trial.name for trial in found.verdict.trials]
+        self.decision_, self.chosen_ = found.decision.sentence, found.decision.chosen
+        self.test_errors_ = [[trial.error, *trial.each] for trial in found.decision.trials]
+        self.candidates_ = [trial.name for trial in found.decision.trials]
         self._widen()
         base = self.base_
         if isinstance(base, StochasticModel) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
@@ -91,7 +94,7 @@ class Adapted(DynamicsModel):
 
     @classmethod
     def holding(cls, learned: LearnedCorrection) -> Self:
-        """Return a model with a correction of it, about which nothing was decided, as a fitted model."""
+        """Return a fitted model made of a model and its correction, without an acceptance test."""
         one = cls(base=None).given(learned.model)
         one._hold(learned)
         one.state_bounds_, one.training_sample_ = learned.model.state_bounds_, learned.model.training_sample_
@@ -112,7 +115,7 @@ class Adapted(DynamicsModel):
         }
 
     def _widen(self) -> None:
-        """Let state_bounds and pairs be those of both recordings; those of the base if that is all there is."""
+        """Extend state bounds and training sample by those of the base; use those of the base if nothing was chosen."""
         if self.chosen_ == NONE:
             self.state_bounds_, self.training_sample_ = (
                 self.base_.state_bounds_.copy(),
@@ -126,14 +129,14 @@ class Adapted(DynamicsModel):
 
     @functools.cached_property
     def inner(self) -> DynamicsModel:
-        """The base, which holds a body at rest if this model is to."""
+        """The base, with the dead band of this model."""
         base: DynamicsModel = self.base_
         wanted = self.dead_band and not base.dead_band and "dead_band" in base.get_params()
         return base.variant(dead_band=True) if wanted else base
 
     @functools.cached_property
     def terms(self) -> CorrectionTerms:
-        """What the correction is linear in."""
+        """The regressors of the correction."""
         arrays = [getattr(self, f"{field.name}_") for field in fields(CorrectionTerms) if field.name != "system"]
         return CorrectionTerms(self.system, *arrays)
 
@@ -152,7 +155,7 @@ class Adapted(DynamicsModel):
 
     @property
     def fit_note(self) -> str:
-        return f"took {self.decision_}" if hasattr(self, "decision_") else super().fit_note
+        return str(self.decision_) if hasattr(self, "decision_") else super().fit_note
 
     @property
     def lags(self) -> tuple[int, int]:
@@ -196,7 +199,7 @@ class Adapted(DynamicsModel):
         return correction_kernel(inner, self.system, self.terms.arrays, self.coefficients_)
 
     def equations(self) -> list[str]:
-        """Return the equations of the base, if it has some, and what is added to each acceleration."""
+        """Return the equations of the base, if it has some, and the correction of each acceleration."""
         of_base = self.base_.equations()
         if not self.corrects:
             return of_base
@@ -210,7 +213,7 @@ class Adapted(DynamicsModel):
 
 @dataclass(frozen=True)
 class CorrectedSteps:
-    """The disturbed steps of ``base`` with a correction, which sees what the disturbance makes of them."""
+    """The disturbed steps of ``base``, with a correction after the disturbance."""
 
     base: StochasticModel
     terms: CorrectionTerms
@@ -237,16 +240,16 @@ class CorrectedSteps:
 
 
 def calibrated_elsewhere(
-    base: StochasticModel, apart: Sequence[LearnedCorrection], rng: np.random.Generator
+    base: StochasticModel, fold_results: Sequence[LearnedCorrection], rng: np.random.Generator
 ) -> StochasticModel:
-    """Return ``base`` with the spread that models have which were made ``apart``, each on what it was ``held`` from.
+    """Return ``base`` with the noise of the models in ``fold_results``, each on its data ``held`` out.
 
-    The error of one step, its lasting share, and the scales of `horizon_scales`; beyond the longest free run that the
-    held parts have room for the last scale holds.
+    That is the error of one step, its persistent share, and the scales of `horizon_scales`; the last scale also holds
+    beyond the longest simulation that the held-out data allow.
     """
     pairs = [
         (CorrectedSteps(one.model.variant(), one.terms, one.coefficients), one.held)
-        for one in apart
+        for one in fold_results
         if isinstance(one.model, StochasticModel) and one.held is not None
     ]
     still = np.zeros(base.system.nx)
@@ -261,9 +264,9 @@ def calibrated_elsewhere(
 
 
 def as_of(system: System, dataset: Dataset) -> Dataset:
-    """Return ``dataset`` as a recording of ``system``, whose limits of continuous channels it need not share.
+    """Return ``dataset`` as a recording of ``system``; limits of continuous channels may differ.
 
-    Raises `IncompatibleSystem` if channels, dt or motion are others.
+    Raises `IncompatibleSystem` if channels, dt or motion differ.
     """
     if dataset.system == system:
         return dataset

@@ -1,7 +1,7 @@
-"""A correction of accelerations: its terms, and how it is learned by simulations.
+"""Corrections of accelerations: regressors, and a fit by simulation.
 
-Coefficients minimise the errors of free runs over pieces of a recording: damped least squares (`corrections`) with
-derivatives that are carried along beside the runs (`sensitivities`).
+Coefficients minimise the simulation error over windows of a recording by damped least squares (`corrections`), with
+derivatives that are computed along with the simulations (`sensitivities`).
 """
 
 from __future__ import annotations
@@ -23,20 +23,22 @@ from sysid_evo.types import Array, BoolArray, IntArray
 FAR = 1.0
 """Time in s within which a coefficient of 1 moves a state by its standard deviation."""
 OF_PRODUCTS = 10.0
-"""How much stronger a ridge is for products."""
+"""Factor of the ridge penalty for products."""
 
 
 @dataclass(frozen=True)
 class CorrectionTerms:
-    """The regressors 1, z, perhaps z_i z_k (i <= k), and perhaps a, of an acceleration that is added to a model's.
+    """The regressors of an acceleration that is added to that of a model: 1, z, optionally z_i z_k (i <= k) and a.
 
-    z are state and control (sine and cosine of a periodic state), kept within ``low`` and ``high`` (n,), less their
-    ``centre`` and divided by their ``scale``; products are kept within ``least`` and ``most`` (n (n + 1) / 2,), which
-    are empty without products. a is what the model itself predicts, the way per s from coasting to its next state,
-    divided by its ``strength`` and kept within ``weakest`` and ``strongest`` (nx,), which are empty without: a battery
-    or a tyre that gives less makes less of all that a model foresees, however it foresees it. So a correction is
-    nowhere larger than what the recording covers. ``unit`` (nx,) is the acceleration that a coefficient of 1 stands
-    for.
+    - z: state and control (sine and cosine of a periodic state), clipped to ``low`` and ``high`` (n,), minus their
+      ``centre``, divided by their ``scale``.
+    - Products are clipped to ``least`` and ``most`` (n (n + 1) / 2,), which are empty without products.
+    - a (*gains*): the acceleration that the model itself predicts, divided by its ``strength`` and clipped to
+      ``weakest`` and ``strongest`` (nx,), which are empty without gains. A weak battery or a worn tyre reduces
+      everything that the model predicts.
+
+    Because of the clipping a correction never exceeds its values within the recording. ``unit`` (nx,) is the
+    acceleration for a coefficient of 1.
     """
 
     system: System
@@ -53,7 +55,7 @@ class CorrectionTerms:
 
     @classmethod
     def of(cls, dataset: Dataset, *, products: bool = False, model: Dynamics | None = None) -> Self:
-        """Measure ``dataset`` where it moves (everywhere, if it never does), and what ``model`` predicts there."""
+        """Return the terms scaled to ``dataset`` in motion (all of it, if it never moves); gains are for ``model``."""
         system = dataset.system
         masks = [rows[:-1] for rows in dataset.moving]
         if not any(rows.any() for rows in masks):
@@ -82,12 +84,12 @@ class CorrectionTerms:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """All but the system, by name."""
+        """All fields but the system, by name."""
         return {name: value for name, value in vars(self).items() if name != "system"}
 
     @property
     def lengths(self) -> dict[str, tuple[int, ...]]:
-        """The shapes that the `arrays` must have, by name: with products and gains if there are some."""
+        """The required shapes of `arrays`, by name."""
         n, nx = len(self.system.regressor_names) + self.system.nu, self.system.nx
         products, gains = n * (n + 1) // 2 if self.products else 0, nx if self.gains else 0
         lengths = {"low": n, "high": n, "centre": n, "scale": n, "unit": nx, "least": products, "most": products}
@@ -103,7 +105,7 @@ class CorrectionTerms:
 
     @property
     def gains(self) -> bool:
-        """Whether what the model predicts is among them."""
+        """Whether there are gains."""
         return len(self.strength) > 0
 
     @property
@@ -118,7 +120,7 @@ class CorrectionTerms:
 
     @property
     def weight(self) -> Array:
-        """How strong a ridge is for each coefficient, (size, nx); a gain counts as a share of what is foreseen."""
+        """Ridge weight of each coefficient, (size, nx); that of a gain is relative to the predicted acceleration."""
         plain = np.repeat([1.0, OF_PRODUCTS], [1 + self.n_inputs, len(self.least)])
         of_gains = np.ones((len(self.strength), 1)) * (self.unit / self.strength if self.gains else self.unit) ** 2
         return np.concatenate([plain[:, None] * np.ones(self.system.nx), of_gains])
@@ -130,14 +132,14 @@ class CorrectionTerms:
 
     @property
     def names(self) -> list[str]:
-        """The names of z, of their products and of what the model predicts."""
+        """The names of z, of their products and of gains."""
         inputs = [*self.system.regressor_names, *self.system.control_names]
         pairs = [f"{one} {other}" for i, one in enumerate(inputs) for other in inputs[i:]] if self.products else []
-        own = [f"foreseen d {channel.name}/dt" for channel in self.system.states] if self.gains else []
+        own = [f"predicted d {channel.name}/dt" for channel in self.system.states] if self.gains else []
         return inputs + pairs + own
 
     def __call__(self, state: Array, control: Array, after: Array) -> Array:
-        """Return the regressors (..., size) of states (..., nx), controls (..., nu) and what a model makes of them."""
+        """Return the regressors (..., size) of states (..., nx), controls (..., nu) and a model's next states."""
         seen = np.concatenate([self.system.regressors(state), control], axis=-1)
         z = (np.clip(seen, self.low, self.high) - self.centre) / self.scale
         parts = [np.ones((*z.shape[:-1], 1)), z]
@@ -151,11 +153,11 @@ class CorrectionTerms:
         return np.concatenate(parts, axis=-1)
 
     def shift(self, state: Array, control: Array, after: Array, coefficients: Array) -> Array:
-        """Return what is added to the next state ``after`` (..., nx), with ``coefficients`` (..., size, nx).
+        """Return the change of the next state ``after`` (..., nx) for ``coefficients`` (..., size, nx).
 
-        The acceleration c of all regressors but the gains moves it by integrate(x, c) - integrate(x, 0), whatever a
-        model itself predicts, as the integration of a given state is affine in the acceleration. Gains move it in the
-        frame of the next state, in which what the model predicts is measured.
+        The acceleration c of all regressors but the gains adds integrate(x, c) - integrate(x, 0), independent of the
+        model, because the integration from a given state is affine in the acceleration. Gains act in the frame of the
+        next state, in which the model's acceleration is measured.
         """
         regressors = self(state, control, after)
         own = self.size - len(self.strength)
@@ -177,24 +179,24 @@ class CorrectionTerms:
         return np.clip(moved, *system.limits) if system.limited else moved
 
     def next_carry(self, carry: Array, control: Array, after: Array, coefficients: Array) -> Array:
-        """Return the next carry ``after`` (B, n_carry), the state at its head, of a model with the correction."""
+        """Return the next carry ``after`` (B, n_carry) of a model, with its state corrected."""
         nx = self.system.nx
         moved = self.corrected(carry[:, :nx], control, after[:, :nx], coefficients)
         return np.concatenate([moved, after[:, nx:]], axis=1)
 
 
 def _products(z: Array) -> Array:
-    """Return z_i z_k (i <= k) side by side, (..., n (n + 1) / 2)."""
+    """Return all products z_i z_k (i <= k), (..., n (n + 1) / 2)."""
     return np.concatenate([z[..., i : i + 1] * z[..., i:] for i in range(z.shape[-1])], axis=-1)
 
 
 def acceleration_from_coasting(system: System, before: Array, after: Array) -> Array:
-    """Return the way per s (..., nx) to ``after`` from where a body is that coasts from ``before``."""
+    """Return the acceleration (..., nx) that leads from ``before`` to ``after`` instead of to coasting."""
     return system.difference(after, system.integrate(before, np.zeros_like(before))) / system.dt
 
 
 def predicted_acceleration(model: Dynamics, states: Array, past_controls: Array, control: Array) -> Array:
-    """Return by how much ``model`` moves a body that coasts, (N, nx) per s, without noise.
+    """Return the acceleration from coasting (N, nx) that ``model`` predicts, without noise.
 
     ``states`` (N, L + 1, nx), ``past_controls`` (N, L, nu) before ``control`` (N, nu).
     """
@@ -205,7 +207,7 @@ def predicted_acceleration(model: Dynamics, states: Array, past_controls: Array,
 
 
 def state_scale(system: System, states: Array) -> Array:
-    """Return the spread (nx,) of ``states`` (N, nx), 1 for a state that never changes."""
+    """Return the standard deviation (nx,) of ``states`` (N, nx), 1 for a constant state."""
     spread = system.spread(states)
     return np.where(spread > 1e-9 * np.abs(states).max(axis=0), spread, 1.0)
 
@@ -213,18 +215,18 @@ def state_scale(system: System, states: Array) -> Array:
 SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
 STRIDE = 3
 FARTHEST = 10.0
-"""Standard deviations that an error counts at most."""
+"""Upper bound of an error, in standard deviations."""
 ROWS = 2**14
-"""Free runs side by side."""
+"""Number of simulations in one batch."""
 
 
 @dataclass(frozen=True)
 class AdaptationWindows:
-    """B windows of H steps as a model starts and is judged.
+    """B windows of H steps for simulation and comparison with the recording.
 
-    ``carry`` (B, n_carry) at the start, ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the sample at
-    which each starts, counted over all episodes; ``scale`` (nx,) is the spread of the states, ``state_bounds`` (2, nx)
-    what a free run is clipped to.
+    ``carry`` (B, n_carry) at the start, ``controls`` (B, H, nu), ``truth`` (B, H, nx), ``first`` (B,) the start sample,
+    counted over all episodes; ``scale`` (nx,) is the standard deviation of the states, ``state_bounds`` (2, nx) those
+    of the model.
     """
 
     system: System
@@ -237,7 +239,7 @@ class AdaptationWindows:
 
     @classmethod
     def of(cls, model: Dynamics, dataset: Dataset, *, stride: int = STRIDE) -> Self:
-        """Cut windows of one second, 10 to 20 steps, that start in motion. Raises `InvalidData` if there is none."""
+        """Return windows of one second, 10 to 20 steps, that start in motion. Raises `InvalidData` if there is none."""
         system, lags = dataset.system, model.n_lags
         horizon = int(np.clip(round(SECOND / system.dt), FEWEST_STEPS, MOST_STEPS))
         windows = dataset.windows(horizon, stride=stride, history=lags, moving=True)
@@ -246,7 +248,7 @@ class AdaptationWindows:
         if not len(windows):
             raise InvalidData(
                 f"adaptation: expected an episode of more than {horizon + lags} steps, {lags} of history and {horizon} "
-                f"to run freely; the longest has {max(len(episode) for episode in dataset)}"
+                f"to simulate; the longest has {max(len(episode) for episode in dataset)}"
             )
         begins = np.cumsum([0, *(len(episode) for episode in dataset)])[:-1]
         draws = np.zeros((len(windows), model.n_draws))
@@ -271,68 +273,70 @@ class AdaptationWindows:
         return int(self.controls.shape[1])
 
     def errors(self, runs: Array) -> Array:
-        """Return the errors (..., B, H, nx) of ``runs`` in standard deviations; what is not finite counts most."""
+        """Return the errors (..., B, H, nx) of ``runs`` in standard deviations, clipped to `FARTHEST`."""
         wrong = self.system.difference(runs, np.broadcast_to(self.truth, runs.shape)) / self.scale
         return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
 
 
-def free_runs(model: Dynamics, terms: CorrectionTerms, candidates: Array, pieces: AdaptationWindows) -> Array:
-    """Return where ``model`` with each correction (P, size, nx) goes, (P, B, H, nx)."""
-    at_once = max(1, ROWS // max(1, len(pieces)))
-    parts = [_beside(model, terms, candidates[i : i + at_once], pieces) for i in range(0, len(candidates), at_once)]
+def simulate_corrections(
+    model: Dynamics, terms: CorrectionTerms, candidates: Array, windows: AdaptationWindows
+) -> Array:
+    """Return the states (P, B, H, nx) simulated by ``model`` with each correction in ``candidates`` (P, size, nx)."""
+    size = max(1, ROWS // max(1, len(windows)))
+    parts = [_simulate_batch(model, terms, candidates[i : i + size], windows) for i in range(0, len(candidates), size)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _beside(model: Dynamics, terms: CorrectionTerms, candidates: Array, pieces: AdaptationWindows) -> Array:
-    """Return the free runs with all of the ``candidates`` at once."""
-    count, (batch, horizon, nu), nx = len(candidates), pieces.controls.shape, terms.system.nx
-    carry = np.tile(pieces.carry, (count, 1))
+def _simulate_batch(model: Dynamics, terms: CorrectionTerms, candidates: Array, windows: AdaptationWindows) -> Array:
+    """Return the simulations with all ``candidates`` in one batch."""
+    count, (batch, horizon, nu), nx = len(candidates), windows.controls.shape, terms.system.nx
+    carry = np.tile(windows.carry, (count, 1))
     noise = np.zeros((len(carry), model.n_noise)) if model.n_noise else None
     out = np.empty((count, batch, horizon, nx))
     with np.errstate(all="ignore"):
         for k in range(horizon):
-            control = np.tile(pieces.controls[:, k], (count, 1))
+            control = np.tile(windows.controls[:, k], (count, 1))
             after = model.step(carry, control, noise)
             before, reached = (x[:, :nx].reshape(count, batch, nx) for x in (carry, after))
             moved = terms.corrected(before, control.reshape(count, batch, nu), reached, candidates[:, None])
-            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), pieces.state_bounds)
+            carry, _ = clip_state(np.concatenate([moved.reshape(-1, nx), after[:, nx:]], axis=1), windows.state_bounds)
             out[:, :, k] = carry[:, :nx].reshape(count, batch, nx)
     return out
 
 
 ROUNDS = 2
-"""Linearisations for each ridge; the first starts where that of the stronger one ended."""
+"""Linearisations for each ridge; the first starts from the coefficients of the stronger one."""
 SHORTENINGS = (1.0, 0.3, 0.1)
 TOLERATED = 1.5
-"""Standard deviations beyond which an error counts in proportion and no longer in square (Huber)."""
+"""Error, in standard deviations, beyond which the loss is linear instead of quadratic (Huber)."""
 
 
 def corrections(
-    model: Dynamics, terms: CorrectionTerms, pieces: AdaptationWindows, ridges: Sequence[float], seconds: float
+    model: Dynamics, terms: CorrectionTerms, windows: AdaptationWindows, ridges: Sequence[float], seconds: float
 ) -> Iterator[Array]:
     """Yield the coefficients (size, nx) for each of ``ridges``, which begin with the strongest.
 
-    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), with the weight of the terms, errors
-    in standard deviations over windows, steps and states: a ridge of 3 counts as much as three seconds of such data.
-    Large errors count less (Huber's weights), since a run that diverges says little of what would prevent it.
+    They minimise seconds * mean(error^2) + ridge * sum(weight * coefficients^2), where errors are in standard
+    deviations and averaged over windows, steps and states: a ridge of 3 has the weight of three seconds of data.
+    Huber's weights reduce large errors, because a simulation that diverges contains little information.
     """
     found = np.zeros(terms.shape)
     for ridge in ridges:
         for _ in range(ROUNDS):
-            found, moved = _improved(model, terms, pieces, found, ridge * terms.weight, seconds)
+            found, moved = _improved(model, terms, windows, found, ridge * terms.weight, seconds)
             if not moved:
                 break
         yield found
 
 
 def _improved(
-    model: Dynamics, terms: CorrectionTerms, pieces: AdaptationWindows, start: Array, ridge: Array, seconds: float
+    model: Dynamics, terms: CorrectionTerms, windows: AdaptationWindows, start: Array, ridge: Array, seconds: float
 ) -> tuple[Array, bool]:
-    """Return better coefficients by one linearisation, and whether there are any."""
+    """Return better coefficients from one linearisation, and whether they differ from ``start``."""
     size = start.size
-    runs, derivatives = sensitivities(model, terms, start, pieces)
-    here = pieces.errors(runs[None]).ravel()
-    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / pieces.scale).reshape(size, -1), 0.0)
+    runs, derivatives = sensitivities(model, terms, start, windows)
+    here = windows.errors(runs[None]).ravel()
+    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / windows.scale).reshape(size, -1), 0.0)
     weights = np.minimum(1.0, TOLERATED / np.maximum(np.abs(here), 1e-12))
     share = seconds / here.size
     normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
@@ -340,7 +344,7 @@ def _improved(
     if not np.isfinite(step).all():
         return start, False
     candidates = np.stack([start, *(start + length * step for length in SHORTENINGS)])
-    reached = pieces.errors(free_runs(model, terms, candidates, pieces))
+    reached = windows.errors(simulate_corrections(model, terms, candidates, windows))
     costs = [_cost(one, found, ridge, seconds) for one, found in zip(reached, candidates, strict=True)]
     best = int(np.argmin(costs))
     return candidates[best], costs[best] < (1.0 - 1e-3) * costs[0]
@@ -353,50 +357,50 @@ def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> f
 
 
 STEP = 1e-4
-"""Of a difference, in spreads of what is changed."""
+"""Step of a difference quotient, in standard deviations of the carry."""
 STEEPEST = 1e6
-"""Largest derivative that is believed: a run that diverges has larger ones."""
+"""Upper bound of derivatives; those of simulations that diverge are larger."""
 
 
 def sensitivities(
-    model: Dynamics, terms: CorrectionTerms, coefficients: Array, pieces: AdaptationWindows
+    model: Dynamics, terms: CorrectionTerms, coefficients: Array, windows: AdaptationWindows
 ) -> tuple[Array, Array]:
-    """Return where free runs go, (B, H, nx), and their derivatives by ``coefficients``, (size * nx, B, H, nx).
+    """Return simulations (B, H, nx), and their derivatives by ``coefficients``, (size * nx, B, H, nx).
 
-    With S_k the derivatives of the carry, S_k+1 = (dg/dcarry) S_k + dg/dC, g being one step of ``model`` with the
-    correction. The former is found by differences in those parts of the carry that depend on the coefficients, a few
-    states instead of all coefficients; the latter exactly, as a step is affine in them.
+    The derivatives S_k of the carry follow S_k+1 = (dg/dcarry) S_k + dg/dC, where g is one step of ``model`` with the
+    correction. dg/dcarry is computed by finite differences in those parts of the carry that depend on the coefficients,
+    which are fewer than the coefficients; dg/dC is exact, because a step is affine in C.
     """
-    (batch, horizon, _), nx, count = pieces.controls.shape, terms.system.nx, coefficients.size
-    spread = pieces.carry.std(axis=0)
+    (batch, horizon, _), nx, count = windows.controls.shape, terms.system.nx, coefficients.size
+    spread = windows.carry.std(axis=0)
     steps = STEP * np.where(spread > 0.0, spread, 1.0)
-    carry, along = pieces.carry, np.zeros((batch, pieces.carry.shape[1], count))
+    carry, gradient = windows.carry, np.zeros((batch, windows.carry.shape[1], count))
     runs, derivatives = np.empty((batch, horizon, nx)), np.empty((count, batch, horizon, nx))
     with np.errstate(all="ignore"):
         for k in range(horizon):
-            moved = np.flatnonzero(along.any(axis=(0, 2)))
-            beside = np.repeat(carry[None], 1 + len(moved), axis=0)
-            beside[np.arange(len(moved)) + 1, :, moved] += steps[moved, None]
-            control = np.tile(pieces.controls[:, k], (len(beside), 1))
-            flat = beside.reshape(-1, beside.shape[2])
+            moved = np.flatnonzero(gradient.any(axis=(0, 2)))
+            perturbed = np.repeat(carry[None], 1 + len(moved), axis=0)
+            perturbed[np.arange(len(moved)) + 1, :, moved] += steps[moved, None]
+            control = np.tile(windows.controls[:, k], (len(perturbed), 1))
+            flat = perturbed.reshape(-1, perturbed.shape[2])
             reached = model.step(flat, control, np.zeros((len(flat), model.n_noise)) if model.n_noise else None)
             corrected = terms.corrected(flat[:, :nx], control, reached[:, :nx], coefficients)
-            after, _ = clip_state(np.concatenate([corrected, reached[:, nx:]], axis=1), pieces.state_bounds)
-            after = after.reshape(beside.shape)
+            after, _ = clip_state(np.concatenate([corrected, reached[:, nx:]], axis=1), windows.state_bounds)
+            after = after.reshape(perturbed.shape)
             changes = ((after[1:] - after[0]) / steps[moved, None, None]).transpose(1, 2, 0)
             direct = _by_coefficients(terms, carry[:, :nx], control[:batch], reached[:batch, :nx])
             unbounded = reached[:batch, :nx] + direct @ coefficients.ravel()
             direct[np.abs(unbounded - after[0, :, :nx]) > 1e-9 * (1.0 + np.abs(unbounded))] = 0.0
-            along = changes @ along[:, moved]
-            along[:, :nx] += direct
-            along = np.clip(np.nan_to_num(along), -STEEPEST, STEEPEST)
+            gradient = changes @ gradient[:, moved]
+            gradient[:, :nx] += direct
+            gradient = np.clip(np.nan_to_num(gradient), -STEEPEST, STEEPEST)
             carry = after[0]
-            runs[:, k], derivatives[:, :, k] = carry[:, :nx], along[:, :nx].transpose(2, 0, 1)
+            runs[:, k], derivatives[:, :, k] = carry[:, :nx], gradient[:, :nx].transpose(2, 0, 1)
     return runs, derivatives
 
 
 def _by_coefficients(terms: CorrectionTerms, state: Array, control: Array, after: Array) -> Array:
-    """Return the derivatives (B, nx, size * nx) of the next state by the coefficients, which are the same for all."""
+    """Return the derivatives (B, nx, size * nx) of the next state by the coefficients."""
     pushes = np.diag(terms.unit)[:, None]
     coasting = terms.system.integrate(state, np.zeros_like(state))
     of_terms = terms.system.integrate(np.repeat(state[None], len(pushes), axis=0), pushes + 0.0 * state) - coasting

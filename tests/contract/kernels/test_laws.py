@@ -126,10 +126,10 @@ def test_what_has_no_form_for_lanes_is_refused_with_its_line_and_what_to_write(l
 
 
 def test_a_function_that_other_languages_do_not_get_is_refused_unless_it_is_of_numbers():
-    with pytest.raises(InvalidArgument, match="program: cos of an observation has no form; there are tanh, abs, round"):
+    with pytest.raises(InvalidArgument, match="program: cos of an observation is not supported, only tanh, abs, round"):
         read(cosine, SYMBOLS)([0.3], [], elements(observation(1)), [0.0], [], [])
 
 
 def test_a_program_does_not_branch_on_what_it_is_shown():
-    with pytest.raises(InvalidArgument, match="an observation chooses what comes next: write a if test else b"):
+    with pytest.raises(InvalidArgument, match="a test of an observation must be written as 'a if test else b'"):
         read(branches, SYMBOLS)([0.3], [], elements(observation(1)), [0.0], [], [])

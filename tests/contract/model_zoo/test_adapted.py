@@ -12,7 +12,7 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection
 from sysid_evo.models.adaptation import adapted as module
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
-from sysid_evo.models.adaptation.selection import ANEW, FURTHER, Adaptation, AdaptationDecision
+from sysid_evo.models.adaptation.selection import ANEW, FINE_TUNED, Adaptation, AdaptationDecision
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
 from sysid_evo.validation import intervals
@@ -42,7 +42,7 @@ def adapted(base):
 def test_thirty_seconds_on_another_floor_reduce_the_error_by_at_least_40_per_cent(base, adapted):
     test = drive(OTHER, seconds=40.0, seed=4)
     assert adapted.score(test) > 0.6 * base.score(test)
-    assert "better than none on 3 blocks it did not learn from" in adapted.fit_note
+    assert "lower on 3 blocks it was not fitted to" in adapted.fit_note
 
 
 def test_without_a_change_of_conditions_the_model_is_not_adapted(base, training):
@@ -51,12 +51,12 @@ def test_without_a_change_of_conditions_the_model_is_not_adapted(base, training)
     arguments = (windows.past_states, windows.past_controls, windows.controls)
     np.testing.assert_array_equal(same.simulate(*arguments), base.simulate(*arguments))
     np.testing.assert_array_equal(same.state_bounds_, base.state_bounds_)
-    assert "no correction: the best" in same.fit_note
+    assert same.fit_note.startswith("not adapted: the best candidate (")
 
 
 def test_a_recording_too_short_for_a_held_out_block_changes_nothing(base):
     short = base.adapt(drive(OTHER, seconds=2.0, seed=3))
-    assert "too short to hold a block back" in short.fit_note
+    assert "too short for three blocks" in short.fit_note
     assert not np.any(short.coefficients_)
 
 
@@ -74,7 +74,7 @@ def test_a_stored_model_is_named_by_its_path(base, tmp_path):
     path, there = save_model(base, tmp_path / "base"), drive(OTHER, seconds=8.0, seed=3)
     by_path = make_model("adapted", base=str(path)).fit(there, rng=0)
     assert by_path.score(there) == base.adapt(there).score(there)
-    with pytest.raises(InvalidArgument, match="there is nothing to adapt"):
+    with pytest.raises(InvalidArgument, match="there is no model to adapt"):
         make_model("adapted", base=None).fit(there, rng=0)
 
 
@@ -284,7 +284,7 @@ def test_a_correction_is_part_of_the_step(steady, parts):
 
 @pytest.mark.parametrize(
     ("chosen", "anew"),
-    [(NONE, False), (ANEW, False), (REFIT, False), ("linear, ridge 3", True), ("trained further, 50 updates", True)],
+    [(NONE, False), (ANEW, False), (REFIT, False), ("linear, ridge 3", True), ("fine-tuned, 50 updates", True)],
 )
 def test_refitted_and_unchanged_models_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
     learned = uncorrected(steady, None)
@@ -321,10 +321,10 @@ def test_a_candidate_is_dropped_after_a_block_in_which_neither_it_nor_its_mean_i
     monkeypatch.setattr(type(model), "fine_tuned", fine_tuned)
     adapted = model.adapt(drive(FloorCar(thrust=1.7), seconds=12.0, seed=3, noise=0.0), rng=0)
     shown = dict(zip(adapted.candidates_, adapted.test_errors_, strict=True))
-    for way in FURTHER:
+    for way in FINE_TUNED:
         (mean,) = [name for name in shown if name.endswith(AND + way)]
         for name, better in ((way, of_way), (mean, of_mean)):
             assert len(shown[name]) == 1 + blocks
             assert (max(shown[name][1:]) < 0.95) == better, shown[name]
-    chosen = [updates for way, updates in zip(FURTHER, called, strict=True) if way in adapted.chosen_]
+    chosen = [updates for way, updates in zip(FINE_TUNED, called, strict=True) if way in adapted.chosen_]
     assert {updates: count - (updates in chosen) for updates, count in called.items()} == dict.fromkeys(called, blocks)

@@ -291,7 +291,7 @@ def test_a_family_that_chooses_among_others_is_not_refitted_for_an_adaptation(ch
     Choosing.chooses_families = chooses
     few = data.with_episodes([data.episodes[0][:200]])
     model = Choosing().fit(few, rng=0)
-    tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).verdict.trials]
+    tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).decision.trials]
     assert tried
     assert (ANEW in tried) == (not chooses)
     assert Auto.chooses_families

@@ -117,9 +117,9 @@ def test_without_loops_a_pid_takes_the_errors_of_the_task_or_all_that_it_shows()
 @pytest.mark.parametrize(
     "spec, reason",
     [
-        ("linear(inputs=[theta])", "linear: the task shows no 'theta'; there are bias, forward_speed"),
+        ("linear(inputs=[theta])", "linear: the task has no observation 'theta'; there are bias, forward_speed"),
         ("pid(loops={heater: yaw_rate})", "pid: the system has no control 'heater'; there are drive, steer"),
-        ("pid(scales={theta: 2})", "pid: scales: the task shows no 'theta'"),
+        ("pid(scales={theta: 2})", "pid: scales: the task has no observation 'theta'"),
         ("pursuit(steer=wheel)", r"name yours with drive= and steer=\): the system has no control 'wheel'"),
     ],
 )
@@ -139,7 +139,7 @@ def test_a_channel_that_is_not_there_is_named_with_those_that_are(spec, reason):
         (lambda: make_controller("pid(scales={a: -1})"), "expected scales > 0, got a -1"),
         (lambda: make_controller("pursuit(look=0)"), "expected look, acceleration, gain > 0"),
         (lambda: RecurrentNetwork(hidden=0), "expected at least one hidden unit, got 0"),
-        (lambda: Pid().bind(5, 2), r"Pid goes by the names of a task's channels: use bind_to\(task\)"),
+        (lambda: Pid().bind(5, 2), r"Pid depends on the names of a task's channels: use bind_to\(task\)"),
     ],
 )
 def test_wrong_arguments_are_refused_when_they_are_given(made, reason):

@@ -183,7 +183,7 @@ def test_one_remark_says_that_a_motion_has_no_compiled_form(car, caplog):
         for _ in range(3):
             assert clockwise(car).motion_kernel() is None
     assert [record.getMessage() for record in caplog.records] == [
-        "motion clockwise has no compiled form: what needs it runs in NumPy, some ten times slower"
+        "motion clockwise has no compiled form: its systems run in NumPy, about ten times slower"
     ]
 
 

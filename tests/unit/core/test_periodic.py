@@ -114,5 +114,5 @@ def test_a_period_that_makes_no_sense_is_refused():
             Channel("a", period=period)
     with pytest.raises(InvalidSystem, match="channel 'a': expected a period or limits, got both"):
         Channel("a", low=-1.0, period=TURN)
-    with pytest.raises(InvalidSystem, match="control 'u': expected no period, which only states have"):
+    with pytest.raises(InvalidSystem, match="control 'u': expected no period, only states have one"):
         System((Channel("x"),), (Channel("u", period=TURN),), 0.1)

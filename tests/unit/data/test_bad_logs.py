@@ -86,7 +86,7 @@ def test_a_short_row(write_csv, table, columns_file):
     lines = path.read_text().splitlines()
     lines[29] = lines[29].rpartition(",")[0]
     path.write_text("\n".join(lines))
-    assert "log.csv, row 30: expected 8 values as the header has, got 7, so 'steering' is missing" in refused(
+    assert "log.csv, row 30: expected 8 values as in the header, got 7, so 'steering' is missing" in refused(
         path, columns_file()
     )
 
@@ -221,7 +221,7 @@ def test_a_pose_that_freezes_and_jumps(log):
     for name in ("x", "y", "yaw"):
         log.table[name][60:70] = log.table[name][60]
     (remark,) = [remark for remark in log.remarks() if "stands still" in remark]
-    assert "log.csv, rows 62 to 71: the pose stands still for 0.45 s and then jumps by" in remark
+    assert "log.csv, rows 62 to 71: the pose is constant for 0.45 s and then jumps by" in remark
 
 
 def test_an_empty_file_and_a_header_alone(tmp_path, columns_file):
@@ -266,7 +266,7 @@ def test_without_time_stamps_rows_that_are_left_out_are_holes_too_and_infinite_n
     assert Dataset.read(path, columns=untimed).names == ("log[0:57]", "log[58:198]")
     assert "row 70, column 'u': expected a finite number, got inf" in refused(with_value(path, 70, 4, "inf"), untimed)
     table["u"][1:] = np.nan
-    assert "200 of 201 rows have no value in some column (u 200): expected at least two rows that have them all" in (
+    assert "200 of 201 rows have no value in some column (u 200): expected at least two complete rows" in (
         refused(write_csv(table), untimed)
     )
 
@@ -343,7 +343,8 @@ def test_a_rate_that_is_not_the_derivative_of_its_state(write_csv, tmp_path, rng
         return
     message = refused(path, columns)
     assert (
-        "log.csv, rows 2 to 2001, column 'rate': it goes with the change of column 'angle', but is not its" in message
+        "log.csv, rows 2 to 2001, column 'rate': it is proportional to the change of column 'angle', but is not"
+        in message
     )
     assert looks in message
     columns.write_text(PENDULUM.replace('"rad/s"', '"[rad/s]"'))

@@ -8,7 +8,7 @@ import pytest
 
 from sysid_evo.data import Dataset, load_columns, read_recording
 from sysid_evo.data.columns import choose_columns, shipped_columns, shipped_names
-from sysid_evo.data.preparation import PreparedLog, said_once
+from sysid_evo.data.preparation import PreparedLog, merged_notes
 from sysid_evo.data.units import spelled, spelled_range, to_si, units_of
 from sysid_evo.errors import InvalidArgument, InvalidData
 
@@ -164,7 +164,7 @@ def test_no_map_fits_or_several_do():
         choose_columns([*first, *second], "log.csv")
 
 
-def test_what_is_true_of_all_logs_is_said_once(write_csv, table, columns_file):
+def test_a_note_on_all_logs_is_listed_once(write_csv, table, columns_file):
     columns = columns_file(('[time]\ncolumn = "t"\n', ""))
     files = [write_csv(table, f"run{i}.csv") for i in range(6)]
     notes = Dataset.read(files, columns=columns).notes
@@ -174,8 +174,8 @@ def test_what_is_true_of_all_logs_is_said_once(write_csv, table, columns_file):
 
 def test_what_is_true_of_some_logs_names_them():
     prepared = [PreparedLog(f"run{i}", (), ("late", *(["early"] if i < 5 else []))) for i in range(6)]
-    assert said_once(prepared) == ["all 6 logs: late", "run0, run1, run2, run3 and 1 more: early"]
-    assert said_once(prepared[:1]) == ["run0: late", "run0: early"]
+    assert merged_notes(prepared) == ["all 6 logs: late", "run0, run1, run2, run3 and 1 more: early"]
+    assert merged_notes(prepared[:1]) == ["run0: late", "run0: early"]
 
 
 def test_a_periodic_angle_in_degrees_comes_round_after_two_pi(write_csv, tmp_path):

@@ -49,9 +49,9 @@ def test_every_condition_is_left_out_once_and_whole(days):
 
 
 def test_a_pattern_that_fits_nothing_or_what_another_fits_is_refused(days):
-    with pytest.raises(InvalidArgument, match=r"no episode fits 'snow\*'"):
+    with pytest.raises(InvalidArgument, match=r"no episode matches 'snow\*'"):
         days.label_conditions({"white": "snow*"})
-    with pytest.raises(InvalidArgument, match="'rain_1' fits the pattern of 'wet' as well"):
+    with pytest.raises(InvalidArgument, match="'rain_1' also matches the pattern of 'wet'"):
         days.label_conditions({"wet": "rain_*", "first": "*_1"})
     with pytest.raises(InvalidArgument, match="there are ''"):
         days.of_condition("wet")

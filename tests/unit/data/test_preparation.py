@@ -149,7 +149,7 @@ def test_a_short_hole_is_bridged_and_said_so(make_drive, logged_car):
     prepared = prepare(drive.log(keep=keep), logged_car)
     (episode,) = prepared.episodes
     assert episode.name == "drive"
-    assert any("1 holes of up to 20 ms bridged" in note for note in prepared.notes)
+    assert any("1 gaps of up to 20 ms bridged" in note for note in prepared.notes)
     truth = drive.velocity((first_tick() + np.arange(len(episode) + 1)) * 0.05)
     assert np.abs(episode.states - truth).max() < 0.02
     assert len(prepare(drive.log(keep=keep), logged_car, max_gap=0.01).episodes) == 2
@@ -193,7 +193,9 @@ def test_logs_that_cannot_be_prepared_are_refused_with_the_reason(make_drive, lo
     with pytest.raises(InvalidData, match=r"a stretch of more than 0\.44 s"):
         prepare(make_drive(seconds=0.4).log(), logged_car)
     log = make_drive().log()
-    with pytest.raises(ShapeError, match="expected 2 controls and 3 pose coordinates as the system has, got 1 and 3"):
+    with pytest.raises(
+        ShapeError, match="expected 2 controls and 3 pose coordinates, those of the system, got 1 and 3"
+    ):
         prepare(RawLog("one", log.time, log.pose, log.controls[:, :1]), logged_car)
     with pytest.raises(InvalidData, match="rising time stamps"):
         prepare(RawLog("back", log.time[::-1], log.pose, log.controls), logged_car)
@@ -228,7 +230,7 @@ def test_a_lost_row_splits_the_log_and_a_lone_row_is_left_out(car, rng):
     log = log_with(time, car, rng)
     prepared = rows_as_episodes(log, car)
     assert [episode.name for episode in prepared.episodes] == ["log[0:9]", "log[10:18]", "log[20:26]"]
-    assert "3 steps outside 25 to 75 ms split it into 3 pieces; 1 single rows left out" in prepared.notes[1]
+    assert "3 steps outside 25 to 75 ms split it into 3 parts; 1 single rows left out" in prepared.notes[1]
     for episode, first, last in zip(prepared.episodes, (0, 10, 20), (9, 18, 26), strict=True):
         np.testing.assert_array_equal(episode.states[:, 0], log.extra["forward_speed"][first : last + 1])
         np.testing.assert_array_equal(episode.controls, log.controls[first:last])

@@ -180,7 +180,7 @@ def test_a_flawless_csv_is_not_read_line_by_line(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("bad", "told"),
     [
-        (b"3\n", "row 20002: expected 2 values as the header has, got 1, so 'x' is missing"),
+        (b"3\n", "row 20002: expected 2 values as in the header, got 1, so 'x' is missing"),
         (b"3,four\n", "row 20002, column 'x': expected a number, got 'four'"),
         (b"3,nan\n", "row 20002, column 'x': expected a finite number, got nan"),
         (b"3,\xff\n", "expected text (UTF-8), got the byte 0xff in row 20002"),

@@ -417,7 +417,7 @@ def test_a_log_of_ten_rows_is_refused_before_any_work(rng):
 
 
 def test_a_recording_that_stands_still_throughout_is_refused(car):
-    with pytest.raises(InvalidData, match="data set: the robot stands still throughout"):
+    with pytest.raises(InvalidData, match="data set: the robot never moves"):
         check_usable(Dataset.from_arrays(car, np.zeros((200, 3)), np.zeros((200, 2))))
 
 

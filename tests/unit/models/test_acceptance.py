@@ -8,8 +8,8 @@ import pytest
 from sysid_evo.errors import PluginError
 from sysid_evo.models.adaptation import NONE, adaptation, held_out_error, selection
 from sysid_evo.models.adaptation.selection import (
-    AS_AT_HOME,
-    MOST_PIECES,
+    MAX_ERROR_WINDOWS,
+    UNCHANGED_RATIO,
     AdaptationDecision,
     decided,
     error_ratio,
@@ -47,13 +47,13 @@ def held(errors):
     return HeldOutErrors(errors, np.arange(len(errors)) // 2)
 
 
-def alike(name, error, kind="alone", *, sure=True):
+def alike(name, error, kind="fit", *, sure=True):
     """A trial that is as good in each of three blocks."""
     return AcceptanceResult(name, error, (error,) * 3, sure, kind)
 
 
 WEAK, WEAKER = alike("weak", 0.52), alike("weaker", 0.5)
-B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "further")
+B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "fine_tuned")
 
 
 @pytest.mark.parametrize(
@@ -67,34 +67,36 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "further
         ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.97), True)], "none"),
         ([AcceptanceResult("a", 0.5, (0.2, 0.3, 0.93), True)], "a"),
         ([alike("strong", 0.62), WEAK, WEAKER], "weak"),  # the simplest of those that are about as good
-        ([MOST, alike("mean", 0.49, "mean")], "mean"),  # a mean must be better than more training
-        ([MOST, alike("mean", 0.51, "mean")], "most"),
-        ([MOST, AcceptanceResult("mean", 0.4, (0.1, 0.1, 1.0), True, "mean")], "most"),
+        ([MOST, alike("mean", 0.49, "fine_tuned_mean")], "mean"),  # a mean must be better than more training
+        ([MOST, alike("mean", 0.51, "fine_tuned_mean")], "most"),
+        ([MOST, AcceptanceResult("mean", 0.4, (0.1, 0.1, 1.0), True, "fine_tuned_mean")], "most"),
         (
-            [B, ANEW, alike("b and anew", 0.43, "beside")],
+            [B, ANEW, alike("b and anew", 0.43, "fit_mean")],
             "b and anew",
         ),  # another fit gives way to its mean with a correction
-        ([B, ANEW, alike("b and anew", 0.45, "beside")], "anew"),
-        ([B, ANEW, alike("b and anew", 0.38, "beside")], "b and anew"),
-        ([B, alike("anew", 0.58), alike("b and anew", 0.4, "beside")], "b"),  # but not of a fit that is not taken
-        ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.1), True, "beside")], "anew"),
+        ([B, ANEW, alike("b and anew", 0.45, "fit_mean")], "anew"),
+        ([B, ANEW, alike("b and anew", 0.38, "fit_mean")], "b and anew"),
+        ([B, alike("anew", 0.58), alike("b and anew", 0.4, "fit_mean")], "b"),  # but not of a fit that is not taken
+        ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.1), True, "fit_mean")], "anew"),
     ],
 )
 def test_what_is_taken_is_much_better_surely_so_and_in_every_block_and_the_simplest_of_those(trials, chosen):
     assert decided(trials) == chosen
 
 
-@pytest.mark.parametrize("kind", ["further", "mean"])
+@pytest.mark.parametrize("kind", ["fine_tuned", "fine_tuned_mean"])
 def test_more_training_or_a_mean_is_taken_if_it_is_better_than_the_simplest_that_is_about_as_good(kind):
     for error, chosen in ((0.51, "other"), (0.53, "weak")):
         assert decided([WEAK, WEAKER, alike("other", error, kind)]) == chosen
     assert decided([alike(f"{error}", error, kind) for error in (0.501, 0.5, 0.502)]) == "0.5", "of these the best"
 
 
-KINDS = ("alone", "beside", "further", "mean")
+KINDS = ("fit", "fit_mean", "fine_tuned", "fine_tuned_mean")
 
 
-@pytest.mark.parametrize(("t", "believed"), [(1.9, ""), (2.6, "alone beside"), (2.8, "alone beside further mean")])
+@pytest.mark.parametrize(
+    ("t", "accepted"), [(1.9, ""), (2.6, "fit fit_mean"), (2.8, "fit fit_mean fine_tuned fine_tuned_mean")]
+)
 def test_more_training_must_be_surely_better_as_one_of_three_amounts(t, believed):
     """Of 15 seconds Student's t is 2.14 for a single one, and 2.7 for three that are looked at together."""
     apart = np.tile([0.3, -0.3, 0.1, -0.1, 0.0], 3)
@@ -145,7 +147,7 @@ def test_of_more_training_more_is_asked_the_fewer_seconds_are_compared(seconds, 
     better = [held(np.full((2 * seconds, 5, 2), 0.6))]
     assert [judged("a", plain, better, kind).asked for kind in KINDS] == pytest.approx([0.15, 0.15, share, share])
     for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
-        assert AcceptanceResult("a", error, (0.5,), True, "further", share).good == good
+        assert AcceptanceResult("a", error, (0.5,), True, "fine_tuned", share).good == good
 
 
 @pytest.mark.parametrize(("last", "no_good"), [(0.949, False), (0.951, True)])
@@ -186,7 +188,7 @@ def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end
     car, held = Counting(), drive(FloorCar(), seconds=200.0, seed=1, noise=0.0)
     found = held_out_error([(car, held)])
     assert found.max() < 1e-9
-    assert car.most == MOST_PIECES
+    assert car.most == MAX_ERROR_WINDOWS
 
 
 def test_what_is_too_short_for_a_run_says_nothing(model):
@@ -214,59 +216,57 @@ def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(model,
     monkeypatch.setattr(selection, "RIDGES", (0.03,))
     new = drive(FloorCar(thrust=1.5), seconds=16.0, seed=3)
     at_home = held_out_error([(model, new)])
-    free = adaptation(model, new, rng=np.random.default_rng(0)).verdict
+    free = adaptation(model, new, rng=np.random.default_rng(0)).decision
     assert free.chosen != NONE
-    model.held_out_error_ = at_home / (AS_AT_HOME * 1.04)
-    assert adaptation(model, new, rng=np.random.default_rng(0)).verdict == free
-    model.held_out_error_ = at_home / (AS_AT_HOME * 0.96)
+    model.held_out_error_ = at_home / (UNCHANGED_RATIO * 1.04)
+    assert adaptation(model, new, rng=np.random.default_rng(0)).decision == free
+    model.held_out_error_ = at_home / (UNCHANGED_RATIO * 0.96)
     found = adaptation(model, new, rng=np.random.default_rng(0))
-    assert not found.verdict.trials
-    assert found.verdict.chosen == NONE
+    assert not found.decision.trials
+    assert found.decision.chosen == NONE
     assert found.learned.model is model
     assert not found.learned.coefficients.any()
-    assert found.verdict.plain == pytest.approx(free.plain)
-    times = found.verdict.times_home
-    assert times == pytest.approx(AS_AT_HOME * 0.96, rel=0.04)
-    assert found.verdict.sentence == (
-        f"no correction: nothing much has shifted, free runs of a second are in no state more than {times:.2f} times "
-        "as far off as on what was held out from the training"
+    assert found.decision.uncorrected == pytest.approx(free.uncorrected)
+    times = found.decision.error_ratio
+    assert times == pytest.approx(UNCHANGED_RATIO * 0.96, rel=0.04)
+    assert found.decision.sentence == (
+        f"not adapted: the 1 s simulation error is at most {times:.2f} times the held-out training error in every state"
     )
 
 
 GOOD = AcceptanceResult("linear, ridge 3", 0.6, (0.5, 0.6, 0.7), True)
 BETTER = AcceptanceResult("gains, ridge 3", 0.58, (0.5, 0.6, 0.7), True)
 WORST, GAINS = alike("products", 1.3), alike("gains", 0.9)
-MEAN = AcceptanceResult("mean", 0.7, (0.7, 0.7, 0.7), True, "mean", 0.35)
+MEAN = AcceptanceResult("mean", 0.7, (0.7, 0.7, 0.7), True, "fine_tuned_mean", 0.35)
 
 
 @pytest.mark.parametrize(
-    ("trials", "said"),
+    ("trials", "reason"),
     [
-        ([WORST, GAINS], "gains, is 10 % better / 15 % are asked"),
-        ([WORST], "products, is 30 % worse / 15 % are asked"),
+        ([WORST, GAINS], "gains) is 10 % better, 15 % are required"),
+        ([WORST], "products) is 30 % worse, 15 % are required"),
         (
             [WORST, AcceptanceResult("gains", 0.6, (0.5, 0.6, 0.7), False)],
-            "gains, is 40 % better / which may be chance",
+            "gains) is 40 % better, which may be chance",
         ),
-        ([WORST, MEAN], "mean, is 30 % better / 35 % are asked"),
-        ([AcceptanceResult("given up", 0.4, (0.2, 0.96), True), GAINS], "gains, is 10 % better / 15 % are asked"),
+        ([WORST, MEAN], "mean) is 30 % better, 35 % are required"),
+        ([AcceptanceResult("given up", 0.4, (0.2, 0.96), True), GAINS], "gains) is 10 % better, 15 % are required"),
         (
             [WORST, AcceptanceResult("gains", 0.6, (0.2, 0.6, 1.0), True)],
-            "gains, is 40 % better / but not on each of them",
+            "gains) is 40 % better, but not in every block",
         ),
     ],
 )
-def test_a_verdict_says_why_nothing_was_taken(trials, said):
-    best, why = said.split(" / ")
-    expected = f"no correction: the best, {best} than none on 3 blocks it did not learn from; {why}"
+def test_a_decision_gives_the_reason_for_no_adaptation(trials, reason):
+    expected = f"not adapted: the best candidate ({reason}"
     assert AdaptationDecision(24.6, 3, 0.5, tuple(trials), "none").sentence == expected
 
 
-def test_a_verdict_says_what_was_taken_though_another_was_better_or_that_there_was_too_little():
+def test_a_decision_names_the_accepted_candidate_though_another_was_better_or_reports_too_few_data():
     taken = AdaptationDecision(24.6, 3, 0.5, (WORST, GOOD, BETTER), GOOD.name).sentence
-    assert taken == "linear, ridge 3: 40 % better than none on 3 blocks it did not learn from"
+    assert taken == "linear, ridge 3: error 40 % lower on 3 blocks it was not fitted to"
     too_short = AdaptationDecision(24.6, 3, 0.5, (), "none").sentence
-    assert too_short == "no correction: 25 s in motion are too short to hold a block back"
+    assert too_short == "not adapted: 25 s in motion are too short for three blocks"
 
 
 @pytest.mark.parametrize(

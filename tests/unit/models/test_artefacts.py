@@ -289,7 +289,7 @@ def test_a_champion_that_lacks_something_or_has_a_wrong_type_is_refused(tmp_path
 @pytest.mark.parametrize(
     "also, reason",
     [
-        ("object", "extra_ is a object; what a model learns must be arrays, numbers"),
+        ("object", "extra_ is a object; learned values must be arrays, numbers"),
         ("mapping", "extra_ is a dict"),
         ("nan", "cannot be stored: learned: .*expected finite numbers, got nan"),
         ("numpy number", "extra_ is a float64"),

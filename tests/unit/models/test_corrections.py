@@ -8,8 +8,8 @@ from sysid_evo.models.adaptation.correction import (
     AdaptationWindows,
     acceleration_from_coasting,
     corrections,
-    free_runs,
     sensitivities,
+    simulate_corrections,
 )
 from sysid_evo.models.base import make_model
 from sysid_evo.testing.examples import example_dataset
@@ -47,7 +47,7 @@ def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_line
     left = []
     for terms in (CorrectionTerms.of(data), CorrectionTerms.of(data, model=model)):
         found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
-        left.append(error_of(pieces.errors(free_runs(model, terms, found[None], pieces))[0]))
+        left.append(error_of(pieces.errors(simulate_corrections(model, terms, found[None], pieces))[0]))
     assert left[1] < 0.1 * left[0]
     assert terms.names[-3:] == [f"foreseen d {name}/dt" for name in data.system.state_names]
 
@@ -67,11 +67,11 @@ def test_derivatives_along_a_run_are_those_of_differences(lags):
     terms, pieces = CorrectionTerms.of(data, products=True, model=model), AdaptationWindows.of(model, data)
     some = np.random.default_rng(0).normal(0.0, 0.01, terms.shape)
     runs, derivatives = sensitivities(model, terms, some, pieces)
-    np.testing.assert_allclose(runs, free_runs(model, terms, some[None], pieces)[0])
+    np.testing.assert_allclose(runs, simulate_corrections(model, terms, some[None], pieces)[0])
     for place in (0, 5, 20, terms.size * 3 - 1):
         change = np.zeros(terms.shape)
         change.flat[place] = 1e-5
-        more, less = free_runs(model, terms, np.stack([some + change, some - change]), pieces)
+        more, less = simulate_corrections(model, terms, np.stack([some + change, some - change]), pieces)
         expected = (more - less) / 2e-5
         wrong = np.abs(derivatives[place] - expected)
         assert np.median(wrong) < 1e-5
@@ -109,7 +109,7 @@ def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other():
     model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
     terms, some = CorrectionTerms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))
     pieces = AdaptationWindows.of(model, data)
-    runs = free_runs(model, terms, some, pieces)
+    runs = simulate_corrections(model, terms, some, pieces)
     for one, run in zip(some, runs, strict=True):
         carry = pieces.carry
         for k in range(pieces.horizon):

@@ -99,10 +99,13 @@ def test_progress_true_draws_a_bar_on_standard_error(capsys):
 @pytest.mark.parametrize(
     ("given", "hint"),
     [
-        (pd.DataFrame({"a": [1.0]}), r"got a DataFrame: make one of a table with Dataset\.from_pandas\(system, tab"),
-        (np.zeros((3, 2)), r"got a ndarray: make one of arrays with Dataset\.from_arrays\(system, states, controls\)"),
-        ([np.zeros((3, 2))], r"got a list: make one of arrays with Dataset\.from_arrays"),
-        (list(DATA), r"got a list: make a data set of episodes with Dataset\(system, episodes\)"),
+        (pd.DataFrame({"a": [1.0]}), r"got a DataFrame: make one from a table with Dataset\.from_pandas\(system, tab"),
+        (
+            np.zeros((3, 2)),
+            r"got a ndarray: make one from arrays with Dataset\.from_arrays\(system, states, controls\)",
+        ),
+        ([np.zeros((3, 2))], r"got a list: make one from arrays with Dataset\.from_arrays"),
+        (list(DATA), r"got a list: make a data set from episodes with Dataset\(system, episodes\)"),
         (DATA.episodes[0], r"got a Trajectory: make a data set of episodes"),
     ],
 )
@@ -239,7 +242,7 @@ def test_a_plain_run_needs_controls_and_states_enough_to_start():
     with pytest.raises(InvalidArgument, match="expected a state and controls, or a Trajectory; got no controls"):
         Drawn().fit(DATA).simulate([0.0, 0.0])
     short = Trajectory(np.zeros((3, 2)), np.zeros((2, 1)), 0.1, name="short")
-    with pytest.raises(InvalidData, match="Drawn needs 3 states to start, 'short' ends with them"):
+    with pytest.raises(InvalidData, match="Drawn needs 3 states to start, 'short' has no more than these"):
         Drawn(control_lags=2).fit(DATA).simulate(short)
 
 
@@ -266,7 +269,7 @@ def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learn
 def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing():
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
-    few = "Linear learns from 8 steps, too few for 5 states and controls: expected at least 15"
+    few = "Linear is fitted to 8 steps, too few for 5 states and controls: expected at least 15"
     with pytest.warns(DataWarning, match=few):
         make_model("linear").fit(data.with_episodes([episode[:8]]))
     still = data.with_episodes([replace(episode, states=np.full_like(episode.states, 0.3))])
@@ -317,7 +320,7 @@ def test_a_list_holds_one_array_for_each_trajectory_or_the_numbers_of_one_flat_s
 def test_uneven_times_and_arrays_that_do_not_fit_are_refused():
     uneven = TIMES.copy()
     uneven[10:] += 0.02
-    with pytest.raises(InvalidData, match=r"equally spaced times, got steps of 0.051 s in the mean and one of 0.07 s"):
+    with pytest.raises(InvalidData, match=r"equally spaced times, got a mean step of 0.051 s and one of 0.07 s"):
         from_samples(X, uneven)
     with pytest.raises(InvalidData, match=r"one time for each sample \(21, 9\).*got 21, 8"):
         from_samples([X, X[:9]], [TIMES, TIMES[:8]])
@@ -330,7 +333,7 @@ def test_uneven_times_and_arrays_that_do_not_fit_are_refused():
 def test_a_data_set_needs_no_times_and_controls_alone_do_not_do():
     data = from_samples(X, 0.05)
     for given in (data, [data]):
-        with pytest.raises(InvalidArgument, match="expected a Dataset alone"):
+        with pytest.raises(InvalidArgument, match="a Dataset has its own times and controls: expected no t"):
             make_model("linear").fit(given, t=0.05)
     with pytest.raises(InvalidArgument, match=r"Linear\.fit: expected the time step.*fit\(x, t=0.05, u=u\)"):
         make_model("linear").fit(X, u=U)
@@ -358,7 +361,7 @@ class Slow(DynamicsModel):
 
 def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch):
     monkeypatch.setattr(progress, "WATCHED", 0.005)
-    much = r"Slow may take \d+ min more; shorter with each of parts=5, control_lags=0 .of .* 2 states and 1 controls"
+    much = r"Slow may take \d+ min more; .* makes it shorter: parts=5, control_lags=0 .of .* 2 states and 1 controls"
     with pytest.warns(DataWarning, match=much) as given:
         Slow().fit(DATA)
     assert len(given) == 1
@@ -384,7 +387,7 @@ def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_lea
     with pytest.warns(DataWarning, match=r"Counting learned from \d+ of 400 steps, blocks of time"):
         model.fit(data, rng=0)
     assert 200 <= model.given_ <= 300
-    assert model.fit_note.startswith(f"learned from {model.given_} of 400 steps")
+    assert model.fit_note.startswith(f"uses {model.given_} of 400 steps")
     highest = max(episode.states[:, 0].max() for episode in data)
     assert model.state_bounds_[1, 0] >= highest, "the range is that of all the data"
     model.set_params(max_steps=None).fit(data, rng=0)

@@ -39,7 +39,7 @@ def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(c
 
 
 def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car):
-    assert "never seen to move" in doubts(car, [0.0, 0.0, 0.0])[0]
+    assert "does not move in the recording" in doubts(car, [0.0, 0.0, 0.0])[0]
     assert "drives 1 m in one step and may jump over" in doubts(car, [20.0, 0.0, 30.0])[0]
     assert "in circles of 20 m, in an arena of 1.5 m" in doubts(car, [2.0, 0.0, 0.1])[0]
     assert "in no circle" in doubts(car, [2.0, 0.0, 0.0])[0]
@@ -65,6 +65,6 @@ def test_a_comparison_says_so_before_any_work_of_recordings_and_of_an_emulated_r
         plan_comparison(Experiment(task=far, robot="emulated_car", models=("linear",))),
         plan_comparison(Experiment(task=far, models=("linear",)), dataset=example_dataset()),
     ):
-        assert any("Give it a smaller arena" in remark for remark in plan.plan.remarks)
+        assert any("Use a smaller arena" in remark for remark in plan.plan.remarks)
     usual = plan_comparison(Experiment(robot="emulated_car", models=("linear",)))
     assert not any("point_to_point" in remark for remark in usual.plan.remarks)

@@ -131,7 +131,7 @@ def test_what_fits_no_system_or_no_function_is_refused():
     ):
         with pytest.raises(IncompatibleTask, match=reason):
             made.bind(system)
-    with pytest.raises(InvalidArgument, match="each by its name, and none called horizon; got states"):
+    with pytest.raises(InvalidArgument, match="named after states and controls, and none named horizon; got states"):
         register_reward("wrong", min_reward=0.0)(lambda *states: 0.0)
     with pytest.raises(InvalidArgument, match="got horizon"):
         register_reward("wrong", min_reward=0.0)(lambda horizon: 0.0)
