@@ -27,7 +27,7 @@ from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
-from sysid_evo.progress import Progress, told
+from sysid_evo.progress import Progress, reporting
 from sysid_evo.registry import load_plugin
 from sysid_evo.version import versions
 
@@ -100,7 +100,7 @@ def _observed(observer: Observer | None, progress: Progress | bool | None, title
     """Yield the ``observer`` of an execution, or one that reports the number of finished cells to ``progress``."""
     if observer is not None and progress:
         raise InvalidArgument(f"{title}: expected progress or an observer, got both")
-    with told(progress, title) as report:
+    with reporting(progress, title) as report:
         yield observer if report is None else _CellCounter(report)
 
 

@@ -23,7 +23,7 @@ from sysid_evo.extras import check_installed
 from sysid_evo.models import Dynamics
 from sysid_evo.models.dynamics import started
 from sysid_evo.processors import resolve
-from sysid_evo.progress import Progress, told
+from sysid_evo.progress import Progress, reporting
 from sysid_evo.registry import Spec, make_robot
 from sysid_evo.system import System
 
@@ -121,7 +121,7 @@ class Robot(ABC):
         progress: Progress | bool | None = None,
     ) -> RecordingResult:
         """Excite it for ``duration`` s, with ``seed``, and record the response; ``progress`` True shows a bar."""
-        with told(progress, "record") as report:
+        with reporting(progress, "record") as report:
             return self._record_excitation(duration, RecordingJob(seed, folder, stop or StopRequest(), report))
 
     def _record_excitation(self, duration: float, job: RecordingJob) -> RecordingResult:

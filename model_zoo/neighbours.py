@@ -160,7 +160,7 @@ class KNeighbours(StochasticModel):
 
         self.neighbours_, chosen = best_candidate(
             settings,
-            lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, told=counter.advance),
+            lambda setting: blocks.error(lambda part: learned(part, *setting), stride=8, report=counter.advance),
         )
         self.record_lags(chosen)
         data = dataset.transitions(state_lags=self.lags[0], control_lags=self.lags[1], moving=True)

@@ -29,7 +29,7 @@ MAX_MANIFEST_BYTES, MAX_HEADER_BYTES, MAX_TENSOR_BYTES = 4 * 2**20, 2**20, 2**31
 
 
 def strict_json(value: Any) -> Any:
-    """Return ``value`` if strict JSON can hold it, or raise ValueError: nan and infinity are no numbers there."""
+    """Return ``value`` if strict JSON can hold it, else raise ValueError, also for nan and infinity."""
     if isinstance(value, dict):
         odd = [key for key in value if not isinstance(key, str)]
         if odd:
@@ -49,7 +49,7 @@ StrictJson: TypeAlias = Annotated[dict[str, Any], AfterValidator(strict_json)]
 
 
 class Manifest(BaseModel):
-    """What stands in ``<artefact>.json``: what it is, what made it, and the digest of its tensors.
+    """Content of ``<artefact>.json``: kind, origin, parameters, learned values and the digest of the tensors.
 
     Unknown keys are refused.
     """
@@ -96,7 +96,7 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
     """Return the manifest named by ``path``; in a run folder the digest in the file's name may be left out.
 
     ``models/linear`` or ``models/linear.json`` is ``models/linear-0123abcd.json`` if there is only one. A path without
-    a file is returned as it is. Raises `ArtefactError` if there are several, or if the path has no name.
+    a file is returned unchanged. Raises `ArtefactError` if there are several, or if the path has no name.
     """
     path = Path(path)
     stem = path.with_suffix("").name if path.suffix in SUFFIXES else path.name
@@ -112,20 +112,20 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
 
 
 def is_stored_dataset(name: str, kind: Literal["model", "controller"]) -> bool:
-    """Whether ``name`` is the path of something stored, and not the name of a plugin."""
+    """Whether ``name`` is the path of a stored artefact rather than a registered name."""
     return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
 
 
 def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Manifest, dict[str, np.ndarray[Any, Any]]]:
-    """Return manifest and tensors of what `stored_file` finds.
+    """Return manifest and tensors of the artefact that `stored_file` finds.
 
-    Raises `ArtefactError` with the reason if either is not what it claims.
+    Raises `ArtefactError` with the reason if one of them is missing, damaged or of another version.
     """
     path = stored_file(path, kind)
     source, target = _with(path, ".json"), _with(path, ".safetensors")
     if not source.exists() and not target.exists():
-        there = {re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in source.parent.glob("*.safetensors")}
-        close = closest(source.stem, sorted(there), cutoff=0.5)
+        stored = {re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in source.parent.glob("*.safetensors")}
+        close = closest(source.stem, sorted(stored), cutoff=0.5)
         hint = f". Did you mean {close}?" if close else ""
         raise ArtefactError(f"{source}: no {kind} is stored there{hint}")
     for file in (source, target):
@@ -145,7 +145,7 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     with target.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
     if digest != manifest.sha256:
-        raise ArtefactError(f"{target}: its SHA-256 is not the one in {source.name}: damaged, or not its partner")
+        raise ArtefactError(f"{target}: its SHA-256 is not the one in {source.name}: damaged, or another file")
     try:
         tensors = load_file(target)
     except (SafetensorError, ValueError, KeyError) as error:
@@ -157,19 +157,19 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
 
 
 def _first(error: ValidationError) -> str:
-    """Return where the first fault stands and what it is."""
+    """Return key and message of the first fault."""
     first = error.errors()[0]
     return f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
 
 
 def _older(error: ValidationError) -> str:
-    """Return what to do about an artefact that another version wrote; nothing for other faults."""
+    """Return the remedy for an artefact of another version; empty for other faults."""
     of_schema = any(fault["loc"] == ("schema_",) and fault["type"] == "literal_error" for fault in error.errors())
     return "; another version of this library wrote it: fit or evolve again" if of_schema else ""
 
 
 def _with(path: Path, suffix: str) -> Path:
-    """Replace the suffix of an artefact; a dot elsewhere in its name stays. Raises `ArtefactError` without a name."""
+    """Return ``path`` with another suffix; other dots in the name remain. Raises `ArtefactError` without a name."""
     stem = path.with_suffix("") if path.suffix in SUFFIXES else path
     if not stem.name:
         raise ArtefactError(f"expected the name of a file, such as runs/mine/models/NAME, got {str(path)!r}")
@@ -180,11 +180,11 @@ CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
 
 CONTENT = "sysid-evo"
 SHARE = 0.01
-"""The most that saving takes of the time."""
+"""Largest share of the time that saving may take."""
 
 
 class _Content(BaseModel):
-    """What stands in the header of the file, beside the arrays: the rest of the state, and its digest.
+    """Header of a checkpoint: the values other than arrays, and the digest.
 
     ``numbers`` names the arrays that are plain numbers.
     """
@@ -199,12 +199,11 @@ class _Content(BaseModel):
 
 
 class CheckpointFile:
-    """Keeps the state of long work in the file ``path``: a `Checkpoint` for `evolve_controller` and for models.
+    """Stores the state of long work in the file ``path``: a `Checkpoint` for `evolve_controller` and for models.
 
-    It is one safetensors file, which is the old one or the new one after a crash, never half of one.
-    It is due every ``every`` s, less often where saving takes long: never more than a hundredth of the time.
-    A file that is damaged or belongs to other work is ignored with a `CheckpointWarning`. If a file cannot be written,
-    for example on a full disk, there is such a warning too, and the work continues.
+    It is one safetensors file, written atomically. It is saved every ``every`` s, less often if saving takes more than
+    one per cent of the time. A damaged file, or one of other work, is ignored with a `CheckpointWarning`. If a file
+    cannot be written, for example on a full disk, there is such a warning too, and the work continues.
     """
 
     def __init__(self, path: str | Path, *, every: float = 1.0) -> None:
@@ -216,18 +215,18 @@ class CheckpointFile:
         self._fails = False
 
     def load(self, identity: str) -> CheckpointState | None:
-        """Return what was saved under this ``identity``, None if there is nothing that can be used."""
+        """Return the state saved with this ``identity``, or None."""
         if not self.path.is_file():
             return None
         try:
             owner, state = read_checkpoint(self.path)
         except ArtefactError as error:
-            warnings.warn(f"{error}; it is ignored, and all is computed again", CheckpointWarning, stacklevel=2)
+            warnings.warn(f"{error}; it is ignored, and everything is computed again", CheckpointWarning, stacklevel=2)
             return None
         if owner != identity:
             warnings.warn(
-                f"{self.path}: the checkpoint of other work (other models, settings, seed, engine or versions); it is "
-                "ignored, and all is computed again",
+                f"{self.path}: a checkpoint of other work (other models, settings, seed, engine or versions); it is "
+                "ignored, and everything is computed again",
                 CheckpointWarning,
                 stacklevel=2,
             )
@@ -239,7 +238,7 @@ class CheckpointFile:
         return time.monotonic() - self._saved >= max(self.every, self._took / SHARE)
 
     def save(self, identity: str, state: CheckpointState) -> None:
-        """Write ``state`` in place of what was kept before; where that fails, warn once and keep what there was."""
+        """Replace the saved state by ``state``; if that fails, warn once and keep the old file."""
         began, failed = time.monotonic(), self._fails
         try:
             write_checkpoint(self.path, identity, state)
@@ -249,7 +248,7 @@ class CheckpointFile:
             if not failed:
                 warnings.warn(
                     f"{self.path}: cannot be written ({error.strerror or error}). The work continues; if it is "
-                    "interrupted now, it resumes from the checkpoint before",
+                    "interrupted now, it resumes from the previous checkpoint",
                     CheckpointWarning,
                     stacklevel=2,
                 )
@@ -275,11 +274,11 @@ def write_checkpoint(path: Path, identity: str, state: CheckpointState) -> None:
 
 
 def read_checkpoint(path: Path) -> tuple[str, CheckpointState]:
-    """Return identity and state in the file ``path``. Raises `ArtefactError` if it is damaged or something else."""
+    """Return identity and state in the file ``path``. Raises `ArtefactError` if it is not a valid checkpoint."""
     try:
         with safe_open(path, framework="numpy") as file:
             content = _Content.model_validate_json((file.metadata() or {})[CONTENT])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it is no mapping
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # not a mapping
     except (SafetensorError, OSError, KeyError, ValueError, TypeError) as error:
         reason = str(error).partition("\n")[0]
         raise ArtefactError(f"{path}: expected a checkpoint, but it cannot be read ({reason})") from error
@@ -290,6 +289,6 @@ def read_checkpoint(path: Path) -> tuple[str, CheckpointState]:
 
 
 def _digest(tensors: dict[str, np.ndarray[Any, Any]], content: _Content) -> str:
-    """Return the SHA-256 of all that a checkpoint holds."""
+    """Return the SHA-256 of the content of a checkpoint."""
     rest = json.dumps([content.identity, content.numbers, content.others], sort_keys=True)
     return hashlib.sha256(save(tensors) + rest.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The carry: where states, lags and controls stand in it, clipping, and what holds a body at rest."""
+"""The carry: positions of states, lags and controls, clipping, and the standstill dead band."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 class CarryLayout:
     """The state (nx), ``state_lags`` earlier states, ``control_lags`` earlier controls (nu), newest first.
 
-    Its methods only cut and list parts; whoever calls joins them along the last axis, with its own library.
+    Its methods only return parts; the caller concatenates them along the last axis, with its own library.
     """
 
     nx: int
@@ -33,12 +33,12 @@ class CarryLayout:
 
     @property
     def n_lags(self) -> int:
-        """Number of samples before the present that it takes to start."""
+        """Number of samples before the present one that are needed to start."""
         return max(self.state_lags, self.control_lags)
 
     @property
     def earlier_controls(self) -> slice:
-        """Where the earlier controls stand."""
+        """The indices of the earlier controls."""
         return slice(self.nx * (1 + self.state_lags), self.size)
 
     def initial_parts(self, states: Any, controls: Any) -> list[Any]:
@@ -47,7 +47,7 @@ class CarryLayout:
         return parts + [controls[..., -1 - lag, :] for lag in range(self.control_lags)]
 
     def shifted_parts(self, carry: Any, control: Any, after: Any) -> list[Any]:
-        """Return the parts of the next carry (..., size): states and controls move one place back."""
+        """Return the parts of the next carry (..., size), with states and controls shifted by one place."""
         parts = [after, carry[..., : self.nx * self.state_lags]] if self.state_lags else [after]
         if self.control_lags:
             first = self.earlier_controls.start
@@ -66,7 +66,7 @@ class CarryLayout:
 
 
 def pad_history(states: Array, controls: Array, lags: int, neutral: Array) -> tuple[Array, Array]:
-    """Return a history of at least ``lags`` samples: before what is measured, the first state and neutral controls.
+    """Return a history of at least ``lags`` samples, padded with the first state and neutral controls.
 
     ``states`` are (..., L + 1, nx), ``controls`` (..., L, nu), ``neutral`` (nu,).
     """
@@ -82,12 +82,11 @@ def recent(states: Array, controls: Array, lags: int) -> tuple[Array, Array]:
 
 
 REST_BAND = 0.005
-"""Share of the range of the training states, around neutral, that counts as rest."""
+"""Width of the dead band around neutral, as a share of the range of the training states."""
 
 
 def dead_band_size(system: System, state_bounds: Array, multiple: float) -> Array:
-    """Return how near to neutral (nx,) a state counts as rest, by an ``state_bounds`` (2, nx) ``multiple`` ranges
-    wide."""
+    """Return the half width (nx,) of the dead band, from ``state_bounds`` (2, nx) of ``multiple`` ranges."""
     ranges = (state_bounds[1] - state_bounds[0]) / multiple
     for i, period in system.periods.items():
         ranges[i] = period
@@ -97,9 +96,9 @@ def dead_band_size(system: System, state_bounds: Array, multiple: float) -> Arra
 def hold_at_rest(
     system: System, earlier: slice | Sequence[int], band: Array, carry: Array, control: Array, after: Array
 ) -> Array:
-    """Return ``after`` (B, nx), neutral where the body rests within ``band`` (nx,) and all controls are neutral.
+    """Return ``after`` (B, nx), set to neutral within ``band`` (nx,) around it while all controls are neutral.
 
-    The ``earlier`` controls in the carry count too: with dead time, a short pulse acts after it has ended.
+    These include the ``earlier`` controls in the carry: with dead time, a short pulse acts after it has ended.
     """
     neutral, idle_control = system.neutral_state, system.neutral_control
     still = (np.abs(carry[..., : system.nx] - neutral) <= band).all(axis=-1)
@@ -109,9 +108,9 @@ def hold_at_rest(
 
 
 def clip_state(carry: Array, state_bounds: Array | None) -> tuple[Array, np.ndarray]:
-    """Clip the state at the head of ``carry`` to ``state_bounds``; also return which rows were changed (B,).
+    """Return ``carry`` with its state clipped to ``state_bounds``, and a mask (B,) of the changed rows.
 
-    A state that is not a number becomes the upper limit, so that a diverged simulation stays visible.
+    nan becomes the upper bound, so that a diverged simulation remains visible.
     """
     if state_bounds is None:
         return carry, np.zeros(len(carry), dtype=bool)

@@ -1,4 +1,4 @@
-"""How data, models and results show themselves: a short line in a terminal, a small table in a notebook."""
+"""Display of data, models and results: a short line in a terminal, a small table in a notebook."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Iterable, Mapping
 from html import escape
 
 NAMES = 8
-"""Names of a list that are shown."""
+"""Largest number of names of a list to show."""
 LONGEST = 90
-"""Characters of one fact in a line; a table in a notebook has room for all."""
+"""Largest number of characters of one fact in a line; tables in a notebook show all."""
 
 
 class Displayed:
-    """Something with ``facts``, short texts by name, which are all that is shown of it."""
+    """Base class of objects that are displayed by their ``facts``, short texts by name."""
 
     @abstractmethod
     def facts(self) -> Mapping[str, str]:
-        """Return what there is to know at a glance, quickly: no array is gone through."""
+        """Return a summary as texts by name; it must be fast, without computations over arrays."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({line_of(self.facts())})"
@@ -33,7 +33,7 @@ def line_of(facts: Mapping[str, str]) -> str:
 
 
 def listed(names: Iterable[object]) -> str:
-    """Return ``names`` with commas, of many the first ones and how many there are."""
+    """Return ``names`` separated by commas; of many names, the first ones and the total number."""
     found = list(map(str, names))
     more = f", ... ({len(found)} in all)" if len(found) > NAMES else ""
     return ", ".join(found[:NAMES]) + more or "none"
@@ -41,7 +41,7 @@ def listed(names: Iterable[object]) -> str:
 
 def html_table(title: str, facts: Mapping[str, str]) -> str:
     """Return a table of two columns as HTML, its texts escaped."""
-    left = 'style="text-align: left"'  # notebooks set it to the right, as numbers
+    left = 'style="text-align: left"'  # notebooks align cells to the right
     cells = [(escape(name), escape(text).replace("\n", "<br>")) for name, text in facts.items()]
     rows = "".join(f"<tr><th {left}>{name}</th><td {left}>{text}</td></tr>" for name, text in cells)
     return f"<table><caption {left}><strong>{escape(title)}</strong></caption>{rows}</table>"

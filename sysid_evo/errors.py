@@ -1,4 +1,4 @@
-"""Every error and warning of the library, what messages are made of, text that is safe to print, settings at odds.
+"""Errors and warnings of the library, suggestions for wrong names, printable text, checks of conflicting settings.
 
 Each error is a `SysidEvoError` and a builtin exception.
 """
@@ -23,7 +23,7 @@ class ShapeError(SysidEvoError, ValueError):
 
 
 class InvalidSystem(SysidEvoError, ValueError):
-    """A channel, a system or a motion contradicts itself."""
+    """A channel, a system or a motion is inconsistent."""
 
 
 class IncompatibleSystem(SysidEvoError, ValueError):
@@ -35,7 +35,7 @@ class IncompatibleTask(SysidEvoError, ValueError):
 
 
 class InvalidData(SysidEvoError, ValueError):
-    """A recording cannot be used as it is."""
+    """A recording cannot be used."""
 
 
 class NotFitted(SysidEvoError, AttributeError):
@@ -58,7 +58,7 @@ class UnknownName(SysidEvoError, KeyError):
 
 
 class RegistrationError(SysidEvoError, ValueError):
-    """A name is registered twice, or under another name than its entry point says."""
+    """A name is registered twice, or differs from that of its entry point."""
 
 
 class PluginError(SysidEvoError, ImportError):
@@ -74,23 +74,23 @@ class LinkLost(SysidEvoError, ConnectionError):
 
 
 class SchedulerLost(SysidEvoError, ConnectionError):
-    """The scheduler of a cluster does not answer, or not any more."""
+    """The scheduler of a cluster does not answer."""
 
 
 class IncompatibleRobot(SysidEvoError, ConnectionError):
-    """A robot speaks another version of the link's protocol."""
+    """A robot uses another version of the link's protocol."""
 
 
 class ContractViolation(SysidEvoError, AssertionError):
-    """An implementation does not keep the contract of its base class."""
+    """An implementation violates the contract of its base class."""
 
 
 class ArtefactError(SysidEvoError, ValueError):
-    """A stored file is damaged, of another version, or not what it claims to be."""
+    """A stored file is damaged, of another version, or of another kind."""
 
 
 class Blocked(SysidEvoError, RuntimeError):
-    """A piece of work had nothing to do, because what it needs failed."""
+    """A step could not run because a step that it depends on failed."""
 
 
 class PluginWarning(UserWarning):
@@ -98,7 +98,7 @@ class PluginWarning(UserWarning):
 
 
 class DataWarning(UserWarning):
-    """Something about a recording that the user should know."""
+    """A possible problem of a recording."""
 
 
 class CheckpointWarning(UserWarning):
@@ -106,7 +106,7 @@ class CheckpointWarning(UserWarning):
 
 
 class EvolutionWarning(UserWarning):
-    """An evolution did not do all that was asked for."""
+    """An evolution did not complete all requested stages or generations."""
 
 
 RENAMED: Mapping[str, tuple[str, ...]] = {
@@ -160,23 +160,23 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def closest(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return which of the ``known`` names ``name`` may stand for, the more alike the higher ``cutoff``; else ""."""
+    """Return the ``known`` name that is most similar to ``name``, by at least ``cutoff`` (0 to 1), else ""."""
     return next(iter(difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)), "")
 
 
 UNSEEN = {number: None for number in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
           if chr(number) not in "\t\n"}  # fmt: skip
-"""What is not printed: control characters, which command terminals, and those that turn the direction of writing."""
+"""Characters that are not printed: control characters, which command terminals, and changes of the text direction."""
 
 
 def printable(text: str) -> str:
-    """Return ``text``, which may hold names from anybody's files, so that it can be shown on a terminal."""
+    """Return ``text``, which may contain names from foreign files, made safe for a terminal."""
     return text.translate(UNSEEN)
 
 
 def described(error: Exception) -> str:
-    """Return an error's class and message, and the line of the plugin that raised it or led to it."""
-    here = Path(__file__).parent  # this package and the harness run plugins, and are none
+    """Return class and message of an error, and the line of the plugin that caused it."""
+    here = Path(__file__).parent  # this package and the harness are not plugins
     others = (str(here), str(here.parent / "evaluation"), *map(sysconfig.get_path, ("stdlib", "purelib")), "<")
     own = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(others)]
     where = f" ({Path(own[-1].filename).name}, line {own[-1].lineno}: {own[-1].line})" if own else ""
@@ -185,33 +185,33 @@ def described(error: Exception) -> str:
 
 @dataclass(frozen=True)
 class Meaningless:
-    """A rule: ``settings`` have no effect if all of ``beside`` are given and none of ``unless`` is.
+    """A rule: ``settings`` have no effect if all of ``when`` are given and none of ``unless`` is.
 
-    Each name in ``beside`` has a tuple of values to which the rule applies; an empty tuple means any value.
+    Each name in ``when`` has a tuple of values to which the rule applies; an empty tuple means any value.
     """
 
     settings: tuple[str, ...]
     why: str
-    beside: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+    when: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
     unless: tuple[str, ...] = ()
 
 
 def meaningless(
     rules: Iterable[Meaningless], given: Mapping[str, Any], among: Mapping[str, Any]
 ) -> dict[str, Meaningless]:
-    """Return the settings ``given`` that have no effect ``among`` all settings, with their rule. Empty is not given."""
-    there = {name for name, value in among.items() if value}
+    """Return the settings ``given`` that have no effect ``among`` all settings, with their rule; empty ones are unset."""
+    set_names = {name for name, value in among.items() if value}
     holding = [
         rule
         for rule in rules
-        if there.isdisjoint(rule.unless)
-        and all(name in there and (not few or among[name] in few) for name, few in rule.beside.items())
+        if set_names.isdisjoint(rule.unless)
+        and all(name in set_names and (not values or among[name] in values) for name, values in rule.when.items())
     ]
     return {name: rule for rule in holding for name in rule.settings if given.get(name)}
 
 
 def as_setting(name: str, value: Any = None) -> str:
-    """Return a setting as Python and TOML write it: ``only = 'fit'``."""
+    """Return a setting as it is written in Python and TOML: ``stop_after = 'fit'``."""
     return f"{name} = {value!r}" if isinstance(value, str) else name
 
 
@@ -223,7 +223,7 @@ def refuse_meaningless(
 ) -> None:
     """Raise `InvalidArgument` for the first of the settings ``given`` that others ``among`` all make meaningless."""
     for name, rule in meaningless(rules, given, among).items():
-        parts = [f"with {named(other, among[other] if few else None)}" for other, few in rule.beside.items()]
+        parts = [f"with {named(other, among[other] if values else None)}" for other, values in rule.when.items()]
         parts += [f"without {' or '.join(map(named, rule.unless))}"] if rule.unless else []
         remedy = "change that, or leave it out" if rule.unless else "leave one of them out"
         raise InvalidArgument(f"{named(name)} has no effect {' and '.join(parts)}: {rule.why}; {remedy}")

@@ -1,4 +1,4 @@
-"""Which optional part of a distribution brings a module that is not installed."""
+"""Optional dependencies: the extra of a distribution that installs a missing module."""
 
 from __future__ import annotations
 
@@ -14,16 +14,15 @@ from sysid_evo.errors import MissingExtra
 
 DISTRIBUTION = "sysid-evo"
 PACKAGES = {"serial": "pyserial", "sklearn": "scikit-learn", "yaml": "pyyaml", "cv2": "opencv-python"}
-"""Packages of modules that have another name, for what is not installed cannot be asked."""
+"""Packages whose modules have another name; this cannot be looked up if they are not installed."""
 EXTRA = re.compile(r"""extra == ['"]([^'"]+)['"]""")
 
 
 def extra_of(module: str, distribution: str | Distribution = DISTRIBUTION) -> str | None:
-    """Return the extra of ``distribution`` that brings ``module``, None if none does.
+    """Return the extra of ``distribution`` that installs ``module``, or None.
 
-    Where several do, it is the one with the fewest packages, so never one that means all. ``module``
-    may be a submodule. The answer comes from the metadata of ``distribution`` (or its name), which must
-    be installed; the package of ``module`` need not be.
+    Of several extras it is the one with the fewest packages, so never the one with all of them. ``module``
+    may be a submodule. The metadata of ``distribution`` (or its name) are read; only that must be installed.
     """
     top = module.partition(".")[0]
     package = canonicalize_name(PACKAGES.get(top, top))
@@ -40,10 +39,10 @@ def extra_of(module: str, distribution: str | Distribution = DISTRIBUTION) -> st
 
 
 def missing_extra(what: str, module: str | None, distribution: str | Distribution = DISTRIBUTION) -> MissingExtra:
-    """Return the error for ``what`` that needs ``module``: it says how to install it.
+    """Return the error for ``what`` that needs ``module``, with the command that installs it.
 
-    ``what`` begins the sentence, such as "driving by hand". A module that no extra brings is to be
-    installed by the name of its package.
+    ``what`` begins the sentence, such as "manual driving". For a module without an extra, the package itself is to be
+    installed.
     """
     top = (module or "?").partition(".")[0]
     extra = extra_of(top, distribution)
@@ -56,7 +55,7 @@ def missing_extra(what: str, module: str | None, distribution: str | Distributio
 
 
 def check_installed(what: str, modules: Iterable[str]) -> None:
-    """Raise `missing_extra` for the first of ``modules`` that is not there; nothing is imported."""
+    """Raise `missing_extra` for the first of ``modules`` that is not installed; nothing is imported."""
     for module in modules:
         if find_spec(module) is None:
             raise missing_extra(what, module)

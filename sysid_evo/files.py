@@ -1,4 +1,4 @@
-"""Where files are kept, how TOML is read and any file written: a crash leaves the old or the new one, whole."""
+"""Cache and state folders, reading of TOML, atomic writing of files."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Any
 
 
 def cache_folder(kind: str) -> Path:
-    """Return where compiled things of this ``kind`` are kept from run to run (``SYSID_EVO_CACHE`` overrides it)."""
+    """Return the folder of compiled code of this ``kind`` (``SYSID_EVO_CACHE`` overrides it)."""
     base = os.environ.get("SYSID_EVO_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "sysid-evo" / kind
 
 
 def state_folder(kind: str) -> Path:
-    """Return where this user's decisions of this ``kind`` are kept (below ``XDG_STATE_HOME``, if it is set)."""
+    """Return the folder of the user's decisions of this ``kind`` (in ``XDG_STATE_HOME``, if it is set)."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "sysid-evo" / kind
 
 
 DEEPEST, LONGEST = 12, 2**20
-"""Tables and lists inside each other, and characters, of a TOML file: its readers call themselves for inner ones."""
+"""Largest depth of nested tables and lists (readers are recursive), and of characters, of a TOML file."""
 
 
 def parsed_toml(text: str) -> dict[str, Any]:
     """Return the content of a TOML text. Raises ValueError with the reason if it cannot be read."""
     if len(text) > LONGEST:
         raise ValueError(f"expected at most {LONGEST} characters, got {len(text)}")
-    too_deep = f"expected at most {DEEPEST} tables and lists inside each other, got more"
+    too_deep = f"expected at most {DEEPEST} nested tables and lists, got more"
     try:
         found = tomllib.loads(text)
     except RecursionError:
@@ -43,7 +43,7 @@ def parsed_toml(text: str) -> dict[str, Any]:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, sync it, and rename it to ``path``."""
+    """Write a temporary file with ``write``, sync it, and rename it to ``path``, which a crash cannot damage."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -1,4 +1,4 @@
-"""A fitted model as a system of python-control, so that its tools work on it."""
+"""Conversion of fitted models to systems of python-control."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def to_control(model: Dynamics, *, name: str | None = None) -> control.Nonlinear
     """Return ``model`` as a discrete `control.NonlinearIOSystem` at its ``dt``.
 
     Its inputs are the controls, its outputs the states of the system, by name; its state is the
-    carry: the states, then whatever else the model remembers (``yaw_rate[-1]`` is one sample ago).
-    Noise is left out and nothing is clipped. Raises `MissingExtra` if python-control is not installed.
+    carry: the states, then all other memory of the model (``yaw_rate[-1]`` is that of the sample before).
+    There is no noise and no clipping. Raises `MissingExtra` if python-control is not installed.
     """
     try:
         import control

@@ -1,9 +1,9 @@
-"""What a compiled form is: the words that kernel functions are written in, and the records that hand them over.
+"""The kernel language: functions for compiled code, and the records that contain kernels.
 
-**Lanes.** A compiled rollout does not go through one trial after the other. It takes 64 of them side by side, and every
-quantity is an array of rows of 64 numbers, one for each rollout, its *lane*: number i of lane l stands at
-``i * LANES + l``. A kernel is a plain Python function over one such block. It loops over the lanes in its innermost
-loop, and the compiler turns that loop into vector instructions, eight or sixteen lanes at a time::
+**Lanes.** Compiled code runs 64 rollouts at once. Every quantity is an array of rows of 64 numbers, one for each
+rollout, its *lane*: number i of lane l is at ``i * LANES + l``. A kernel is a plain Python function over one such
+block. Its innermost loop is over the lanes, and the compiler turns that loop into vector instructions, eight or sixteen
+lanes at a time::
 
     def decay(carry, control, noise, parameters, scratch):
         for row in range(3):
@@ -15,30 +15,30 @@ For this to work:
 
 - The innermost loop has no branches that differ between lanes: write ``a if test else b``, ``min``, ``max``.
 - ``view(array, n)`` is the array from element n on. A slice would count references in the loop, and an index
-  ``start + lane`` would be tested for its sign; both keep the loop from becoming vectors.
+  ``start + lane`` would be tested for its sign; both prevent vectorisation.
 - A sum over many rows is kept in registers with ``load``, ``splat`` and ``store``, which move a whole row;
-  ``load_quarter`` and ``splat_quarter`` make rows of sixteen. Short work on several arrays is faster with them too: a
-  loop over lanes first tests whether its arrays overlap.
-- For a search, ``lowest`` and ``lane_of_lowest`` reduce a row, ``pick`` takes one lane of it, and ``lanes_less`` marks
-  lanes as the bits of an integer, whose lowest ``first_lane`` finds.
-- Real numbers are written with a point: ``2 * x`` makes a float64 number of a float32 one. All literals, and
-  ``math.sin`` and the like, are turned into the kernel's own precision (float32 unless told otherwise).
-- Nothing is allocated. A kernel says how many rows of ``scratch`` it wants.
+  ``load_quarter`` and ``splat_quarter`` make rows of sixteen. They also speed up short operations on several arrays,
+  because a loop over lanes first tests whether its arrays overlap.
+- For a search, ``lowest`` and ``lane_of_lowest`` reduce a row, ``pick`` returns one lane of it, and ``lanes_less`` marks
+  lanes as the bits of an integer, whose lowest set bit is ``first_lane``.
+- Real numbers are written with a point: ``2 * x`` turns a float32 number into float64. All literals, and functions such
+  as ``math.sin``, are converted to the precision of the kernel (float32 by default).
+- Nothing is allocated. A kernel declares its number of ``scratch`` rows.
 
 **Parameters.** A kernel gets one flat array. `Layout` names the numbers at its head. The arguments of each kind of
 kernel are `DYNAMICS`, `CONTROLLER`, `OBSERVE` and `ADVANCE`, each a `Signature`.
 
-**Three ways to a kernel of a model**, the shorter first: a predictor of the kernel library (networks, polynomials,
-neighbours) in `stepping_kernel`; a step of one sample, `ScalarStep` to all lanes; a block function of one's own.
-Integration and the turning of the body's frame come from the system's motion. A motion without a compiled form has
-none here either: shells then return None, and the model runs in NumPy.
+**Three kinds of kernels for models**, the shortest first: a predictor of the kernel library (networks, polynomials,
+neighbours) in `stepping_kernel`; the step of a single sample in `ScalarStep`; your own block function. Integration and
+the rotation of the body frame are part of the system's motion. If the motion has no compiled form, wrappers return
+None, and the model runs in NumPy.
 
-**Where it is slow.** The first call compiles (a second or so, kept on disk). Less than 64 rollouts cost as much as 64.
-Everything that follows is the same for any number of threads.
+**Costs.** The first call compiles (about a second, cached on disk). Fewer than 64 rollouts cost as much as 64. Results
+do not depend on the number of threads.
 
-This module needs no compiler. Each word is a function with the meaning that it has for a single lane, where a row is a
-number; the engine knows the words by identity (`WORDS`) and compiles their meaning for 64 lanes. So a law, its kernel
-and the class that returns it import nothing heavy.
+This module needs no compiler. Each word is a function with its meaning for a single lane, where a row is a number; the
+engine knows the words by identity (`WORDS`) and compiles their meaning for 64 lanes. Laws, kernels and the classes that
+return them therefore import no heavy package.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ QUARTER = LANES // 4
 
 
 def view(array: Any, first: int) -> Any:
-    """Return ``array`` from element ``first`` on, without length or ownership: never keep it.
+    """Return ``array`` from element ``first`` on, without length or ownership: never store it.
 
-    An index that is a loop's own counter is known not to be negative, ``start + i`` is not, and the compiler's test
-    for it would keep the loop from vectorising; a slice would count references in the loop.
+    The compiler knows that a loop counter is not negative, but tests an index ``start + i``, which prevents
+    vectorisation; a slice would count references in the loop.
     """
     return array[first:]
 
@@ -91,7 +91,7 @@ def splat_quarter(number: Any) -> Any:
 
 
 def store(array: Any, offset: int, row: Any) -> None:
-    """Write ``row`` into ``array`` from ``offset`` on."""
+    """Write ``row`` to ``array`` from ``offset`` on."""
     array[offset] = row
 
 
@@ -106,22 +106,22 @@ def where_at_most(a, b, x, y):
 
 
 def where_bits(bits, x, y):
-    """Return x in the lanes whose bit is set, else y; of a quarter, the lowest sixteen bits count."""
+    """Return x in the lanes whose bit is set, else y; for a quarter, the lowest sixteen bits are used."""
     return x if bits & 1 else y
 
 
 def lanes_less(a, b):
-    """Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
+    """Return an integer whose bit i is set if a < b in lane i of two rows or quarters."""
     return 1 if a < b else 0
 
 
 def lanes_at_most(a, b):
-    """Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
+    """Return an integer whose bit i is set if a <= b in lane i of two rows or quarters."""
     return 1 if a <= b else 0
 
 
 def lanes_differ(a, b):
-    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
+    """Return an integer whose bit i is set if lane i of two rows differs; nan differs from everything."""
     return 1 if a != b else 0
 
 
@@ -136,7 +136,7 @@ def lane_of_lowest(row):
 
 
 def first_lane(bits):
-    """Return the number of the lowest bit that is set; there must be one."""
+    """Return the index of the lowest bit that is set; there must be one."""
     return (bits & -bits).bit_length() - 1
 
 
@@ -151,7 +151,7 @@ def look_up(table, place):
 
 
 def power_of_two(exponent):
-    """Return 2 to the power of whole numbers, one or a row, given as real ones."""
+    """Return 2 to the power of a whole number, or of a row of them, given as real numbers."""
     return 2.0**exponent
 
 
@@ -162,22 +162,22 @@ WORDS: Mapping[Callable[..., Any], str] = {
         pick, power_of_two, splat, splat_quarter, store, view, where_at_most, where_bits, where_less,
     )
 }  # fmt: skip
-"""What the compiler passes on by name, because it has a meaning of its own for it."""
+"""The words that the engine replaces by their compiled meaning."""
 
 
 def nearest(x):
-    """The whole number nearest to x, for |x| up to 2^51; an ordinary kernel function, of float32 another one."""
+    """Return the whole number nearest to x, for |x| up to 2^51; an ordinary kernel function, compiled per precision."""
     return (x + 6755399441055744.0) - 6755399441055744.0
 
 
 CACHE_LINE = 16
-"""Numbers of float32 in a cache line: what begins at a multiple of it stays aligned."""
+"""Number of float32 numbers in a cache line; arrays that begin at a multiple of it are aligned."""
 
 
 class Layout:
-    """The names of the first numbers of a parameter array, in order; ``layout.name`` is where ``name`` stands.
+    """The names of the first numbers of a parameter array, in order; ``layout.name`` is the index of ``name``.
 
-    A kernel gets one flat array. Its first numbers have names, the rest is its own::
+    A kernel gets one flat array, in which only the first numbers have names::
 
         HEAD = Layout("nx", "dt")
 
@@ -186,8 +186,8 @@ class Layout:
 
         parameters = HEAD.pack(weights, nx=3, dt=0.05)
 
-    In a kernel function ``HEAD.nx`` is the number 0 and ``HEAD.size`` the number 2. ``size`` is how many numbers the
-    head takes: as many as there are names, or more to a multiple of ``align``.
+    In a kernel function ``HEAD.nx`` is the number 0 and ``HEAD.size`` the number 2. ``size`` is the length of the
+    head: the number of names, rounded up to a multiple of ``align``.
     """
 
     size: int
@@ -226,7 +226,7 @@ class Arrays(Layout):
         self.kind = kind or REALS
 
     def chosen(self, arrays: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Return those of the ``arrays`` that have these names, as the argument."""
+        """Return the ``arrays`` with these names, in order, as the argument."""
         return tuple(arrays[name] for name in self.names)
 
 
@@ -236,7 +236,7 @@ def padded(array: Array, align: int = CACHE_LINE) -> Array:
 
 
 class ArgumentKind(Enum):
-    """What an argument is, in the words of a generated file: R, I and types."""
+    """The kind of an argument, as text for a generated file."""
 
     REALS = "R"
     WHOLES = "I"
@@ -247,8 +247,7 @@ REALS, INTEGERS, INTEGER = ArgumentKind.REALS, ArgumentKind.WHOLES, ArgumentKind
 
 
 class Signature:
-    """Named arguments in order; nothing comes back. Each is a `ArgumentKind`, a `Layout`, or the signature of a
-    function.
+    """Named arguments in order, without a result; each is an `ArgumentKind`, a `Layout`, or a function's signature.
 
     ``REALS`` is an array of the kernel's own precision, ``INTEGERS`` one of int64, ``INTEGER`` an int64. In a loop a
     `Layout` is an array of int64 whose numbers have names, and `Arrays` are several: ``sizes.nx``, ``work.carry``.
@@ -259,7 +258,7 @@ class Signature:
 
     @classmethod
     def of(cls, function: Callable[..., Any], **others: Argument) -> Signature:
-        """Return that of ``function``, whose arguments are ``REALS`` except for the ``others``."""
+        """Return the signature of ``function``, whose arguments are ``REALS`` except for the ``others``."""
         names = tuple(inspect.signature(function).parameters)
         unknown = [name for name in others if name not in names]
         if unknown:
@@ -267,7 +266,7 @@ class Signature:
         return cls(**{name: others.get(name, REALS) for name in names})
 
     def ordered(self, **given: Any) -> tuple[Any, ...]:
-        """Return what is ``given`` by name in the order of the arguments. Raises `InvalidArgument` for other names."""
+        """Return the values ``given`` by name in the order of the arguments. Raises `InvalidArgument` for other names."""
         if given.keys() != self.arguments.keys():
             missing = ", ".join(self.arguments.keys() - given.keys()) or "none"
             unknown = ", ".join(given.keys() - self.arguments.keys()) or "none"
@@ -288,7 +287,7 @@ class Signature:
         return f"types.void({', '.join(_text(kind) for kind in self.arguments.values())})"
 
     def of_pointers(self) -> str:
-        """Return the type as the text of a generated file, of a function that is passed: addresses of its arrays."""
+        """Return the type, as text for a generated file, of a function that is passed, with addresses of its arrays."""
         return f"types.void({', '.join(f'types.CPointer({kind}.dtype)' for kind in self._arrays())})"
 
     def _arrays(self) -> list[str]:
@@ -296,7 +295,9 @@ class Signature:
             name for name, kind in self.arguments.items() if kind not in (ArgumentKind.REALS, ArgumentKind.WHOLES)
         ]
         if others:
-            raise InvalidArgument(f"a kernel that is passed takes arrays alone, got {', '.join(others)}")
+            raise InvalidArgument(
+                f"a kernel that is passed must only have arrays as arguments, got {', '.join(others)}"
+            )
         return [kind.value for kind in self.arguments.values() if isinstance(kind, ArgumentKind)]
 
     def __eq__(self, other: object) -> bool:
@@ -321,7 +322,7 @@ def _text(argument: Argument) -> str:
 
 @dataclass(frozen=True)
 class KernelSource:
-    """A kernel function, and what stands for the free names in it (functions or further sources)."""
+    """A kernel function, and the bindings of its free names (functions or further sources)."""
 
     function: Callable[..., Any]
     bindings: Mapping[str, Any] = field(default_factory=dict)
@@ -335,12 +336,12 @@ class GeneratedSource(Protocol):
 
     @property
     def function(self) -> Callable[..., Any]:
-        """What is wrapped."""
+        """The wrapped function."""
         ...
 
     @property
     def bindings(self) -> Mapping[str, Any]:
-        """What stands for the free names in it."""
+        """The bindings of its free names."""
         ...
 
     def write(self, inner: str, name: str) -> str:
@@ -351,7 +352,7 @@ class GeneratedSource(Protocol):
 
 
 Scalars: TypeAlias = Sequence[float]
-"""Plain numbers of one rollout: what a scalar function of a kernel is given and gives, a tuple where it runs."""
+"""Numbers of one rollout: arguments and result of a scalar kernel function, a tuple in compiled code."""
 
 
 @dataclass(frozen=True)
@@ -387,7 +388,7 @@ class ScalarStep:
 
 @dataclass(frozen=True)
 class ScalarFunction:
-    """A function of single numbers, called as a function of ``x`` and ``u`` with ``arguments``, such as ``x[0]``."""
+    """A function of single numbers as a function of ``x`` and ``u``, with ``arguments`` such as ``x[0]``."""
 
     function: Callable[..., Any]
     arguments: tuple[str, ...]
@@ -411,7 +412,7 @@ OBSERVE = Signature(task=REALS, state=REALS, observation=REALS, parameters=REALS
 ADVANCE = Signature(
     task=REALS, before=REALS, after=REALS, control=REALS, trials=INTEGERS, trial_data=REALS, parameters=REALS
 )
-"""Overwrite ``task``, perhaps ``after``.
+"""Overwrite ``task``, and optionally ``after``.
 
 Row 0 of ``task`` is the fitness, row 1 is 1.0 while the trial is alive; ``trials`` (64,) is the trial
 of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
@@ -420,7 +421,7 @@ of each lane, whose data begin at ``trials[l] * len(trial_data) / E``.
 
 @dataclass(frozen=True)
 class DynamicsKernel:
-    """The compiled form of `Dynamics.step`; ``precision`` is the lowest one in which it is exact enough."""
+    """The compiled form of `Dynamics.step`; ``precision`` is the lowest that is exact enough."""
 
     source: Source
     parameters: Array = field(default_factory=lambda: np.zeros(1))
@@ -437,8 +438,8 @@ class DynamicsKernel:
 class ControllerKernel:
     """The compiled form of `Controller.act`.
 
-    ``before_tanh`` says that ``raw`` is still to be squashed by tanh. The loop does that where a control is
-    continuous; a switch at b is one at artanh b before it.
+    With ``before_tanh``, tanh is not yet applied to ``raw``. The loop applies it for continuous controls; a switch at b
+    becomes one at artanh b.
     """
 
     source: Source
@@ -448,16 +449,16 @@ class ControllerKernel:
 
 
 State = TypeVar("State")
-"""The state of a task, `sysid_evo.tasks.TaskState`; kernels stand below tasks."""
+"""The state of a task, `sysid_evo.tasks.TaskState`, which is in a higher layer."""
 
 
 @dataclass(frozen=True)
 class TaskKernel(Generic[State]):
     """The compiled form of a bound task.
 
-    ``rows`` turns the state of E trials into task rows (n_rows, E); ``state`` turns the rows of B
-    trials (n_rows, B), tiled from those, back. ``trial_data`` (E, n) is what advancing looks up.
-    ``pose_row`` is the first of ``n_pose`` rows that hold the pose.
+    ``rows`` converts the state of E trials to task rows (n_rows, E); ``state`` converts the rows of B
+    trials (n_rows, B), tiled from those, back. ``trial_data`` (E, n) are constants of the trials.
+    ``pose_row`` is the first of ``n_pose`` rows with the pose.
     """
 
     observe: Source
@@ -476,9 +477,10 @@ class Predictor:
     """The compiled form of `next_state` or `acceleration`: a block function, its parameters, its rows of scratch.
 
     ``function(x, u, p, y, scratch)`` reads rows of the carry ``x`` and of the control ``u``, its own parameters ``p``,
-    and writes ``nx`` rows to ``y``; ``scratch`` is room of its own. ``prepare(u, p, scratch)`` may fill the head of
-    that room once a step, before an integrator asks several times under the same control. ``reads`` are how many rows
-    of carry and control it reads, ``writes`` how many it writes: shells refuse one that would go past the end.
+    and writes ``nx`` rows to ``y``; ``scratch`` is its own memory. ``prepare(u, p, scratch)`` may fill the head of
+    that memory once per step, before an integrator calls the function several times under the same control. ``reads``
+    are the numbers of rows of carry and control that it reads, ``writes`` that of rows that it writes; wrappers refuse
+    a predictor that would exceed the arrays.
     """
 
     function: Any
@@ -489,30 +491,30 @@ class Predictor:
     writes: int | None = None
 
     def check(self, n_carry: int | None = None, n_control: int | None = None, n_out: int | None = None) -> None:
-        """Raise `ShapeError` if it reads more rows than these, or writes other ones; None is any number."""
+        """Raise `ShapeError` if it reads more rows than these, or writes another number; None is any number."""
         found = (*(self.reads or (None, None)), self.writes)
         wanted = (n_carry, n_control, n_out)
         beyond = [a > b for a, b in zip(found, wanted, strict=True) if a is not None and b is not None]
         if any(beyond) or (n_out is not None and self.writes not in (None, n_out)):
             raise ShapeError(
-                f"kernel: expected what was learned to read and write (carry, control, result) {wanted} rows, got "
-                f"{found}: it does not fit the system or the kernel that calls it"
+                f"kernel: expected a predictor that reads and writes (carry, control, result) {wanted} rows, got "
+                f"{found}: the learned arrays do not fit the system or the kernel that calls it"
             )
 
     @property
     def bindings(self) -> dict[str, Any]:
-        """What a shell binds: ``predict`` and ``prepare``."""
+        """The bindings of a wrapper: ``predict`` and ``prepare``."""
         return {"predict": self.function, "prepare": self.prepare or nothing_to_prepare}
 
 
 def nothing_to_prepare(u, p, scratch):
-    """Leave the scratch as it is."""
+    """Do not use the scratch."""
     return
 
 
 @dataclass(frozen=True)
 class MotionKernel:
-    """Three block functions over lanes and the flat ``parameters`` ``p`` that all of them get.
+    """Three block functions over lanes, and their common flat ``parameters`` ``p``.
 
     - ``integrate(state, after, nx, dt, p)``: ``after`` holds an acceleration and becomes the state dt later;
     - ``turn(state, rate, p)``: add w(x) to ``rate``;
@@ -526,5 +528,5 @@ class MotionKernel:
 
     @property
     def bindings(self) -> dict[str, Any]:
-        """What a shell binds: ``integrate``, ``turn`` and ``move``."""
+        """The bindings of a wrapper: ``integrate``, ``turn`` and ``move``."""
         return {"integrate": self.integrate, "turn": self.turn, "move": self.move}

@@ -1,15 +1,15 @@
-"""A law written for one number at a time, and how it is read: for arrays, for the lanes of a kernel, as symbols.
+"""Laws written for single numbers, and their conversion to arrays, to the lanes of a kernel, or to symbols.
 
-A law is a plain function of numbers. Those of a rollout that it reads or writes stand in sequences, one an element::
+A law is a plain function of numbers. The numbers of a rollout that it reads or writes are elements of sequences::
 
     def proportional(theta, memory, observation, raw, parameters, scratch):
         for i in range(int(parameters[0])):
             error = observation[i] if observation[i] > 0.0 else 0.5 * observation[i]
             raw[i] = min(max(theta[i] * error, -1.0), 1.0)
 
-It may use ``for`` and ``if`` over numbers that all rollouts share (``parameters``), ``a if test else b`` where they
-differ, `math`, ``min``, ``max``, ``abs`` and other such functions. `read` turns it into NumPy, `lane_form` into the
-kernel language, and with the symbols of `sysid_evo.controllers.program` it writes itself down.
+It may use ``for`` and ``if`` over numbers that all rollouts share (``parameters``), ``a if test else b`` over others,
+`math`, ``min``, ``max``, ``abs`` and other such functions. `read` converts it to NumPy, `lane_form` to the kernel
+language, and the symbols of `sysid_evo.controllers.program` to a program.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ RENAMED = {
     "acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "acosh": "arccosh", "asinh": "arcsinh",
     "atanh": "arctanh", "pow": "power",
 }  # fmt: skip
-"""Functions of `math` that NumPy calls otherwise."""
+"""Functions of `math` that have another name in NumPy."""
 LOGICAL = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 
 
 @dataclass(frozen=True, eq=False)
 class LawReading:
-    """What the words of a law mean: a choice, the smaller and the larger of two, tests, a function, a named value."""
+    """The meaning of the elements of a law: a choice, minimum and maximum, tests, a function, a named value."""
 
     where: Callable[[Any, Any, Any], Any]
     least: Callable[[Any, Any], Any]
@@ -49,17 +49,17 @@ class LawReading:
     function: Callable[[Any], Any]
     named: Callable[[str, Any], Any]
     branches: bool = False
-    """Whether ``if`` may stand in it, over numbers that all rollouts share."""
+    """Whether ``if`` is allowed, over numbers that all rollouts share."""
 
 
 def array_form(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``function`` for arrays, broadcast together. Raises `InvalidArgument` for what has no such form."""
+    """Return ``function`` for arrays that are broadcast. Raises `InvalidArgument` if that is impossible."""
     return read(function, ARRAYS)
 
 
 @functools.cache
 def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any]:
-    """Return ``function`` in which words mean what ``reading`` says. Raises `InvalidArgument`."""
+    """Return ``function`` with the meaning of its elements given by ``reading``. Raises `InvalidArgument`."""
     plain = getattr(function, "py_func", function)
     try:
         tree = ast.parse(textwrap.dedent(inspect.getsource(plain))).body[0]
@@ -89,7 +89,7 @@ def read(function: Callable[..., Any], reading: LawReading) -> Callable[..., Any
 
 
 def _meaning(value: Any, reading: LawReading) -> Any:
-    """Return what stands for a name of the function's module."""
+    """Return the replacement of a ``value`` from the function's module."""
     if value is math:
         return SimpleNamespace(**{name: _meaning(getattr(math, name), reading) for name in dir(math) if name[0] != "_"})
     if value is nearest or getattr(value, "__module__", "") == "math":
@@ -107,11 +107,11 @@ def _of_arrays(function: Any) -> Any:
 
 ARRAYS = LawReading(np.where, np.minimum, np.maximum, LOGICAL, _of_arrays, lambda _, value: value)
 ROLLOUTS = replace(ARRAYS, branches=True)
-"""As `ARRAYS`, of a law some of whose numbers are shared by all rollouts."""
+"""As `ARRAYS`, for a law with some numbers that all rollouts share."""
 
 
 def together(values: Sequence[Array | float], grid: tuple[int, ...]) -> Array:
-    """Return the elements that a law wrote as one array (*grid, n), which shares nothing with them."""
+    """Return the elements that a law wrote as one new array (*grid, n)."""
     found = np.empty((*grid, len(values)))
     for i, value in enumerate(values):
         found[..., i] = value
@@ -119,7 +119,7 @@ def together(values: Sequence[Array | float], grid: tuple[int, ...]) -> Array:
 
 
 class _ElementWise(ast.NodeTransformer):
-    """Rewrites what asks whether one number is true."""
+    """Replaces tests of single numbers."""
 
     def __init__(self, name: str, branches: bool) -> None:
         self.name, self.branches = name, branches
@@ -150,7 +150,7 @@ class _ElementWise(ast.NodeTransformer):
         return ast.Assign([self.visit(target) for target in node.targets], value)
 
     def visit_AugAssign(self, node: ast.AugAssign) -> ast.stmt:  # ast's own naming
-        """Write a sum as a new array: the old one may have another name, too."""
+        """Replace an augmented assignment by a new array, because others may refer to the old one."""
         return self.visit(_written_out(node))
 
     def visit_If(self, node: ast.If) -> ast.AST:  # ast's own naming
@@ -163,8 +163,8 @@ class _ElementWise(ast.NodeTransformer):
 
     def _unusable(self, node: ast.stmt, word: str, instead: str) -> InvalidArgument:
         return InvalidArgument(
-            f"function {self.name}, line {node.lineno} of it: {word!r} chooses for all rows of a batch at once, which "
-            f"differ; write {instead!r}"
+            f"function {self.name}, line {node.lineno} of it: {word!r} applies to a whole batch, whose rows differ; "
+            f"write {instead!r}"
         )
 
 
@@ -181,11 +181,11 @@ def _logical(name: str, *arguments: ast.expr) -> ast.expr:
 
 @dataclass(frozen=True)
 class ScalarLaw(KernelSource):
-    """A law as the source of a kernel: of its arguments the ``rows`` hold an element for each rollout.
+    """A law as the source of a kernel; its arguments ``rows`` hold an element for each rollout.
 
-    One without rows is a function of numbers that another law calls. One with rows goes through a quarter of the lanes
-    at a time, which keeps what it names in registers, or with the ``width`` of a row through all of them: better for a
-    law that names little.
+    Without rows it is a function of numbers that another law calls. With rows it processes a quarter of the lanes at a
+    time, which keeps named values in registers, or with the ``width`` of a row all of them, which is better for few
+    named values.
     """
 
     rows: tuple[str, ...] = ()
@@ -195,7 +195,7 @@ class ScalarLaw(KernelSource):
 
 
 def lane_form(tree: ast.FunctionDef, law: ScalarLaw) -> ast.FunctionDef:
-    """Return the definition of ``law`` in the kernel language. Raises `InvalidArgument` for what cannot be read so."""
+    """Return the definition of ``law`` in the kernel language. Raises `InvalidArgument` if that is impossible."""
     found: ast.FunctionDef = _Lanes(law).visit(tree)
     if law.rows and law.width == "quarter":
         loop = f"for {FIRST} in range(0, {LANES}, {QUARTER}): pass"
@@ -210,7 +210,7 @@ CHOICES = {
     ast.Lt: ("where_less", False), ast.LtE: ("where_at_most", False), ast.Gt: ("where_less", True),
     ast.GtE: ("where_at_most", True),
 }  # fmt: skip
-"""The word for a choice by a comparison, and whether its sides change places."""
+"""The kernel word for a choice by a comparison, and whether its sides are swapped."""
 
 
 class _Lanes(ast.NodeTransformer):
@@ -244,7 +244,7 @@ class _Lanes(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> ast.AST:  # ast's own naming
-        """Take ``min`` and ``max`` of two at a time."""
+        """Replace ``min`` and ``max`` by those of two arguments."""
         called = self.generic_visit(node)
         if isinstance(node.func, ast.Name) and node.func.id in ("min", "max") and len(node.args) > 2:
             return functools.reduce(functools.partial(_call, node.func.id), node.args)
@@ -262,14 +262,16 @@ class _Lanes(ast.NodeTransformer):
         return isinstance(node, ast.Subscript) and isinstance(node.value, ast.Name) and node.value.id in self.law.rows
 
     def _place(self, node: Any) -> tuple[ast.expr, ast.expr]:
-        """Return the array, and where the lanes of an element begin in it."""
+        """Return the array and the start of the lanes of an element in it."""
         row = ast.BinOp(self.visit(node.slice), ast.Mult(), ast.Constant(LANES))
         name = ast.Name(node.value.id, ast.Load())
         return name, row if self.law.width == "row" else ast.BinOp(row, ast.Add(), ast.Name(FIRST, ast.Load()))
 
     def _unusable(self, node: ast.expr, text: str, instead: str) -> InvalidArgument:
         name = self.law.function.__qualname__
-        return InvalidArgument(f"law {name}, line {node.lineno} of it: {text!r} has no form for lanes; write {instead}")
+        return InvalidArgument(
+            f"law {name}, line {node.lineno} of it: {text!r} cannot be compiled for lanes; write {instead}"
+        )
 
 
 def _call(word: str, *arguments: ast.expr) -> ast.expr:

@@ -1,4 +1,4 @@
-"""Motions: how states move a pose; the body on a plane. The only place that knows about turning frames."""
+"""Motions, which turn states into poses and handle turning frames; the body on a plane."""
 
 from __future__ import annotations
 
@@ -19,32 +19,31 @@ from sysid_evo.registry.registry import motions, register_motion
 from sysid_evo.types import Array
 
 Numbers: TypeAlias = npt.NDArray[Any]
-"""Of single or double precision."""
+"""Arrays of single or double precision."""
 SMALL_STEP = 1e-6
-"""By which `CentralDifferences` moves each column."""
+"""Step of `CentralDifferences`."""
 
 
 class MotionGradient(Protocol):
-    """From the ``gradient`` of a number by a result (..., nx), its gradients by what the result was made of."""
+    """Backpropagation: from the ``gradient`` by a result (..., nx) to the gradients by its arguments."""
 
     def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
     ) -> tuple[Numbers, Numbers]:
-        """Return the gradients by state and by acceleration of what `Motion.integrate` gives."""
+        """Return the gradients by state and by acceleration for `Motion.integrate`."""
 
     def of_frame_rotation(self, state: Numbers, gradient: Numbers) -> Numbers:
-        """Return the gradient by the state of what `Motion.frame_rotation` gives."""
+        """Return the gradient by the state for `Motion.frame_rotation`."""
 
 
 class Motion(ABC):
-    """Names the state channels that move a pose, by role, and is the only one that turns them.
+    """Base class of motions: the roles of state channels, and the equations of the pose and the turning frame.
 
-    A motion is a frozen dataclass of channel names, registered under its ``kind``. Five methods are
-    wanted: `roles`, `acceleration`, `integrate`, `frame_rotation`, `move`; all take states (..., nx) and the
-    ``names`` of their channels. `kernel` is the same in compiled arithmetic: without it systems with
-    this motion run in NumPy. `gradient_form` is the derivative: by default it is taken by differences.
-    `velocities` and `relative_pose` are wanted only by what works with measured poses: preparation of
-    logs, and robots.
+    A motion is a frozen dataclass of channel names, registered under its ``kind``. Subclasses define `roles`,
+    `acceleration`, `integrate`, `frame_rotation` and `move`; all take states (..., nx) and the ``names`` of their
+    channels. `kernel` is the compiled form; without it systems with this motion run in NumPy. `gradient_form` is the
+    derivative, by default by finite differences. `velocities` and `relative_pose` are only needed for measured poses,
+    in the preparation of logs and for robots.
     """
 
     kind: ClassVar[str]
@@ -58,7 +57,7 @@ class Motion(ABC):
 
     @abstractmethod
     def acceleration(self, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
-        """Return the change per second with the frame's own rotation taken out, (..., nx)."""
+        """Return the change per second without the rotation of the frame, (..., nx)."""
 
     @abstractmethod
     def integrate(self, state: Array, acceleration: Array, dt: float, names: Sequence[str]) -> Array:
@@ -66,37 +65,37 @@ class Motion(ABC):
 
     @abstractmethod
     def frame_rotation(self, state: Array, names: Sequence[str]) -> Array:
-        """Return w(x) in dx/dt = acceleration + w(x): how the turning frame changes the state, per second."""
+        """Return w(x) in dx/dt = acceleration + w(x), the effect of the turning frame."""
 
     @abstractmethod
     def move(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
         """Return the pose (..., n_pose) after ``dt``, given the states at both ends (..., nx)."""
 
     def velocities(self, pose: Array, rate: Array) -> dict[str, Array]:
-        """Return the channel of each role (...,) from a pose (..., n_pose) and its change per second.
+        """Return the values of each role (...,) from a pose (..., n_pose) and its change per second.
 
-        Raises `IncompatibleSystem` if this motion does not say so.
+        Raises `IncompatibleSystem` if this motion does not define it.
         """
-        raise IncompatibleSystem(f"motion {self.kind} does not say which velocities a moving pose means")
+        raise IncompatibleSystem(f"motion {self.kind} does not define the velocities of a moving pose")
 
     def relative_pose(self, origin: Array, pose: Array) -> Array:
         """Return a pose (..., n_pose) in the frame of ``origin`` (n_pose,); angles are not wrapped.
 
-        Raises `IncompatibleSystem` if this motion does not say so.
+        Raises `IncompatibleSystem` if this motion does not define it.
         """
-        raise IncompatibleSystem(f"motion {self.kind} does not say how one pose is seen from another")
+        raise IncompatibleSystem(f"motion {self.kind} does not define relative poses")
 
     def kernel(self, names: Sequence[str]) -> MotionKernel | None:
         """Return the compiled form for states with these ``names``, if it has one."""
         return None
 
     def gradient_form(self, names: Sequence[str]) -> MotionGradient:
-        """Return the derivatives for states with these ``names``; by default those by differences."""
+        """Return the derivatives for states with these ``names``; by default finite differences."""
         return CentralDifferences(self, tuple(names))
 
     @property
     def angles(self) -> tuple[int, ...]:
-        """Which coordinates of the pose are angles in rad."""
+        """The indices of pose coordinates that are angles in rad."""
         return tuple(i for i, unit in enumerate(self.pose_units) if unit == "rad")
 
     def check(self, names: Sequence[str]) -> None:
@@ -110,12 +109,12 @@ class Motion(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the motion as strict JSON."""
-        motion: Any = self  # every one that is not abstract is a dataclass
+        motion: Any = self  # every concrete subclass is a dataclass
         return {"kind": self.kind, **asdict(motion)}
 
 
 def motion_from_dict(value: Mapping[str, Any]) -> Motion:
-    """Undo `Motion.to_dict`. Raises `InvalidSystem` for a kind that is not known, or for other roles than it has."""
+    """Undo `Motion.to_dict`. Raises `InvalidSystem` for an unknown kind, or for other roles than it has."""
     arguments = dict(value)
     kind = arguments.pop("kind", None)
     try:
@@ -123,7 +122,7 @@ def motion_from_dict(value: Mapping[str, Any]) -> Motion:
     except UnknownName as error:
         raise InvalidSystem(
             f"motion: expected one of {', '.join(motions.names())}, got {kind!r}. "
-            "A motion in a file of its own is loaded with --plugin FILE."
+            "A motion in your own file is loaded with --plugin FILE."
         ) from error
     try:
         return make(**arguments)
@@ -135,7 +134,7 @@ def motion_from_dict(value: Mapping[str, Any]) -> Motion:
 
 @dataclass(frozen=True)
 class CentralDifferences:
-    """Of any motion, in double precision: every column of its arguments is moved a little both ways."""
+    """Derivatives of any motion by central differences in double precision."""
 
     motion: Motion
     names: Sequence[str]
@@ -153,7 +152,7 @@ class CentralDifferences:
 
 
 def vector_jacobian(function: Callable[[Numbers], Numbers], at: Numbers, gradient: Numbers) -> Numbers:
-    """Return the gradient by ``at`` (..., n) from that by what ``function`` makes of it, by central differences."""
+    """Return the gradient by ``at`` (..., n) from the ``gradient`` by ``function(at)``, by central differences."""
     at, found = np.asarray(at, dtype=np.float64), np.empty(at.shape)
     for column in range(at.shape[-1]):
         step = np.zeros(at.shape[-1])
@@ -164,7 +163,7 @@ def vector_jacobian(function: Callable[[Numbers], Numbers], at: Numbers, gradien
 
 
 class StraightGradient:
-    """Of a system without a motion: no frame turns."""
+    """Derivatives for a system without a motion, which has no turning frame."""
 
     def of_integrate(
         self, state: Numbers, acceleration: Numbers, dt: float, gradient: Numbers
@@ -182,15 +181,15 @@ class PlanarBody(Motion):
     """A body on a plane: pose x (m), y (m), heading (rad); x forward, y left, counter-clockwise.
 
     ``forward``, ``lateral`` and ``yaw_rate`` name the state channels with these roles;
-    ``lateral`` is None for a system that has no such state.
+    ``lateral`` is None for a system without such a state.
 
-    Velocities live in the body frame, which turns by a = r_t dt in one sample (paper, footnote 1)::
+    Velocities are in the body frame, which turns by a = r_t dt in one sample (paper, footnote 1)::
 
         [du, dv]_t = R(a) [u, v]_{t+1} - [u, v]_t,    dr_t = r_{t+1} - r_t
         R(a) = [[cos a, -sin a], [sin a, cos a]]
 
     so that a body which spins while coasting straight has zero acceleration; in continuous time
-    w = (r v, -r u, 0). No class may be derived from it, as that would inherit the compiled form of another.
+    w = (r v, -r u, 0). It must not be subclassed, because a subclass would inherit the wrong compiled form.
     """
 
     kind: ClassVar[str] = "planar_body"
@@ -210,7 +209,7 @@ class PlanarBody(Motion):
         return roles if self.lateral is None else {**roles, "lateral": self.lateral}
 
     def indices(self, names: Sequence[str]) -> tuple[int, int | None, int]:
-        """Return where forward speed, lateral speed (or None) and yaw rate stand among ``names``."""
+        """Return the indices of forward speed, lateral speed (or None) and yaw rate among ``names``."""
         lateral = None if self.lateral is None else names.index(self.lateral)
         return names.index(self.forward), lateral, names.index(self.yaw_rate)
 
@@ -242,9 +241,9 @@ class PlanarBody(Motion):
         return change
 
     def move(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
-        """Return the pose after ``dt``: mean body velocity, turned by the heading half-way (second order).
+        """Return the pose after ``dt``: mean body velocity, rotated by the heading half-way (second order).
 
-        The heading comes back in (-pi, pi].
+        The heading is in (-pi, pi].
         """
         if pose.ndim == 1:
             return self._move_one(pose, before, after, dt, names)
@@ -262,7 +261,7 @@ class PlanarBody(Motion):
         return moved
 
     def _move_one(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
-        """Return the same for one body: plain numbers take a quarter of the time of arrays with one."""
+        """Return the same for one body with plain numbers, which is four times as fast as arrays of size one."""
         forward, lateral, yaw_rate = self.indices(names)
         x, y, heading = pose.tolist()
         mean = [0.5 * (one + other) for one, other in zip(before.tolist(), after.tolist(), strict=True)]
@@ -273,7 +272,7 @@ class PlanarBody(Motion):
         return np.array([x + dx * dt, y + dy * dt, turned + TURN if turned <= -0.5 * TURN else turned])
 
     def velocities(self, pose: Array, rate: Array) -> dict[str, Array]:
-        """Return forward speed, lateral speed (m/s) and yaw rate (rad/s): the pose's rate in the body's frame."""
+        """Return forward speed, lateral speed (m/s) and yaw rate (rad/s): the rate of the pose in the body frame."""
         forward, lateral = rotate(rate[..., 0], rate[..., 1], -pose[..., 2])
         found = {self.forward: forward, self.yaw_rate: rate[..., 2]}
         return found if self.lateral is None else {**found, self.lateral: lateral}
@@ -291,10 +290,10 @@ class PlanarBody(Motion):
 
 @dataclass(frozen=True)
 class PlanarBodyGradient:
-    """`PlanarBody` backwards, with its roles in these columns of the state.
+    """Derivatives of `PlanarBody`, with its roles in the given columns of the state.
 
-    A velocity w that is turned by the angle a becomes R(a) w; of a number with the gradient g by it, the gradient by w
-    is h = R(a)^T g, and that by a is w x h.
+    A velocity w rotated by the angle a is R(a) w. From the gradient g by R(a) w follow the gradient by w,
+    h = R(a)^T g, and that by a, w x h.
     """
 
     forward: int

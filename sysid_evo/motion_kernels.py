@@ -1,4 +1,4 @@
-"""The compiled forms of motions: of a body on a plane, and of a system without a motion."""
+"""The compiled forms of motions: a body on a plane, and a system without a motion."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ def integrate_straight(state, after, nx, dt, p):
 
 
 def turn_nothing(state, rate, p):
-    """Leave the rate as it is."""
+    """Do not change the rate."""
     return
 
 
 def move_nothing(pose, before, after, dt, p):
-    """Leave the pose as it is."""
+    """Do not change the pose."""
     return
 
 
 STRAIGHT = MotionKernel(integrate_straight, turn_nothing, move_nothing)
-"""Of a system without a motion: no frame turns, and there is no pose."""
+"""For a system without a motion: no turning frame and no pose."""
 
 
 def planar_body_kernel(forward: int, lateral: int | None, yaw_rate: int) -> MotionKernel:
-    """Return the compiled form of `PlanarBody` with its roles in these rows of the state."""
+    """Return the compiled form of `PlanarBody` with its roles in the given rows of the state."""
     roles = ROLES.pack(forward=forward, lateral=-1 if lateral is None else lateral, yaw_rate=yaw_rate)
     return MotionKernel(integrate, turn, move, roles)
 
@@ -97,6 +97,6 @@ def move(pose, before, after, dt, p):
 
 
 def wrap(angle):
-    """Return any angle, or a row of them, as the same one in (-pi, pi], as `sysid_evo.angles.wrap` does."""
+    """Return an angle, or a row of angles, wrapped to (-pi, pi], as `sysid_evo.angles.wrap` does."""
     angle = angle - TURN * nearest(angle * PER_TURN)
     return where_at_most(angle, -math.pi, angle + TURN, angle)

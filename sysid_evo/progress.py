@@ -1,4 +1,4 @@
-"""How long work reports its progress and keeps its state: callables, so that libraries never print or write."""
+"""Progress reports and checkpoints of long work, through callables, so that libraries never print or write."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from sysid_evo.types import Array
 
 
 class Progress(Protocol):
-    """Called now and then with the steps done and the steps in all; ``note`` is what else there is to say.
+    """Called from time to time with the number of steps done and in total, and a ``note`` for the display.
 
-    What it raises stops the work, which leaves things as they were before it began.
+    An exception that it raises stops the work and leaves its object as before.
     """
 
     def __call__(self, done: int, total: int, note: str = "") -> None: ...
 
 
 class Counter:
-    """Counts ``total`` parts of long work and tells a `Progress`, if there is one."""
+    """Counts ``total`` parts of long work and reports to a `Progress`, if there is one."""
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self.progress = progress
@@ -30,7 +30,7 @@ class Counter:
         self.done = 0
 
     def advance(self, parts: int = 1) -> None:
-        """Tell that ``parts`` more are done; 0 only says that the work goes on."""
+        """Report that ``parts`` more are done; 0 only shows that the work continues."""
         self.done += parts
         if self.progress is not None:
             self.progress(self.done, self.total)
@@ -47,21 +47,21 @@ class TimeLeft:
 
     def __init__(self) -> None:
         self.first: tuple[float, int] | None = None
-        self.said = False
+        self.reported = False
 
     def long(self, done: int, total: int) -> float | None:
         """Return the remaining time (s), once, as soon as the estimate exceeds `LONG`; else None."""
         now = time.process_time()
-        if self.first is None:  # counted from the first part on, which includes work done once, such as compiling
+        if self.first is None:  # the first part is not counted, because it includes work done once, such as compiling
             self.first = (now, done) if done > 0 else None
-        elif done > self.first[1] and now - self.first[0] > WATCHED and not self.said:
+        elif done > self.first[1] and now - self.first[0] > WATCHED and not self.reported:
             left = (now - self.first[0]) / (done - self.first[1]) * (total - done)
-            self.said = left > LONG
-            return left if self.said else None
+            self.reported = left > LONG
+            return left if self.reported else None
         return None
 
 
-def told(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
+def reporting(progress: Progress | bool | None, title: str) -> AbstractContextManager[Progress | None]:
     """Return a context with the receiver of progress reports: a progress bar for True, None for False."""
     return progress_bar(title) if progress is True else nullcontext(progress or None)
 
@@ -70,7 +70,7 @@ def told(progress: Progress | bool | None, title: str) -> AbstractContextManager
 def progress_bar(title: str) -> Iterator[Progress]:
     """Draw a progress bar with rate and time left on standard error.
 
-    If that is no terminal, as in a notebook or a file, print a line every few seconds.
+    If that is not a terminal, as in a notebook or a file, print a line every few seconds.
     """
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -92,11 +92,11 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 EVERY = 5.0
-"""Seconds between two lines where there is no bar."""
+"""Seconds between two lines without a progress bar."""
 
 
 def _lines(title: str) -> Progress:
-    """Return what writes now and then how far the work is, and when it has ended."""
+    """Return a progress receiver that writes a line from time to time, and one at the end."""
     last = time.monotonic()
 
     def update(done: int, total: int, note: str = "") -> None:
@@ -111,14 +111,14 @@ def _lines(title: str) -> Progress:
 
 
 CheckpointState: TypeAlias = Mapping[str, Array | int | float | str]
-"""Everything that is needed to go on, by name: float64 arrays, numbers and text, which can be stored."""
+"""The state from which work resumes, by name: float64 arrays, numbers and text."""
 
 
 class Checkpoint(Protocol):
     """Keeps the last state of long work; `sysid_evo.artefacts.CheckpointFile` keeps it in a file."""
 
     def load(self, identity: str) -> CheckpointState | None:
-        """Return what was saved under this ``identity``, None if there is nothing that can be used."""
+        """Return the state saved with this ``identity``, or None."""
         ...
 
     def due(self) -> bool:
@@ -126,5 +126,5 @@ class Checkpoint(Protocol):
         ...
 
     def save(self, identity: str, state: CheckpointState) -> None:
-        """Keep ``state`` in place of what was kept before."""
+        """Replace the saved state by ``state``."""
         ...

@@ -1,7 +1,7 @@
 """Seeds and counter-based random numbers by (seed, trial, stream).
 
-The generator is Philox, which is counter-based: the number for a step depends on the key and on
-the step alone, so every candidate of a generation meets the same trials, in any order and engine.
+The generator is Philox, which is counter-based: the number for a step depends only on the key and the step. All
+candidates of a generation therefore have the same trials, in any order and engine.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ CONTROLLER_STREAM = 3
 
 
 def as_seed(seed: int) -> int:
-    """Return ``seed`` as a plain number. Raises `InvalidArgument` for anything but a whole number >= 0."""
+    """Return ``seed`` as an int. Raises `InvalidArgument` unless it is a whole number >= 0."""
     if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and seed >= 0:
         return int(seed)
     raise InvalidArgument(f"seed: expected a whole number >= 0, got {seed!r}")
 
 
 def derived_seed(seed: int, *key: int) -> int:
-    """Return the seed of one part of what ``seed`` decides, by the numbers of the part."""
+    """Return a seed derived from ``seed`` for the part with the numbers ``key``."""
     return int(np.random.SeedSequence(seed, spawn_key=key).generate_state(1, np.uint32)[0])
 
 
 def keyed_generator(seed: int, *key: int) -> np.random.Generator:
-    """Return the generator of one part of what ``seed`` decides, so that no generator has to be kept."""
+    """Return a generator derived from ``seed`` for the part with the numbers ``key``."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
@@ -53,10 +53,10 @@ def trial_seeds(seed: int, trials: int, *, generation: int = 0) -> Seeds:
 def draw(
     seeds: Seeds, stream: int, shape: tuple[int, ...], draw: str = "standard_normal", *, out: Array | None = None
 ) -> Array:
-    r"""Return what the `generator` of each seed draws first from one stream, (E, \*shape).
+    r"""Return the first numbers of the `generator` of each seed in one stream, (E, \*shape).
 
-    ``draw`` is the name of a method that fills an array; ``out`` is filled if it is given. One generator is turned to
-    every key in turn, as it takes ten times as long to make one.
+    ``draw`` is the name of a method that fills an array; ``out`` is filled if it is given. One generator is reset to
+    every key, because making a new one takes ten times as long.
     """
     found = np.empty((len(seeds), *shape)) if out is None else out
     if not found.size:
@@ -74,7 +74,7 @@ def draw(
 def draw_for_steps(
     seeds: Seeds, horizon: int, n_noise: int, stream: int = NOISE_STREAM, *, out: Array | None = None
 ) -> Array:
-    """Return standard normal numbers for every trial and step, (E, horizon, n_noise): a dynamics' or another stream."""
+    """Return standard normal numbers for every trial and step, (E, horizon, n_noise), of one stream."""
     return draw(seeds, stream, (horizon, n_noise), out=out)
 
 
@@ -84,7 +84,7 @@ def draw_for_trials(seeds: Seeds, n_draws: int) -> Array:
 
 
 def as_generator(rng: np.random.Generator | int | None) -> np.random.Generator:
-    """Return a generator: the one given, or that of a seed; None is seed 0, so that the same call gives the same."""
+    """Return ``rng`` if it is a generator, else that of the seed ``rng``; None is seed 0, so results are repeatable."""
     if isinstance(rng, np.random.Generator):
         return rng
     if rng is None or (isinstance(rng, (int, np.integer)) and not isinstance(rng, bool) and rng >= 0):

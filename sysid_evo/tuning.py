@@ -21,7 +21,7 @@ from sysid_evo.errors import InvalidArgument, described
 from sysid_evo.extras import check_installed
 from sysid_evo.models.parameters import OneOf, SearchRange, Within, check_names, limits_of
 from sysid_evo.processors import engine_inputs
-from sysid_evo.progress import Progress, told
+from sysid_evo.progress import Progress, reporting
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
 from sysid_evo.validation.folds import make_folds
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 
 WORST = 1e6
-"""The error of what does not stay finite."""
+"""Error of a simulation that is not finite."""
 PARTS = 1000
-"""Parts in which a budget of time is told."""
+"""Number of parts in which a budget of time is reported."""
 
 
 @dataclass(frozen=True)
 class TuningTrial:
-    """One trial: the whole spec, its error (None if it failed or was broken off), and why."""
+    """One trial: the complete spec, its error (None if it failed or was stopped early), and the reason."""
 
     spec: Spec
     error: float | None
@@ -48,15 +48,15 @@ class TuningTrial:
 
 
 class Tuning:
-    """A search for the parameters of the family in ``spec``; those that stand in it are kept.
+    """A search for the parameters of the family in ``spec``; parameters given there are fixed.
 
-    The error of a trial is that of free runs after ``horizons`` steps (one second) on what was held out, whole
-    recordings in ``folds`` turns (blocks of time where there is one): RMSE / standard deviation, the mean over
-    states and horizons. The first trial has the family's defaults where they lie in the `search_space`; the others are
-    proposed by a tree of Parzen estimators (Bergstra et al. 2011). A trial that is worse than the median of the others
-    after a fold is broken off. All trials learn with the same random numbers.
+    The error of a trial is that of simulations after ``horizons`` steps (default: one second) on held-out data, in
+    ``folds`` folds of whole recordings (blocks of time for a single one): RMSE / standard deviation, averaged over
+    states and horizons. The first trial has the family's defaults, as far as they are in the `search_space`; the others
+    are proposed by a tree of Parzen estimators (Bergstra et al. 2011). A trial that is worse than the median of the
+    others after a fold is stopped. All trials use the same random numbers.
 
-    With a ``file`` every trial is kept there, and a search of the same family, data, horizons and seed goes on.
+    With a ``file`` every trial is stored there, and a search with the same family, data, horizons and seed resumes.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Tuning:
         self.horizons = tuple(horizons_of(pairs, list(horizons or [second])))
         if horizons and set(horizons) - {*self.horizons}:
             raise InvalidArgument(
-                f"horizons: expected steps that fit into what is held out, at most {max(self.horizons)}, got "
+                f"horizons: expected steps that fit into the held-out data, at most {max(self.horizons)}, got "
                 f"{', '.join(map(str, horizons))}"
             )
         self.pairs = pairs
@@ -93,7 +93,7 @@ class Tuning:
 
     @property
     def identity(self) -> str:
-        """What a search must share with another to go on where that was."""
+        """Identity of the search: one with the same identity resumes it."""
         parts = [
             str(self.spec),
             self.dataset.fingerprint,
@@ -107,7 +107,7 @@ class Tuning:
 
     @cached_property
     def study(self) -> optuna.Study:
-        """The trials so far, those in the file included."""
+        """The trials so far, including those in the file."""
         import optuna
         from optuna.storages import JournalStorage
         from optuna.storages.journal import JournalFileBackend
@@ -132,9 +132,9 @@ class Tuning:
     def run(
         self, *, seconds: float | None = None, trials: int | None = None, progress: Progress | None = None
     ) -> Iterator[TuningTrial]:
-        """Yield trials until ``seconds`` are over or there are so many; what was tried before counts too.
+        """Yield trials until ``seconds`` are over or there are ``trials`` of them, including earlier ones.
 
-        A trial that has begun is brought to its end. What stops it, Ctrl-C too, loses that trial alone.
+        A trial that has begun is completed. Ctrl-C, or an exception, loses the present trial only.
         """
         import optuna
 
@@ -153,7 +153,7 @@ class Tuning:
             started = time.monotonic()
             try:
                 error, reason = self._error(trial)
-            except BaseException:  # whatever stops the search: this trial is none
+            except BaseException:  # Ctrl-C too: this trial does not count
                 self.study.tell(trial, state=optuna.trial.TrialState.FAIL)
                 raise
             trial.set_user_attr("seconds", round(time.monotonic() - started, 2))
@@ -162,33 +162,33 @@ class Tuning:
             if error is None:
                 state = optuna.trial.TrialState.FAIL if reason else optuna.trial.TrialState.PRUNED
             self.study.tell(trial, error, state=state)
-            yield self._told(self.study.trials[trial.number])
+            yield self._trial_of(self.study.trials[trial.number])
 
     @property
     def trials(self) -> list[TuningTrial]:
-        """All trials that came to an end, the best first."""
-        ended = [self._told(trial) for trial in self.study.trials if "seconds" in trial.user_attrs]
+        """All completed trials, the best first."""
+        ended = [self._trial_of(trial) for trial in self.study.trials if "seconds" in trial.user_attrs]
         return sorted(ended, key=lambda one: np.inf if one.error is None else one.error)
 
     @property
     def best(self) -> TuningTrial:
-        """The best trial. Raises `InvalidArgument` if none came to an end."""
+        """The best trial. Raises `InvalidArgument` if none was completed."""
         found = [one for one in self.trials if one.error is not None]
         if not found:
             reasons = "; ".join(dict.fromkeys(one.reason for one in self.trials if one.reason)) or "there was no time"
-            raise InvalidArgument(f"tune: no trial of {self.spec} came to an end: {reasons}")
+            raise InvalidArgument(f"tune: no trial of {self.spec} was completed: {reasons}")
         return found[0]
 
     @property
     def importance(self) -> dict[str, float]:
-        """How much each parameter decides of the error, shares of 1, the most first; empty with too few trials."""
+        """Importance of each parameter for the error, as shares of 1, the largest first; empty with too few trials."""
         import optuna
 
         if sum(one.error is not None for one in self.trials) < 4:
             return {}
         evaluator = optuna.importance.FanovaImportanceEvaluator(seed=self.seed)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that a method is experimental is no concern of who reads a table
+            warnings.simplefilter("ignore")  # hides that a method is experimental
             try:
                 found = optuna.importance.get_param_importances(self.study, evaluator=evaluator)
             except (RuntimeError, ValueError):  # all errors are the same
@@ -201,17 +201,17 @@ class Tuning:
         return f"{len(self.trials)} trials, best error {found[0].error:.3f}" if found else ""
 
     def _error(self, trial: optuna.Trial) -> tuple[float | None, str]:
-        """Return the error of a trial; None with the reason if it fails, without one if it is broken off."""
+        """Return the error of a trial; None with the reason if it fails, without one if it is stopped early."""
         parameters = self._parameters(trial.params)
         runs = []
         for fold, ((seen, _), judged) in enumerate(zip(self.pairs, self.judge.trials, strict=True)):
             try:
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # of one trial among many
+                    warnings.simplefilter("ignore")  # warnings of one trial among many
                     model: Any = models.make(self.spec.name, **parameters)
                     model.fit(seen, rng=np.random.default_rng(self.seeds[fold]))
                     runs.append(judged.run(model))
-            except Exception as error:  # a plugin may fail in any way; the other trials go on
+            except Exception as error:  # a plugin may fail in any way; the other trials continue
                 return None, described(error).splitlines()[0]
             part = Scorer(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
             found = min(part.errors(runs).mean, WORST)
@@ -221,13 +221,13 @@ class Tuning:
         return found, ""
 
     def _parameters(self, proposed: Mapping[str, Any]) -> dict[str, Any]:
-        """Return all parameters to make the model with: what is fixed, and what a trial proposes."""
+        """Return all parameters of the model: the fixed ones, and those that a trial proposes."""
         chosen = {
             key: json.loads(value) if isinstance(value, str) else _short(value) for key, value in proposed.items()
         }
         return {**self.spec.parameters, **chosen}
 
-    def _told(self, trial: optuna.trial.FrozenTrial) -> TuningTrial:
+    def _trial_of(self, trial: optuna.trial.FrozenTrial) -> TuningTrial:
         spec = Spec(self.spec.name, self._parameters(trial.params))
         reason = str(trial.user_attrs.get("reason", ""))
         complete = trial.state.name == "COMPLETE"
@@ -235,7 +235,7 @@ class Tuning:
             spec,
             trial.value if complete else None,
             float(trial.user_attrs["seconds"]),
-            reason or ("" if complete else "broken off"),
+            reason or ("" if complete else "stopped early"),
         )
 
     def _distribution(self, key: str, where: SearchRange) -> Any:
@@ -248,7 +248,7 @@ class Tuning:
         return FloatDistribution(where.low, where.high, log=where.log)
 
     def _defaults(self) -> dict[str, Any]:
-        """Return the defaults of the family where they lie in the space."""
+        """Return the defaults of the family that are in the search space."""
         found: dict[str, Any] = {}
         for key, default in models.parameters(self.spec.name).items():
             where = None if key is None else self.space.get(key)
@@ -270,35 +270,36 @@ def tune(
     progress: Progress | bool | None = None,
     **settings: Any,
 ) -> Tuning:
-    """Search the parameters of a family for so many ``seconds`` or ``trials``; see `Tuning` for the ``settings``.
+    """Return a search of the parameters of a family over ``seconds`` or ``trials``; see `Tuning` for ``settings``.
 
-    ``tune(...).best.spec`` is the best found, ready for `make_model`.
+    ``tune(...).best.spec`` is the best spec, ready for `make_model`.
     """
     found = Tuning(spec, dataset, **settings)
-    with told(progress, f"tune {found.spec.name}") as report:
+    with reporting(progress, f"tune {found.spec.name}") as report:
         for _ in found.run(seconds=seconds, trials=trials, progress=report):
             pass
     return found
 
 
 NOT_SEARCHED = frozenset({"stochastic", "dead_band", "max_steps", "folds", "lag_search", "state_lags", "control_lags"})
-"""What has little to do with how well a model predicts, or has ranges of its own."""
+"""Parameters that hardly affect the error, or that have their own ranges."""
 LAGS = {"state_lags": Within(0, 2), "control_lags": Within(0, 6)}
 FACTOR = 8.0
-"""How far a positive number is searched from its default, both ways."""
+"""Positive numbers are searched from default / FACTOR to default * FACTOR."""
 SMALLEST, LARGEST = 1e-6, 1.0
-"""Where a number is searched that is 0 by default."""
+"""Search range of numbers whose default is 0."""
 
 
 def search_space(
     name: str, *, fixed: Collection[str] = (), parameters: Collection[str] | None = None
 ) -> dict[str, SearchRange]:
-    """Return where each parameter of the registered family ``name`` is searched, those that are ``fixed`` left out.
+    """Return the search range of each parameter of the registered family ``name``, except for ``fixed`` ones.
 
-    What the family declares in ``search_ranges`` comes first. Of the rest, lags are searched from 0 to 2 earlier states
-    and 6 earlier controls, a positive number within a factor of 8 of its default and its limits, words of a `Literal`
-    and truth values in turn. Left out are names, lists, numbers without a default, and what a preset changes: that is a
-    matter of time. ``parameters`` names those to search. Raises `InvalidArgument` if nothing is left.
+    Ranges in ``search_ranges`` of the family have priority. Otherwise lags are searched from 0 to 2 earlier states and
+    6 earlier controls, positive numbers within a factor of 8 of the default and within their limits, and all options of
+    a `Literal` or bool. Names, lists, numbers without a default, and parameters that a preset changes, because they
+    determine the time of a fit, are left out. ``parameters`` names those to search. Raises `InvalidArgument` if nothing
+    remains.
     """
     family: Any = models.get(name)
     check_names(family, parameters or ())
@@ -323,7 +324,7 @@ def search_space(
 
 
 def declared(family: type) -> Mapping[str, SearchRange]:
-    """Return the ``search_ranges`` of a class, those of its bases included; the class nearest to it wins."""
+    """Return the ``search_ranges`` of a class and its bases; those of a subclass replace those of its base."""
     merged: dict[str, SearchRange] = {}
     for base in reversed(family.__mro__):
         merged.update(base.__dict__.get("search_ranges", {}))
@@ -331,7 +332,7 @@ def declared(family: type) -> Mapping[str, SearchRange]:
 
 
 def _derived(kind: Any, default: Any, limit: Any) -> SearchRange | None:
-    """Return where a parameter of this type, default and `Limit` is searched, None if that cannot be told."""
+    """Return the search range of a parameter with this type, default and `Limit`, or None if it has no obvious one."""
     options = [one for one in _options(kind) if one is not types.NoneType]
     if typing.get_origin(kind) is Literal:
         return OneOf(typing.get_args(kind))
@@ -358,5 +359,5 @@ def whole(name: str, key: str) -> bool:
 
 
 def _short(value: Any) -> Any:
-    """Return a number in four digits, which is what is written down and used."""
+    """Return a number rounded to four digits, as it is stored and used."""
     return float(f"{value:.4g}") if isinstance(value, float) else value

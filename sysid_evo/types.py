@@ -1,4 +1,4 @@
-"""Array types, the one check that names what was expected and what came, and fields that convert their values."""
+"""Array types, checks of shapes, and dataclass fields that convert their values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Seeds: TypeAlias = npt.NDArray[np.uint64]
 def check_shape(name: str, array: npt.ArrayLike, expected: tuple[int | None, ...]) -> Array:
     """Return ``array`` as float64, or raise `ShapeError` if its shape is not ``expected``.
 
-    ``None`` stands for any length. The message names the array and both shapes.
+    None is any length. The message contains the name and both shapes.
     """
     result = _numbers(name, array)
     fits = result.ndim == len(expected) and all(
@@ -51,9 +51,9 @@ H = TypeVar("H")
 
 
 class Converted(Generic[G, H]):
-    """A field of a dataclass that may be given a G and holds the H that ``convert`` makes of it.
+    """A field of a dataclass that accepts a G and holds the H that ``convert`` returns.
 
-    Type checkers read off it what the constructor takes, a text for example, and what the field is, such as a `Spec`.
+    Type checkers see both types: that of the argument, for example a text, and that of the field, such as a `Spec`.
     """
 
     def __init__(self, convert: Callable[[G], H], default: G) -> None:

@@ -1,4 +1,4 @@
-"""The version, and those of the libraries that are recorded with results."""
+"""The version of this project, and those of the libraries recorded with results."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import InvalidArgument, InvalidData, described
 from sysid_evo.models import DynamicsModel
-from sysid_evo.progress import Counter, Progress, told
+from sysid_evo.progress import Counter, Progress, reporting
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation import measures
 from sysid_evo.validation.estimates import Draws, drawn_rms, drawn_sums
@@ -52,7 +52,7 @@ def assess_prediction(
     still = Persistence().fit(training, rng=np.random.default_rng(0))
     rows = [assess_model(PERSISTENCE, still, cases, family=PERSISTENCE)]
     families = families or {}
-    with told(progress, "predict") as report:
+    with reporting(progress, "predict") as report:
         counter = Counter(report, len(models))
         for name, model in models.items():
             rows.append(assess_model(name, model, cases, family=families.get(name)))

@@ -99,7 +99,7 @@ class Study(Displayed):
         try:
             Experiment.of(common)
             # a setting may need another one that is an axis of the grid
-            refuse_meaningless([rule for rule in MEANINGLESS if rule.beside], common, common)
+            refuse_meaningless([rule for rule in MEANINGLESS if rule.when], common, common)
         except InvalidArgument as error:
             raise InvalidArgument(f"[experiment]: {error}") from error
         given = settings.get("grid", {})

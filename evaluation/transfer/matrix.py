@@ -21,7 +21,7 @@ from sysid_evo.errors import InvalidArgument, SysidEvoError, described
 from sysid_evo.evolution import Champion
 from sysid_evo.files import write_atomically
 from sysid_evo.models import Dynamics
-from sysid_evo.progress import Counter, Progress, told
+from sysid_evo.progress import Counter, Progress, reporting
 from sysid_evo.randomness import as_seed, trial_seeds
 from sysid_evo.registry import Spec
 from sysid_evo.system import System
@@ -218,7 +218,7 @@ def transfer(
     """
     runners, seeds = as_runners(runners, "transfer"), transfer_seeds(as_seed(seed), trials)
     cells = []
-    with told(progress, "transfer") as report:
+    with reporting(progress, "transfer") as report:
         counter = Counter(report, len(champions) * len(runners))
         for champion in champions:
             for column, runner in runners.items():

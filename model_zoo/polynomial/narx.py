@@ -74,7 +74,7 @@ class Narx(PolynomialModel):
             return trial
 
         self.terms_, lags, self.degree_ = best_candidate(
-            settings, lambda setting: blocks.error(lambda part: learned(part, *setting), told=counter.advance)
+            settings, lambda setting: blocks.error(lambda part: learned(part, *setting), report=counter.advance)
         )
         self.record_lags(lags)
         data = self.regression(dataset, lags)

@@ -221,7 +221,7 @@ class SparsePolynomial(PolynomialModel):
             size += int(np.count_nonzero(trial.coefficients_))
             return trial
 
-        return blocks.error(learned, told=counter.advance), size
+        return blocks.error(learned, report=counter.advance), size
 
     def _settings(self, dataset: Dataset) -> list[Setting]:
         """Return every (degree, threshold, lags) to try, without large libraries if there is a smaller one."""

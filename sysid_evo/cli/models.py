@@ -272,7 +272,7 @@ def print_search(search: Tuning) -> None:
     if search.importance:
         shares = ", ".join(f"{key} {100.0 * share:.0f} %" for key, share in search.importance.items())
         out.print(Text(f"What decides: {shares}"))
-    for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "broken off"):
+    for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "stopped early"):
         note(f"a trial failed: {reason}")
     say(best.spec.text)
 

@@ -23,7 +23,7 @@ from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_stra
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
 from sysid_evo.models.dynamics import Dynamics, started
 from sysid_evo.models.penalty import UncertaintyPenalty
-from sysid_evo.progress import Checkpoint, Progress, told
+from sysid_evo.progress import Checkpoint, Progress, reporting
 from sysid_evo.randomness import as_seed, derived_seed, trial_seeds
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, controllers, noises, penalties, strategies, tasks
@@ -187,7 +187,7 @@ def evolve_controller(
         checkpoint=checkpoint,
         identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, controller, task, seed),
     )
-    with told(progress, f"evolve {name}") as report:
+    with reporting(progress, f"evolve {name}") as report:
         ended = runs.finish(report)
     finalists = tuple(chain.from_iterable(run.finalists for run in ended))
     best = max(finalists, key=lambda one: one.fitness)  # of equals the first

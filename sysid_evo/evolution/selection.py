@@ -24,7 +24,7 @@ from sysid_evo.evolution.loop import Schedule
 from sysid_evo.evolution.runs import Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
-from sysid_evo.progress import Checkpoint, Progress, told
+from sysid_evo.progress import Checkpoint, Progress, reporting
 from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array
@@ -167,7 +167,7 @@ def polish(
         checkpoint=checkpoint,
         identity="" if checkpoint is None else evolution_digest(asked, runners, controller, task, seed),
     )
-    with told(progress, f"polish {name}") as report:
+    with reporting(progress, f"polish {name}") as report:
         ended = runs.finish(report)
     best = max((run.finalists[0] for run in ended), key=lambda one: one.fitness)  # of equals the first
     return replace(

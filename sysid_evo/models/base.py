@@ -46,7 +46,7 @@ from sysid_evo.models.parameters import (
     shorter,
 )
 from sysid_evo.processors import one_blas_thread
-from sysid_evo.progress import Checkpoint, Progress, TimeLeft, told
+from sysid_evo.progress import Checkpoint, Progress, TimeLeft, reporting
 from sysid_evo.randomness import as_generator
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import models
@@ -523,7 +523,7 @@ def recorded(fit: Callable[..., DynamicsModel]) -> Callable[..., DynamicsModel]:
         self.check_system(data.system)
         for remark in warnings_about(data):
             warnings.warn(f"{type(self).__name__} {remark}", DataWarning, stacklevel=2)
-        with told(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
+        with reporting(progress, f"fit {type(self).__name__}") as report, one_blas_thread():
             return _kept(self, fit, data, generator, report)
 
     del wrapped.__wrapped__  # so that its signature shows all arguments

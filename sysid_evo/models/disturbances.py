@@ -1,4 +1,4 @@
-"""Domain randomisation: noise, latency, gains and late estimates around any dynamics."""
+"""Domain randomisation: noise, latency, gains and delayed estimates around any dynamics."""
 
 from __future__ import annotations
 
@@ -22,23 +22,21 @@ from sysid_evo.types import Array
 @noises.register("domain_randomisation")
 @dataclass(frozen=True)
 class DomainRandomisation:
-    """How far a robot may differ from its model; 0 means that it does not.
+    """Disturbances that keep controllers from relying on a noise-free model; 0 disables each of them.
 
-    It is Jakobi's radical state_bounds (paper, section 2.1): noise whose absence a controller must not rely on.
-    The *base set* is what is reliable: channels named in ``exact_channels`` (states and controls) meet no noise. All
-    others do, and how much is drawn anew for every trial, from none to all of what stands here. Most trials
-    therefore meet some noise and some hardly any, so that a controller can rely neither on its absence
-    nor on its presence.
+    It is Jakobi's radical envelope of noise (paper, section 2.1). Channels in ``exact_channels`` (states and controls)
+    are not disturbed; they are Jakobi's *base set*. For all others the amount of noise is drawn for every trial, from
+    none to the values below, so that a controller can rely neither on the absence of noise nor on its presence.
 
-    | parameter | what | unit |
+    | parameter | meaning | unit |
     |---|---|---|
-    | ``sensor`` | white noise on what is observed of a state, at most | standard deviations of the training states |
-    | ``bias`` | constant error of what is observed, its standard deviation over trials | the same |
-    | ``latency`` | a command acts so many samples late, drawn from 0 to this | samples of dt |
-    | ``gain`` | a state changes faster or slower: its change in a step times exp(gain z) | 0.1: about 10 % |
-    | ``process`` | white noise on a state in every step, at most | standard deviations of the training states |
+    | ``sensor`` | largest white noise of an observed state | standard deviations of the training states |
+    | ``bias`` | standard deviation over trials of a constant error of an observed state | the same |
+    | ``latency`` | largest delay of a command, drawn from 0 to this | samples of dt |
+    | ``gain`` | the change of a state in a step is multiplied by exp(gain z) | 0.1: about 10 % |
+    | ``process`` | largest white noise of a state in every step | standard deviations of the training states |
 
-    z is standard normal, one for each state and trial. ``gain`` spares periodic states.
+    z is standard normal, drawn for each state and trial. ``gain`` does not apply to periodic states.
     """
 
     sensor: float = 0.0
@@ -66,45 +64,45 @@ class DomainRandomisation:
                 )
 
     def disturbed_channels(self, system: System) -> tuple[Array, Array]:
-        """Return 1.0 for each state (nx,) and each control (nu,) that meets noise, 0.0 for those of the base set.
+        """Return 1.0 for each disturbed state (nx,) and control (nu,), 0.0 for exact ones.
 
-        Raises `InvalidArgument` if the base set names a channel that ``system`` does not have.
+        Raises `InvalidArgument` if ``exact_channels`` names a channel that ``system`` does not have.
         """
         known = [channel.name for channel in (*system.states, *system.controls)]
         unknown = [name for name in self.exact_channels if name not in known]
         if unknown:
             raise InvalidArgument(
-                f"noise: the base set names {', '.join(map(repr, unknown))}; the channels are {', '.join(known)}"
+                f"noise: exact_channels: no channel {', '.join(map(repr, unknown))}; there are {', '.join(known)}"
             )
         free = np.array([0.0 if name in self.exact_channels else 1.0 for name in known])
         return free[: system.nx], free[system.nx :]
 
 
 WHOLE_TOLERANCE = 1e-9
-"""A delay this near to a whole number of samples is one."""
+"""A delay within this distance of a whole number of samples is rounded to it."""
 
 
 class Disturbed(PlainDynamics):
-    """``inner`` as a controller meets it: with ``noise``, and observed ``delay`` s late.
+    """``inner`` with ``noise`` and with observations that are delayed by ``delay`` s.
 
-    With delay / dt = m + f, m whole and 0 <= f < 1, w and z standard normal, the order of effects in a step from
-    state x_k under command u_k is::
+    With delay / dt = m + f, m whole and 0 <= f < 1, w and z standard normal, a step from state x_k under command u_k
+    is::
 
         v = u_{k-d}                                     d = 0 to latency, the same for a trial
         y = x_k + g (f(x_k, v) - x_k)                   g = exp(gain w)
         x_{k+1} = y + p z                               p = process spread U,       U in [0, 1]
-        o_{k+1} = (1 - f) x_{k+1-m} + f x_{k-m}         clipped to the state_bounds
+        o_{k+1} = (1 - f) x_{k+1-m} + f x_{k-m}         clipped to the state bounds
         observed = o_{k+1} + b + s z                    b = bias spread w,          s = sensor spread U
 
-    g, p, b, s (nx,) and d are drawn when a trial begins; ``spread`` (nx,) is `state_std` if it is not given. What is
-    zero costs a test in a step, and no random numbers.
+    g, p, b, s (nx,) and d are drawn at the start of a trial; ``spread`` (nx,) is `state_std` by default. Disabled
+    effects use no random numbers.
 
-    Controllers and tasks observe the last line. The state itself, the pose that a task makes of it, walls and the
-    state_bounds are those of ``inner``: on a robot too the tracker sees the pose, and velocities come out of it late
-    and with noise. The first sample has no white noise.
+    Controllers and tasks observe the last line. The state itself, the pose, walls and the state bounds are those of
+    ``inner``: on a robot too the tracker measures the pose, and velocities are derived from it late and with noise. The
+    first sample has no white noise.
 
-    The carry is that of ``inner``, then, where they are wanted: g, p, d, earlier commands; what is observed, earlier
-    states; b, s. Commands and states stand newest first.
+    The carry is that of ``inner``, then, if enabled: g, p, d, earlier commands; the observation, earlier states; b, s.
+    Commands and states are stored newest first.
     """
 
     def __init__(
@@ -118,7 +116,7 @@ class Disturbed(PlainDynamics):
         if not 0.0 <= delay < math.inf:
             raise InvalidArgument(f"disturbances: expected a delay >= 0 s, got {delay}")
         if inner.observed_at != 0:
-            raise InvalidArgument("disturbances: the dynamics is disturbed already; give noise and delay together")
+            raise InvalidArgument("disturbances: these dynamics are disturbed already; give noise and delay together")
         self.inner, self.system, self.penalty_at = inner, inner.system, inner.penalty_at
         self.noise = noise = DomainRandomisation() if noise is None else noise
         nx, nu, samples = inner.system.nx, inner.system.nu, delay / inner.system.dt
@@ -151,7 +149,7 @@ class Disturbed(PlainDynamics):
         draws = np.zeros((len(states), self.n_draws)) if draws is None else draws
         tail: list[Array] = []
         if self.moves:
-            # the columns without a name were of kinds of noise that are gone; the others keep their numbers
+            # unused columns belong to removed kinds of noise, so that the others keep their random numbers
             gain, _, process, _, delay, _ = np.split(
                 draws[:, first : first + 3 * nx + nu + 2], np.cumsum([nx, nx, nx, nu, 1]), axis=1
             )
@@ -224,7 +222,7 @@ class Disturbed(PlainDynamics):
         )
 
     def _observed(self, states: Array) -> Array:
-        """Return what is seen (B, nx), but for errors of sensors, after ``states`` (B, any, nx), newest first."""
+        """Return the delayed state (B, nx), without sensor errors, from ``states`` (B, any, nx), newest first."""
         later = states[:, self.whole]
         return (1.0 - self.share) * later + self.share * states[:, self.whole + 1] if self.share else later
 
@@ -235,8 +233,8 @@ TRIALS, STEPS, HELD, WARM_UP = 32, 120, 8, 40
 def state_std(dynamics: Dynamics) -> Array:
     """Return the standard deviation (nx,) of each state in the training data of ``dynamics``, see `System.spread`.
 
-    What was not fitted to any, as an emulated robot, is driven by random commands for that, from a fixed
-    seed: 32 times, each command held for 8 samples. A state that never varies has 1, its own unit.
+    Dynamics without training data, such as an emulated robot, are simulated 32 times with random commands from a fixed
+    seed, each held for 8 samples. For a constant state it is 1 of its unit.
     """
     nx = dynamics.system.nx
     pairs = getattr(dynamics, "training_sample_", None)
@@ -246,7 +244,7 @@ def state_std(dynamics: Dynamics) -> Array:
 
 
 def _driven(dynamics: Dynamics) -> Array:
-    """Return the states (N, nx) that random commands lead to."""
+    """Return the states (N, nx) of simulations with random commands."""
     system, rng = dynamics.system, np.random.default_rng(0)
     draws = rng.standard_normal((TRIALS, dynamics.n_draws))
     carry = started(dynamics, np.tile(system.neutral_state, (TRIALS, 1)), draws)

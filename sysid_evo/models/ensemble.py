@@ -1,4 +1,4 @@
-"""Several models as one: members side by side, and their mean."""
+"""Several models as one: their joint carry, and their mean."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sysid_evo.validation.simulation_error import error_windows
 
 
 class Members:
-    """``models`` of one system: where their carries (n_carry) and their noise stand one after the other."""
+    """``models`` of one system, with the positions of their concatenated carries (n_carry) and noise."""
 
     def __init__(self, models: Sequence[Dynamics]) -> None:
         self.models = tuple(models)
@@ -33,7 +33,7 @@ class Members:
                 raise IncompatibleSystem(f"several models: their systems differ: {'; '.join(differences)}")
             if model.observed_at != 0:
                 raise InvalidArgument(
-                    "several models: one is observed late; let it be observed so together with the others"
+                    "several models: one of them has delayed observations; delay the ensemble instead"
                 )
         self.n_lags = max(model.n_lags for model in self.models)
         self.places = _places([model.n_carry for model in self.models])
@@ -51,7 +51,7 @@ class Members:
         return np.concatenate(carries, axis=1)
 
     def step(self, state: Array, carries: Array, control: Array, noise: Array | None) -> tuple[Array, list[Array]]:
-        """Return what each predicts from ``state`` (M, B, nx), and what each remembers beside its state."""
+        """Return the prediction of each member from ``state`` (M, B, nx), and the rest of its carry."""
         nx = self.system.nx
         predicted, rests = [], []
         for model, at, drawn in zip(self.models, self.places, self.noise_places, strict=True):
@@ -64,38 +64,39 @@ class Members:
         return np.stack(predicted), rests
 
     def joined(self, state: Array, rests: list[Array]) -> Array:
-        """Return the carries (B, n_carry) of all, each with the same ``state`` (B, nx)."""
+        """Return the concatenated carries (B, n_carry), each with the same ``state`` (B, nx)."""
         return np.concatenate([part for rest in rests for part in (state, rest)], axis=1)
 
 
 def _places(sizes: list[int]) -> list[int]:
-    """Return where each of several parts begins that stand one after the other."""
+    """Return the start of each of several concatenated parts of these ``sizes``."""
     return [sum(sizes[:i]) for i in range(len(sizes))]
 
 
 class MeanModel(DynamicsModel):
-    """A family that learns ``members_``, fitted models, and their ``weights_`` (M,), whose sum is 1.
+    """A family that learns fitted models ``members_`` and their ``weights_`` (M,), whose sum is 1.
 
-    The next state is the mean of theirs. The carry is the state, then the members' carries, each with the same state
-    at its head. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) make the noise of a step. Members
-    are not held at rest: the mean is, with ``dead_band``, while no member remembers a control that may still act.
+    The next state is the weighted mean of theirs. The carry is the state, then the members' carries, each of which
+    begins with the same state. With ``stochastic``, ``residual_`` (nx,) and ``noise_scale_`` (nx,) define the noise of
+    a step. A ``dead_band`` applies to the mean, not to the members, and only if no member has an earlier control that
+    may still act.
     """
 
     stochastic: bool = False
     dead_band: bool = False
 
     def become(self, models: Sequence[DynamicsModel], weights: Array) -> None:
-        """Be the mean of these fitted models."""
+        """Make this model the mean of fitted ``models`` with ``weights`` (M,)."""
         self.members_, self.weights_ = list(models), weights
 
     def learned_arrays(self) -> Mapping[str, Declared]:
-        Members([self, *self.members_])  # raises where they are of different systems
+        Members([self, *self.members_])  # raises if their systems differ
         nx = self.system.nx
         noise = {name: Numbers(nx, optional=not self.stochastic) for name in ("residual_", "noise_scale_")}
         return {"weights_": (len(self.members_),), **noise}
 
     def of(self, models: Sequence[DynamicsModel], weights: Array) -> Self:
-        """Return the mean of these models, of the same data, as a model without noise."""
+        """Return the mean of ``models``, fitted to the same data, as a model without noise."""
         other = self.variant(stochastic=False)
         other.become(models, weights)
         return other
@@ -103,7 +104,7 @@ class MeanModel(DynamicsModel):
     def calibrate(
         self, cases: Sequence[tuple[Self, Dataset]], rng: np.random.Generator, still: Callable[[], None]
     ) -> None:
-        """Set the noise of a step: ``cases`` are means like this one, each with what it did not learn from.
+        """Set the noise of a step from ``cases``, means like this one, each with its held-out data.
 
         ``residual_`` (nx,) is their error after one step, ``noise_scale_`` (nx,) that of `conformal_scale`.
         """
@@ -123,7 +124,7 @@ class MeanModel(DynamicsModel):
 
     @property
     def lags(self) -> tuple[int, int]:
-        """The most earlier states and earlier controls that a member sees (0 before `fit`)."""
+        """The largest numbers of earlier states and earlier controls of a member (0 before `fit`)."""
         members = getattr(self, "members_", [])
         states, controls = ([model.lags[i] for model in members] for i in (0, 1))
         return max(states, default=0), max(controls, default=0)
@@ -167,7 +168,7 @@ class MeanModel(DynamicsModel):
 
     @property
     def _earlier_controls(self) -> list[int]:
-        """Where earlier controls stand in the carry."""
+        """The indices of earlier controls in the carry."""
         rows: list[int] = []
         for model, place in zip(self.members_, self._together.places, strict=True):
             earlier = range(model.layout.size)[model.layout.earlier_controls]
@@ -199,7 +200,7 @@ class MeanModel(DynamicsModel):
         return self.of(quiet, self.weights_)
 
     def fine_tuned(self, dataset: Dataset, updates: int, *, rng: np.random.Generator) -> Self | None:
-        """Return the mean with those members trained further that can be; None if none can."""
+        """Return the mean with all members fine-tuned that can be; None if none can."""
         further = [model.fine_tuned(dataset, updates, rng=rng) for model in self.members_]
         if all(model is None for model in further):
             return None

@@ -28,14 +28,14 @@ NAMES: dict[Any, str] = {bool: "True or False", int: "a whole number", float: "a
 
 @dataclass(frozen=True)
 class Limit:
-    """From ``low`` (left out with ``open_below``) to ``high``; for a list, what each of its numbers may be."""
+    """Allowed numbers: from ``low`` (exclusive with ``open_below``) to ``high``; for a list, those of each item."""
 
     low: float = -np.inf
     high: float = np.inf
     open_below: bool = False
 
     def allows(self, value: Any) -> bool:
-        """Whether a number, all numbers of a list, or None lie within."""
+        """Whether a number, or all numbers of a list, are within the limits; True for anything else."""
         if isinstance(value, (list, tuple)):
             return all(self.allows(item) for item in value)
         if not isinstance(value, (int, float, np.number)):
@@ -59,7 +59,7 @@ def above(low: float, *, at_most: float = np.inf) -> Limit:
 
 
 def limits_of(family: type) -> dict[str, Limit]:
-    """Return the ``limits`` of a class, those of its bases included; the class nearest to it wins."""
+    """Return the ``limits`` of a class and its bases; those of a subclass replace those of its base."""
     merged: dict[str, Limit] = {}
     for base in reversed(family.__mro__):
         merged.update(base.__dict__.get("limits", {}))
@@ -67,10 +67,10 @@ def limits_of(family: type) -> dict[str, Limit]:
 
 
 def declare(family: type) -> None:
-    """Give a class whose body declares hyper-parameters the constructor that takes them, those of its bases included.
+    """Generate the constructor of a class from the hyper-parameters that it and its bases declare.
 
-    They are its annotated names, `ClassVar` left out. Their types are read here, in the module that knows them.
-    A class with several bases that declare some gets a constructor for all of theirs.
+    Hyper-parameters are the annotated names without `ClassVar`. Their types are resolved here, in the module of the
+    class. A class with several bases gets a constructor for the hyper-parameters of all of them.
     """
     own = {name: kind for name, kind in vars(family).get("__annotations__", {}).items() if "ClassVar" not in str(kind)}
     several = sum(is_dataclass(base) for base in family.__bases__) > 1
@@ -96,7 +96,7 @@ def check_values(family: type, values: Mapping[str, Any]) -> None:
 
 
 def check_names(family: type, names: Collection[str]) -> None:
-    """Raise `UnknownParameter` if one of ``names`` is no parameter of the constructor of ``family``."""
+    """Raise `UnknownParameter` if one of ``names`` is not a parameter of the constructor of ``family``."""
     known = list(inspect.signature(family).parameters)
     for name in names:
         if name not in known:
@@ -107,7 +107,7 @@ def check_names(family: type, names: Collection[str]) -> None:
 
 
 def fits(value: Any, expected: Any) -> bool:
-    """Whether ``value`` is of the annotated type; a whole number is a number, a truth value is none."""
+    """Whether ``value`` is of the annotated type; an integer is a number, a bool is not."""
     origin, arguments = typing.get_origin(expected), typing.get_args(expected)
     if origin in (Union, types.UnionType):
         return any(fits(value, one) for one in arguments)
@@ -127,7 +127,7 @@ def fits(value: Any, expected: Any) -> bool:
 
 
 def described(expected: Any) -> str:
-    """Return an annotated type in words."""
+    """Return a description of an annotated type."""
     origin, arguments = typing.get_origin(expected), typing.get_args(expected)
     if origin in (Union, types.UnionType):
         first = [described(one) for one in arguments if one is not types.NoneType]
@@ -140,7 +140,7 @@ def described(expected: Any) -> str:
 
 
 def checked(init: Any) -> Any:
-    """Wrap a family's constructor: a wrong name or value is refused where it is given."""
+    """Wrap a family's constructor: raise an error for a wrong name or value."""
 
     @functools.wraps(init)
     def wrapped(self: Any, *arguments: Any, **parameters: Any) -> None:
@@ -157,11 +157,11 @@ def checked(init: Any) -> Any:
 class ParameterAccess:
     """An object whose constructor only stores its arguments, under their names.
 
-    `sklearn.base.clone` and `GridSearchCV` take it for one of their own.
+    `sklearn.base.clone` and `GridSearchCV` accept it as an estimator.
     """
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the constructor's arguments; ``deep`` is there for scikit-learn, nothing is nested."""
+        """Return the constructor's arguments; ``deep`` is for scikit-learn and has no effect."""
         return {name: getattr(self, name) for name in sorted(inspect.signature(type(self)).parameters)}
 
     def set_params(self, **parameters: Any) -> Self:
@@ -171,11 +171,11 @@ class ParameterAccess:
         return self
 
     def clone_unfitted(self) -> Self:
-        """Return another one with copies of the same arguments that has learned nothing."""
+        """Return an unfitted object with copies of the same arguments."""
         return type(self)(**copy.deepcopy(self.get_params()))
 
     def variant(self, **parameters: Any) -> Self:
-        """Return a copy with everything that was learned, and other hyper-parameters."""
+        """Return a copy with all learned values and other hyper-parameters."""
         other: Self = self.clone_unfitted().set_params(**parameters)
         other.__dict__.update({name: value for name, value in vars(self).items() if name.endswith("_")})
         return other
@@ -194,7 +194,7 @@ class ParameterAccess:
 
 
 def shorter(estimator: Any, dataset: Dataset) -> str:
-    """Return which hyper-parameters make a fit shorter: those of the preset quick, no lags, fewer steps."""
+    """Return hyper-parameters that make a fit shorter: those of the preset quick, no lags, fewer steps."""
     n_steps, now = dataset.n_steps, estimator.get_params(deep=False)
     found = {name: value for name, value in estimator.presets.get("quick", {}).items() if value != now[name]}
     found |= {name: 0 for name in ("state_lags", "control_lags") if now.get(name, 0) != 0}
@@ -206,7 +206,7 @@ def shorter(estimator: Any, dataset: Dataset) -> str:
 
 @dataclass(frozen=True)
 class Within:
-    """Numbers from ``low`` to ``high``; with ``log``, every factor is as likely as any other."""
+    """Numbers from ``low`` to ``high``; with ``log``, uniform in the logarithm."""
 
     low: float
     high: float
@@ -215,7 +215,7 @@ class Within:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of these values, of any kind that a spec can write."""
+    """One of ``values``, of any type that a spec can write."""
 
     values: tuple[Any, ...]
 

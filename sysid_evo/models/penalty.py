@@ -22,11 +22,11 @@ from sysid_evo.types import Array, check_shape
 @penalties.register("uncertainty")
 @dataclass(frozen=True)
 class UncertaintyPenalty:
-    """What a trial loses where its model cannot be believed, in units of fitness; 0 means nothing (as in MOPO, MOReL).
+    """Fitness penalty for steps where a model is unreliable (fitness units per trial; 0 disables it).
 
-    ``outside``: of a trial that is outside the training data from beginning to end; ``disagreement``: of one in which
-    the models disagree all the time. What lies between costs its share of the steps, see `Penalised`. A trial goes on:
-    one that leaves the data for a moment and comes back loses little.
+    ``outside``: penalty of a trial that is entirely outside the training data; ``disagreement``: of one in which the
+    models disagree in every step. A trial is penalised in proportion to the affected steps, see `Penalised`; it
+    continues, so that leaving the data for a moment costs little. As in MOPO and MOReL.
     """
 
     outside: float = 0.0
@@ -40,19 +40,19 @@ class UncertaintyPenalty:
 
     @property
     def maximum(self) -> float:
-        """What a trial loses at most."""
+        """The largest penalty of a trial."""
         return self.outside + self.disagreement
 
     def around(self, dynamics: Dynamics, others: Sequence[Dynamics] = ()) -> Dynamics:
-        """Return ``dynamics`` with the penalty counted; a robot is not doubted.
+        """Return ``dynamics`` with this penalty; robots are returned unchanged.
 
-        The ``others`` are further models of the ensemble; what is no model is left out. Raises `InvalidArgument` for
-        a model that does not know its training data.
+        ``others`` are further members of the ensemble; those that are not models are ignored. Raises `InvalidArgument`
+        for a model without a training sample.
         """
         if getattr(dynamics, "training_sample_", None) is None:
             if isinstance(dynamics, DynamicsModel):
                 raise InvalidArgument(
-                    f"penalty: {type(dynamics).__name__} was stored without states of its training data: fit it again"
+                    f"penalty: {type(dynamics).__name__} was stored without a sample of its training data: fit it again"
                 )
             return dynamics
         against = [other for other in others if getattr(other, "training_sample_", None) is not None]
@@ -61,22 +61,22 @@ class UncertaintyPenalty:
 
 
 CHECKED_EVERY = 10
-"""Steps from one look at the training data to the next."""
+"""Steps between two comparisons with the training data."""
 
 
 class Penalised(PlainDynamics):
-    """``model``, which counts in its carry how far it is to be doubted, by the weights of ``uncertainty``.
+    """``model`` with an uncertainty penalty that accumulates in its carry.
 
-    *Outside*: a look at every ``every``-th step counts for all of them: 0 within the limit of `Support`, the weight
-    from twice the limit on, in proportion between. ``support`` is made of the ``training_sample_`` of the model if it
-    is not given.
+    *Outside*: every ``every``-th step is compared with the training data and stands for the others: 0 within the limit
+    of `Support`, the full weight beyond twice the limit, linear in between. By default ``support`` is made from the
+    ``training_sample_`` of the model.
 
-    *Disagreement*: all models step from the state of ``model``. The largest difference between two of them in a state,
-    divided by its ``limit`` (nx,), and of these the largest, counts: 0 up to 1, the weight from 2 on, in proportion
-    between. The limit is the 99 % quantile of the difference over the ``training_sample_`` if it is not given; errors
-    on held-out data are another one. A step costs what the steps of all models cost.
+    *Disagreement*: all models step from the state of ``model``. For each state the largest difference between two
+    models is divided by its ``limit`` (nx,); the largest of these ratios counts: 0 up to 1, the full weight from 2 on,
+    linear in between. By default the limit is the 99 % quantile of the difference over the ``training_sample_``;
+    errors on held-out data are another choice. A step costs as much as the steps of all models.
 
-    The carry is that of ``model``, those of the ``others``, the penalty, and the steps to the next look.
+    The carry is that of ``model``, those of the ``others``, the penalty, and the steps to the next comparison.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Penalised(PlainDynamics):
         self.support: Support | None = None
         if penalty.outside:
             data = Support.of(self.system, *self._recorded()) if support is None else support
-            smallest = float(np.finfo(np.float32).tiny)  # where all recorded pairs are the same, the limit is 0
+            smallest = float(np.finfo(np.float32).tiny)  # the limit is 0 if all recorded pairs are equal
             self.support = replace(data, limit=max(data.limit, smallest))
         self.limit = np.ones(self.system.nx)
         if penalty.disagreement:
@@ -161,7 +161,7 @@ class Penalised(PlainDynamics):
         )
 
     def _usual(self) -> Array:
-        """Return the difference (nx,) that the models exceed in 1 % of the training data, after a steady past."""
+        """Return the difference (nx,) that the models exceed in 1 % of the training data, after a constant history."""
         states, controls = self._recorded()
         past = np.repeat(states[:, None], self.n_lags + 1, axis=1)
         commands = np.repeat(controls[:, None], self.n_lags, axis=1)
@@ -174,7 +174,7 @@ class Penalised(PlainDynamics):
         """Return states (N, nx) and controls (N, nu) of the training data."""
         if self.training_sample_ is None:
             raise InvalidArgument(
-                "penalty: the model does not know its training data; give support= for `outside`, limit= for "
+                "penalty: the model has no sample of its training data; give support= for `outside`, limit= for "
                 "`disagreement`"
             )
         return split_pairs(self.system, self.training_sample_)

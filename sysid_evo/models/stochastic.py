@@ -1,4 +1,4 @@
-"""A spread for any family: noise in every step, white and lasting, calibrated on free runs it did not learn from."""
+"""Prediction intervals for any family: white and persistent process noise, calibrated on held-out simulations."""
 
 from __future__ import annotations
 
@@ -28,23 +28,22 @@ from sysid_evo.validation.intervals import (
 
 
 class StochasticModel(DynamicsModel):
-    """A family that gives a spread when it is fitted with ``stochastic``.
+    """A family with process noise if it is fitted with ``stochastic``.
 
-    Every step adds normal noise to the state: sigma_k (sqrt(1 - p) w + sqrt(p) b) times a deviation, w new in every
-    step, b drawn once for a run, for what is wrong with a model is wrong all along. sigma_k depends on the number of
-    steps since the start: one for the first step, which holds the noise of the measured start, one up to 10, 20 and 60
-    steps each, so that 90 % intervals hold 90 % of targets at all four. Calibrated on free runs of models that learned
-    without them: recordings held out in turn, blocks of time if there is one recording only (`horizon_scales`).
-    The deviation is the error of one step, unless a family says otherwise (`with_deviation`).
+    Every step adds normal noise to the state: sigma_k (sqrt(1 - p) w + sqrt(p) b) times a deviation, with w new in
+    every step and b drawn once for a run, because model errors persist. sigma_k has one value for the first step, which
+    includes the noise of the measured start, and one each up to 10, 20 and 60 steps, so that 90 % intervals contain
+    90 % of the targets at all four. It is calibrated on simulations of held-out data: recordings in turn, or blocks of
+    time of a single recording (`horizon_scales`). The deviation is the one-step error by default (`with_deviation`).
     """
 
     calibration_folds: ClassVar[int] = 4
-    """Of how many parts, held out in turn, the spread is learned: so many more fits."""
+    """Number of parts that are held out in turn to calibrate the noise; each takes another fit."""
     stochastic: bool = False
 
     @property
     def timed(self) -> bool:
-        """Whether there is noise whose size depends on the time since the start, which the carry then counts."""
+        """Whether there is noise that depends on the time since the start, which the carry then counts."""
         return self.stochastic and hasattr(self, "horizon_scales_")
 
     @property
@@ -89,17 +88,17 @@ class StochasticModel(DynamicsModel):
         }
 
     def keep_spread(self, residual: Array, persistent: Array, scales: Array) -> None:
-        """Record the error of one step (nx,), the lasting share (nx,), and the scales of `horizon_scales`."""
+        """Record the error of one step (nx,), the persistent share (nx,), and the scales of `horizon_scales`."""
         self.residual_: Array = residual
         self.persistent_: Array = persistent
         self.horizon_scales_: Array = scales
 
     def keep_one_scale(self, scale: Array) -> None:
-        """Record one scale (nx,) for all times, of a family that learns it without ``stochastic`` too."""
+        """Record one scale (nx,) for all times, for a family that calibrates it without ``stochastic`` too."""
         self.noise_scale_: Array = scale
 
     def _one(self, noise: Array) -> Array:
-        """Return ``noise`` (B, nx) in deviations, of a family that also calibrates one scale without ``stochastic``."""
+        """Return ``noise`` (B, nx) in deviations, for a family that calibrates one scale without ``stochastic`` too."""
         return np.asarray(self.noise_scale_ * noise)
 
     def record(self, dataset: Dataset) -> None:
@@ -117,8 +116,7 @@ class StochasticModel(DynamicsModel):
     ) -> Array:
         if samples is not None and self.stochastic and not self.n_noise:
             raise NotFitted(
-                f"{type(self).__name__} was not fitted with stochastic=True, so that its spread is not known: "
-                "fit it anew"
+                f"{type(self).__name__} was not fitted with stochastic=True, so its noise is not known: fit it again"
             )
         return super()._simulated(states, past_controls, controls, samples, rng)
 
@@ -127,13 +125,13 @@ class StochasticModel(DynamicsModel):
         return self.next_state(carry, control), self.residual_
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        """Return the next lagged carry, its state moved by ``disturbance`` (B, nx) deviations."""
+        """Return the next lagged carry, with ``disturbance`` (B, nx), in deviations, added to the state."""
         after, deviation = self.with_deviation(carry, control)
         after = self.apply_limits(carry, control, after + deviation * disturbance)
         return self.shift_lags(carry, control, after)
 
     def calibrate(self, dataset: Dataset, rng: np.random.Generator, still: Callable[[], None] = lambda: None) -> None:
-        """Learn the spread at the end of `fit`, with ``stochastic``; fits as many more models as parts are held out."""
+        """Calibrate the noise at the end of `fit`, if ``stochastic``; each part that is held out takes another fit."""
         if not self.stochastic:
             return
         models = []
@@ -142,7 +140,7 @@ class StochasticModel(DynamicsModel):
         self.spread_on(models, rng, still)
 
     def settled(self) -> StochasticModel:
-        """Return an unfitted model of this family with what `fit` chose, and without noise."""
+        """Return an unfitted model of this family with the hyper-parameters that `fit` chose, without noise."""
         parameters = self.get_params(deep=False)
         chosen = {
             name: getattr(self, f"{name}_")
@@ -160,7 +158,7 @@ class StochasticModel(DynamicsModel):
         *,
         own_deviation: bool = False,
     ) -> None:
-        """Set residual, persistent share and scales from ``models`` and the parts that each did not learn from."""
+        """Set residual, persistent share and scales from ``models``, each with its held-out data."""
         residual, persistent = step_spread(models, lambda model, carry, control: model.next_state(carry, control))
         horizon = usable_horizon([part for _, part in models], self.n_lags)
         for model, _ in models:
@@ -176,9 +174,9 @@ class StochasticModel(DynamicsModel):
             return super()._stepping_kernel
         if (
             type(self).with_deviation is not StochasticModel.with_deviation
-        ):  # the unit of the noise is another in every state
+        ):  # the unit of the noise differs from state to state
             return None
-        predictor = self.variant(stochastic=False).predictor()  # which does not know the rows behind the lags
+        predictor = self.variant(stochastic=False).predictor()  # without the rows after the lags
         if predictor is None:
             return None
         size, share = self.horizon_scales_ * self.residual_, self.persistent_

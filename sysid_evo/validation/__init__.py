@@ -1,7 +1,7 @@
-"""What is held out, how far off a model is there, and whether another one is better.
+"""Validation: held-out data, simulation errors, prediction intervals, comparison of models.
 
-Validation knows data and arrays; a model is what keeps the protocol `Simulator`. The error of one simulation is
-`sysid_evo.validation.simulation_error.simulation_error`, which has the name of its module.
+It depends on data and arrays only; models are used through the protocol `Simulator`. The error of a simulation is
+`sysid_evo.validation.simulation_error.simulation_error`.
 """
 
 from sysid_evo.validation.estimates import CONFIDENCE, Draws, Estimate, across, paired

@@ -1,21 +1,21 @@
-"""A figure with its uncertainty: over blocks of one recording or trials, or over robots and seeds.
+"""Figures with confidence intervals, over blocks of a recording, trials, or robots and seeds.
 
-There are two intervals, both Student's (1908), of the same confidence::
+All intervals are Student's (1908), of the same confidence::
 
     value - t * standard_error  to  value + t * standard_error,    t = Student's quantile of n - 1 degrees
 
-`paired`, and `Draws` of any figure that is no mean, are for one recording or one set of trials. Errors of overlapping
-windows hang together, and so do neighbours in time, so the n things are blocks (Kuensch 1989). The standard error is
-the standard deviation of the figure over draws of n blocks with replacement, times sqrt(n / (n - 1)), since a sample
-spreads less about its own mean (Efron and Tibshirani 1993, chapter 6; Hesterberg 2015, section 4). The draws follow
-from the number of blocks alone, so that figures over the same blocks are paired: their difference has draws of its own.
+`paired`, and `Draws` for figures other than means, are for one recording or one set of trials. Errors of overlapping
+windows and of neighbouring samples are correlated, so n counts blocks (Kuensch 1989). The standard error is
+the standard deviation of the figure over draws of n blocks with replacement, times sqrt(n / (n - 1)), because a sample
+varies less about its own mean (Efron and Tibshirani 1993, chapter 6; Hesterberg 2015, section 4). The draws depend on
+the number of blocks alone, so that figures over the same blocks are paired and their differences have draws too.
 
-`across` is for studies. The n things are robots: what holds for other robots is told by how robots differ, however many
-seeds each has.
+`across` is for studies. There n counts robots, because conclusions about other robots depend on how robots differ, not
+on the number of seeds.
 
-Percentiles of the draws would be too narrow: of five normal blocks those for 95 % hold the truth in 83 %, these
-intervals in 94 to 96 % of two or more. Of few very skewed blocks they hold somewhat less: ten squares of normal
-numbers, whose root is taken, 90 %.
+Percentiles of the draws would be too narrow: with five normal blocks, 95 % intervals contain the truth in 83 % of the
+cases; with these intervals and two or more blocks, it is 94 to 96 %. With few very skewed blocks it is less: 90 % for
+the root of the mean of ten squared normal numbers.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ import numpy as np
 from sysid_evo.types import Array, IntArray
 
 CONFIDENCE = 0.95
-"""How often an interval holds the truth. What must be surely better is better at its less favourable end."""
+"""Probability that an interval contains the truth. A difference is significant if its interval excludes 0."""
 
 RESAMPLES = 1000
-"""Draws of blocks."""
+"""Number of bootstrap draws."""
 
 ROUNDING = 1e-12
-"""Share of its size below which what is left of a figure, or varies of it, is rounding."""
+"""Smaller differences or variations of a figure, as a share of its size, count as rounding errors."""
 
 PICKS = 2**20
-"""Blocks that are looked up at a time, of all draws together."""
+"""Number of blocks to look up at a time, over all draws."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure, its standard error and its interval, all in its unit; nan where the uncertainty is not known."""
+    """A figure, its standard error and its interval, all in its unit; nan if the uncertainty is not known."""
 
     value: float
     standard_error: float = math.nan
@@ -52,25 +52,25 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The low and the high end."""
+        """The lower and the upper end."""
         return self.low, self.high
 
     def clipped(self, low: float = -math.inf, high: float = math.inf) -> Estimate:
-        """Return it with its value and the ends of its interval between what such a figure can be."""
+        """Return the estimate with its value and the ends of its interval clipped to ``low`` and ``high``."""
         value, *ends = (float(np.clip(one, low, high)) for one in (self.value, self.low, self.high))
         return Estimate(value, self.standard_error, *ends)
 
     def differs_from(self, value: float) -> bool:
-        """Whether ``value`` lies outside of the interval; False where there is none."""
+        """Whether ``value`` lies outside of the interval; False without one."""
         return self.low > value or self.high < value
 
 
 @dataclass(frozen=True)
 class Draws:
-    """A figure of ``blocks`` independent blocks, or trials: ``values`` (1 + R,) are its value, then that of each draw.
+    """A figure over independent ``blocks``, or trials: ``values`` (1 + R,) are its value, then that of each draw.
 
-    A draw is one of as many blocks, with replacement. Figures over the same blocks have the same draws, so that
-    differences, ratios and means of them are paired; of figures over other numbers of blocks the fewest count.
+    A draw has the same number of blocks, with replacement. Figures over the same blocks have the same draws, so that
+    their differences, ratios and means are paired; for different numbers of blocks the smallest counts.
     """
 
     values: Array
@@ -78,12 +78,12 @@ class Draws:
 
     @classmethod
     def of(cls, rows: Array, blocks: IntArray, figure: Callable[[Array], Array]) -> Draws:
-        """Return the draws of what ``figure`` makes (R,) of sums (R, C) over the ``rows`` (N, C) of blocks (N,)."""
+        """Return the draws of ``figure``, a function of sums (R, C) over the ``rows`` (N, C) of ``blocks`` (N,)."""
         return cls(figure(drawn_sums(rows, blocks)), len(np.unique(blocks)))
 
     @classmethod
     def joined(cls, figures: Iterable[Draws | None], rule: Callable[..., Array] = np.mean) -> Draws | None:
-        """Return what ``rule`` makes along axis 0 of the figures that are known, by default the mean; None of none."""
+        """Return ``rule`` (default: the mean) along axis 0 of the figures that are not None; None if there are none."""
         known = [one for one in figures if one is not None]
         return cls(rule([one.values for one in known], axis=0), min(one.blocks for one in known)) if known else None
 
@@ -97,7 +97,7 @@ class Draws:
             return Draws(self.values / other.values, min(self.blocks, other.blocks))
 
     def times(self, other: Draws, *, figures: int = 1) -> Estimate:
-        """Return how many times ``other`` it is, of errors: the interval is that of the difference of logarithms."""
+        """Return the ratio of this error to ``other``; the interval is that of the difference of logarithms."""
         with np.errstate(divide="ignore", invalid="ignore"):
             log = Draws(np.log(self.values) - np.log(other.values), min(self.blocks, other.blocks)).one_of(figures)
         ratio = math.exp(log.value)
@@ -110,23 +110,23 @@ class Draws:
 
     @property
     def estimate(self) -> Estimate:
-        """The figure with its interval, nan for a single block."""
+        """The figure with its interval, which is nan for a single block."""
         return self.one_of(1)
 
     def one_of(self, figures: int) -> Estimate:
-        """Return it with an interval so wide that all of so many ``figures`` hold the truth together (Bonferroni)."""
+        """Return the figure with an interval corrected for a number of ``figures`` (Bonferroni)."""
         return _students(self.value, float(standard_errors(self.values, self.blocks)), self.blocks, figures)
 
 
 def estimate_of(figure: Draws | None) -> Estimate | None:
-    """Return a figure with its interval; None of None."""
+    """Return a figure with its interval; None for None."""
     return None if figure is None else figure.estimate
 
 
 def paired(differences: Array, blocks: IntArray | None = None, *, figures: int = 1) -> Estimate:
-    """Return the mean of ``differences`` (N,), or of any paired numbers, over blocks (N,); each its own by default.
+    """Return the mean of ``differences`` (N,) over ``blocks`` (N,); by default every number is a block.
 
-    It is one of so many ``figures`` that are looked at together, see `Draws.one_of`.
+    It is one of a number of ``figures`` that are tested together, see `Draws.one_of`.
     """
     count = len(differences)
     numbers = np.arange(count) if blocks is None else blocks
@@ -137,8 +137,8 @@ def paired(differences: Array, blocks: IntArray | None = None, *, figures: int =
 def across(values: Sequence[float], by: Sequence[Hashable]) -> Estimate:
     """Return the mean over robots of the mean over the seeds of each, with its interval over robots.
 
-    ``values`` (N,) are one for each robot and seed, ``by`` (N,) their robots. Robots count alike, however many seeds
-    they have. Of a single robot the interval is over its seeds, and says nothing about other robots.
+    ``values`` (N,) are one for each robot and seed, ``by`` (N,) their robots. All robots have the same weight. For a
+    single robot the interval is over its seeds and does not apply to other robots.
     """
     groups: dict[Hashable, list[float]] = {}
     for value, robot in zip(values, by, strict=True):
@@ -149,7 +149,7 @@ def across(values: Sequence[float], by: Sequence[Hashable]) -> Estimate:
 
 
 def _students(value: float, error: float, count: int, figures: int = 1) -> Estimate:
-    """Return a figure with Student's interval; it has no width where the error is 0, and nan where that is."""
+    """Return a figure with Student's interval for a standard ``error``; nan if the error is nan."""
     from scipy.special import stdtrit
 
     if count < 2 or not np.isfinite(error):
@@ -161,7 +161,7 @@ def _students(value: float, error: float, count: int, figures: int = 1) -> Estim
 def standard_errors(values: Array, blocks: int) -> Array:
     """Return the standard error (...) of figures from their ``values`` (1 + R, ...), see `Draws`.
 
-    Draws that are no numbers are left out; it is nan where none is one, and for a single block.
+    Draws that are nan are left out; the result is nan if all are, and for a single block.
     """
     drawn = np.where(np.isfinite(values[1:]), values[1:], np.nan)
     known = np.isfinite(drawn).any(axis=0)

@@ -1,7 +1,7 @@
-"""What is held out: recordings, conditions, blocks of time.
+"""Held-out data: recordings, conditions, blocks of time.
 
-What is measured together hangs together: neighbouring samples by what is wrong with a model just then, the pieces of
-one recording by battery, tyres and floor. So whole blocks of time are held out, or better whole recordings.
+Model errors of neighbouring samples are correlated, and parts of a recording share battery, tyres and floor. Therefore
+whole blocks of time are held out or, better, whole recordings.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from sysid_evo.errors import InvalidArgument, InvalidData
 from sysid_evo.types import BoolArray, IntArray
 
 BLOCKS, SHORTEST = 6, 30
-"""Blocks of time that an episode is cut into, and the fewest steps of one."""
+"""Number of blocks of time of an episode, and the least number of steps of a block."""
 
 FOLDS = 3
-"""Every so many-th block is held out."""
+"""One of this many blocks is held out."""
 
 LEAST_SHARE = 0.5
-"""Of the steps that would be left if all recordings were as long: so many must be where some are held out."""
+"""Least number of training steps, as a share of those that would remain if all recordings had the same length."""
 
 MAX_GROUPS = 4
-"""Groups of recordings that are held out in turn."""
+"""Largest number of groups of recordings that are held out in turn."""
 
-HELD_BACK = 3
-"""Blocks of time of one recording that are held back in turn, see `blocks_of`."""
+HELD_OUT_BLOCKS = 3
+"""Number of blocks of time of one recording that are held out in turn, see `blocks_of`."""
 
 
 def time_fold(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Dataset, Dataset]:
-    """Return what is learned from and what is held out: every ``folds``-th block of time of each episode.
+    """Return training and held-out data; every ``folds``-th block of time of each episode is held out.
 
-    An episode is cut into 6 blocks, fewer if they were shorter than 30 steps; one too short to be
-    cut is only learned from. If nothing can be held out, both sides are the whole data set.
+    An episode has 6 blocks, fewer if they were shorter than 30 steps; an episode that is too short is training data. If
+    nothing can be held out, both are the whole data set.
     """
     learned: list[Trajectory] = []
     held: list[Trajectory] = []
@@ -59,11 +59,10 @@ def time_fold(dataset: Dataset, fold: int = 0, folds: int = FOLDS) -> tuple[Data
 
 
 def make_folds(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
-    """Return up to ``count`` pairs of what is learned from and what is held out.
+    """Return up to ``count`` pairs of training and held-out data.
 
-    Whole recordings are held out, in groups of about the same length where there are more than ``count``; pieces of one
-    stay together. Of a single recording, or where one is so long that too little would be left without it, blocks of
-    time.
+    Whole recordings, including all their parts, are held out; if there are more than ``count``, in groups of about the
+    same length. For a single recording, or if one is so long that too little would remain, blocks of time are held out.
     """
     names = [recording(name) for name in dataset.names]
     if len(set(names)) >= 2:
@@ -78,8 +77,8 @@ def make_folds(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset]]:
 def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[list[str]]:
     """Return the recordings of these episodes in ``count`` groups of about the same length, in their order.
 
-    The longest first, each joins the group that is shortest by then: what was recorded one after the other, such as
-    manoeuvres of one kind, comes into different groups.
+    Beginning with the longest, each is added to the group that is shortest so far, so that consecutive recordings, such
+    as manoeuvres of one kind, are in different groups.
     """
     length = dict.fromkeys(names, 0)
     for name, steps in zip(names, lengths, strict=True):
@@ -91,7 +90,7 @@ def balanced(names: Sequence[str], lengths: Sequence[int], count: int) -> list[l
 
 
 def recording_folds(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
-    """Return (seen, held out) for up to 4 groups of recordings in turn, pieces of one together; none if it is alone."""
+    """Return training and held-out data for up to 4 groups of recordings in turn; empty for a single recording."""
     recordings = len({recording(name) for name in dataset.names})
     if recordings < 2:
         return []
@@ -100,7 +99,7 @@ def recording_folds(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
 
 
 def recording_or_time_folds(dataset: Dataset) -> list[tuple[Dataset, Dataset]]:
-    """Return what `recording_folds` does, or for one recording alone its held-out blocks of time in turn."""
+    """Return `recording_folds`, or for a single recording folds of blocks of time."""
     return recording_folds(dataset) or _blocks_in_turn(dataset, FOLDS)
 
 
@@ -112,16 +111,16 @@ def _blocks_in_turn(dataset: Dataset, count: int) -> list[tuple[Dataset, Dataset
 
 @dataclass(frozen=True)
 class EpisodeFold:
-    """Holds out whole recordings in turn, in ``n_splits`` groups, in their order, also for scikit-learn's searches::
+    """Holds out whole recordings in turn, in ``n_splits`` groups; also for scikit-learn's searches::
 
         search = GridSearchCV(make_model("linear"), {"ridge": [0.0, 0.1]}, cv=EpisodeFold(3))
         search.fit(dataset)
 
-    A `Dataset` counts as its episodes there: ``dataset[i]`` is the data set of episode i, and a model's `fit` and
-    `score` join the list of them that scikit-learn cuts.
+    For scikit-learn a `Dataset` is a sequence of episodes: ``dataset[i]`` is the data set of episode i, and `fit` and
+    `score` of a model accept a list of them.
 
-    Pieces of one recording, such as ``log[0:400]`` and ``log[400:800]``, stay together: they share battery,
-    tyres and floor, so that a piece is no fair test of what was learned from another.
+    Parts of one recording, such as ``log[0:400]`` and ``log[400:800]``, are in the same group, because they share
+    battery, tyres and floor.
     """
 
     n_splits: int = 5
@@ -131,19 +130,19 @@ class EpisodeFold:
             raise InvalidArgument(f"EpisodeFold: expected n_splits >= 2, got {self.n_splits}")
 
     def get_n_splits(self, X: object = None, y: object = None, groups: object = None) -> int:
-        """Return the number of groups, as scikit-learn asks for it."""
+        """Return the number of groups (interface of scikit-learn)."""
         return self.n_splits
 
     def split(
         self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
     ) -> Iterator[tuple[IntArray, IntArray]]:
-        """Yield which episodes are learned from and which are held out. Raises `InvalidData` if they are too few."""
+        """Yield the indices of training and held-out episodes. Raises `InvalidData` if there are too few recordings."""
         recordings = [recording(name) for name in as_dataset(X, "EpisodeFold").names]
         different = list(dict.fromkeys(recordings))
         if len(different) < self.n_splits:
             raise InvalidData(
                 f"EpisodeFold: expected at least {self.n_splits} recordings, got {len(different)}; "
-                "give a smaller n_splits, or hold out time with Dataset.split(0.2)"
+                "use a smaller n_splits, or hold out time with Dataset.split(0.2)"
             )
         for group in np.array_split(np.array(different, dtype=object), self.n_splits):
             held = np.isin(recordings, list(group))
@@ -152,8 +151,7 @@ class EpisodeFold:
 
 @dataclass(frozen=True)
 class ConditionFold:
-    """Holds out all recordings of one condition in turn (`Dataset.label_conditions`): how a model does on another
-    day."""
+    """Holds out all recordings of one condition in turn (`Dataset.label_conditions`)."""
 
     def get_n_splits(
         self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
@@ -164,12 +162,12 @@ class ConditionFold:
     def split(
         self, X: Dataset | Sequence[Dataset], y: object = None, groups: object = None
     ) -> Iterator[tuple[IntArray, IntArray]]:
-        """Yield which episodes are learned from and which are held out. Raises `InvalidData` for one condition."""
+        """Yield the indices of training and held-out episodes. Raises `InvalidData` for a single condition."""
         dataset = as_dataset(X, "ConditionFold")
         if len(dataset.conditions) < 2:
             raise InvalidData(
                 f"ConditionFold: expected recordings of two or more conditions, got {len(dataset.conditions)}; name "
-                'them with Dataset.labelled({"wet": "*rain*", "dry": "*sun*"})'
+                'them with Dataset.label_conditions({"wet": "*rain*", "dry": "*sun*"})'
             )
         of_each = np.array([episode.condition for episode in dataset], dtype=object)
         for condition in dataset.conditions:
@@ -179,33 +177,33 @@ class ConditionFold:
 
 @dataclass(frozen=True)
 class Block:
-    """The samples ``low`` to ``high`` of a recording, held back while the rest is learned from."""
+    """The samples ``low`` to ``high`` of a recording, which are held out."""
 
     low: int
     high: int
     horizon: int
 
     def held(self, first: IntArray) -> BoolArray:
-        """Return which windows that begin at ``first`` (B,) lie inside."""
+        """Return a mask (B,) of the windows that begin at ``first`` (B,) and lie inside."""
         return (first >= self.low) & (first + self.horizon <= self.high)
 
     def learned(self, first: IntArray) -> BoolArray:
-        """Return which windows lie outside; one that reaches over an edge is on neither side."""
+        """Return a mask (B,) of the windows that lie outside; those across an edge are neither inside nor outside."""
         return (first + self.horizon <= self.low) | (first >= self.high)
 
     def rest(self, dataset: Dataset) -> Dataset:
         """Return ``dataset`` without these samples."""
-        kept: list[Trajectory] = []
+        parts: list[Trajectory] = []
         for episode, low, high in self._edges(dataset):
-            kept += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
-        return dataset.with_episodes(kept)
+            parts += [episode[a:b] for a, b in ((0, low), (high, len(episode))) if b > a]
+        return dataset.with_episodes(parts)
 
     def part(self, dataset: Dataset) -> Dataset:
-        """Return these samples of ``dataset``."""
+        """Return the samples of this block in ``dataset``."""
         return dataset.with_episodes([episode[low:high] for episode, low, high in self._edges(dataset) if high > low])
 
     def _edges(self, dataset: Dataset) -> Iterator[tuple[Trajectory, int, int]]:
-        """Yield every episode and where the block begins and ends in it."""
+        """Yield every episode with the begin and end of the block in it."""
         begin = 0
         for episode in dataset:
             low, high = (int(np.clip(edge - begin, 0, len(episode))) for edge in (self.low, self.high))
@@ -214,11 +212,11 @@ class Block:
 
 
 def blocks_of(first: IntArray, horizon: int) -> list[Block]:
-    """Return three blocks of time with as many of the windows that begin at ``first`` (B,) each.
+    """Return three blocks of time, each with a third of the windows that begin at ``first`` (B,).
 
-    Nothing if one of them has no window to learn from, or none to be judged by.
+    Empty if one of them has no window inside, or none outside.
     """
-    edges = np.quantile(first, np.linspace(0.0, 1.0, HELD_BACK + 1)).astype(int)
+    edges = np.quantile(first, np.linspace(0.0, 1.0, HELD_OUT_BLOCKS + 1)).astype(int)
     edges[0], edges[-1] = 0, int(first.max()) + horizon
     blocks = [Block(low, high, horizon) for low, high in pairwise(edges.tolist())]
     return blocks if all(block.held(first).any() and block.learned(first).any() for block in blocks) else []

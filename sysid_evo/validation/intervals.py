@@ -1,9 +1,9 @@
-"""Calibrating prediction intervals on held-out simulations.
+"""Calibration of prediction intervals on held-out simulations.
 
-An interval is right if it holds a given share of the truths that a model did not learn from. So the noise of a step is
-scaled until simulations with it do that (conformal calibration): either at several horizons, with a scale for each
-stretch of time (`horizon_scales`), or after the last step alone, with one scale (`conformal_scale`). A recording that
-was never seen lies farther off than blocks of time of one that was: by how much says `growth_on_unseen_recordings`.
+Intervals are calibrated if they contain a given share of the held-out truth. The noise of a step is therefore scaled
+(conformal calibration), either at several horizons, with a scale for each time span (`horizon_scales`), or after
+the last step only, with one scale (`conformal_scale`). Errors on an unseen recording are larger than on held-out blocks
+of a seen one, by the factor `growth_on_unseen_recordings`.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from sysid_evo.validation.simulation_error import STRIDE, Fitted, Simulator, err
 HORIZONS = (1, 10, 20, 60)
 """Steps at which intervals are calibrated, and at which their coverage is measured."""
 SHARE = 0.9
-"""Of the truths, to lie within an interval."""
+"""Share of the truth that an interval must contain."""
 
 MAX_WINDOWS, FEWEST = 120, 20
-"""Windows of all cases together, and how many there must be of a horizon, or it is left out."""
+"""Number of windows of all cases together, and the least number for a horizon, which is left out otherwise."""
 
 SAMPLES, ROUNDS = 16, 2
 
 POOLED = 0.5
-"""How far the spread of a window is drawn to that of all windows: few samples tell its own roughly."""
+"""Weight of the spread of all windows in that of a single one, which is estimated from few samples."""
 SMALLEST, LARGEST = 0.02, 20.0
-"""By how much a round may change a scale."""
+"""Range of factors by which a round may change a scale."""
 LAGS = range(2, 6)
-"""Steps after which measurement noise is forgotten and what is wrong with a model is not."""
+"""Lags at which residuals are correlated by model errors but not by measurement noise."""
 
 APART = 10
-"""Steps between two recordings when samples are numbered, more than those."""
+"""Gap between the sample numbers of two recordings, larger than `LAGS`."""
 
 
 class NoisySteps(Fitted, Protocol):
@@ -52,7 +52,7 @@ class NoisySteps(Fitted, Protocol):
         ...
 
     def disturbed(self, carry: Array, control: Array, disturbance: Array) -> Array:
-        """Return the next carry, its state moved by ``disturbance`` (B, nx) deviations."""
+        """Return the next carry, with ``disturbance`` (B, nx), in deviations, added to the state."""
         ...
 
 
@@ -61,7 +61,7 @@ Steps = TypeVar("Steps", bound=NoisySteps)
 
 @dataclass(frozen=True)
 class Case:
-    """A model, windows that it did not learn from, and which of their targets (N, H) move."""
+    """A model, windows of its held-out data, and a mask of their targets (N, H) in motion."""
 
     model: NoisySteps
     windows: Windows
@@ -69,7 +69,7 @@ class Case:
 
     @classmethod
     def of(cls, model: NoisySteps, part: Dataset, horizon: int, most: int, *, windows: Windows | None = None) -> Case:
-        """Cut up to ``most`` windows of ``horizon`` steps out of ``part``, evenly spread, wherever the body moves."""
+        """Return the case of at most ``most`` evenly spaced windows of ``horizon`` steps of ``part`` in motion."""
         cut = part.windows(horizon, stride=1, history=model.n_lags, moving=True) if windows is None else windows
         cut = cut[evenly_spaced(len(cut), most)]
         begins = np.cumsum([0, *(len(rows) for rows in part.moving)])[:-1]
@@ -81,7 +81,7 @@ class Case:
 
 
 def usable_horizon(parts: Sequence[Dataset], history: int) -> int:
-    """Return the longest of `HORIZONS` of which there are enough windows, together in all ``parts``."""
+    """Return the longest of `HORIZONS` with enough windows in all ``parts`` together."""
     for horizon in reversed(HORIZONS):
         if sum(len(part.windows(horizon, stride=4, history=history, moving=True)) for part in parts) >= FEWEST:
             return horizon
@@ -89,7 +89,7 @@ def usable_horizon(parts: Sequence[Dataset], history: int) -> int:
 
 
 def segments(horizon: int) -> list[tuple[int, int]]:
-    """Return first and last step of every stretch of time that has a scale of its own, up to ``horizon``."""
+    """Return the first and last step of every time span with its own scale, up to ``horizon``."""
     edges = [0, *(step for step in HORIZONS if step <= horizon)]
     return list(pairwise(edges))
 
@@ -99,7 +99,7 @@ def step_spread(
 ) -> tuple[Array, Array]:
     """Return the error (nx,) of one ``step`` (model, carry, control), and its `persistent_share` (nx,).
 
-    ``cases`` are models, each with what it did not learn from.
+    ``cases`` are models, each with its held-out data.
     """
     errors, numbers, begin = [], [], 0
     for model, part in cases:
@@ -115,10 +115,10 @@ def step_spread(
 
 
 def persistent_share(residuals: Array, sample: Array) -> Array:
-    """Return how much (nx,) of the variance of what drives a model off course stays the same from step to step.
+    """Return the share (nx,) of the variance of one-step errors that is constant from step to step.
 
-    ``residuals`` (N, nx) are errors of single steps, of which ``sample`` (N,) are the numbers. What is still correlated
-    after two to five steps is persistent; measurement noise makes neighbours differ, the rest is white.
+    ``residuals`` (N, nx) are errors of single steps with the numbers ``sample`` (N,). The part that is still correlated
+    after two to five steps is persistent; measurement noise is anticorrelated between neighbours, the rest is white.
     """
     centred = residuals - residuals.mean(axis=0)
 
@@ -143,12 +143,11 @@ def horizon_scales(
     share: float = SHARE,
     still: Callable[[], None] = lambda: None,
 ) -> Array:
-    """Return the noise of every step in deviations (4, nx), for each stretch of time between 0 and `HORIZONS`.
+    """Return the noise of every step in deviations (4, nx), for each time span between 0 and `HORIZONS`.
 
-    From one horizon to the next the noise is what makes ``share`` of all windows lie inside at the next (conformal,
-    as in `conformal_scale`): the spread that earlier noise has grown to there is kept, and the new noise adds what
-    is missing. Of its variance the part ``persistent`` (nx,) is drawn once for a run. Stretches beyond the
-    longest window have the scale of the last.
+    The noise between two horizons is chosen so that at the later one ``share`` of all windows lie inside (conformal,
+    as in `conformal_scale`), given the variance from earlier noise. The part ``persistent`` (nx,) of its variance is
+    drawn once for a run. Time spans beyond the longest window have the last scale.
     """
     z = NormalDist().inv_cdf(0.5 + share / 2)
     nx, seed = cases[0].windows.states.shape[2], int(rng.integers(2**32))
@@ -176,16 +175,16 @@ def horizon_scales(
 
 
 def _factor(wanted: Array, share: float) -> Array:
-    """Return by what (nx,) new noise must grow so that ``share`` of the targets lie within what it adds.
+    """Return the factor (nx,) of new noise with which ``share`` of the targets lie inside.
 
-    ``wanted`` (N, nx) is what each target needs: its square, less the variance before, over the variance added.
+    ``wanted`` (N, nx) is the requirement of each target: its square, minus the earlier variance, over the added one.
     """
     level = min(1.0, share * (len(wanted) + 1) / len(wanted))
     return np.clip(np.sqrt(np.maximum(np.quantile(wanted, level, axis=0, method="higher"), 0.0)), SMALLEST, LARGEST)
 
 
 class _Run:
-    """The samples of one case on their way: from horizon to horizon, each from where the last one ended."""
+    """The samples of one case, simulated from horizon to horizon."""
 
     def __init__(self, case: Case, persistent: Array, seed: tuple[int, int]) -> None:
         windows = case.windows
@@ -209,7 +208,7 @@ class _Run:
         return found
 
     def counts(self, last: int) -> BoolArray:
-        """Return which targets (N,) at a horizon count: those that move, or all if none does."""
+        """Return a mask (N,) of the targets to use at a horizon: those in motion, or all if there are none."""
         rows = self.case.moving[:, last - 1]
         return rows if rows.any() else np.ones(self.count, dtype=bool)
 
@@ -219,7 +218,7 @@ class _Run:
         return np.abs(self.case.model.system.difference(truth, self.centre[:, last - 1]))
 
     def to(self, first: int, last: int, scale: Array) -> tuple[Array, Array]:
-        """Return the carries at a horizon, and the variance (N, nx) of their states; the same noise every time."""
+        """Return the carries at a horizon, and the variance (N, nx) of their states; the noise is always the same."""
         controls, carry = self.case.windows.controls, self.carry
         rng = np.random.default_rng([*self.seed, last])
         for k in range(first, last):
@@ -229,7 +228,7 @@ class _Run:
         return carry, states.var(axis=0, ddof=1)
 
     def go(self, first: int, last: int, scale: Array) -> None:
-        """Go on to a horizon."""
+        """Continue the simulation to a horizon."""
         self.carry = self.to(first, last, scale)[0]
 
 
@@ -237,12 +236,12 @@ ONE_SCALE_WINDOWS, ONE_SCALE_SAMPLES, ONE_SCALE_ROUNDS = 150, 30, 3
 
 SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
 
-PIECE = 40
-"""Windows that are simulated at a time."""
+BATCH = 40
+"""Number of windows to simulate at a time."""
 
 
 class NoisySimulator(Protocol):
-    """A fitted model that can draw noise, which it multiplies with ``noise_scale_``."""
+    """A fitted model with noise, which it multiplies with ``noise_scale_``."""
 
     def variant(self, **parameters: Any) -> Self: ...
     def simulate(self, *windows: Any, **options: Any) -> Array: ...
@@ -262,17 +261,17 @@ def conformal_scale(
 ) -> Array:
     """Return the ``noise_scale_`` (nx,) with which ``share`` of the last states of all windows lie inside.
 
-    Every case is a fitted model and windows that it did not learn from; the model has the
-    hyper-parameter ``stochastic`` and multiplies its noise with ``noise_scale_``. The normalised error
-    of a window is by how much its interval would have to grow about its median to hold the truth; the
-    scale grows by the ``share`` quantile of these over all windows, every case weighing alike, (n + 1) / n
-    times ``share`` for n windows (split conformal prediction: Lei et al. 2018, Romano et al. 2019), all
-    channels at once, ``rounds`` times, since the width is not quite proportional to the scale and the
-    channels are coupled. The same noise is drawn each time; ``still`` is called every second or so.
+    Every case is a fitted model and windows of its held-out data; the model has the hyper-parameter ``stochastic`` and
+    multiplies its noise with ``noise_scale_``. The normalised error of a window is the factor by which its interval
+    would have to grow about its median to contain the truth. The scale is multiplied by the ``share`` quantile of these
+    over all windows, with equal weight for all cases and (n + 1) / n times ``share`` for n windows (split conformal
+    prediction: Lei et al. 2018, Romano et al. 2019). This is done for all channels at once, and ``rounds`` times,
+    because the width is not quite proportional to the scale and the channels are coupled. The random numbers are the
+    same each time; ``still`` is called about once a second.
     """
     most = ONE_SCALE_WINDOWS // len(cases)
-    few = [(with_noise(model), windows[evenly_spaced(len(windows), most)]) for model, windows in cases]
-    noisy = [(model, part[at : at + PIECE]) for model, part in few for at in range(0, len(part), PIECE)]
+    chosen = [(with_noise(model), windows[evenly_spaced(len(windows), most)]) for model, windows in cases]
+    noisy = [(model, part[at : at + BATCH]) for model, part in chosen for at in range(0, len(part), BATCH)]
     nx = cases[0][1].states.shape[2]
     seed, scale = int(rng.integers(2**32)), np.ones(nx)
     for _ in range(rounds):
@@ -300,9 +299,9 @@ def with_noise(model: Noisy) -> Noisy:
 
 
 def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
-    """Return by how much (N, nx) the central ``share`` of ``samples`` (S, N, nx) must grow to hold ``truth`` (N, nx).
+    """Return the factor (N, nx) by which the central ``share`` of ``samples`` (S, N, nx) must grow to hold the truth.
 
-    It grows about the median, each side in proportion to its own length: 1 is a truth on its edge.
+    The interval grows about the median, each side in proportion to its length; 1 is a ``truth`` (N, nx) on its edge.
     """
     low, middle, high = np.quantile(samples, [0.5 - share / 2, 0.5, 0.5 + share / 2], axis=0, method="weibull")
     off = truth - middle
@@ -311,11 +310,11 @@ def normalised_errors(samples: Array, truth: Array, *, share: float = SHARE) -> 
 
 
 BLOCK_FOLDS = 2
-"""Folds of blocks of time of recordings that were seen."""
+"""Number of folds of blocks of time of seen recordings."""
 
 
 def rough_fits(dataset: Dataset) -> int:
-    """Number of times that `growth_on_unseen_recordings` fits."""
+    """Return the number of fits in `growth_on_unseen_recordings`."""
     groups = len(recording_folds(dataset))
     return groups + BLOCK_FOLDS if groups else 0
 
@@ -323,13 +322,12 @@ def rough_fits(dataset: Dataset) -> int:
 def growth_on_unseen_recordings(
     fit: Callable[[Dataset], Simulator], dataset: Dataset, *, share: float = SHARE, steps: Sequence[int] | None = None
 ) -> Array:
-    """Return by what factor (nx,) errors on a recording never seen exceed those on held-out blocks of time.
+    """Return the factor (nx,) by which errors on an unseen recording exceed those on held-out blocks of time.
 
-    With ``steps``, the factors after so many of them, (len(steps), nx); those that no block is long enough for have
-    that of the longest. Both are the ``share`` quantile of the error after one second of what ``fit`` learns from
-    the rest:
-    a recording differs from others by the battery, the tyres or the floor, which blocks of the same
-    recording share. The factor is the geometric mean over the recordings held out in turn, at least 1.
+    Errors are the ``share`` quantile after one second of the model that ``fit`` returns for the rest. With ``steps``,
+    they are those after these numbers of steps, (len(steps), nx); numbers beyond the longest block get its factor.
+    A recording differs from others by battery, tyres or floor, which are the same for blocks of one recording. The
+    factor is the geometric mean over the recordings held out in turn, at least 1.
     """
     groups = recording_folds(dataset)
     if not groups:
@@ -351,7 +349,7 @@ def growth_on_unseen_recordings(
 
 
 def _last_errors(model: Simulator, held: Dataset, step: int | None) -> Array:
-    """Return the absolute errors (N, nx) after so many steps; None is one second."""
+    """Return the absolute errors (N, nx) after ``step`` steps, or after one second for None."""
     if step is None:
         windows = error_windows(held, model.n_lags)
     else:

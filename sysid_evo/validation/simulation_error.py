@@ -1,6 +1,6 @@
-"""Simulation (free run) on held-out windows and its error.
+"""Simulation of held-out windows and its error.
 
-A model is simulated from measured states under recorded controls and compared with what was measured. Errors are
+A model is simulated from measured states under recorded controls and compared with the measured states. Errors are
 divided by the standard deviation of the recording, so that 0 is perfect and about 1 no better than its mean.
 """
 
@@ -23,18 +23,17 @@ from sysid_evo.types import Array, IntArray
 from sysid_evo.validation.estimates import Draws, Estimate
 
 SECOND, FEWEST_STEPS = 1.0, 10
-"""How long a model runs freely where nothing else is asked for, in s, and in steps at least."""
+"""Default length of a simulation in s, and the least number of steps."""
 
 STRIDE = 4
-"""Samples from the start of one window to the next."""
+"""Samples between the starts of two windows."""
 
 MOST_WINDOWS = 10_000
-"""Windows that judge a model: more of them take longer and say the same."""
+"""Largest number of windows; more would add time but hardly any information."""
 
 
 class Fitted(Protocol):
-    """A fitted model of ``system`` that starts from ``n_lags`` samples of history and clips states to
-    ``state_bounds``."""
+    """A fitted model of ``system`` that needs ``n_lags`` samples of history and clips states to ``state_bounds``."""
 
     @property
     def system(self) -> System: ...
@@ -45,7 +44,7 @@ class Fitted(Protocol):
 
 
 class Simulator(Fitted, Protocol):
-    """What is judged here: a fitted model that runs free."""
+    """A fitted model that can be simulated."""
 
     def simulate(self, states: npt.ArrayLike, past_controls: npt.ArrayLike, controls: npt.ArrayLike, /) -> Array:
         """Return the states (B, H, nx) after a history (B, L + 1, nx), (B, L, nu) under controls (B, H, nu)."""
@@ -55,9 +54,9 @@ class Simulator(Fitted, Protocol):
 def error_windows(
     dataset: Dataset, history: int, *, stride: int = STRIDE, seconds: float = SECOND, fewest: int = FEWEST_STEPS
 ) -> Windows:
-    """Return windows of one second and at least ten steps, or the longest the data have, wherever the body moves.
+    """Return windows that start in motion, of one second and at least ten steps, or the longest that the data have.
 
-    One starts every ``stride`` samples, of long data at larger strides, so that there are `MOST_WINDOWS` or fewer.
+    One starts every ``stride`` samples; the stride is larger for long data, so that there are at most `MOST_WINDOWS`.
     """
     longest = max(len(episode) for episode in dataset.episodes) - history
     horizon = min(max(fewest, round(seconds / dataset.system.dt)), longest)
@@ -69,17 +68,17 @@ def error_windows(
 
 
 def simulation_error(model: Simulator, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / standard deviation of the truth, in free run.
+    """Return the mean over channels and steps of RMSE / standard deviation of the truth in simulation.
 
-    Steps count alike, so that neither the first nor the last alone decides. 0 is perfect, about 1 is no
-    better than the mean of the truth; infinite if a state is not finite.
+    All steps have the same weight. 0 is perfect, about 1 is no better than the mean of the truth; infinite if a state
+    is not finite.
     """
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
     return relative_error(model.system, simulated, windows)
 
 
 def relative_error(system: System, simulated: Array, windows: Windows) -> float:
-    """Return the mean over channels and steps of RMSE / spread of ``simulated`` (N, H, nx); inf if not finite."""
+    """Return the mean over channels and steps of RMSE / std of ``simulated`` (N, H, nx); inf if not finite."""
     off, spread = system.difference(simulated, windows.states), system.spread(windows.states)
     spread = np.where(spread > 0, spread, 1.0)
     with np.errstate(all="ignore"):
@@ -95,19 +94,19 @@ def error_of(errors: Array) -> float:
 TEST_STRIDE = 6
 
 MOST_TESTED = 800
-"""Free runs of one fold: they overlap, and more of them take longer and say the same."""
+"""Largest number of simulations per fold; they overlap, so that more would add time but no information."""
 
 
 @dataclass(frozen=True)
 class HeldOutTest:
-    """The free runs of one fold: measured ``windows``, and the horizons (steps) at which they count."""
+    """The test of one fold: measured ``windows``, and the horizons (steps) at which errors are computed."""
 
     windows: Windows
     horizons: tuple[int, ...]
 
     @classmethod
     def of(cls, held: Dataset, horizons: Sequence[int], history: int) -> Self:
-        """Cut windows of what is held out, wherever the body moves; all of them where it never does for so long."""
+        """Return windows of the held-out data that start in motion; all windows if there are none."""
         longest = max(horizons)
         places = held.find_windows(longest, stride=TEST_STRIDE, history=history, moving=True)
         if not len(places):
@@ -121,20 +120,20 @@ class HeldOutTest:
 
     @property
     def blocks(self) -> IntArray:
-        """The number of the block of time (N,) of each window: as long as the longest horizon."""
+        """The block of time (N,) of each window; blocks have the length of the longest horizon."""
         length = max(self.horizons)
         longest = int(self.windows.start.max(initial=0)) // length + 1
         return np.asarray(self.windows.episode * longest + self.windows.start // length, dtype=np.int64)
 
     def run(self, model: Simulator) -> Array:
-        """Return what ``model`` simulates (N, H, nx) at the horizons; a short history is padded with its beginning."""
+        """Return the states (N, H, nx) simulated by ``model`` at the horizons; a short history is padded."""
         w = self.windows
         history = pad_history(w.past_states, w.past_controls, model.n_lags, model.system.neutral_control)
         found = model.simulate(*history, w.controls)
         return np.asarray(found[:, [horizon - 1 for horizon in self.horizons]])
 
     def diverged(self, model: Simulator, simulated: Array) -> float:
-        """Return the share of the runs (N, H, nx) that reach the envelope of ``model`` or are no numbers."""
+        """Return the share of the simulations (N, H, nx) that reach the state bounds of ``model`` or are not finite."""
         off = ~np.isfinite(simulated)
         if model.state_bounds is not None:
             off |= (simulated <= model.state_bounds[0]) | (simulated >= model.state_bounds[1])
@@ -143,7 +142,7 @@ class HeldOutTest:
 
 @dataclass(frozen=True)
 class Errors:
-    """Squares of errors, each in units of its state's spread, summed over K blocks of time: (K, H, nx).
+    """Squared errors, in units of the standard deviation of each state, summed over K blocks of time: (K, H, nx).
 
     ``counts`` (K,) are the windows in each block.
     """
@@ -153,31 +152,31 @@ class Errors:
 
     @property
     def at(self) -> Array:
-        """The error (H,) at each horizon: RMSE / spread, the mean over the states."""
+        """The error (H,) at each horizon: RMSE / standard deviation, averaged over the states."""
         return np.asarray(np.sqrt(self.squares.sum(axis=0) / self.counts.sum()).mean(axis=-1))
 
     @property
     def mean(self) -> float:
-        """The error in one number: the mean over the horizons; infinite where it is no number."""
+        """The mean error over the horizons; infinite if it is not a number."""
         found = float(self.at.mean())
         return found if np.isfinite(found) else float("inf")
 
     @cached_property
     def draws(self) -> Draws:
-        """`mean` with its draws of blocks, the same for all models that ran in the same trials."""
+        """`mean` with its draws of blocks, the same for all models in the same tests."""
         count = len(self.counts)
         rows = np.concatenate([self.squares.reshape(count, -1), self.counts[:, None]], axis=1)
         mean = lambda sums: np.asarray(np.sqrt(sums[:, :-1] / sums[:, -1:]).mean(axis=1))  # noqa: E731
         return Draws.of(rows, np.arange(count), mean)
 
     def above(self, other: Errors) -> Estimate:
-        """Return by how much it is above ``other``, in the same trials."""
+        """Return the difference to ``other`` in the same tests."""
         return (self.draws - other.draws).estimate
 
 
 @dataclass(frozen=True)
 class Scorer:
-    """The tests of all folds, and the ``spread`` (nx,) of the states by which errors are divided."""
+    """The tests of all folds, and the standard deviation ``spread`` (nx,) of the states, which divides errors."""
 
     system: System
     trials: tuple[HeldOutTest, ...]
@@ -185,7 +184,7 @@ class Scorer:
 
     @classmethod
     def of(cls, dataset: Dataset, trials: Sequence[HeldOutTest]) -> Self:
-        """Take the spread of ``dataset``, where it moves."""
+        """Return the scorer of ``trials`` with the spread of ``dataset`` in motion."""
         moving = [episode.states[rows] for episode, rows in zip(dataset.episodes, dataset.moving, strict=True)]
         states = np.concatenate(moving)
         if len(states) < 2:
@@ -194,7 +193,7 @@ class Scorer:
         return cls(dataset.system, tuple(trials), np.where(spread > 0, spread, 1.0))
 
     def errors(self, simulated: Sequence[Array]) -> Errors:
-        """Condense what a model simulated in the trials, (N, H, nx) each."""
+        """Return the errors of the states ``simulated`` in each test, (N, H, nx)."""
         squares, counts = [], []
         for trial, states in zip(self.trials, simulated, strict=True):
             off = self.system.difference(states, trial.truth) / self.spread
@@ -207,7 +206,7 @@ class Scorer:
 
 
 def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list[int]:
-    """Return those of the ``wanted`` horizons (steps) that fit into what is held out; the longest possible if none."""
+    """Return the ``wanted`` horizons (steps) that fit into the held-out data, or the longest possible one."""
     longest = min(max(len(episode) for episode in held) for _, held in pairs)
     fitting = sorted({horizon for horizon in wanted if horizon <= longest - 1})
     return fitting or [max(1, longest // 2)]
@@ -215,13 +214,13 @@ def horizons_of(pairs: list[tuple[Dataset, Dataset]], wanted: list[int]) -> list
 
 LONGEST_HISTORY = 64
 HISTORY_SHARE = 3
-"""A history takes one part in so many of what the longest horizon leaves of what is held out."""
+"""A history has at most 1 / this of the held-out samples that the longest horizon leaves."""
 
 
 def history_of(pairs: list[tuple[Dataset, Dataset]], horizons: Sequence[int]) -> int:
-    """Return how many samples are measured before a free run: a third of what the longest of the ``horizons`` leaves.
+    """Return the samples of history before a simulation: a third of those that the longest of the ``horizons`` leaves.
 
-    A model with hidden states finds them in the history, and where that is short its runs begin far off.
+    A model with hidden states estimates them from the history; with a short one, simulations begin with large errors.
     """
     typical = float(np.median([len(episode) for _, held in pairs for episode in held]))
     return int(np.clip((typical - max(horizons)) // HISTORY_SHARE, 0, LONGEST_HISTORY))

@@ -1,4 +1,4 @@
-"""The kernel library: predictors, and the shells that make a model's step of them."""
+"""The kernel library: predictors, and wrappers that turn them into the step of a model."""
 
 from sysid_evo.kernels import Predictor
 from sysid_evo.models.kernels.gaussian import gaussian_predictor

@@ -1,4 +1,4 @@
-"""A kernel with a correction of its accelerations around it, see `sysid_evo.models.adaptation.CorrectionTerms`."""
+"""The kernel of a model with a correction, see `sysid_evo.models.adaptation.CorrectionTerms`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def correction_kernel(
 
 
 def corrected(carry, control, noise, parameters, scratch):
-    """Step the inner dynamics, find how far the correction moves the state, and move what comes of it."""
+    """Step the inner dynamics, compute the correction, and add it to the next state."""
     nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
     rows, size, dt = nx * LANES, int(parameters[HEAD.count]), parameters[HEAD.dt]
     before, pushed, coasting, terms = scratch, view(scratch, rows), view(scratch, 2 * rows), view(scratch, 3 * rows)
@@ -139,7 +139,7 @@ def corrected(carry, control, noise, parameters, scratch):
 
 
 def write_gains(carry, coasting, nx, dt, states, terms):
-    """Write the accelerations that led from coasting to the next state, of periodic states the shortest way round."""
+    """Write the accelerations from coasting to the next state, for periodic states the shortest difference."""
     for row in range(nx):
         change = load(carry, row * LANES) - load(coasting, row * LANES)
         factor = states[row]
@@ -152,7 +152,7 @@ def write_gains(carry, coasting, nx, dt, states, terms):
 
 
 def write_terms(carry, control, nx, nu, inputs, products, states, ranges, terms):
-    """Write 1, the inputs as the recording covers them, and their products."""
+    """Write 1, the inputs clipped to the range of the recording, and their products."""
     store(terms, 0, splat(1.0))
     place = 0
     for row in range(nx):

@@ -1,4 +1,4 @@
-"""A kernel with noise and delays around it: the compiled form of `sysid_evo.models.disturbances.Disturbed`."""
+"""The kernel of a disturbed model: the compiled form of `sysid_evo.models.disturbances.Disturbed`."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ HEAD = Layout(
 def disturbed_kernel(
     inner: DynamicsKernel, system: System, *, free_controls: Array, state_bounds: Array | None, **head: float
 ) -> DynamicsKernel:
-    """Return the kernel of ``inner`` with rows behind its carry; ``head`` are the numbers of `HEAD`.
+    """Return the kernel of ``inner`` with rows added to its carry; ``head`` are the numbers of `HEAD`.
 
-    A command is at most ``latency`` samples late, where ``free_controls`` (nu,) is above 0; the state is observed
-    ``whole`` samples and a ``share`` of one late, for which ``kept`` states are remembered, and within ``state_bounds``
-    (2, nx). The others are rows, -1 for what there
-    is not: of the carry, where gains, what is observed and errors of sensors begin (``moved_at``, ``observed_at``,
-    ``sensed_at``), and of the noise (``process_at``, ``sensor_at``).
+    Commands are delayed by at most ``latency`` samples where ``free_controls`` (nu,) is above 0. The observed state is
+    delayed by ``whole`` samples and a ``share`` of one, for which ``kept`` states are stored, and clipped to
+    ``state_bounds`` (2, nx). The other numbers are rows, -1 if absent: in the carry, the first ones of gains,
+    observations and sensor errors (``moved_at``, ``observed_at``, ``sensed_at``); in the noise, ``process_at`` and
+    ``sensor_at``.
     """
     limits = np.repeat([-np.inf, np.inf], system.nx) if state_bounds is None else np.ravel(state_bounds)
     numbers = padded(np.concatenate([limits, free_controls]))
@@ -96,7 +96,7 @@ def disturbed(carry, control, noise, parameters, scratch):
 
 
 def late(control, acts, delay, latency, nu, free):
-    """Write the command that acts, of ``latency`` earlier ones at most, and remember the one that was given."""
+    """Write the command that acts, at most ``latency`` samples old, and store the new one."""
     size, commands = nu * LANES, view(delay, LANES)
     copy(control, acts, size)
     for back in range(1, latency + 1):
@@ -109,7 +109,7 @@ def late(control, acts, delay, latency, nu, free):
 
 
 def remember(newest, past, count, size):
-    """Put ``newest`` at the head of ``count`` blocks of ``size`` numbers, and forget the last one."""
+    """Insert ``newest`` before ``count`` blocks of ``size`` numbers, and drop the last one."""
     for back in range(count - 1, 0, -1):
         copy(view(past, (back - 1) * size), view(past, back * size), size)
     if count > 0:

@@ -1,4 +1,4 @@
-"""Several kernels from one state: in turn, and their mean."""
+"""Several kernels that step from one state, and their mean."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def mean_kernel(
     dead_band_size: Array | None = None,
     watched: Sequence[int] = (),
 ) -> DynamicsKernel:
-    """Return the kernel of a weighted mean of next states, which every member takes over.
+    """Return the kernel of a weighted mean of next states, which becomes the state of every member.
 
-    The carry is the state and the members' carries at ``places``. With ``dead_band_size`` (nx,) a state that near
-    neutral stays there under neutral control, if the earlier controls, in the ``watched`` rows of the carry, are
-    neutral too.
+    The carry is the state and the members' carries at ``places``. With ``dead_band_size`` (nx,) a state within this
+    band around neutral becomes neutral under neutral control, if the earlier controls, in the ``watched`` rows of the
+    carry, are neutral too.
     """
     nx, chain = system.nx, chained(members, system.nx, places, noise_places)
     rest, rows = np.empty(0), watched if dead_band_size is not None else ()
@@ -68,7 +68,7 @@ def mean_kernel(
 
 
 def averaged(carry, control, noise, parameters, scratch):
-    """Step all members, take the mean of their states, or neutral where the body rests, and give it to all."""
+    """Step all members and set their states to the mean, or to neutral in the dead band."""
     nx, nu, count = int(parameters[MEAN.nx]), int(parameters[MEAN.nu]), int(parameters[MEAN.count])
     weights, places = view(parameters, MEAN.size), view(parameters, MEAN.size + count)
     rest, held = view(parameters, int(parameters[MEAN.rest])), parameters[MEAN.held]
@@ -103,9 +103,9 @@ GROUP, MEMBER = Layout("nx", "count", "next"), Layout("at", "noise_at", "own")
 def chained(
     members: Sequence[DynamicsKernel], nx: int, places: Sequence[int], noise_places: Sequence[int]
 ) -> DynamicsKernel:
-    """Return a kernel that puts the state at the head of the carry into each member's, and steps them all.
+    """Return a kernel that copies the state at the head of the carry into each member's carry, and steps them all.
 
-    Members of the same code stand in one loop, so that it is compiled once.
+    Members with the same code are in one loop, so that it is compiled once.
     """
     source, parameters = KernelSource(nothing_to_step), np.zeros(1)
     groups = [list(group) for _, group in groupby(range(len(members)), key=lambda i: members[i].source)]
@@ -124,7 +124,7 @@ def chained(
 
 
 def step_group(carry, control, noise, parameters, scratch):
-    """Step some members, then the others."""
+    """Step the members of one code, then the others."""
     rows = int(parameters[GROUP.nx]) * LANES
     for number in range(int(parameters[GROUP.count])):
         head = view(parameters, GROUP.size + number * MEMBER.size)
@@ -136,5 +136,5 @@ def step_group(carry, control, noise, parameters, scratch):
 
 
 def nothing_to_step(carry, control, noise, parameters, scratch):
-    """Leave everything as it is."""
+    """Change nothing."""
     return

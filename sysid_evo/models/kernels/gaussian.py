@@ -1,4 +1,4 @@
-"""The mean of a sparse Gaussian process over lanes: a linear part and squared-exponential bumps."""
+"""The mean of a sparse Gaussian process over lanes: a linear part and squared-exponential kernels."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 """Exact nearest neighbour over lanes: one k-d tree of small buckets for each command.
 
 For every query the squared distances to the boxes of all buckets are computed, sixteen at once, and
-the nearest box is searched; its best point says which boxes may hold a nearer one. These are then
-searched, after all queries of the block have got so far: a processor that guesses their number wrong
-has less to repeat. The result is exact.
+the nearest box is searched; the distance of its best point excludes most other boxes. The remaining boxes are
+searched in a second pass over the block of queries, because branch mispredictions are cheaper there. The result is
+exact.
 
-Of very many points the boxes of whole groups of sixteen buckets are asked first (`neighbours_of_many`), so that
-a query costs little more when there are more points.
+For large tables the boxes of groups of sixteen buckets are tested first (`neighbours_of_many`), so that the cost of a
+query hardly grows with the number of points.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BUCKET = 16
 GROUPS_AT_ONCE = 4
 ALL_BOXES = 2**BUCKET - 1
 MANY = 4_000
-"""Points in one table from which on the boxes of groups are asked first."""
+"""In tables with more points, the boxes of groups are tested first."""
 FAR = 1e15
 EXACT_INTEGERS = 2**24
 
@@ -58,9 +58,8 @@ def neighbour_predictor(
     """Return a predictor of the values of the nearest point under the same command.
 
     ``tables`` holds points (N, n_states + len(exact)) and their values (N, n_out) for each table;
-    ``serving`` (cells,) is the table that answers for each command cell; a cell is counted like an
-    odometer over the ``midpoints`` between the levels of each control; ``exact`` lists the controls
-    that join the state in a query.
+    ``serving`` (cells,) is the table for each command cell; cells are numbered like an odometer over the
+    intervals between the ``midpoints`` of each control; ``exact`` lists the controls that are part of a query.
     """
     n_out = tables[0][1].shape[1]
     n_control = check_cells(serving, len(tables), midpoints, exact)
@@ -110,7 +109,7 @@ def neighbour_predictor(
 
 
 def too_many(numbers: int) -> InvalidArgument:
-    """Return the error that says how large the tables are."""
+    """Return the error for tables with this many numbers."""
     return InvalidArgument(
         f"nearest neighbour: its tables take {numbers} numbers, {8 * numbers / 1e9:.2f} GB; the compiled form "
         f"addresses {EXACT_INTEGERS}: use fewer points"
@@ -118,15 +117,15 @@ def too_many(numbers: int) -> InvalidArgument:
 
 
 def numbers_taken(counts: Sequence[int], sides: int, n_out: int) -> int:
-    """Return how many numbers tables of so many points with so many ``sides`` take, at least: groups are filled up."""
+    """Return the least number of values in tables with ``counts`` points of ``sides`` coordinates, with padding."""
     return sum(-(-count // BUCKET**2) for count in counts) * BUCKET * (2 * sides + BUCKET * (sides + n_out))
 
 
 def split(points: Array, rows: IntArray, *, whole: int = BUCKET) -> list[IntArray]:
-    """Halve ``rows`` along the widest side until every bucket holds at most 16 points.
+    """Return buckets of at most 16 points, made by repeatedly halving ``rows`` along the widest side.
 
-    As long as there are more than ``whole`` points, one half holds a multiple of it: of 16 buckets, so that
-    these are neighbours.
+    As long as there are more than ``whole`` points, one half holds a multiple of ``whole``, so that the 16 buckets of a
+    group are neighbours.
     """
     if len(rows) <= BUCKET:
         return [rows]
@@ -142,7 +141,7 @@ def split(points: Array, rows: IntArray, *, whole: int = BUCKET) -> list[IntArra
 def packed(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[Array, Array, Array]:
     """Return boxes (sides, 2, buckets), points (buckets, sides, 16), values (buckets, 16, n_out).
 
-    There are as many buckets as fill groups of 16; those without points stand far away.
+    The number of buckets is a multiple of 16; empty ones are placed far away.
     """
     sides, count = points.shape[1], -(-len(buckets) // BUCKET) * BUCKET
     boxes = np.full((sides, 2, count), FAR)
@@ -156,9 +155,9 @@ def packed(points: Array, values: Array, buckets: Sequence[IntArray]) -> tuple[A
 
 
 def boxes_around(boxes: Array) -> Array:
-    """Return the boxes (sides, 2, groups) around sixteen boxes each of (sides, 2, buckets), as many as fill groups.
+    """Return the boxes (sides, 2, groups) around sixteen boxes each of (sides, 2, buckets), a multiple of 16.
 
-    Boxes without points stay out; those that fill up stand far away.
+    Boxes without points are ignored; padding boxes are placed far away.
     """
     sixteen = boxes.reshape(len(boxes), 2, -1, BUCKET)
     groups = sixteen.shape[2]
@@ -176,7 +175,7 @@ def by_group(boxes: Array) -> Array:
 def neighbours(x, u, p, y, scratch):
     """Write the values of the nearest point under the same command (a predictor, see `stepping`).
 
-    The number of SIDES is compiled in: unrolled, the two distances take half the time.
+    SIDES is a compile-time constant, because unrolled loops take half the time.
     """
     n_states, n_exact, n_out = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.n_out])
     cells, queries = scratch, view(scratch, LANES)
@@ -202,7 +201,7 @@ def neighbours(x, u, p, y, scratch):
 
 
 def neighbours_of_many(x, u, p, y, scratch):
-    """Write what `neighbours` does, where there are so many points that the boxes of groups are asked first."""
+    """Do the same as `neighbours` for large tables, where the boxes of groups are tested first."""
     n_states, n_exact, n_out = int(p[HEAD.n_states]), int(p[HEAD.n_exact]), int(p[HEAD.n_out])
     cells, queries = scratch, view(scratch, LANES)
     command_cells(u, view(p, HEAD.size + n_exact), int(p[HEAD.n_controls]), cells)
@@ -224,9 +223,9 @@ def neighbours_of_many(x, u, p, y, scratch):
 
 
 def nearest_of_many(query, sides, groups, boxes, points, around, bounds):
-    """Return the number of the point nearest to a query: from groups to buckets to points.
+    """Return the index of the point nearest to a query: from groups to buckets to points.
 
-    The first bucket looked at is the nearest of the nearest group; what is farther than its best point is left out.
+    The first bucket is the nearest one of the nearest group; boxes farther away than its best point are skipped.
     """
     least, which = splat_quarter(FAR * FAR), splat_quarter(0.0)
     for start in range(0, groups, BUCKET):
@@ -259,7 +258,7 @@ def nearest_of_many(query, sides, groups, boxes, points, around, bounds):
 
 
 def mark_boxes(query, sides, groups, boxes, bounds, marks):
-    """Write for each group of boxes which ones may hold the nearest point, as the bits of a number."""
+    """Write a bit mask for each group of boxes: those that may hold the nearest point."""
     least, which = splat_quarter(FAR * FAR), splat_quarter(0.0)
     for group in range(groups):
         bound = box_distances(query, sides, view(boxes, group * sides * 2 * BUCKET))
@@ -276,7 +275,7 @@ def mark_boxes(query, sides, groups, boxes, bounds, marks):
 
 
 def nearest(query, sides, groups, points, marks):
-    """Return the number of the point nearest to a query among the buckets that are marked."""
+    """Return the index of the point nearest to a query in the marked buckets."""
     best, bucket = splat_quarter(FAR * FAR), splat_quarter(0.0)
     for start in range(0, groups, GROUPS_AT_ONCE):
         near = 0

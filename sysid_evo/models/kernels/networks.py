@@ -1,4 +1,4 @@
-"""Networks over lanes: one, the mean of several, several side by side, and one for each command."""
+"""Networks over lanes: one, the mean of several, several with separate outputs, and one for each command."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def separate_networks(x, u, p, y, scratch):
 
 
 def gather(x, u, p, scratch):
-    """Write the inputs of the networks to the head of ``scratch``; return where they end."""
+    """Write the inputs of the networks to the head of ``scratch``; return their end."""
     n_carry, n_control = int(p[NETWORKS.n_carry]), int(p[NETWORKS.n_control])
     copy(x, scratch, n_carry * LANES)
     copy(u, view(scratch, n_carry * LANES), n_control * LANES)
@@ -109,7 +109,7 @@ def widest(p):
 
 
 def forward(p, weights, inputs, room, y):
-    """Write the output of one network; return how many weights it has."""
+    """Write the output of one network; return the number of its weights."""
     n_layers, even, place = int(p[NETWORKS.n_layers]), room, 0
     odd = view(room, widest(p) * LANES)
     for layer in range(n_layers):
@@ -210,7 +210,7 @@ def command_network_predictor(
 
 
 def check_cells(serving: IntArray, count: int, midpoints: Sequence[Array], exact: Sequence[int]) -> int:
-    """Return how many controls are read; raise `ShapeError` unless ``serving`` names one of ``count`` tables a cell."""
+    """Return the number of controls. Raises `ShapeError` unless ``serving`` has one of ``count`` tables per cell."""
     check_shape("serving", serving, (math.prod(len(between) + 1 for between in midpoints),))
     if serving.min() < 0 or serving.max() >= count or min(exact, default=0) < 0:
         raise ShapeError(f"serving: expected numbers of {count} tables, got {serving.min()} to {serving.max()}")
@@ -241,7 +241,7 @@ def command_networks(x, u, p, y, scratch):
 
 
 def own(table, cell, pages):
-    """Return every lane's own number from a table with one for each cell."""
+    """Return the number of every lane's cell from a table with one number for each cell."""
     found = look_up(load_quarter(table, 0), min(cell, QUARTER - 1.0))
     for page in range(1, pages):
         place = min(max(cell - float(page * QUARTER), 0.0), QUARTER - 1.0)
@@ -252,7 +252,7 @@ def own(table, cell, pages):
 def command_cells(u, p, n_controls, cells):
     """Write the cell of every lane's command.
 
-    Cells are counted like an odometer over the ``n_controls`` controls; ``p`` holds for each control
+    Cells are numbered like an odometer over the ``n_controls`` controls; ``p`` holds for each control
     the number of boundaries between its levels, then the boundaries, which belong to the lower level.
     """
     total, one, zero = splat(0.0), splat(1.0), splat(0.0)

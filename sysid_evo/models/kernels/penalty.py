@@ -1,4 +1,4 @@
-"""A kernel that counts how far it is to be doubted: the compiled form of `sysid_evo.models.penalty.Penalised`."""
+"""The kernel of a model with uncertainty penalty: the compiled form of `sysid_evo.models.penalty.Penalised`."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def penalised_kernel(
     disagreement: float,
     limit: Array,
 ) -> DynamicsKernel:
-    """Return the kernel of the first of the ``members`` that adds to its penalty and counts down to the next look.
+    """Return the kernel of the first of the ``members`` with penalty and countdown to the next comparison.
 
-    ``sizes`` are nx and nu; carry and noise of the members stand at the ``places``. Without ``support`` there is no
-    look; the difference between models counts in units of ``limit`` (nx,).
+    ``sizes`` are nx and nu; carry and noise of the members begin at ``places`` and ``noise_places``. Without
+    ``support`` there is no comparison with data; the difference between models is in units of ``limit`` (nx,).
     """
     nx, nu = sizes
     chain = chained(members[1:], nx, places[1:], noise_places[1:])
@@ -82,7 +82,7 @@ def penalised_kernel(
 
 
 def penalised(carry, control, noise, parameters, scratch):
-    """Look how far state and control lie from the data, step all members, and count how far apart their states are."""
+    """Add the penalty for the distance from the data, step all members, and add that for their disagreement."""
     nx, others, every = int(parameters[HEAD.nx]), int(parameters[HEAD.others]), parameters[HEAD.every]
     penalty, numbers = view(carry, int(parameters[HEAD.penalty_at]) * LANES), view(parameters, HEAD.size)
     if every > 0.0:
@@ -128,5 +128,5 @@ def look(carry, control, penalty, parameters, scratch):
 
 
 def nothing_to_see(carry, control, penalty, parameters, scratch):
-    """Leave the penalty as it is."""
+    """Do not change the penalty."""
     return

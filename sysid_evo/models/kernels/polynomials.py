@@ -1,7 +1,7 @@
-"""Sparse polynomials over lanes, arranged for a control that is held.
+"""Sparse polynomials over lanes, for controls that are held during a step.
 
 Every output is a sum over monomials of the state whose factors are polynomials in the control. The
-factors are computed once a step, the monomials as often as an integrator asks.
+factors are computed once per step, the monomials in every evaluation of an integrator.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ HEAD = Layout("n_out", "n_state", "n_control", "n_factors", "after_chains")
 
 
 class Chain:
-    """Monomials in an order in which each is an earlier one times a variable; 0 is the constant 1."""
+    """Monomials in an order where each is an earlier one times a variable; number 0 is the constant 1."""
 
     def __init__(self, variables: int) -> None:
         self.known: dict[tuple[int, ...], int] = {(0,) * variables: 0}
@@ -33,9 +33,9 @@ class Chain:
 
 
 def polynomial_predictor(powers: npt.ArrayLike, coefficients: Array, n_carry: int, n_control: int) -> Predictor:
-    """Return a predictor for y_j = sum_t C_tj prod_i z_i^P_ti with z the carry's rows, then the control's.
+    """Return a predictor of y_j = sum_t C_tj prod_i z_i^P_ti, where z are the carry's rows, then the control's.
 
-    ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), perhaps sparse.
+    ``powers`` P is (terms, n_carry + n_control), ``coefficients`` C (terms, n_out), possibly sparse.
 
     Layout: the chains of state and control monomials (parent, variable); then for every output its
     number of factors, and for each factor its state monomial; then for each factor its number of

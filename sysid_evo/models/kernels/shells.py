@@ -1,6 +1,6 @@
 """Predictors around predictors.
 
-A turning frame (`turning_frame`), inputs kept in a range (`within`), changes added to states (`on_top`), a sum of two
+A turning frame (`turning_frame`), clipped inputs (`within`), changes added to states (`on_top`), a sum of two
 (`added`), sines and cosines of periodic states (`with_angles`) and elementary functions of inputs (`of_functions`).
 """
 
@@ -23,11 +23,11 @@ FRAME = Layout("nx", "per_dt", "contained", "frame", "limits", "own", align=CACH
 
 
 def turning_frame(rate: Predictor, system: System, *, bounds: Array | None = None) -> Predictor | None:
-    """Return a predictor of dx/dt = rate + w(x), w how the motion's turning frame changes the state.
+    """Return a predictor of dx/dt = rate + w(x), where w is the effect of the motion's turning frame on the state.
 
-    With ``bounds`` (5, nx), lowest and highest state, 1 / margin, lowest and highest rate: the rate is kept within its
-    bounds; beyond those of a state, what drives it further out fades away over the margin, and the excess decays with
-    the time constant dt. None if the system's motion has no compiled form.
+    ``bounds`` (5, nx) are lowest and highest state, 1 / margin, lowest and highest rate. The rate is clipped. Outside
+    the bounds of a state, rates that lead further out are reduced to 0 over the margin, and the excess decays with the
+    time constant dt. None if the system's motion has no compiled form.
     """
     motion = system.motion_kernel()
     if motion is None:
@@ -62,7 +62,7 @@ def prepare_turned(u, p, scratch):
 
 
 def turned(x, u, p, y, scratch):
-    """Write rate + w(x), bounded where that is asked for."""
+    """Write rate + w(x), with bounds if there are any."""
     predict(x, u, view(p, int(p[FRAME.own])), y, scratch)
     if p[FRAME.contained] > 0.0:
         slowest, fastest = view(p, int(p[FRAME.limits]) + 3 * NX), view(p, int(p[FRAME.limits]) + 4 * NX)
@@ -83,10 +83,10 @@ CLIP = Layout("n_carry", "n_control", "low", "high", "own", align=CACHE_LINE)
 
 
 def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor:
-    """Return a predictor that sees carry and control clipped to ``low`` and ``high`` (n_carry + nu,)."""
+    """Return a predictor whose carry and control are clipped to ``low`` and ``high`` (n_carry + nu,)."""
     inputs, limits = len(low), padded(np.concatenate([low, check_shape("high", high, (len(low),))]))
     if not 0 <= n_carry <= inputs:
-        raise ShapeError(f"low: expected at least {n_carry} numbers, as many as the carry has, got {inputs}")
+        raise ShapeError(f"low: expected at least {n_carry} numbers, one for each of the carry, got {inputs}")
     inner.check(n_carry, inputs - n_carry)
     parameters = CLIP.pack(
         limits,
@@ -108,7 +108,7 @@ def within(inner: Predictor, low: Array, high: Array, n_carry: int) -> Predictor
 
 
 def prepare_clipped(u, p, scratch):
-    """Clip the control, and prepare with it; it stands at the head of the scratch, then the carry."""
+    """Clip the control and prepare with it; the scratch begins with the control, then the carry."""
     n_carry, n_control = int(p[CLIP.n_carry]), int(p[CLIP.n_control])
     low, high = view(p, int(p[CLIP.low]) + n_carry), view(p, int(p[CLIP.high]) + n_carry)
     clip_rows(u, low, high, n_control, scratch)
@@ -132,9 +132,9 @@ ON_TOP = Layout("nx", "added", "low", "high", "own", align=CACHE_LINE)
 
 
 def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high: Array | None = None) -> Predictor:
-    """Return a predictor of the next state; ``inner`` predicts the change of the states that are ``added`` (nx,).
+    """Return a predictor of the next state, where ``inner`` predicts the change of the states in ``added`` (nx,).
 
-    With ``low`` and ``high`` (nx,) it is the present state within them to which a change is added.
+    With ``low`` and ``high`` (nx,), the change is added to the present state clipped to them.
     """
     nx = len(added)
     least, most = np.full(nx, -np.inf) if low is None else low, np.full(nx, np.inf) if high is None else high
@@ -153,7 +153,7 @@ def on_top(inner: Predictor, added: BoolArray, *, low: Array | None = None, high
 
 
 def prepare_on_top(u, p, scratch):
-    """Prepare what is inside."""
+    """Prepare the inner predictor."""
     prepare(u, view(p, int(p[ON_TOP.own])), scratch)
 
 
@@ -171,7 +171,7 @@ SUM = Layout("nx", "first", "second", "second_room", "sum_room", align=CACHE_LIN
 
 
 def added(first: Predictor, second: Predictor, nx: int) -> Predictor:
-    """Return a predictor of the sum of two; each prepares in room of its own."""
+    """Return a predictor of the sum of two, each with its own scratch."""
     head = padded(np.ravel(first.parameters))
     parameters = SUM.pack(
         head,
@@ -202,7 +202,7 @@ def prepare_added(u, p, scratch):
 
 
 def add(x, u, p, y, scratch):
-    """Write the sum; the last rows of the scratch take what the second adds."""
+    """Write the sum; the second prediction is in the last rows of the scratch."""
     more = view(scratch, int(p[SUM.sum_room]) * LANES)
     one(x, u, view(p, int(p[SUM.first])), y, scratch)
     other(x, u, view(p, int(p[SUM.second])), more, view(scratch, int(p[SUM.second_room]) * LANES))
@@ -214,7 +214,7 @@ ANGLES = Layout("n_carry", "n_seen", "own", align=CACHE_LINE)
 
 
 def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)) -> Predictor:
-    """Return a predictor that shows ``inner`` each periodic state of the carry as sine and cosine, see `regressors`.
+    """Return a predictor that passes each periodic state to ``inner`` as sine and cosine, see `regressors`.
 
     The carry holds the state, ``lags[0]`` earlier states and ``lags[1]`` earlier controls.
     """
@@ -237,7 +237,7 @@ def with_angles(inner: Predictor, system: System, lags: tuple[int, int] = (0, 0)
 
 
 def prepare_inner(u, p, scratch):
-    """Prepare what is inside; its room comes after what it is shown."""
+    """Prepare the inner predictor; its scratch follows its inputs."""
     prepare(u, view(p, int(p[ANGLES.own])), view(scratch, int(p[ANGLES.n_seen]) * LANES))
 
 
@@ -287,7 +287,7 @@ class SeenRow(NamedTuple):
 
 
 def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequence[SeenRow]) -> Predictor:
-    """Return a predictor that shows ``inner`` functions of rows of the carry, and of the control."""
+    """Return a predictor that passes functions of rows of the carry and of the control to ``inner``."""
     flat = [[CODES[row.function], *row[1:]] for row in (*of_carry, *of_control)]
     inner.check(len(of_carry), len(of_control))
     rows = padded(np.array(flat, dtype=np.float64).ravel())
@@ -313,7 +313,7 @@ def of_functions(inner: Predictor, of_carry: Sequence[SeenRow], of_control: Sequ
 
 
 def prepare_functions(u, p, scratch):
-    """Write the functions of the control to the head of the scratch, and prepare with them."""
+    """Write the functions of the control to the head of the scratch and prepare with them."""
     n_control = int(p[FUNCTIONS.n_control])
     write_functions(u, view(p, int(p[FUNCTIONS.of_control])), n_control, scratch)
     prepare(scratch, view(p, int(p[FUNCTIONS.own])), view(scratch, (n_control + int(p[FUNCTIONS.n_carry])) * LANES))

@@ -1,4 +1,4 @@
-"""From a prediction to the next carry: integration by the motion, noise, limits, rest, lags; Runge-Kutta."""
+"""From a prediction to the next carry: integration by the motion, noise, limits, dead band, lags; Runge-Kutta."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ STEP = Layout(
 
 @dataclass(frozen=True)
 class StepNoise:
-    """Normal noise that a step adds to what is predicted: ``white``, new in every step, and ``lasting`` for a run.
+    """Normal noise added to the prediction in every step: ``white``, and ``lasting``, which is constant during a run.
 
-    Both (len(edges) + 1, nx) are in units of the states; a row holds until the steps since the start reach its edge.
-    Behind the lags the carry has the lasting draws (nx) and the count of steps.
+    Both (len(edges) + 1, nx) are in units of the states; a row is used until the steps since the start reach its edge.
+    After the lags the carry holds the lasting draws (nx) and the number of steps.
     """
 
     edges: Sequence[int]
@@ -61,7 +61,7 @@ class StepNoise:
 
     @property
     def parameters(self) -> Array:
-        """What `add_noise` reads: the number of edges, the edges, and white and lasting sizes in turn."""
+        """The parameters of `add_noise`: the number of edges, the edges, and alternately white and lasting sizes."""
         return np.concatenate([[len(self.edges)], self.edges, np.ravel(np.concatenate([self.white, self.lasting], 1))])
 
 
@@ -94,12 +94,13 @@ def stepping_kernel(
     dead_band_size: Array | None = None,
     noise: StepNoise | None = None,
 ) -> DynamicsKernel | None:
-    """Return the kernel of a model whose predictor gives the next state or an acceleration.
+    """Return the kernel of a model whose predictor returns the next state or an acceleration.
 
-    None if an acceleration is to be integrated and the system's motion has no compiled form.
+    None if an acceleration must be integrated and the system's motion has no compiled form.
     The carry is that of `DynamicsModel`: state, earlier states, earlier controls (``lags``). With
-    ``dead_band_size`` (nx,), a state that near neutral stays at neutral under neutral control, the earlier
-    controls in the carry included. ``noise`` moves what is predicted. No state leaves the limits of its channel.
+    ``dead_band_size`` (nx,), a state within this band around neutral becomes neutral if the control and the earlier
+    controls in the carry are neutral. ``noise`` is added to the prediction. States are clipped to the limits of their
+    channels.
     """
     motion = REACHED if output == "next_state" else system.motion_kernel()
     if motion is None:
@@ -163,21 +164,21 @@ def step(carry, control, noise, parameters, scratch):
 
 
 def reached(state, after, nx, dt, p):
-    """Leave the state as it was predicted."""
+    """Do not change the predicted state."""
     return
 
 
 REACHED = MotionKernel(reached, turn_nothing, move_nothing)
-"""Of a model that predicts the next state itself: there is nothing to integrate."""
+"""For a model that predicts the next state itself: nothing is integrated."""
 
 
 def no_noise(held, noise, after, nx, p):
-    """Leave the state as it was predicted."""
+    """Do not change the predicted state."""
     return
 
 
 def add_noise(held, noise, after, nx, p):
-    """Move ``after`` by the noise of this step, whose size depends on the steps so far, and count it."""
+    """Add the noise of this step to ``after``, whose size depends on the number of steps, and count the step."""
     edges = int(p[0])
     sizes, count = view(p, 1 + edges), load(held, nx * LANES)
     for row in range(nx):
@@ -192,7 +193,7 @@ def add_noise(held, noise, after, nx, p):
 
 
 def hold(carry, control, past, control_lags, p, nx, nu, after):
-    """Put the lanes that rest under neutral control back to neutral; p: band, neutral state, neutral control."""
+    """Set lanes in the dead band under neutral control to neutral; p: band, neutral state, neutral control."""
     moves = splat(0.0)
     for row in range(nu):
         moves = moves + abs(load(control, row * LANES) - p[2 * nx + row])
@@ -220,8 +221,8 @@ def runge_kutta_predictor(
 ) -> Predictor:
     """Return a predictor of the next state from one of dx/dt.
 
-    It is the classical fourth-order step with the control held; one ``system.dt`` is cut into ``substeps``. Lags in
-    a carry of ``n_carry`` rows (default: the state alone) are held during the step.
+    It is the classical fourth-order step with the control held; one ``system.dt`` is divided into ``substeps``. Lags in
+    a carry of ``n_carry`` rows (default: the state alone) are constant during the step.
     """
     rows = n_carry or system.nx
     derivative.check(rows, system.nu, system.nx)
@@ -260,7 +261,7 @@ def runge_kutta(x, u, p, y, scratch):
 
 
 def move_rows(start, slope, time, target, count):
-    """target = start + time * slope, a row at a time: short loops need no test whether arrays overlap."""
+    """target = start + time * slope, one row at a time, so that no test for overlapping arrays is needed."""
     for row in range(count):
         moved = load(start, row * LANES) + splat(time) * load(slope, row * LANES)
         store(target, row * LANES, moved)

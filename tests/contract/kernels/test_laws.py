@@ -116,7 +116,10 @@ def cosine(theta, memory, observation, raw, parameters, scratch):
     "law, said",
     [
         (two_tests, r"law two_tests, line 2 of it: 'observation\[0\] > 0.0 and .*; write one comparison: < <= > >="),
-        (whole_rows, r"law whole_rows, line 2 of it: 'observation' has no form for lanes; write observation\[i\]"),
+        (
+            whole_rows,
+            r"law whole_rows, line 2 of it: 'observation' cannot be compiled for lanes; write observation\[i\]",
+        ),
         (branches, r"law branches, line 2 of it: 'if observation\[0\] > theta\[0\]' has .*; write a if test else b"),
     ],
 )

@@ -219,7 +219,7 @@ def test_a_pose_seen_from_another_is_where_a_body_there_would_put_it(car):
     np.testing.assert_allclose(
         car.relative_pose(origin, np.array([1.0, 3.0, np.pi])), [1.0, 0.0, np.pi / 2], atol=1e-12
     )
-    with pytest.raises(IncompatibleSystem, match="clockwise does not say how one pose is seen from another"):
+    with pytest.raises(IncompatibleSystem, match="clockwise does not define relative poses"):
         clockwise(car).relative_pose(origin, origin)
 
 

@@ -98,7 +98,7 @@ def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole, tmp_path):
     unwritten = [str(warning.message) for warning in told if "cannot be written" in str(warning.message)]
     assert unwritten == [
         f"{file.path}: cannot be written (File too large). The work continues; if it is interrupted now, it resumes "
-        "from the checkpoint before"
+        "from the previous checkpoint"
     ]
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [kept]
 

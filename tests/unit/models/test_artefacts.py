@@ -175,7 +175,7 @@ def test_a_damaged_half_or_none_is_refused(stored, suffix, damaged, reason):
 def test_the_tensors_of_another_artefact_are_refused(stored, car_data):
     save_model(make_model("linear").fit(car_data, rng=0), stored.with_name("other"))
     shutil.copy(stored.with_name("other.safetensors"), stored.with_suffix(".safetensors"))
-    with pytest.raises(ArtefactError, match="or not its partner"):
+    with pytest.raises(ArtefactError, match="damaged, or another file"):
         load_model(stored)
 
 
