@@ -199,7 +199,7 @@ class Meaningless:
 def meaningless(
     rules: Iterable[Meaningless], given: Mapping[str, Any], among: Mapping[str, Any]
 ) -> dict[str, Meaningless]:
-    """Return the settings ``given`` that have no effect ``among`` all settings, with their rule; empty ones are unset."""
+    """Return the settings ``given`` that have no effect ``among`` all, with their rule; empty values are unset."""
     set_names = {name for name, value in among.items() if value}
     holding = [
         rule

@@ -19,8 +19,8 @@ For this to work:
 - A sum over many rows is kept in registers with ``load``, ``splat`` and ``store``, which move a whole row;
   ``load_quarter`` and ``splat_quarter`` make rows of sixteen. They also speed up short operations on several arrays,
   because a loop over lanes first tests whether its arrays overlap.
-- For a search, ``lowest`` and ``lane_of_lowest`` reduce a row, ``pick`` returns one lane of it, and ``lanes_less`` marks
-  lanes as the bits of an integer, whose lowest set bit is ``first_lane``.
+- For a search, ``lowest`` and ``lane_of_lowest`` reduce a row, ``pick`` returns one lane of it, and ``lanes_less``
+  marks lanes as the bits of an integer, whose lowest set bit is ``first_lane``.
 - Real numbers are written with a point: ``2 * x`` turns a float32 number into float64. All literals, and functions such
   as ``math.sin``, are converted to the precision of the kernel (float32 by default).
 - Nothing is allocated. A kernel declares its number of ``scratch`` rows.
@@ -266,7 +266,7 @@ class Signature:
         return cls(**{name: others.get(name, REALS) for name in names})
 
     def ordered(self, **given: Any) -> tuple[Any, ...]:
-        """Return the values ``given`` by name in the order of the arguments. Raises `InvalidArgument` for other names."""
+        """Return the values ``given`` by name in the order of the arguments. Raises `InvalidArgument` for others."""
         if given.keys() != self.arguments.keys():
             missing = ", ".join(self.arguments.keys() - given.keys()) or "none"
             unknown = ", ".join(given.keys() - self.arguments.keys()) or "none"

@@ -404,7 +404,7 @@ def _by_episode(arrays: npt.ArrayLike | Sequence[npt.ArrayLike], width: int) -> 
 
 
 SHORTEST, LONGEST = 100, 1000
-"""Consecutive steps: so many that few windows are lost at the ends."""
+"""Range of consecutive steps in a block; short blocks would lose many windows at their ends."""
 
 BLOCKS = 20
 """Least number of blocks from different times, unless they would be too short."""

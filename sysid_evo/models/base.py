@@ -63,7 +63,7 @@ class DynamicsModel(Dynamics, ParameterAccess):
     """Base class of model families: hyper-parameters in a keyword-only constructor, learned names end in ``_``.
 
     A family declares its hyper-parameters as annotated names of the class, ``ridge: float = 0.0``. The constructor is
-    generated from these and those of its base classes; a hand-written one may only store its arguments. The family
+    generated from these and those of its base classes; an explicit one may only store its arguments. The family
     defines `fit` and one of
 
     - `acceleration`, if it predicts accelerations: the integration is inherited (paper, section 4);

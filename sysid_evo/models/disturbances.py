@@ -24,7 +24,7 @@ from sysid_evo.types import Array
 class DomainRandomisation:
     """Disturbances that keep controllers from relying on a noise-free model; 0 disables each of them.
 
-    It is Jakobi's radical envelope of noise (paper, section 2.1). Channels in ``exact_channels`` (states and controls)
+    It follows Jakobi's radical noise (paper, section 2.1). Channels in ``exact_channels`` (states and controls)
     are not disturbed; they are Jakobi's *base set*. For all others the amount of noise is drawn for every trial, from
     none to the values below, so that a controller can rely neither on the absence of noise nor on its presence.
 

@@ -67,7 +67,7 @@ CHECKED_EVERY = 10
 class Penalised(PlainDynamics):
     """``model`` with an uncertainty penalty that accumulates in its carry.
 
-    *Outside*: every ``every``-th step is compared with the training data and stands for the others: 0 within the limit
+    *Outside*: every ``every``-th step is compared with the training data and represents the others: 0 within the limit
     of `Support`, the full weight beyond twice the limit, linear in between. By default ``support`` is made from the
     ``training_sample_`` of the model.
 

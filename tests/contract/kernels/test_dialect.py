@@ -332,7 +332,7 @@ def test_a_signature_is_the_type_and_the_order_of_a_call():
 
 
 def test_calls_that_do_not_fit_a_signature_are_refused():
-    with pytest.raises(InvalidArgument, match="takes arrays alone, got first"):
+    with pytest.raises(InvalidArgument, match="must only have arrays as arguments, got first"):
         str(Signature(kernel=Signature(x=REALS, first=INTEGER)))
     with pytest.raises(InvalidArgument, match="missing arguments: y; unknown ones: z"):
         SIGNATURE.ordered(x=1, z=2)

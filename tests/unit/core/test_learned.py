@@ -84,7 +84,7 @@ def test_a_predictor_for_another_system_is_refused_at_the_step(car_data):
     model = make_model("linear").fit(car_data)
     for n_carry, n_out in ((3, 4), (4, 3)):
         layers = [(np.zeros((n_carry + 2, n_out)), np.zeros(n_out))]
-        with pytest.raises(ShapeError, match="it does not fit the system"):
+        with pytest.raises(ShapeError, match="the learned arrays do not fit the system"):
             model.stepping(network_predictor([layers], n_carry, 2))
     silent = Predictor(network_predictor([layers], 4, 2).function, np.zeros(1), 0)
     assert model.stepping(silent) is not None

@@ -220,7 +220,7 @@ def test_a_heading_that_jumps(log):
 def test_a_pose_that_freezes_and_jumps(log):
     for name in ("x", "y", "yaw"):
         log.table[name][60:70] = log.table[name][60]
-    (remark,) = [remark for remark in log.remarks() if "stands still" in remark]
+    (remark,) = [remark for remark in log.remarks() if "is constant" in remark]
     assert "log.csv, rows 62 to 71: the pose is constant for 0.45 s and then jumps by" in remark
 
 
@@ -255,7 +255,7 @@ def test_rows_without_a_value_are_left_out_and_the_log_is_split_there_if_the_map
     left_out = "(u 2, throttle 1, steering 1, x 1) and are left out, the first is row"
     told = f"4 of 201 rows have no value in some column {left_out} {first}; the log has gaps there"
     assert f"{path.name}: {told}" in dataset.notes
-    assert any("2 steps outside 25 to 75 ms split it into 3 pieces" in note for note in dataset.notes)
+    assert any("2 steps outside 25 to 75 ms split it into 3 parts" in note for note in dataset.notes)
 
 
 def test_without_time_stamps_rows_that_are_left_out_are_holes_too_and_infinite_numbers_stay_errors(
@@ -287,7 +287,9 @@ def test_limits_in_the_unit_of_the_column_where_si_is_meant(write_csv, table, co
     table["throttle"] = 4000.0 * table["throttle"]  # mA
     wrong = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5000.0, high = 5000.0'))
     (remark,) = remarks(write_csv(table), wrong)
-    assert "log.csv, column 'throttle': 'drive' goes from -3.1999 to 3.2 A, 0.00064 of what its limits allow" in remark
+    assert (
+        "log.csv, column 'throttle': 'drive' goes from -3.1999 to 3.2 A, 0.00064 of the range of its limits" in remark
+    )
     assert "-5000 to 5000 A: limits are in SI units. Are they in mA? Then give low = -5, high = 5" in remark
     right = columns_file(("low = -1.0, high = 1.0", 'unit = "mA", low = -5.0, high = 5.0'))
     assert remarks(write_csv(table), right) == ()

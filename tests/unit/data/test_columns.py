@@ -130,7 +130,7 @@ def test_a_log_without_time_is_taken_to_be_regular(write_csv, table, columns_fil
     del table["t"]
     dataset = Dataset.read(write_csv(table), columns=columns)
     assert len(dataset.episodes[0]) == 200
-    assert any(note.startswith("no time column: rows are taken to be 0.05 s apart") for note in dataset.notes)
+    assert any(note.startswith("no time column: rows are assumed to be 0.05 s apart") for note in dataset.notes)
 
 
 def test_a_fast_log_that_carries_velocities_is_filtered_and_decimated(make_drive, write_csv, columns_file):

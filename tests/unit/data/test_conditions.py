@@ -79,7 +79,7 @@ def test_a_column_names_the_condition_of_each_row_and_splits_the_log_where_it_ch
         "log[0:79]": ("tiles", 79),
         "log[80:199]": ("carpet", 119),
     }
-    assert any("0 steps outside 25 to 75 ms and 2 changes of condition split it into 2 pieces" in n for n in data.notes)
+    assert any("0 steps outside 25 to 75 ms and 2 changes of condition split it into 2 parts" in n for n in data.notes)
     np.testing.assert_array_equal(data.episodes[1].states[:, 0], table["u"][80:200])
     by_map = columns_file(('name = "test car"', 'name = "test car"\ncondition = "floor"'), name="floors.toml")
     assert Dataset.read(path, columns=by_map).conditions == ("tiles", "carpet")

@@ -50,7 +50,7 @@ DAY = pd.Timestamp("2026-03-01")
 )
 def test_a_table_whose_times_contradict_dt_is_refused(timed):
     frame = pd.DataFrame({"place": np.arange(5.0), "speed": 0.0, "push": 0.0})
-    said = r"episode 'episode-0' has 1 of 4 steps that are not dt = 0\.1 s long, the first from row 2 on, 0\.2 s"
+    said = r"episode 'episode-0' has 1 of 4 steps that are not dt = 0\.1 s long, the first after row 2, 0\.2 s"
     with pytest.raises(InvalidData, match=said):
         Dataset.from_pandas(LINE, timed(frame))
 

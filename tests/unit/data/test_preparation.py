@@ -132,7 +132,7 @@ def test_a_gap_splits_the_log_into_pieces_named_after_it(make_drive, logged_car)
     keep = np.concatenate([np.arange(0, 500), np.arange(533, 1201)])
     prepared = prepare(drive.log(keep=keep), logged_car)
     assert [episode.name for episode in prepared.episodes] == ["drive[4:46]", "drive[58:116]"]
-    assert any("split at 1 holes" in note for note in prepared.notes)
+    assert any("split at 1 gaps" in note for note in prepared.notes)
     for episode, first in zip(prepared.episodes, (4, 58), strict=True):
         ticks = first + np.arange(len(episode) + 1)
         np.testing.assert_array_equal(episode.controls[:, 0], 10.0 * ticks[:-1])
@@ -190,7 +190,7 @@ def test_logs_that_cannot_be_prepared_are_refused_with_the_reason(make_drive, lo
         prepare(make_drive(rate=20.0).log(), logged_car)
     with pytest.raises(InvalidArgument, match="less than half the control rate, 10 Hz; got 12 Hz"):
         prepare(make_drive().log(), logged_car, cutoff=12.0)
-    with pytest.raises(InvalidData, match=r"a stretch of more than 0\.44 s"):
+    with pytest.raises(InvalidData, match=r"expected more than 0\.44 s"):
         prepare(make_drive(seconds=0.4).log(), logged_car)
     log = make_drive().log()
     with pytest.raises(

@@ -97,14 +97,14 @@ KINDS = ("fit", "fit_mean", "fine_tuned", "fine_tuned_mean")
 @pytest.mark.parametrize(
     ("t", "accepted"), [(1.9, ""), (2.6, "fit fit_mean"), (2.8, "fit fit_mean fine_tuned fine_tuned_mean")]
 )
-def test_more_training_must_be_surely_better_as_one_of_three_amounts(t, believed):
+def test_fine_tuning_must_be_significant_as_one_of_three_amounts(t, accepted):
     """Of 15 seconds Student's t is 2.14 for a single one, and 2.7 for three that are looked at together."""
     apart = np.tile([0.3, -0.3, 0.1, -0.1, 0.0], 3)
     gains = apart + t * apart.std(ddof=1) / np.sqrt(15)
     plain = [np.full((10, 5, 2), np.sqrt(2.0))] * 3
     better = [np.repeat(np.sqrt(2.0 - part), 2)[:, None, None] * np.ones((10, 5, 2)) for part in np.split(gains, 3)]
     sure = [kind for kind in KINDS if judged("a", list(map(held, plain)), list(map(held, better)), kind).sure]
-    assert " ".join(sure) == believed
+    assert " ".join(sure) == accepted
 
 
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
@@ -142,10 +142,10 @@ def test_a_mean_gain_that_chance_explains_once_in_forty_is_sure(gains, sure):
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(4, 0.5), (25, 0.2), (100, 0.15)])
-def test_of_more_training_more_is_asked_the_fewer_seconds_are_compared(seconds, share):
+def test_fine_tuning_must_be_better_by_more_the_fewer_seconds_are_compared(seconds, share):
     plain = [held(np.ones((2 * seconds, 5, 2)))]
     better = [held(np.full((2 * seconds, 5, 2), 0.6))]
-    assert [judged("a", plain, better, kind).asked for kind in KINDS] == pytest.approx([0.15, 0.15, share, share])
+    assert [judged("a", plain, better, kind).required for kind in KINDS] == pytest.approx([0.15, 0.15, share, share])
     for error, good in ((1.0 - share + 0.001, False), (1.0 - share, True)):
         assert AcceptanceResult("a", error, (0.5,), True, "fine_tuned", share).good == good
 

@@ -49,7 +49,7 @@ def test_of_a_body_that_does_less_of_everything_gains_take_the_error_that_a_line
         found = list(corrections(model, terms, pieces, [1e-2, 1e-4], 15.0))[-1]
         left.append(error_of(pieces.errors(simulate_corrections(model, terms, found[None], pieces))[0]))
     assert left[1] < 0.1 * left[0]
-    assert terms.names[-3:] == [f"foreseen d {name}/dt" for name in data.system.state_names]
+    assert terms.names[-3:] == [f"predicted d {name}/dt" for name in data.system.state_names]
 
 
 class Weaker(FloorCar):

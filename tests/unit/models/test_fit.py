@@ -106,7 +106,7 @@ def test_progress_true_draws_a_bar_on_standard_error(capsys):
         ),
         ([np.zeros((3, 2))], r"got a list: make one from arrays with Dataset\.from_arrays"),
         (list(DATA), r"got a list: make a data set from episodes with Dataset\(system, episodes\)"),
-        (DATA.episodes[0], r"got a Trajectory: make a data set of episodes"),
+        (DATA.episodes[0], r"got a Trajectory: make a data set from episodes"),
     ],
 )
 def test_fit_names_the_call_that_makes_a_data_set(given, hint):
@@ -384,7 +384,7 @@ class Counting(DynamicsModel):
 def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_learned_from():
     data = example_dataset(episodes=2, steps=200)
     model = Counting()
-    with pytest.warns(DataWarning, match=r"Counting learned from \d+ of 400 steps, blocks of time"):
+    with pytest.warns(DataWarning, match=r"Counting uses \d+ of 400 steps, blocks of time"):
         model.fit(data, rng=0)
     assert 200 <= model.given_ <= 300
     assert model.fit_note.startswith(f"uses {model.given_} of 400 steps")

@@ -119,7 +119,7 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
         (lambda: Penalised(robot, apart, [robot]), InvalidArgument, "training data; give support="),
         (lambda: Penalised(robot, apart), InvalidArgument, "other model"),
         (lambda: Penalised(robot, apart, [models()[0]]), IncompatibleSystem, "systems differ"),
-        (lambda: Penalised(robot, apart, [Disturbed(robot, delay=0.1)]), InvalidArgument, "late"),
+        (lambda: Penalised(robot, apart, [Disturbed(robot, delay=0.1)]), InvalidArgument, "delayed"),
         (lambda: Penalised(robot, outside, every=0), InvalidArgument, "every"),
         (lambda: line(np.zeros(1)), InvalidData, "two or more"),
     ):

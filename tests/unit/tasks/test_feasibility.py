@@ -31,7 +31,7 @@ def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(c
     """At 0.1 m/s 2.5 m in 25 s; two random points of a disc of 1.5 m are 1.36 m apart, less the radius 1.06 m."""
     (sentence,) = doubts(car, [0.1, 0.0, 3.0])
     assert "drives 2.5 m in a trial of 25 s" in sentence
-    assert "it is 1.1 m on average: it can pass about 2.4" in sentence
+    assert "the mean distance between waypoints is 1.1 m: it can pass about 2.4" in sentence
     assert "arena_radius=0.61" in sentence
     assert "horizon=2117" in sentence
     assert doubts(car, [0.1, 0.0, 3.0], horizon=2117) == ()
