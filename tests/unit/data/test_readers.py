@@ -70,7 +70,7 @@ def test_a_parquet_file_that_declares_too_many_rows_is_refused_before_it_is_read
     monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "25000000")
     assert len(ParquetReader().read(path, ["t"])) == 25_000_000
     monkeypatch.setenv("SYSID_EVO_MOST_ROWS", "many")
-    with pytest.raises(InvalidData, match="SYSID_EVO_MOST_ROWS: expected the largest number of rows .*, got 'many'"):
+    with pytest.raises(InvalidData, match=r"SYSID_EVO_MOST_ROWS: expected the largest number of rows .*, got 'many'"):
         ParquetReader().read(path, ["t"])
 
 
