@@ -82,20 +82,17 @@ class DynamicsModel(Dynamics, ParameterAccess):
     Class attributes:
 
     - ``knowledge``: how much physics the family assumes (black, dark grey, grey, white).
-    - ``model_class``: the class in which `auto` compares it (network, polynomial, neighbours, physics, or another
-      word).
+    - ``model_class``: the class in which `auto` compares it (network, polynomial, neighbours, physics, or another).
     - ``presets``: hyper-parameters that change with the budget (quick, standard, paper); ``search_ranges``: where
       `sysid_evo.tuning` searches; ``limits``: which numbers are allowed (types follow from the constructor).
     - ``requires``: optional packages that `fit` imports; ``precision``: the lowest that is exact enough for the
       compiled form.
     - ``periodic``: angles that differ by whole turns are equal to the model.
-    - ``resumable``: `fit` stores its progress in ``checkpoint``, if one is set, and resumes from there to the same
-      model.
+    - ``resumable``: `fit` stores its progress in ``checkpoint``, if set, and resumes from there to the same model.
     - ``fast_fit``: a fit takes about a second, so that advice may fit copies to parts of the data.
     - ``chooses_families``: `fit` fits many other families, so it is not refitted for an adaptation.
 
-    The shapes of learned arrays are declared in `learned_arrays`; without a declaration, files are only checked for
-    nan.
+    The shapes of learned arrays are declared in `learned_arrays`; without, files are only checked for nan.
 
     The `fit` of a family gets a `Dataset`, a generator and a callable. Callers may write ``fit(dataset)``,
     ``fit(dataset, rng=0, progress=True)``, or pass a list of data sets of one system. ``rng=None`` is seed 0;
