@@ -63,7 +63,6 @@ BUDGETS = {
         '    task="point_to_point(arena_radius=1.0)",': "",
         "    minutes=1.0,": "    minutes=0.3,",
         "    generations=3,": f"    {COMPARISON},",
-        "minutes=1.0, stop_after": "minutes=0.3, stop_after",
     },
     "evolving.md": {
         "(generations=10, trials=4)": f"({SMALL})",
