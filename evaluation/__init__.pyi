@@ -12,7 +12,7 @@ from .prediction.scoring import assess_prediction
 from .report.report import brief, save_report, story_of, tables, to_html, to_json, transfer_tables, transfer_to_json
 from .report.save import FORMATS, write_format
 from .report.sections.advice import advice_lines, remark_lines
-from .report.sections.summary import tells_nothing
+from .report.sections.summary import is_empty
 from .report.study import study_brief, study_document
 from .results import ComparisonResults, DataSummary, Failure, ModelSummary
 from .run_evolution import (
@@ -132,7 +132,7 @@ __all__ = [
     "summarise",
     "summary_of_run",
     "tables",
-    "tells_nothing",
+    "is_empty",
     "three_digits",
     "to_html",
     "to_json",

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.exploitability.results import ModelExploitability
-from evaluation.formatting import by_error, folded
+from evaluation.formatting import folded
 from evaluation.plot_style import COLOURS, MEASURED, REFERENCE, axes_or_new, draw_band, line_style
+from evaluation.prediction.residuals import AHEAD, LAGS
 from evaluation.prediction.scores import PERSISTENCE, Prediction
 from evaluation.sufficiency import tells_apart
-from evaluation.transfer.matrix import NOT_RUN, Trace, TransferMatrix
-from evaluation.transfer.summary import TransferSummary
+from evaluation.transfer.matrix import Trace
+from evaluation.transfer.summary import ControllerSummary
 from sysid_evo.angles import rotate, wrap
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
@@ -24,88 +24,55 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-MARKS = (
-    ("claimed", "claimed (where evolved)", "o", "none", COLOURS[0]),
-    ("other_models", "mean on other models", "s", COLOURS[5], COLOURS[5]),
-    ("other_families", "median on other families", "D", COLOURS[4], COLOURS[4]),
-    ("achieved", "achieved on the robot", "o", COLOURS[1], COLOURS[1]),
-)
+def plot_claimed_measured(
+    controllers: Sequence[ControllerSummary],
+    ax: Axes | None = None,
+    *,
+    unit: str = "",
+    label: str,
+    pick: str | None = None,
+    letters: int = 22,
+) -> Axes:
+    """Draw claimed against measured fitness with intervals, a dot for each controller, and the diagonal.
 
-
-def plot_transfer(matrix: TransferMatrix, ax: Axes | None = None) -> Axes:
-    """Draw mean fitness (and standard deviation over trials) of every controller on every system.
-
-    A black frame marks the models a controller was evolved against; a line separates the robot.
+    All controllers have claimed fitness, and are measured on the robot or on the other models; ``label`` names the
+    second axis. Names are on the right in the order of the dots, cut to a number of ``letters``; that of the controller
+    ``pick`` is bold. Exploited controllers are orange. The artists of controller i have the id ``link-i``.
     """
-    from matplotlib.patches import Rectangle
-
-    rows, columns = len(matrix.rows), len(matrix.columns)
-    ax = axes_or_new(ax, 1.8 + 0.95 * columns, 1.3 + 0.46 * rows)
-    means, stds = matrix.means(), matrix.stds()
-    top = float(np.nanmax(means)) if np.isfinite(means).any() else 1.0
-    low = min(0.0, float(np.nanmin(means))) if np.isfinite(means).any() else 0.0
-    image = ax.imshow(np.ma.masked_invalid(means), cmap="YlGnBu", vmin=low, vmax=max(top, low + 1e-9), aspect="auto")
-    for i, champion in enumerate(matrix.champions):
-        for j, column in enumerate(matrix.columns):
-            if column in champion.against:
-                ax.add_patch(Rectangle((j - 0.48, i - 0.47), 0.96, 0.94, fill=False, edgecolor=MEASURED, linewidth=1.6))
-            dark = np.isfinite(means[i, j]) and (means[i, j] - low) > 0.6 * (top - low)
-            error = matrix.cell(champion.name, column).standard_error
-            spread = f"\n({by_error(stds[i, j], error)})" if np.isfinite(stds[i, j]) else ""
-            text = f"{by_error(means[i, j], error)}{spread}"
-            if not np.isfinite(means[i, j]):
-                text = "–" if matrix.cell(champion.name, column).reason == NOT_RUN else "failed"
-            ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
-    if matrix.robot is not None and columns > 1:
-        ax.axvline(columns - 1.5, color=MEASURED, linewidth=2.0)
-    _as_table(ax, [folded(c) for c in matrix.columns], [folded(name, 26) for name in matrix.rows])
-    ax.xaxis.set_label_position("top")
-    ax.set_xlabel("run on", labelpad=8, fontweight="bold")
-    ax.set_ylabel("controller", fontweight="bold")
-    unit = f" ({matrix.unit})" if matrix.unit else ""
-    ax.figure.colorbar(image, ax=ax, label=f"mean fitness{unit}", fraction=0.05, pad=0.02)
-    return ax
-
-
-def plot_claims(summary: TransferSummary, ax: Axes | None = None, *, unit: str = "", name_width: int = 26) -> Axes:
-    """Draw, for each controller, claimed fitness and fitness elsewhere, with intervals.
-
-    Ticks below a claim are the champions of several evolution runs. Names are folded to ``name_width``.
-    """
-    ax = axes_or_new(ax, 7.0, 1.2 + 0.34 * len(summary.controllers))
-    for kind, label, marker, face, edge in MARKS:
-        found = [
-            (row, estimate)
-            for row, controller in enumerate(summary.controllers)
-            if (estimate := getattr(controller, kind)) is not None
-        ]
-        if found:
-            value, low, high = np.array([(one.value, one.low, one.high) for _, one in found]).T
-            ax.errorbar(
-                value,
-                [row for row, _ in found],
-                xerr=np.nan_to_num(np.maximum([value - low, high - value], 0.0)),
-                fmt=marker,
-                markersize=6,
-                markerfacecolor=face,
-                markeredgecolor=edge,
-                ecolor=edge,
-                elinewidth=1.0,
-                label=label,
-            )
-    for row, controller in enumerate(summary.controllers):
-        values = [one.value for kind, *_ in MARKS if (one := getattr(controller, kind)) is not None]
-        if len(values) > 1:
-            ax.plot([min(values), max(values)], [row, row], color=REFERENCE, linewidth=0.8, zorder=0)
-        if len(controller.seed_fitness) > 1:
-            each = controller.seed_fitness
-            ax.plot(each, [row + 0.3] * len(each), "|", color=COLOURS[0], markersize=6)
-    ax.set_yticks(range(len(summary.controllers)), [folded(c.name, name_width) for c in summary.controllers])
-    ax.set_ylim(len(summary.controllers) - 0.5, -0.5)
-    ax.set_xlim(min(0.0, ax.get_xlim()[0]), None)
-    ax.set_xlabel(f"fitness ({unit})" if unit else "fitness")
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2 if name_width > 20 else 1)
+    ax = axes_or_new(ax, 4.9, 4.9)
+    pairs = [(one.claimed, one.elsewhere) for one in controllers]
+    values = np.array([(a.value, b.value) for a, b in pairs if a is not None and b is not None])
+    ends = np.array([(a.low, a.high, b.low, b.high) for a, b in pairs if a is not None and b is not None])
+    known = np.concatenate([values.ravel(), ends[np.isfinite(ends)]])
+    low, high = min(0.0, known.min()), known.max()
+    margin = 0.04 * ((high - low) or 1.0)
+    low, high = (low if low == 0.0 else low - margin), high + margin
+    ax.plot([low, high], [low, high], color=REFERENCE, linewidth=0.9, zorder=1)
+    ax.set_xlim(low, high)
+    ax.set_ylim(low, high)
+    order = np.argsort(-values[:, 1], kind="stable")
+    top = min(0.97, (values[:, 1].max() - low) / (high - low) + 0.2)
+    for place, i in zip(top - min(0.08, 0.97 / len(order)) * np.arange(len(order)), order, strict=True):
+        one, (x, y) = controllers[i], values[i]
+        colour = COLOURS[1] if one.exploited else COLOURS[0]
+        left, right, bottom, top = np.where(np.isfinite(ends[i]), ends[i], [x, x, y, y])
+        ax.plot([left, right, np.nan, x, x], [y, y, np.nan, bottom, top], color=colour, linewidth=1.0, gid=f"link-{i}")
+        ax.plot(x, y, "o", color=colour, markersize=7, gid=f"link-{i}")
+        ax.plot(x, y, "o", color=colour, alpha=0.0, markersize=20, gid=f"link-{i}")  # easier to hit
+        ax.annotate(
+            "",
+            (x, y),
+            xytext=(1.02, place),
+            textcoords="axes fraction",
+            arrowprops={"arrowstyle": "-", "color": REFERENCE, "linewidth": 0.4, "shrinkB": 3.5},
+            annotation_clip=False,
+        )
+        name = one.name if len(one.name) <= letters else f"{one.name[: letters - 1]}…"
+        weight = "bold" if one.name == pick else "normal"
+        ax.text(1.03, place, name, transform=ax.transAxes, va="center", fontsize=8, weight=weight, gid=f"link-{i}")
+    ax.set_aspect("equal")
+    ax.set_xlabel(f"claimed ({unit})" if unit else "claimed")
+    ax.set_ylabel(label)
     return ax
 
 
@@ -203,6 +170,32 @@ def plot_horizon_curve(prediction: Prediction, ax: Axes | None = None) -> Axes:
         ax.set_ylim(max(LOWEST_N, 0.8 * values.min()), 1.25 * values.max())
         ax.set_xlim(0.0, None)
         ax.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    return ax
+
+
+def plot_residual_correlation(
+    prediction: Prediction, models: Sequence[str], state: int, control: int | None = None, ax: Axes | None = None
+) -> Axes:
+    """Draw the correlation of the one-step residuals of a state with earlier ones, or with a control, over the lag.
+
+    Dotted lines are the widest band of ``models`` for uncorrelated residuals, see `Residuals`.
+    """
+    ax = axes_or_new(ax, 3.7, 2.0)
+    dt, bands = prediction.cases.system.dt, []
+    lags = dt * (np.arange(1, LAGS + 1) if control is None else np.arange(-AHEAD, LAGS + 1))
+    for name in models:
+        found = prediction.model(name).residuals
+        assert found is not None
+        values = found.autocorrelation[:, state] if control is None else found.cross[:, control, state]
+        bands.append(found.band[:, state] if control is None else found.cross_band[:, control, state])
+        ax.plot(lags, values, label=name, linewidth=1.3, **model_style(prediction, name))
+    known = np.array([band for band in bands if np.isfinite(band).all()])
+    if len(known):
+        for side in (-1.0, 1.0):
+            ax.plot(lags, side * known.max(axis=0), color=REFERENCE, linestyle=":", linewidth=1.0)
+    ax.axhline(0.0, color=REFERENCE, linewidth=0.6)
+    ax.set_xlabel("lag (s)")
+    ax.set_ylabel("correlation")
     return ax
 
 
@@ -353,56 +346,9 @@ def plot_state(trace: Trace, system: System, place: int, ax: Axes | None = None)
 
 
 SHOWN_STATES = 3
-"""Number of states that are drawn for a trial without targets."""
+"""States to draw of a trial without targets."""
 
 
 def plotted_states(trace: Trace, system: System) -> tuple[int, ...]:
-    """Return the states of a trial to draw: those with a target, else the first ones."""
+    """Return the places of the states to draw: those with a target, else the first ones."""
     return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
-
-
-FAINTEST = 0.1
-"""Share, in percent, from which a cell is coloured."""
-
-
-def plot_probes(models: Sequence[ModelExploitability], ax: Axes | None = None) -> Axes:
-    """Draw the share of visited steps beyond the limits of the data, in percent, by model and probe.
-
-    A last row shows held-out data. Shares below 0.1 % stay white; the colours are logarithmic.
-    """
-    names = [probe.name for probe in models[0].probes]
-    rows = [model.model for model in models] + ["held-out data"]
-    shares = np.array(
-        [[_percent(model.outside_visited), *(_percent(probe.visited) for probe in model.probes)] for model in models]
-        + [[_percent(models[0].outside_held_out), *(_percent(probe.held_out) for probe in models[0].probes)]]
-    )
-    ax = axes_or_new(ax, 2.0 + 0.95 * shares.shape[1], 1.3 + 0.36 * len(rows))
-    known = np.isfinite(shares)
-    depth = np.log10(np.clip(np.where(known, shares, FAINTEST), FAINTEST, 100.0))
-    shown = np.ma.masked_where(~known | (depth <= np.log10(FAINTEST)), depth)
-    ax.imshow(shown, cmap="OrRd", vmin=np.log10(FAINTEST), vmax=2.0, aspect="auto")
-    for i, j in np.ndindex(*shares.shape):
-        share = shares[i, j]
-        text = f"{share:.{1 if 0.0 < share < 10.0 else 0}f} %" if known[i, j] else "n/a"
-        dark = known[i, j] and share > 20.0
-        ax.text(j, i, text, ha="center", va="center", fontsize=8, color="white" if dark else MEASURED)
-    ax.axhline(len(models) - 0.5, color=MEASURED, linewidth=1.5)
-    ax.axvline(0.5, color=MEASURED, linewidth=1.5)
-    labels = ["outside\nthe data", *(name.replace("_", "\n", 1).replace("_", " ") for name in names)]
-    _as_table(ax, labels, rows)
-    return ax
-
-
-def _as_table(ax: Axes, columns: Sequence[str], rows: Sequence[str]) -> None:
-    """Name columns above and rows next to a heat map, without ticks, grid and frame."""
-    ax.set_xticks(range(len(columns)), columns)
-    ax.set_yticks(range(len(rows)), rows)
-    ax.xaxis.tick_top()
-    ax.tick_params(length=0)
-    ax.grid(visible=False)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-
-
-def _percent(share: float | None) -> float:
-    return float("nan") if share is None else 100.0 * share

@@ -132,17 +132,31 @@ class EpisodeSummary:
 
 @dataclass(frozen=True)
 class ModelSummary:
-    """One model: its family, the amount of prior ``knowledge`` in it, and its hyper-parameters."""
+    """One model: its family, how much prior ``knowledge`` it holds, hyper-parameters, and what it learned in words.
+
+    ``equations``, ``parameters_table`` and ``candidates`` are empty for a family without them, see `DynamicsModel`.
+    """
 
     name: str
     family: str
     knowledge: str
     parameters: Mapping[str, Any]
+    equations: tuple[str, ...] = ()
+    parameters_table: tuple[Mapping[str, Any], ...] = ()
+    candidates: tuple[Mapping[str, str], ...] = ()
 
     @classmethod
     def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
         """Summarise ``model``; ``family`` is its registered name (default: its class)."""
-        return cls(name, family or type(model).__name__, model.knowledge, model.get_params(deep=False))
+        return cls(
+            name,
+            family or type(model).__name__,
+            model.knowledge,
+            model.get_params(deep=False),
+            tuple(model.equations()),
+            tuple(model.parameters_table()),
+            tuple(model.candidate_ranking()),
+        )
 
 
 @dataclass(frozen=True)

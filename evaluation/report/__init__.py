@@ -4,7 +4,7 @@ from evaluation.report.elements import Finding
 from evaluation.report.report import brief, report_schema, save_report, tables, to_html, to_json, to_markdown
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.controllers import drive_command
-from evaluation.report.sections.summary import tells_nothing, verdict
+from evaluation.report.sections.summary import is_empty, verdict
 from evaluation.results import ComparisonResults, DataSummary, EpisodeSummary, Failure, ModelSummary
 
 __all__ = [
@@ -20,7 +20,7 @@ __all__ = [
     "report_schema",
     "save_report",
     "tables",
-    "tells_nothing",
+    "is_empty",
     "to_html",
     "to_json",
     "to_markdown",

@@ -1,4 +1,4 @@
-"""What a page is made of: answers, sections, tables, figures, cards.
+"""The parts of a page: answers, sections, tables, figures, cards.
 
 All of it is data. Sections make it; `evaluation.report.render` turns it into a page, Markdown and tables of a terminal.
 """
@@ -12,27 +12,33 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDE, NARROW, THIRD, QUARTER = 9.6, 3.55, 3.2, 2.6
-"""Widths of drawings in inches: the page, a phone, and drawings beside each other."""
+WIDE, NARROW, THIRD, QUARTER, HALF = 11.5, 3.55, 3.7, 2.8, 5.6
+"""Widths of drawings in inches: the page, a phone, a third and a quarter of the page, next to the answers."""
 
-Tone = Literal["good", "bad", "open"]
-"""Whether an answer is good news, bad news, or stays open."""
+Tone = Literal["good", "warn", "bad", "open"]
+"""Kind of an answer: good news, good with exceptions, bad news, or not known."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """A report in its order: answers in a few words, then in sentences, a short table, and the sections."""
+    """A report in its order: title, answers with one figure, further findings, a short table, the sections.
+
+    ``facts`` is one line below the title, ``warnings`` are sentences above the answers.
+    """
 
     title: str
     headlines: Sequence[Headline]
     findings: Sequence[Finding]
     overview: TableElement | None
     sections: Sequence[Section]
+    facts: str = ""
+    warnings: Sequence[str] = ()
+    figure: FigureElement | None = None
 
 
 @dataclass(frozen=True)
 class Headline:
-    """One question, its answer in a few words, a sentence on it, and the command that acts on it, if there is one."""
+    """One question, its answer in a few words, a sentence, and the command to run next, if there is one."""
 
     question: str
     answer: str
@@ -51,10 +57,10 @@ class Finding:
 
 @dataclass(frozen=True)
 class Section:
-    """What stands under one heading: paragraphs, then figures, tables and cards in order.
+    """One heading with its paragraphs, then figures, tables and cards in order.
 
-    ``absent`` says, a sentence each, what cannot be shown here and why. A ``background`` section tells how the numbers
-    came about, or what is said elsewhere too; the terminal leaves its tables out.
+    ``absent`` are sentences on what cannot be shown, and why. The terminal leaves out the tables of a ``background``
+    section, which explain how the numbers were computed. ``link`` is a shorter title for the list of sections.
     """
 
     title: str
@@ -62,29 +68,45 @@ class Section:
     paragraphs: Sequence[str] = ()
     absent: Sequence[str] = ()
     background: bool = False
+    link: str = ""
 
     @property
     def anchor(self) -> str:
         """The name of the section in a link."""
-        return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
+        return "".join(letter if letter.isalnum() else "-" for letter in (self.link or self.title).lower())
+
+    @property
+    def flat(self) -> tuple[Item, ...]:
+        """All items, those inside a `Fold` included."""
+        parts = ((item, *item.items) if isinstance(item, Fold) else (item,) for item in self.items)
+        return tuple(part for found in parts for part in found)
 
     @property
     def sheets(self) -> tuple[TableElement, ...]:
         """The tables alone."""
-        return tuple(item for item in self.items if isinstance(item, TableElement))
+        return tuple(item for item in self.flat if isinstance(item, TableElement))
 
     @property
     def pictures(self) -> tuple[FigureElement, ...]:
         """The figures alone."""
-        return tuple(item for item in self.items if isinstance(item, FigureElement))
+        return tuple(item for item in self.flat if isinstance(item, FigureElement))
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Items that the page shows when a reader opens their title."""
+
+    title: str
+    items: Sequence[Item]
 
 
 @dataclass(frozen=True)
 class TableElement:
     """A table of plain text: the first column names the rows. A cell may hold several lines.
 
-    ``note`` says how the numbers came about; ``details`` asks the page to fold the table away, ``prose``
-    to set its cells as text rather than as numbers, ``code`` as commands to copy; ``heat`` paints them.
+    ``note`` explains the numbers. The page folds a table with ``details`` away, sets the cells of ``prose`` as text,
+    shades cells by ``heat``, prints ``marked`` cells (row, column) in bold, and keeps the first ``sticky`` columns in
+    view. ``commands`` has a command to copy for each row, empty for none.
     """
 
     title: str
@@ -93,13 +115,15 @@ class TableElement:
     note: str = ""
     details: bool = False
     prose: bool = False
-    code: bool = False
     heat: Shading | None = None
+    marked: frozenset[tuple[int, int]] = frozenset()
+    sticky: int = 1
+    commands: tuple[str, ...] = ()
 
     @property
     def sorts(self) -> bool:
         """Whether a reader may sort the rows."""
-        return not (self.prose or self.code) and len(self.rows) > 1
+        return not self.prose and len(self.rows) > 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
@@ -107,10 +131,10 @@ class TableElement:
 
 @dataclass(frozen=True)
 class Shading:
-    """What the page paints behind the cells of a table, without its first column.
+    """Shades of the cells of a table, without its first column.
 
-    ``shades`` (rows, columns) from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
-    a line stands left of the ``divided`` column. ``alarm`` paints in the colour of warnings.
+    ``shades`` (rows, columns) are from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
+    the ``divided`` column has a line on its left. ``alarm`` selects the colour of warnings.
     """
 
     shades: tuple[tuple[float | None, ...], ...]
@@ -121,12 +145,17 @@ class Shading:
 
 @dataclass(frozen=True)
 class FigureElement:
-    """Drawings under one title; ``caption`` says what they show. With ``columns`` they stand side by side."""
+    """Drawings under one title with a ``caption``, next to each other if there are ``columns``.
+
+    With ``choose`` a reader picks one of them by its title; the word names what is picked, such as an episode.
+    """
 
     title: str
     caption: str
     panels: tuple[DrawingPair, ...]
     columns: int = 0
+    details: bool = False
+    choose: str = ""
 
 
 @dataclass(frozen=True)
@@ -141,10 +170,11 @@ class DrawingPair:
 
 @dataclass(frozen=True)
 class Drawing:
-    """What ``draw`` puts on an empty figure of ``width`` by ``height`` inches; `render.svg` alone calls it.
+    """A drawing of ``width`` by ``height`` inches, made by ``draw`` on an empty figure; only `render.svg` calls it.
 
-    ``key`` is its name among the drawings of a report; ``label`` is read aloud. A ``keyed`` drawing has its legend
-    beside it in the page, and inside as a file. The series that are ``off`` are hidden until they are asked for.
+    ``key`` is its name among the drawings of a report; ``label`` is read aloud. The legend of a ``keyed`` drawing is
+    outside of it in the page, and inside in a file. Series that are ``off`` are hidden until a reader shows them.
+    ``links`` are rows of the replay, with a sentence to show, for the artists with the id ``link-0``, ``link-1``, ...
     """
 
     key: str
@@ -154,13 +184,14 @@ class Drawing:
     height: float
     keyed: bool = False
     off: frozenset[str] = frozenset()
+    links: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
 class ReplayElement:
-    """What the page's script plays: ``document`` is JSON for a script element, ``rows`` the names of the controllers.
+    """Trials that the script of the page plays: ``document`` is its JSON, ``rows`` are the names of the controllers.
 
-    ``paths`` tells whether bodies on a plane are shown, or states over time.
+    With ``paths`` bodies on a plane are shown, else states over time.
     """
 
     rows: tuple[str, ...]
@@ -171,7 +202,7 @@ class ReplayElement:
 
 @dataclass(frozen=True)
 class Cards:
-    """Cards beside each other."""
+    """Cards next to each other."""
 
     title: str
     cards: tuple[Card, ...]
@@ -179,9 +210,10 @@ class Cards:
 
 @dataclass(frozen=True)
 class Card:
-    """What is said of one model or controller: a verdict to see at a glance, and sentences below it.
+    """One model: a verdict and sentences below it.
 
-    ``watch`` is the row of the replay to look at, from ``time`` (s) on; empty for none.
+    ``watch`` is the row of the replay to look at, from ``time`` (s) on; empty for none. Of a ``folded`` card the page
+    shows title and verdict in one line.
     """
 
     title: str
@@ -190,9 +222,10 @@ class Card:
     sentences: Sequence[str]
     watch: str = ""
     time: float = 0.0
+    folded: bool = False
 
 
-Item = FigureElement | TableElement | ReplayElement | Cards
+Item = FigureElement | TableElement | ReplayElement | Cards | Fold
 
 
 def present(*items: Item | None) -> list[Item]:

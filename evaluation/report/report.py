@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import date
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +26,7 @@ from evaluation.report.sections import (
     controllers,
     data,
     exploitability,
+    models,
     prediction,
     replay,
     run,
@@ -32,11 +34,17 @@ from evaluation.report.sections import (
 )
 from evaluation.report.sections.advice import advice_lines
 from evaluation.report.sections.behaviour import behaviour_to_json
-from evaluation.report.sections.controllers import forecast_to_json, overview_sheet, summary_to_json, use_command
+from evaluation.report.sections.controllers import (
+    fitness_table,
+    forecast_to_json,
+    overview_picture,
+    summary_to_json,
+    use_command,
+)
 from evaluation.report.sections.evolution import champion_to_json
 from evaluation.report.sections.exploitability import exploitability_to_json
-from evaluation.report.sections.prediction import condition_table, prediction_to_json
-from evaluation.report.sections.summary import SAID, headlines, verdict
+from evaluation.report.sections.prediction import condition_table, error_table, prediction_to_json
+from evaluation.report.sections.summary import SAID, facts, headlines, is_empty, page_title, verdict, warnings
 from evaluation.report.sections.transfer import matrix_to_json
 from evaluation.results import ComparisonResults
 from evaluation.storage import plain
@@ -46,32 +54,43 @@ from evaluation.transfer.summary import summary_of
 DOCUMENT, PAGE = "report.json", "report.html"
 
 SECTIONS: tuple[Callable[[ComparisonResults], Section | None], ...] = (
-    prediction.section,
-    advice.section,
-    transfer.section,
     controllers.section,
-    behaviour.section,
     replay.section,
     exploitability.section,
-    run.failures,
+    prediction.section,
+    models.section,
+    advice.section,
+    behaviour.section,
     data.section,
     run.section,
 )
-"""What makes the sections, in the order in which they are read."""
+"""Functions that make the sections, in the order of the page."""
 
 
 def sections(report: ComparisonResults) -> list[Section]:
-    """Return the parts of the report after the verdict, without those that have nothing to show."""
-    return [section for make in SECTIONS if (section := make(report)) is not None]
+    """Return the sections of a report that have something to show; without controllers prediction comes first."""
+    order = list(SECTIONS)
+    if report.matrix is None:
+        order.sort(key=lambda make: make is not prediction.section)
+    return [section for make in order if (section := make(report)) is not None]
 
 
 def story_of(report: ComparisonResults) -> Page:
     """Return the content of a report in its order; page and Markdown are made of it."""
-    return Page(report.title, headlines(report), verdict(report), overview_sheet(report), sections(report))
+    return Page(
+        page_title(report),
+        headlines(report),
+        verdict(report) if is_empty(report) else (),
+        None,
+        sections(report),
+        facts=facts(report, today=date.today()),
+        warnings=warnings(report),
+        figure=overview_picture(report),
+    )
 
 
 def to_html(report: ComparisonResults) -> str:
-    """Return the page of a report as text; it holds no link and no source outside itself."""
+    """Return the page of a report as text, with no link or source outside itself."""
     return page_of(story_of(report))
 
 
@@ -85,8 +104,8 @@ def save_report(
 ) -> tuple[Path, Path]:
     """Write ``report.json`` and ``report.html`` into ``folder`` and return their paths.
 
-    ``of`` is a digest of all results that the report shows. With it a page is not drawn again that is there already,
-    made of the same results by the same program, unless that is wanted ``afresh``.
+    ``of`` is a digest of all results in the report. If it is given, a page of the same results by the same program is
+    left as it is, unless ``afresh``.
     """
     text = json_text(to_json(report))
     document = write_text(Path(folder) / DOCUMENT, text)
@@ -95,7 +114,7 @@ def save_report(
 
 
 SCHEMA = "sysid-evo/report/5"
-"""What ``report.schema.json`` describes."""
+"""Version of the document that ``report.schema.json`` describes."""
 
 
 def report_schema() -> dict[str, Any]:
@@ -105,7 +124,7 @@ def report_schema() -> dict[str, Any]:
 
 
 def to_json(report: ComparisonResults) -> dict[str, Any]:
-    """Return the report as strict JSON: what is not a number is null, durations stand under ``timings`` alone."""
+    """Return the report as strict JSON: nan and infinity are null, durations are only in ``timings``."""
     document = {
         "schema": SCHEMA,
         "title": report.title,
@@ -142,7 +161,7 @@ def to_json(report: ComparisonResults) -> dict[str, Any]:
 
 
 def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
-    """Return a transfer matrix without a report as strict JSON: the parts that a report holds under the same names."""
+    """Return a transfer matrix without a report as strict JSON, with the keys of a report."""
     document = {
         "schema": SCHEMA,
         "champions": [champion_to_json(champion) for champion in matrix.champions],
@@ -155,21 +174,21 @@ def transfer_to_json(matrix: TransferMatrix) -> dict[str, Any]:
 
 
 def transfer_tables(matrix: TransferMatrix) -> list[RenderableType]:
-    """Return a transfer matrix without a report as the tables that a report has of it."""
+    """Return a transfer matrix without a report as tables."""
     manner = behaviour.driving_table(driving_summaries(matrix), matrix.robot)
-    sheets = (transfer.transfer_sheet(matrix), controllers.standing_sheet(matrix, summary_of(matrix)), manner)
+    sheets = (transfer.transfer_sheet(matrix), controllers.further_figures_table(matrix, summary_of(matrix)), manner)
     return [part for sheet in sheets if sheet is not None for part in table_lines(sheet)]
 
 
 SHOWN_FAILURES = 5
-"""Failures whose reasons fit on a screen."""
+"""Failures that the terminal lists."""
 
 
 def brief(report: ComparisonResults, *, folder: str | Path = "") -> list[RenderableType]:
-    """Return the verdict and one short table: what fits on a screen.
+    """Return the verdict and one short table, about a screen of text.
 
-    ``folder``, the run folder, is put before the file of the chosen controller. The path of the report is not
-    in it: whoever saves the report prints it, last.
+    ``folder``, the run folder, is put before the file of the chosen controller. The caller prints the path of the
+    report, last.
     """
     parts = _verdict(report)
     if report.all_failures:
@@ -177,13 +196,16 @@ def brief(report: ComparisonResults, *, folder: str | Path = "") -> list[Rendera
         reasons = [indented(f"{failure.what}: {failure.reason.splitlines()[0]}") for failure in shown]
         more = [indented(f"and {count - len(shown)} more, in the report")] if count > len(shown) else []
         parts.append(Group(*reasons, *more))
-    for sheet in (overview_sheet(report), condition_table(report.conditions)):
+    short = fitness_table(report, short=True)
+    if short is None and report.prediction is not None and report.prediction.horizons:
+        short = error_table(report.prediction)
+    for sheet in (short, condition_table(report.conditions)):
         parts += [] if sheet is None else table_lines(sheet)
     pick = None if report.transfer is None else report.transfer.pick
     if pick is not None and (command := use_command(report, pick, folder=folder)) is not None:
-        told = Text.assemble(("Use the chosen controller: ", "bold"), command)
-        told.no_wrap, told.overflow = True, "ignore"  # a line of the terminal may break; one that is copied may not
-        parts.append(Group(told))
+        line = Text.assemble(("Use the chosen controller: ", "bold"), command)
+        line.no_wrap, line.overflow = True, "ignore"  # a line of the terminal may break; one that is copied may not
+        parts.append(Group(line))
     return parts
 
 
@@ -194,7 +216,9 @@ def tables(report: ComparisonResults) -> list[RenderableType]:
         parts += advice_lines(report.advice)
     for section in found:
         for sheet in () if section.background else section.sheets:
-            parts += [] if sheet.code else table_lines(sheet)
+            parts += table_lines(sheet)
+    if (failed := run.failure_table(report)) is not None:
+        parts += table_lines(failed)
     if report.exploitability:
         parts.append(Group(*(Text(model.sentence) for model in report.exploitability)))
     absent = [sentence for section in found for sentence in section.absent]
@@ -204,12 +228,12 @@ def tables(report: ComparisonResults) -> list[RenderableType]:
     return parts
 
 
-TONES: dict[Tone, str] = {"good": "#009e73", "bad": "#d55e00", "open": "#888888"}
+TONES: dict[Tone, str] = {"good": "#009e73", "warn": "#e69f00", "bad": "#d55e00", "open": "#888888"}
 
 
 @dataclass(frozen=True, repr=False)
 class PrintedReport(ComparisonResults):
-    """A report that prints as the terminal shows it, and shows its answers as cards in a notebook."""
+    """A report that prints like in the terminal, and shows its answers as cards in a notebook."""
 
     def __str__(self) -> str:
         return plain_text(brief(self))
@@ -224,4 +248,4 @@ class PrintedReport(ComparisonResults):
 
 
 def _verdict(report: ComparisonResults) -> list[RenderableType]:
-    return [Text(report.title, style="bold"), *findings_lines(verdict(report))]
+    return [Text(page_title(report), style="bold"), *findings_lines(verdict(report))]

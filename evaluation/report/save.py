@@ -19,7 +19,7 @@ from sysid_evo.version import versions
 TEXT, FIGURES = "report.md", "figures"
 
 EVALUATION = Path(__file__).parents[1]
-"""The package whose sources decide how a page looks."""
+"""The package whose sources determine the page."""
 
 
 def json_text(document: Mapping[str, Any]) -> str:
@@ -46,6 +46,7 @@ def _markdown(story: Page, folder: Path) -> tuple[Path, ...]:
 
 def _figures(story: Page, folder: Path) -> tuple[Path, ...]:
     pictures = [picture for section in story.sections for picture in section.pictures]
+    pictures += [] if story.figure is None else [story.figure]
     drawings = [panel.wide for picture in pictures for panel in picture.panels]
     return tuple(write_text(folder / FIGURES / f"{drawing.key}.svg", svg_file(drawing)) for drawing in drawings)
 
@@ -54,20 +55,20 @@ FORMATS: dict[str, Callable[[Page, Path], tuple[Path, ...]]] = {
     "markdown": _markdown,
     "svg": _figures,
 }
-"""Names of the forms beside document and page, and what writes them."""
+"""Functions that write further forms of a report, by name."""
 
 
 def write_page(page: Path, story: Callable[[], Page], *, made_of: Sequence[str] = (), afresh: bool = False) -> Path:
-    """Write the HTML page of a story and return its path.
+    """Write an HTML page and return its path.
 
-    ``made_of`` stands for all that the page shows. With it a page is not drawn again that is there already, made of the
-    same by the same program, unless that is wanted ``afresh``.
+    ``made_of`` are digests of all that the page shows. If they are given, a page of the same results by the same
+    program is left as it is, unless ``afresh``.
     """
     mark = ""
     if made_of:
         found = hashlib.sha256(json.dumps([*made_of, versions()]).encode())
         for file in sorted(EVALUATION.rglob("*")):
-            if file.suffix in (".py", ".j2", ".js", ".css"):
+            if file.suffix in (".py", ".j2", ".js", ".css", ".toml"):
                 found.update(file.read_bytes())
         mark = f"\n<!-- made of {found.hexdigest()} -->\n"
     if mark and not afresh and _end(page, len(mark)) == mark:

@@ -114,14 +114,7 @@ class TransferMatrix(Displayed):
 
     def means(self) -> Array:
         """Mean fitness (rows, columns), NaN for a failed cell."""
-        return self._table("mean")
-
-    def stds(self) -> Array:
-        """Standard deviation over trials (rows, columns), NaN for a failed cell."""
-        return self._table("std")
-
-    def _table(self, figure: str) -> Array:
-        found = [getattr(self.cell(row, column), figure) for row in self.rows for column in self.columns]
+        found = [self.cell(row, column).mean for row in self.rows for column in self.columns]
         return np.array(found, dtype=np.float64).reshape(len(self.rows), len(self.columns))
 
     def best(self, column: str) -> str | None:

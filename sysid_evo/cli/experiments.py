@@ -174,7 +174,7 @@ def run_experiment(
         else:
             report = evaluation.report_of(comparison, store)
             print_report(report, path, as_json=as_json, verbose=verbose)
-            empty, count = evaluation.tells_nothing(report), len(report.all_failures)
+            empty, count = evaluation.is_empty(report), len(report.all_failures)
     except InvalidData as error:
         if not failed:
             raise

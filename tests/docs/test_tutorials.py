@@ -28,7 +28,7 @@ def of_a_system_of_ones_own(folder, printed):
     assert not any(line.startswith("wrong") for text in checks for line in text.splitlines())
     assert Dataset.read(folder / "data").system.state_names == ("upper", "lower")
     for run in ("first", "turntable"):
-        assert "What to use?" in (folder / "runs" / run / "report.html").read_text()
+        assert "Which controller to use?" in (folder / "runs" / run / "report.html").read_text()
     assert any("on tank" in one.text for one in printed if " drive " in one.line)
     ran = subprocess.run(["python3", "recommended.py"], cwd=folder, capture_output=True, text=True, check=False)
     assert ran.stdout.startswith("ok"), ran.stderr

@@ -49,7 +49,7 @@ def test_all_that_a_notebook_shows_is_small(tmp_path):
     for outputs, title in zip(shown[2:], SHOWN, strict=True):
         (result,) = [one for one in outputs if one.output_type == "execute_result" or one.name == "stdout"]
         if result.output_type == "stream":
-            assert "In short" in result.text
+            assert "Controllers: forecast, claimed and achieved" in result.text
             continue
         assert len(result.data["text/plain"]) < 500
         assert len(result.data["text/html"]) < MOST

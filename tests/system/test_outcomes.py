@@ -123,7 +123,7 @@ def test_quiet_leaves_remarks_out_and_keeps_results_and_errors(call, run_copy):
 
 def test_a_report_of_80_columns_says_where_its_page_is(finished_run):
     lines = (finished_run.parent / "stdout").read_text().splitlines()
-    assert "In short" in lines
+    assert "Simulation error N (95 % intervals)" in lines
     assert lines[-1] == "Report: out/report.html"
     assert max(len(line) for line in lines if not line.startswith("Use the chosen")) <= 80
     assert "done" in (finished_run.parent / "stderr").read_text()

@@ -160,6 +160,37 @@
     }
   }
 
+  // Elements of a controller open its replay; the pointer shows the sentence on it.
+  const played = new Set([...(document.querySelector("#replay-row")?.options ?? [])].map((option) => option.value));
+  for (const data of document.querySelectorAll("script.links")) {
+    const links = JSON.parse(data.textContent);
+    for (const svg of data.parentElement.querySelectorAll("svg")) svg.setAttribute("role", "group"); // parts can have the focus
+    for (const element of data.parentElement.querySelectorAll("[data-link]")) {
+      const [row, sentence] = links[element.dataset.link];
+      const title = element.insertBefore(document.createElementNS(SVG, "title"), element.firstChild);
+      title.textContent = sentence;
+      if (!played.has(row)) continue;
+      const watch = () => document.dispatchEvent(new CustomEvent("watch", { detail: { row, time: 0 } }));
+      element.classList.add("plays");
+      element.addEventListener("click", watch);
+      if (!element.querySelector("text")) continue;
+      element.tabIndex = 0;
+      element.setAttribute("role", "button");
+      element.setAttribute("aria-label", `Watch ${sentence}`);
+      element.addEventListener("keydown", (event) => event.key === "Enter" && watch());
+    }
+  }
+
+  // One of several drawings of a figure is chosen by its title.
+  for (const figure of document.querySelectorAll("figure[data-choose]")) {
+    const panels = [...figure.querySelectorAll(".panel")];
+    if (panels.length < 2) continue;
+    const label = made("label", figure, "choice", `${figure.dataset.choose} `), select = made("select", label);
+    for (const panel of panels) made("option", select, "", panel.dataset.title);
+    select.addEventListener("change", () => panels.forEach((panel, i) => { panel.hidden = i !== select.selectedIndex; }));
+    panels[0].parentElement.before(label);
+  }
+
   // One figure: its legend switches the lines of every drawing in it.
   function prepare(element) {
     const figure = { off: new Set(), keys: new Map(), plots: [], buttons: new Map() };

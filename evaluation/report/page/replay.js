@@ -1,4 +1,4 @@
-// The replay: one trial of a controller on every system, side by side, at one time.
+// The replay: one trial of a controller on the robot and in its models, on request on every system, at one time.
 
 (() => {
   "use strict";
@@ -9,8 +9,8 @@
   const player = document.getElementById("replay-player");
   const screens = player.querySelector(".screens");
   const [row, play, pace, slider, beside] = ["row", "play", "pace", "time", "beside"].map((name) => document.getElementById(`replay-${name}`));
-  const clock = document.getElementById("replay-clock");
-  const STRIP = 84, DIAL = 64, BAR = 16, FONT = "11px system-ui, sans-serif"; // px
+  const [clock, all] = ["clock", "all"].map((name) => document.getElementById(`replay-${name}`));
+  const FEW = 4, STRIP = 84, DIAL = 64, BAR = 16, FONT = "11px system-ui, sans-serif"; // px
 
   let shown = []; // screens of the controller that is chosen
   let time = 0; // s
@@ -44,10 +44,10 @@
     return made;
   };
 
-  function told(run) {
+  function summary(run) {
     const parts = run.own ? ["evolved here"] : [];
     if (run.fitness !== null) parts.push(`${number(run.fitness)} ${story.unit}`.trim());
-    if (run.compared) parts.push(run.apart === null ? "as on the robot to the end" : `as on the robot for ${run.apart.toFixed(1)} s`);
+    if (run.compared) parts.push(run.apart === null ? "matches the robot to the end" : `matches the robot for ${run.apart.toFixed(1)} s`);
     return parts.join("; ");
   }
 
@@ -56,26 +56,28 @@
     const robot = runs.find((run) => run.robot) ?? null;
     screens.replaceChildren();
     const view = story.paths ? plane(robot ?? runs[0]) : null;
+    const first = runs.filter((run) => run.robot || run.own), few = new Set((first.length > 1 ? first : runs).slice(0, FEW));
+    all.hidden = few.size === runs.length;
     shown = runs.map((run) => {
       const figure = element("div", screens);
-      figure.className = run.robot ? "screen robot" : "screen";
+      figure.className = run.robot ? "screen robot" : few.has(run) ? "screen" : "screen other";
       const title = element("p", figure, run.column);
       title.className = "name";
-      element("small", title, told(run));
+      element("small", title, summary(run));
       const canvas = element("canvas", figure);
       canvas.setAttribute("role", "img");
-      canvas.setAttribute("aria-label", `${run.row} on ${run.column}: ${told(run)}`);
+      canvas.setAttribute("aria-label", `${run.row} on ${run.column}: ${summary(run)}`);
       const now = element("p", figure);
       now.className = "now";
       if (run.apart !== null) {
-        const there = element("button", figure, "Show where they part");
+        const there = element("button", figure, "Jump to divergence");
         there.type = "button";
-        there.setAttribute("aria-label", `Show where they part: ${run.column} and the robot`);
+        there.setAttribute("aria-label", `Jump to divergence of ${run.column} and the robot`);
         there.addEventListener("click", () => { start(false); seek(run.apart); });
       }
       return { run, figure, canvas, now, robot: run.robot ? null : robot, view };
     });
-    // where there is room for two screens, the first is the robot, and the other one is chosen
+    // on a narrow page two screens are shown: the first, and the one that is chosen
     const names = runs.slice(1).map((run) => run.column), last = beside.value;
     beside.replaceChildren();
     for (const one of names) element("option", beside, one);
@@ -98,7 +100,7 @@
     seek(Math.min(Number(slider.max), Math.max(0, (Math.round(time / dt) + count) * dt)));
   }
 
-  // What must be seen in every screen: the path, the places and the walls of one trial.
+  // The part of the plane in every screen: path, places and walls of one trial.
   function plane(reference) {
     const points = [...reference.pose, ...reference.markers, ...reference.walls.flat()];
     const [xs, ys] = [points.map((point) => point[0]), points.map((point) => point[1])];
@@ -260,19 +262,19 @@
 
   const targetOf = (run, place) => run.targets.find((target) => target.place === place);
 
-  // What a state was to be at a sample; without a target its value at rest.
+  // The target of a state at a sample; without one its value at rest.
   function wantedOf(run, place, i) {
     const target = targetOf(run, place);
     return target ? target.values[Math.min(i, target.values.length - 1)] : story.states[place].neutral;
   }
 
-  // A state at a sample; a periodic one as the value nearest to what it was to be.
+  // A state at a sample; a periodic one as the value nearest to its target.
   function nearest(run, place, i) {
     const { period } = story.states[place], value = run.states[i][place];
     return period ? value - period * Math.round((value - wantedOf(run, place, i)) / period) : value;
   }
 
-  // One state over time: blue up to now, grey what it was to be, dotted what it does on the robot.
+  // One state over time: blue up to now, grey its target, dotted the state on the robot.
   function strip(pen, colour, run, robot, step, place, wide, top) {
     const state = story.states[place], target = targetOf(run, place), start = state.period ? DIAL : 0;
     const wanted = (i) => wantedOf(run, place, i);
@@ -380,18 +382,28 @@
     event.preventDefault();
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => seek(time));
-  for (const watch of document.querySelectorAll(".watch")) {
-    const button = element("button", watch, `Watch ${watch.dataset.row}`);
-    button.type = "button";
-    button.addEventListener("click", () => {
-      row.value = watch.dataset.row;
-      choose(row.value);
-      seek(Number(watch.dataset.time));
-      player.scrollIntoView();
-      play.focus();
-      start(true);
-    });
+  function watch(name, seconds) {
+    row.value = name;
+    choose(name);
+    seek(seconds);
+    player.scrollIntoView();
+    play.focus();
+    start(true);
   }
+
+  for (const card of document.querySelectorAll(".watch")) {
+    const seconds = Number(card.dataset.time);
+    const button = element("button", card, `Watch ${card.dataset.row}${seconds ? ` at ${Math.round(seconds)} s` : ""}`);
+    button.type = "button";
+    button.addEventListener("click", () => watch(card.dataset.row, seconds));
+  }
+  document.addEventListener("watch", (event) => watch(event.detail.row, event.detail.time)); // a dot of a figure
+  all.addEventListener("click", () => {
+    const on = screens.classList.toggle("all");
+    all.setAttribute("aria-pressed", String(on));
+    all.textContent = on ? "Show fewer systems" : "Show all systems";
+    seek(time);
+  });
   player.hidden = false;
   row.value = story.first;
   choose(story.first);

@@ -81,7 +81,7 @@ def _on_paper(drawing: Drawing) -> Figure:
 
 
 def _figure(drawing: Drawing) -> Figure:
-    """Return the figure of the page: its series are marked, and the legend of a keyed one stands outside."""
+    """Return the figure of the page: its series are marked, and the legend of a keyed one is left out."""
     figure = _on_paper(drawing)
     if drawing.keyed:
         for ax in figure.axes:
@@ -126,7 +126,7 @@ def names_of(figure: Figure) -> tuple[str, ...]:
 
 
 def mark_series(figure: Figure) -> None:
-    """Give what is drawn of each series an id that says which one it is."""
+    """Give the artists of each series an id with its number."""
     names = names_of(figure)
     for ax in figure.axes:
         for series in series_of(ax):
@@ -242,6 +242,7 @@ FONT = re.compile(r" font-family: [^;\"]*;")
 PAINT = re.compile(r"(fill|stroke): (#[0-9a-f]{6})")
 MARK = "series-"
 MARKED = re.compile(r' id="series-(\d+)"')
+LINKED = re.compile(r' id="link-(\d+)"')
 NAMED = re.compile(r' id="([^"]*)"')
 MENTIONED = re.compile(r'(?:href="#|url\(#)([^")]*)')
 PATH = re.compile(r' d="([^"]*)"')
@@ -253,8 +254,8 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     """Return a figure as an ``svg`` element that is as wide as its place.
 
     ``key`` makes its ids differ from those of other figures of the page; ``label`` is read aloud. Coordinates
-    are rounded to a hundredth of a point. Colours of the theme become the variables of its style sheet. What was
-    marked by `mark_series` carries the number of its series; those that are ``off`` are hidden.
+    are rounded to a hundredth of a point. Colours of the theme become the variables of its style sheet. Elements of a
+    series have its number, as those of a `Link` have; series that are ``off`` are hidden.
     """
     text = to_svg(figure)
     text = LEFT_OUT.sub("", text[text.index("<svg") :]).replace("xlink:href", "href")
@@ -263,6 +264,7 @@ def inline_svg(figure: Figure, key: str, label: str, off: Collection[int] = ()) 
     mentioned = set(MENTIONED.findall(text))
     hidden = {str(number) for number in off}
     text = MARKED.sub(lambda m: f' data-series="{m[1]}"' + (' class="off"' if m[1] in hidden else ""), text)
+    text = LINKED.sub(r' data-link="\1"', text)
     text = NAMED.sub(lambda found: f' id="{key}-{found[1]}"' if found[1] in mentioned else "", text)
     text = MENTIONED.sub(lambda found: found[0].replace("#", f"#{key}-"), text)
     text = PATH.sub(lambda found: ' d="' + " ".join(DECIMALS.sub(r"\1", found[1]).split()) + '"', text)

@@ -69,7 +69,7 @@ def indented(text: str) -> Padding:
 
 
 def _layout(sheet: TableElement) -> tuple[int, list[list[int]]]:
-    """Return the width of the names, and the other columns in groups that fit beside them: one, if possible."""
+    """Return the width of the names, and the other columns in groups that fit next to them: one, if possible."""
     for names in NAMES:
         groups = _column_groups(sheet, names)
         if len(groups) == 1:

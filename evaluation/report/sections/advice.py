@@ -1,4 +1,4 @@
-"""What limits the best model and what to record next."""
+"""Advice: what limits the best model, and what to record next."""
 
 from __future__ import annotations
 
@@ -18,28 +18,33 @@ def section(report: ComparisonResults) -> Section | None:
     """Return the advice; None without any."""
     if report.advice is None or not report.advice.remarks:
         return None
-    return Section("Advice", [advice_sheet(report.advice)], background=True)
+    return Section(
+        limits_question(report.advice).rstrip("?"),
+        [advice_sheet(report.advice)],
+        background=True,
+        link="Next recording",
+    )
 
 
 def advice_sheet(advice: ModelAdvice) -> TableElement:
-    """What limits the best model, and what to record next."""
+    """Return what limits the best model, and what to record next."""
     rows = tuple((remark.topic, remark.sentence) for remark in advice.remarks)
     return TableElement(
-        f"What limits {advice.model}",
-        ("topic", "what was found, and what to do"),
+        "Findings, the most important first",
+        ("topic", "finding and next step"),
         rows,
-        note=f"The most important first. Judged on {advice.evaluated_on}.",
+        note=f"Evaluated on {advice.evaluated_on}.",
         prose=True,
     )
 
 
 def advice_lines(advice: ModelAdvice) -> list[RenderableType]:
-    """Return what limits a model as a list, the most important first; nothing where there was no model."""
+    """Return the remarks on a model as a list, the most important first; empty without a model."""
     if not advice.model:
         return []
     if not advice.remarks:
-        return [Text(f"Nothing stands out that limits {advice.model}. Judged on {advice.evaluated_on}.")]
-    judged = Padding(Text(f"Judged on {advice.evaluated_on}.", style="dim"), (0, 0, 0, 1))
+        return [Text(f"No clear limit of {advice.model} was found. Evaluated on {advice.evaluated_on}.")]
+    judged = Padding(Text(f"Evaluated on {advice.evaluated_on}.", style="dim"), (0, 0, 0, 1))
     return [*remark_lines(limits_question(advice), advice.remarks), judged]
 
 

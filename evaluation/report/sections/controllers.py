@@ -1,11 +1,12 @@
-"""What is expected of controllers, what they claim and what they achieve; which one to use."""
+"""Forecast, claimed and achieved fitness of controllers in one table; which controller to use."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +14,8 @@ from evaluation.formatting import (
     by_error,
     few,
     folded,
-    horizon_name,
     lines,
     listed,
-    number,
     percent,
     plus_minus,
     three_digits,
@@ -24,21 +23,23 @@ from evaluation.formatting import (
     with_interval,
     within,
 )
-from evaluation.plots import plot_claims
+from evaluation.plots import plot_claimed_measured
 from evaluation.prediction.scores import Prediction
 from evaluation.report.elements import (
+    HALF,
     NARROW,
-    WIDE,
     Drawing,
     DrawingPair,
     FigureElement,
+    Fold,
     Headline,
     Section,
     TableElement,
     Tone,
     present,
 )
-from evaluation.report.sections.prediction import N_IN_WORDS
+from evaluation.report.sections.evolution import behaviour_class_table, fitness_picture
+from evaluation.report.sections.transfer import further_measures_table, paper_sheet, transfer_sheet
 from evaluation.results import ComparisonResults
 from evaluation.sufficiency import beats_rest, gain_over_rest, guess_warning, guessed_share, none_beats_rest
 from evaluation.transfer.forecast import FORECAST_RULE, Forecast, ModelForecast
@@ -46,60 +47,145 @@ from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, TransferSummary
 from sysid_evo.validation.estimates import CONFIDENCE, Estimate
 
-
-def section(report: ComparisonResults) -> Section | None:
-    """Return the forecasts of controllers and models; None where no controller has one."""
-    items = present(forecast_sheet(report), model_weight_table(report))
-    return Section("Forecast", items) if items else None
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-EXPLAINED = (
-    "forecast: expected on the robot, the median of all models; a model weighs as the inverse square of its prediction "
-    "error, half as much in a family that the controller was evolved in. Nothing measured on the robot is in it but "
-    "the recordings. In brackets: the 90 % interval, calibrated on emulated cars."
-)
+def section(report: ComparisonResults) -> Section:
+    """Return the table of all controllers, claims, the transfer matrix and details; without controllers, why."""
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None:
+        return Section("Controllers", absent=_absent(report))
+    search = present(fitness_picture(matrix), behaviour_class_table(matrix))
+    return Section(
+        "Controllers",
+        present(
+            fitness_table(report),
+            transfer_sheet(matrix),
+            further_figures_table(matrix, summary),
+            model_weight_table(report),
+            Fold("Search: fitness over generations, best of each behaviour class", search) if search else None,
+            further_measures_table(matrix),
+            paper_sheet(matrix) if report.settings.get("preset") == "paper" else None,
+        ),
+        absent=_absent(report),
+    )
 
 
-def forecast_sheet(report: ComparisonResults) -> TableElement | None:
-    """What is expected of every controller on the robot, beside what was claimed and achieved; None for nobody."""
-    if report.transfer is None or report.matrix is None or not report.forecasts:
+def _absent(report: ComparisonResults) -> list[str]:
+    """Return what is not known of controllers, and why."""
+    matrix = report.matrix
+    if matrix is None or report.transfer is None:
+        stage = report.settings.get("stop_after")
+        why = f"this run stops after {stage}" if stage else "none was asked for"
+        return [f"No controller was evolved, because {why}."]
+    if matrix.robot is None:
+        return [
+            "Nothing was run on a robot, so measured fitness is not known; the other models are used in its place. "
+            "Name a robot with --robot, or drive one and run sysid-evo report again."
+        ]
+    if all(matrix.cell(row, matrix.robot).failed for row in matrix.rows):
+        return [f"No controller could be run on {matrix.robot}, so measured fitness is not known."]
+    return []
+
+
+def fitness_table(report: ComparisonResults, *, short: bool = False) -> TableElement | None:
+    """Return forecast, claimed and achieved fitness of every controller, the highest forecast first.
+
+    None without controllers. The ``short`` table fits a terminal of 80 columns.
+    """
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None or not summary.controllers:
         return None
-    with_robot = report.matrix.robot is not None
-    known = [one for one in report.transfer.controllers if one.name in report.forecasts]
-    known.sort(key=lambda one: -report.forecasts[one.name].value)
-    rows = []
-    for one in known:
-        found = report.forecasts[one.name]
-        name = lines(one.name, "(chosen)" if one.name == report.transfer.pick else "")
-        row = [name, plus_minus(one.claimed), forecast_text(found)]
-        if with_robot:
-            inside = "–" if one.achieved is None else ("yes" if found.covers(one.achieved) else "no")
-            row += [plus_minus(one.achieved), inside]
-        rows.append(tuple(row))
-    heads = ("controller", "claimed", "forecast", *(("on the\nrobot", "in the\ninterval") if with_robot else ()))
-    judged = [report.forecasts[one.name].covers(one.achieved) for one in known if one.achieved is not None]
-    held = f" {sum(judged)} of {len(judged)} were inside." if judged else ""
+    known = sorted(summary.controllers, key=lambda one: _rank(one, report))
+    robot = matrix.robot
+    columns: dict[str, list[str]] = {"controller": [_named(one, summary) for one in known]}
+    if robot is not None:
+        columns["on the\nrobot" if short else f"on {robot}"] = [plus_minus(one.achieved) for one in known]
+    else:
+        columns["other\nmodels"] = [plus_minus(one.other_models) for one in known]
+    if report.forecasts:
+        found = [report.forecasts.get(one.name) for one in known]
+        columns["forecast\n(90 %)"] = [
+            "–" if one is None else sized(one).replace(" (", "\n(") if short else sized(one) for one in found
+        ]
+    columns["claimed"] = [plus_minus(one.claimed) for one in known]
+    if not short:
+        columns["achieved\n/ claimed" if robot else "others\n/ claimed"] = [_share(one.kept) for one in known]
+        if robot is not None:
+            columns["other\nmodels"] = [plus_minus(one.other_models) for one in known]
+        columns["lowest on"] = ["–" if one.worst is None else f"{value_of(one.worst)}, {one.worst_on}" for one in known]
+        if report.prediction is not None:
+            columns["N of its\nmodels"] = [_errors(one, report.prediction) for one in known]
+    columns["exploited"] = [EXPLOITED[one.exploited] for one in known]
+    last = len(columns) - 2
+    return TableElement(
+        title=f"Controllers: forecast, claimed and achieved{f' ({matrix.unit})' if matrix.unit else ''}",
+        columns=tuple(columns),
+        rows=tuple(zip(*columns.values(), strict=True)),
+        note=_fitness_note(report, known, short=short),
+        marked=frozenset((row, last) for row, one in enumerate(known) if one.exploited),
+        sticky=2,
+        commands=() if short else tuple(use_command(report, one.name) or "" for one in known),
+    )
+
+
+def _rank(one: ControllerSummary, report: ComparisonResults) -> tuple[int, float]:
+    """Return the place of a controller: evolved in models by forecast, then on the robot, then baselines."""
+    group = 3 if not one.against else 2 if one.evolved_on_robot else 0 if one.name in report.forecasts else 1
+    value = report.forecasts[one.name].value if one.name in report.forecasts else None
+    fitness = value if value is not None else one.elsewhere.value if one.elsewhere is not None else -np.inf
+    return group, -fitness
+
+
+def _named(one: ControllerSummary, summary: TransferSummary) -> str:
+    kind = "baseline" if not one.against else "reference" if one.evolved_on_robot else ""
+    return f"{one.name} (chosen)" if one.name == summary.pick else f"{one.name} ({kind})" if kind else one.name
+
+
+def _errors(one: ControllerSummary, prediction: Prediction) -> str:
+    """Return N of the models that a controller was evolved in, from the lowest to the highest."""
+    scores = [prediction.model(name).score(prediction.cases.main_horizon) for name in one.against
+              if name in prediction.names]  # fmt: skip
+    found = dict.fromkeys(three_digits(n) for n in sorted(score.n for score in scores if score is not None))
+    ends = list(found)
+    return "–" if not ends else ends[0] if len(ends) == 1 else f"{ends[0]} to {ends[-1]}"
+
+
+EXPLOITED = {True: "yes", False: "no", None: "–"}
+
+
+def _fitness_note(report: ComparisonResults, known: Sequence[ControllerSummary], *, short: bool) -> str:
+    assert report.matrix is not None
+    assert report.transfer is not None
+    notes = ["Mean ± standard error over fresh trials."]
+    if report.forecasts:
+        notes.append("Rows are in the order of the forecast, the only figure by which a controller is chosen.")
+    notes.append("Claimed: fitness in the models where the controller was evolved.")
+    notes.append("Exploited: the claim is too high by more than a tenth and two standard errors.")
+    if short:
+        return " ".join(notes)
+    judged = [
+        report.forecasts[one.name].covers(one.achieved)
+        for one in known
+        if one.achieved is not None and one.name in report.forecasts
+    ]
+    if judged:
+        notes.append(f"{sum(judged)} of {len(judged)} measured values are inside their forecast interval.")
     guesses = [
         f"{one.name} ({percent(share)})"
         for one in known
         if (share := guessed_share(report.exploitability, one.name)) is not None
     ]
-    held += f" Guesses, as so much of its time lies outside the data: {few(guesses)}." if guesses else ""
-    return TableElement(
-        title=f"Forecast for the robot ({report.matrix.unit or 'fitness'})",
-        columns=heads,
-        rows=tuple(rows),
-        note=f"{EXPLAINED}{held}",
-    )
-
-
-def forecast_text(found: Forecast | ModelForecast) -> str:
-    """Return a forecast with its interval."""
-    return with_interval(found.value, found.low, found.high)
+    if guesses:
+        notes.append(f"Forecasts that are guesses, because of time spent outside the data: {few(guesses)}.")
+    if any(one.evolved_on_robot for one in known):
+        notes.append("Reference: evolved on the robot itself (one search, not the best possible).")
+    return " ".join([*notes, *open_questions(report.transfer)])
 
 
 def model_weight_table(report: ComparisonResults) -> TableElement | None:
-    """What is expected of the controllers evolved in each model; None where no model has any."""
+    """Return the forecast of claims made in each model, and its weight; None if no model has controllers."""
     if not report.model_forecasts:
         return None
     rows = []
@@ -111,186 +197,124 @@ def model_weight_table(report: ComparisonResults) -> TableElement | None:
             (
                 lines(name, "" if found.controllers == (name,) else f"({listed(found.controllers)})"),
                 three_digits(found.claimed),
-                forecast_text(found),
+                sized(found),
                 share,
                 "–" if weight is None else percent(weight),
             )
         )
     return TableElement(
-        title="Forecast for models: what becomes of a claim made in them",
-        columns=("model", "claimed", "forecast", "share of\nthe claim", "own\nweight"),
+        title="How the forecast weights the models",
+        columns=("model", "claimed", "forecast", "forecast /\nclaimed", "own\nweight"),
         rows=tuple(rows),
-        note="Means over the controllers evolved in each model alone. own weight: how much it counts in that.",
-    )
-
-
-def overview_sheet(report: ComparisonResults) -> TableElement | None:
-    """One row for each model and each controller; None if there is neither.
-
-    A controller shares the row of the one model that it was evolved against, if both have the same name.
-    """
-    prediction, controllers = report.prediction, _controllers(report)
-    names = [] if prediction is None else list(prediction.names)
-    names += [name for name in controllers if name not in names]
-    if not names:
-        return None
-    with_robot = report.matrix is not None and report.matrix.robot is not None
-    heads: list[str] = ["model" if not controllers else "model or\ncontroller"]
-    if prediction is not None:
-        main = horizon_name(prediction.cases.main_horizon, prediction.cases.system.dt)
-        heads.append("N, " + main.replace(" (", "\n("))
-    if controllers:
-        heads += ["claimed", "on the\nrobot" if with_robot else "on other\nmodels", "exploited"]
-    rows = []
-    for name in names:
-        row = [name]
-        if prediction is not None:
-            row.append(_n(prediction, name))
-        if controllers:
-            found = controllers.get(name)
-            row += (
-                ["–"] * 3
-                if found is None
-                else [
-                    lines(plus_minus(found.claimed), of_each_run(found)),
-                    plus_minus(found.elsewhere),
-                    EXPLOITED[found.exploited],
-                ]
-            )
-        rows.append(tuple(row))
-    notes = []
-    if prediction is not None:
-        notes.append(f"N: {N_IN_WORDS} (0 is perfect).")
-    if controllers:
-        notes += _claims_note(report, list(controllers.values()))
-    return TableElement("In short", tuple(heads), tuple(rows), note=" ".join(notes))
-
-
-def _controllers(report: ComparisonResults) -> dict[str, ControllerSummary]:
-    """Return the controllers by the name of their row."""
-    if report.transfer is None:
-        return {}
-    models = () if report.prediction is None else report.prediction.names
-    named = {}
-    for controller in report.transfer.controllers:
-        shared = controller.name not in models or controller.against == (controller.name,)
-        named[controller.name if shared else f"{controller.name} (controller)"] = controller
-    return named
-
-
-def _n(prediction: Prediction, name: str) -> str:
-    if name not in prediction.names:
-        return "–"
-    model = prediction.model(name)
-    score = model.score(prediction.cases.main_horizon)
-    return "failed" if model.failed else three_digits(None if score is None else score.n)
-
-
-EXPLOITED = {True: "yes", False: "no", None: "–"}
-
-
-def _claims_note(report: ComparisonResults, controllers: list[ControllerSummary]) -> list[str]:
-    assert report.matrix is not None
-    unit = f", in {report.matrix.unit}" if report.matrix.unit else ""
-    notes = [f"Claimed: fitness where it was evolved, ± standard error{unit}."]
-    runs = {len(c.seed_fitness) for c in controllers if c.claimed is not None}
-    if any(count > 1 for count in runs):
-        notes.append(f"Below it: the champion of each of {number(max(runs), 0)} evolution runs.")
-    return [*notes, "Exploited: the claim exceeds the fitness elsewhere by a tenth, and surely."]
-
-
-def claims_picture(matrix: TransferMatrix, summary: TransferSummary) -> FigureElement:
-    """Claimed and achieved fitness of each controller."""
-
-    def drawing(key: str, width: float, name_width: int) -> Drawing:
-        rows = max(folded(controller.name, name_width).count("\n") + 1 for controller in summary.controllers)
-        return Drawing(
-            key,
-            "claimed and achieved fitness of each controller",
-            lambda figure: plot_claims(summary, figure.add_subplot(), unit=matrix.unit, name_width=name_width),
-            width,
-            1.4 + (0.2 + 0.1 * rows) * len(summary.controllers),
-            keyed=True,
-        )
-
-    several = any(len(controller.seed_fitness) > 1 for controller in summary.controllers)
-    ticks = " Ticks: the champion of each evolution run." if several else ""
-    return FigureElement(
-        "Claimed and achieved",
-        f"Bars are {percent(CONFIDENCE)} intervals over trials, those of the table below.{ticks}",
-        (DrawingPair(drawing("claims", WIDE, 26), drawing("claims-narrow", NARROW, 13)),),
-    )
-
-
-def standing_sheet(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
-    """Claimed, achieved, worst case and regret of each controller, with intervals."""
-    robot = matrix.robot is not None
-    return TableElement(
-        title=f"Claimed, achieved, worst case, regret ({matrix.unit or 'fitness'}, {percent(CONFIDENCE)} intervals)",
-        columns=(
-            "controller",
-            "claimed",
-            "achieved" if robot else "on other\nmodels",
-            "kept\n%",
-            "worst\ncase",
-            "regret",
-        ),
-        rows=tuple(
-            (
-                lines(one.name, "(chosen)" if one.name == summary.pick else ""),
-                within(one.claimed),
-                within(one.achieved if robot else one.other_models),
-                _share(one.kept),
-                lines(within(one.worst), folded(one.worst_on, 12)),
-                within(one.regret),
-            )
-            for one in summary.controllers
-        ),
         note=(
-            f"kept: share of the claim that is achieved{'' if robot else ' on the other models'}, ± standard error. "
-            "worst case: the system where it is lowest, of those that it was not evolved against. "
-            "regret: what the best other controller "
-            + ("achieves more on the robot. " if robot else "has more, on the other model where that is most. ")
-            + "Intervals are over fresh trials of this one controller, not over evolution seeds."
-        ),
+            "The forecast is the median of all models. A model counts as the inverse square of its prediction error, "
+            "half as much if the controller was evolved in its family. Nothing measured on the robot is used but the "
+            "recordings. Means over the controllers evolved in each model alone; own weight: of that model in it. "
+            + " ".join(_correlations(report))
+        ).strip(),
+        details=True,
+    )
+
+
+def _correlations(report: ComparisonResults) -> list[str]:
+    """Return how well each figure ranks the controllers, where enough of them were run on the robot."""
+    summary = report.transfer
+    return [
+        f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+z.2f} "
+        f"({correlation.controllers} controllers)."
+        for correlation in (() if summary is None else summary.correlations)
+        if correlation.value is not None
+    ]
+
+
+def overview_picture(report: ComparisonResults) -> FigureElement | None:
+    """Return claimed against measured fitness, a dot for each controller; None if no controller has both."""
+    matrix, summary = report.matrix, report.transfer
+    if matrix is None or summary is None:
+        return None
+    shown = [one for one in summary.controllers if one.claimed and one.elsewhere and not one.evolved_on_robot]
+    if not shown:
+        return None
+    where = f"measured on {matrix.robot}" if matrix.robot else "mean on the other models"
+    unit = f" {matrix.unit}" if matrix.unit else ""
+    links = tuple(
+        (one.name, f"{one.name}: claims {sized(one.claimed)}{unit}, {where} {sized(one.elsewhere)}{unit}")
+        for one in shown
+        if one.claimed is not None and one.elsewhere is not None
+    )
+
+    def drawing(key: str, width: float, height: float, letters: int) -> Drawing:
+        def draw(figure: Figure) -> None:
+            label = f"{where if width == HALF else where.split()[0]}{f' ({matrix.unit})' if matrix.unit else ''}"
+            ax = figure.add_subplot()
+            plot_claimed_measured(shown, ax, unit=matrix.unit, label=label, pick=summary.pick, letters=letters)
+
+        label = "claimed against measured fitness, a dot for each controller"
+        return Drawing(key, label, draw, width, height, links=links)
+
+    pair = DrawingPair(drawing("claimed-measured", HALF, 4.0, 22), drawing("claimed-measured-narrow", NARROW, 2.9, 12))
+    played = any(cell.traces for cell in matrix.cells.values())
+    return FigureElement(
+        "Claimed against measured" if matrix.robot else "Claimed against the other models",
+        f"On the line a claim holds; below it the claim is too high (orange: exploited). Bars: {percent(CONFIDENCE)} "
+        f"intervals.{' A click on a dot plays its trial.' if played else ''}",
+        (pair,),
     )
 
 
 def _share(kept: Estimate | None) -> str:
-    """Return ``75 ±3``, a share in per cent and its standard error; the first alone without the second."""
+    """Return the achieved share of a claim, with its standard error if that is known."""
     if kept is None:
         return "–"
-    error = f" ±{100 * kept.standard_error:.0f}" if np.isfinite(kept.standard_error) else ""
-    return f"{100 * kept.value:.0f}{error}"
+    error = f" ±{100 * kept.standard_error:.0f}" if kept.standard_error >= 0.005 else ""
+    return f"{100 * kept.value:.0f}{error} %"
 
 
-def controller_sheet(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
-    """Claimed and achieved fitness, and the gaps between them."""
-    robot: tuple[str, ...] = ("on the\nrobot", "reality\ngap") if matrix.robot is not None else ()
+def further_figures_table(matrix: TransferMatrix, summary: TransferSummary) -> TableElement:
+    """Return the gaps, the lowest fitness and the difference to the best of each controller, with intervals."""
+    robot = matrix.robot is not None
     rows = [
         (
-            lines(controller.name, "(chosen)" if controller.name == summary.pick else ""),
-            lines(plus_minus(controller.claimed), of_each_run(controller)),
-            plus_minus(controller.other_models),
-            plus_minus(controller.exploitation_gap),
-            plus_minus(controller.other_families),
-            *((plus_minus(controller.achieved), plus_minus(controller.reality_gap)) if robot else ()),
+            _named(one, summary),
+            lines(within(one.claimed), of_each_run(one)),
+            *((within(one.achieved),) if robot else ()),
+            within(one.other_models),
+            within(one.other_families),
+            within(one.exploitation_gap),
+            *((within(one.reality_gap),) if robot else ()),
+            lines(within(one.worst), folded(one.worst_on, 12)),
+            within(one.regret),
         )
-        for controller in summary.controllers
+        for one in summary.controllers
     ]
-    runs = [len(controller.seed_fitness) for controller in summary.controllers if controller.claimed is not None]
-    each = f"below a claim: the champion of each of {max(runs)} evolution runs. " if max(runs, default=0) > 1 else ""
-    unknown = f" {said}" if (said := seeds_unknown(summary)) else ""
+    runs = [len(one.seed_fitness) for one in summary.controllers if one.claimed is not None]
+    each = (
+        f"Last line of a claim: the champion of each of {max(runs)} evolution runs. "
+        if max(runs, default=0) > 1
+        else ""
+    )
     return TableElement(
-        title=f"Claimed and achieved ({matrix.unit or 'fitness'}, ± standard error)",
-        columns=("controller", "claimed", "other\nmodels", "exploit.\ngap", "other\nfamilies", *robot),
+        title=f"All figures of each controller ({matrix.unit or 'fitness'}, {percent(CONFIDENCE)} intervals)",
+        columns=(
+            "controller",
+            "claimed",
+            *(("achieved",) if robot else ()),
+            "other\nmodels",
+            "other\nfamilies",
+            "claimed -\nother models",
+            *(("claimed -\nrobot",) if robot else ()),
+            "lowest on",
+            "difference\nto the best",
+        ),
         rows=tuple(rows),
         note=(
-            f"claimed: on the models it was evolved against, joined as in its evolution, in fresh trials. {each}"
-            "other families: median over the models of families it was not evolved against. "
-            "Gap: claimed minus achieved; exploitation on the other models, reality on the robot. "
-            f"chosen: without the robot, by its forecast.{unknown}"
+            f"{each}Other models: mean of those that it was not evolved in; other families: median of the models of "
+            "families that it was not evolved in. Lowest on: of the systems that it was not evolved in. Difference to "
+            "the best: what the best other controller achieves more "
+            + ("on the robot. " if robot else "on the model where that is most. ")
+            + "Intervals are over fresh trials of this one controller, not over evolution runs."
         ),
+        details=True,
     )
 
 
@@ -335,55 +359,65 @@ def _command(report: ComparisonResults, *words: str) -> str:
     return shlex.join(["sysid-evo", *words, *plugins])
 
 
-def command_sheet(report: ComparisonResults) -> TableElement | None:
-    """The command that runs each controller on the robot, after the exports without one; None if no file is known."""
-    robot, names = report.settings.get("robot"), report.controllers
-    commands = [] if robot else [(name, export_command(report, name)) for name in names]
-    commands += [(name, drive_command(report, name)) for name in names]
-    rows = tuple((name, command) for name, command in commands if command is not None)
-    if not rows:
-        return None
-    driven = any("ROBOT" in command for _, command in rows)
-    note = "ROBOT: the name of a robot, NAME:SEED, or the TOML file of one." if driven else ""
-    return TableElement(
-        "Use a controller, in the folder of this report", ("controller", "command"), rows, note, code=True
-    )
-
-
 def headline(report: ComparisonResults) -> Headline:
-    """Say at first sight which controller to take."""
-    question, summary = "Which controller to take?", report.transfer
+    """Return which controller to use, in one answer."""
+    question, summary = "Which controller to use?", report.transfer
     if summary is None:
-        return Headline(question, "None", "No controller was evolved.", "open")
+        return Headline(question, "Not known", _absent(report)[0], "open")
     assert report.matrix is not None
     if none_beats_rest(report.matrix):
-        return Headline(question, "None", LOOK_AT_THE_REWARD, "bad")
+        return Headline(question, "None", LOOK_AT_THE_REWARD, "warn")
     if summary.pick is None:
-        return Headline(question, "Not known", "No controller can be judged by models of other families.", "open")
+        return Headline(question, "Not known", NO_OTHER_FAMILY, "open")
     pick = summary.controller(summary.pick)
-    command = use_command(report, pick.name) or ""
     unit = f" {report.matrix.unit}" if report.matrix.unit else ""
-    claim = "" if pick.claimed is None else f"Claims {sized(pick.claimed)}{unit}"
     found = report.forecasts.get(pick.name)
-    claim += "" if found is None else f", forecast {forecast_text(found)}"
+    parts = [] if found is None else [f"forecast {sized(found)}{unit}"]
     if pick.achieved is not None:
-        worth = f"{claim}, achieves {sized(pick.achieved)} on the robot.{_better(pick, report)}"
+        inside = "" if found is None else ": as forecast" if found.covers(pick.achieved) else ": outside the forecast"
+        parts.append(f"measured {sized(pick.achieved)} on {report.matrix.robot}{inside}")
     elif pick.other_models is not None:
-        worth = f"{claim}, reaches {sized(pick.other_models)} on the other models. Nothing was run on the robot."
-    else:
-        worth = f"{claim}. Nothing was run on the robot."
-    idle, guess = _idle(report.matrix, pick.name), guess_warning(report.exploitability, pick.name)
-    said = " ".join(filter(None, (idle, worth, guess)))
+        parts.append(f"{sized(pick.other_models)} on the other models")
+    said = ", ".join(parts)
+    sentences = [_idle(report.matrix, pick.name), f"{said[:1].upper()}{said[1:]}." if said else "", _claim(pick)]
+    sentences += (
+        ["Nothing was run on a robot."] if pick.achieved is None else [_better(pick, report), _share_of(pick, summary)]
+    )
+    guess = guess_warning(report.exploitability, pick.name)
     kept = pick.achieved is not None and found is not None and found.covers(pick.achieved)
-    tone: Tone = "bad" if pick.exploited or idle else "open" if guess and not kept else "good"
-    return Headline(question, pick.name, said, tone, command)
+    useless = beats_rest(report.matrix, pick.name) is False
+    tone: Tone = "bad" if pick.exploited or useless else "warn" if guess and not kept else "good"
+    command = use_command(report, pick.name) or ""
+    return Headline(question, pick.name, " ".join(filter(None, (*sentences, guess))), tone, command)
 
 
-LOOK_AT_THE_REWARD = "No controller does better than controls at rest: look at the reward, or evolve longer."
+def _share_of(pick: ControllerSummary, summary: TransferSummary) -> str:
+    """Return how much of the fitness of a search on the robot itself a controller achieves; empty without one."""
+    reference = next((c for c in summary.controllers if c.evolved_on_robot and c.achieved is not None), None)
+    share = None if reference is None or reference.achieved is None else pick.share_of(reference.achieved.value)
+    if reference is None or reference.achieved is None or share is None:
+        return ""
+    compared = percent(share) if share <= 1.0 else "more than all"  # one search is no upper limit: 107 % would mislead
+    return f"That is {compared} of the {value_of(reference.achieved)} of one search on the robot itself."
+
+
+def _claim(pick: ControllerSummary) -> str:
+    """Return whether the claim of a controller holds."""
+    if pick.claimed is None:
+        return ""
+    held = {True: "is exploited", False: "holds", None: "cannot be checked"}[pick.exploited]
+    return f"Its claim of {value_of(pick.claimed)} {held}."
+
+
+NO_OTHER_FAMILY = "No controller can be scored by models of other families. Add a family with --models."
+LOOK_AT_THE_REWARD = (
+    "No controller does better than controls at rest. Look at the reward, which may not ask for motion, or evolve "
+    "longer."
+)
 
 
 def _idle(matrix: TransferMatrix, name: str) -> str:
-    """Say that a controller is no better than controls at rest; empty where it is, or that is not known."""
+    """Return a warning if a controller is no better than controls at rest, else an empty text."""
     gain = gain_over_rest(matrix, name)
     if gain is None or beats_rest(matrix, name) is not False:
         return ""
@@ -392,158 +426,37 @@ def _idle(matrix: TransferMatrix, name: str) -> str:
 
 
 def _better(pick: ControllerSummary, report: ComparisonResults) -> str:
-    """Say which controller from models does clearly better on the robot than the one that was chosen without it."""
+    """Return which other controller from models does clearly better on the robot than the chosen one."""
     assert report.transfer is not None
     others = [c for c in report.transfer.controllers if c.against and not c.evolved_on_robot and c.name != pick.name]
     reached = [(c.achieved, c.name) for c in others if c.achieved is not None]
     best = max(reached, key=lambda one: one[0].value, default=None)
     if best is None or pick.achieved is None or not best[0].low > pick.achieved.high:
         return ""
-    return f" {best[1]} does better there: {sized(best[0])}."
+    return f"{best[1]} does better on the robot, {sized(best[0])}, which was not known before the run."
 
 
-KEPT = 0.9
-"""A claim is kept from this share of it on."""
-LOST = 0.5
-"""A claim is lost below this share of it."""
-
-
-def transfer_sentences(matrix: TransferMatrix, summary: TransferSummary | None) -> tuple[str, ...]:
-    """Answer which controllers transfer."""
-    if summary is None:
-        return ("No controller was evolved.",)
-    if all(cell.failed for cell in matrix.cells.values()):
-        return ("No controller could be run anywhere.",)
-    unit = f" {matrix.unit}" if matrix.unit else ""
-    return _on_models(summary, unit) if matrix.robot is None else _on_robot(summary, unit)
-
-
-def _on_robot(summary: TransferSummary, unit: str) -> tuple[str, ...]:
-    tested = sorted(
-        (c for c in summary.controllers if c.achieved is not None),
-        key=lambda c: -(c.achieved.value if c.achieved else 0.0),
-    )
-    if not tested:
-        return ("No controller could be run on the robot.",)
-    moved = [c for c in tested if not c.evolved_on_robot]
-    answers = [f"Most on the robot: {_achieved(moved[0], unit)}."] if moved else []
-    reference = next((c for c in tested if c.evolved_on_robot), None)
-    if reference is not None:
-        answers.append(
-            f"One search on the robot itself, no longer than one in a model, reaches {_achieved(reference, unit)}."
-        )
-        pick = next((c for c in tested if c.name == summary.pick), None)
-        assert reference.achieved is not None
-        share = None if pick is None else pick.share_of(reference.achieved.value)
-        if pick is not None and share is not None:  # one search is no upper limit: 107 % would mislead
-            told = f"{percent(share)} of that" if share <= 1.0 else "more than that search, which is no upper limit"
-            answers.append(f"{pick.name} achieves {told}.")
-    shares = [(c.name, c.kept.value) for c in tested if not c.evolved_on_robot and c.kept is not None]
-    if shares:
-        holding = [name for name, kept in shares if kept >= KEPT]
-        answers.append(
-            f"At least nine tenths of their claim is kept on the robot by {few(holding, 8)}."
-            if holding
-            else "No controller keeps nine tenths of its claim on the robot."
-        )
-        failing = [f"{name} ({percent(kept)})" for name, kept in shares if kept < LOST]
-        if failing:
-            answers.append(f"Less than half of it: {', '.join(failing)}.")
-    floor = tested[0].rest_fitness
-    if floor is not None:
-        answers.append(f"Shares are measured from controls at rest: {three_digits(floor)}{unit}.")
-    return tuple(answers)
-
-
-def _on_models(summary: TransferSummary, unit: str) -> tuple[str, ...]:
-    pairs = [(c.name, c.claimed, c.other_models) for c in summary.controllers if c.claimed and c.other_models]
-    if not pairs:
-        return ("There is no robot and no other model to transfer to.",)
-    holding = [name for name, claimed, others in pairs if others.value >= KEPT * claimed.value]
-    falling = [
-        f"{name} ({value_of(claimed)} to {value_of(others)})"
-        for name, claimed, others in pairs
-        if others.value < LOST * claimed.value
-    ]
-    keeping = f"{', '.join(holding)} keep" if holding else "no controller keeps"
-    answers = [
-        "Nothing was run on the robot. On the other models (mean fitness), "
-        f"{keeping} at least nine tenths of the claim."
-    ]
-    if falling:
-        answers.append(f"Less than half of it, in mean fitness{unit and f' ({unit.strip()})'}: {', '.join(falling)}.")
-    return tuple(answers)
-
-
-def _achieved(controller: ControllerSummary, unit: str) -> str:
-    assert controller.achieved is not None
-    return f"{controller.name}, {sized(controller.achieved)}{unit}"
-
-
-def sized(estimate: Estimate) -> str:
+def sized(estimate: Estimate | Forecast | ModelForecast) -> str:
     """Return a value with its interval, alone where it has none."""
     return with_interval(estimate.value, estimate.low, estimate.high)
 
 
-def choice_sentences(report: ComparisonResults) -> tuple[str, ...]:
-    """Answer what to use: first that it is of no use where it is not, then by what it was chosen."""
-    matrix, summary = report.matrix, report.transfer
-    assert matrix is not None
-    assert summary is not None
-    why = choice_reason(report) or "No controller can be judged by models of other families; add a family to choose by."
-    pick = summary.pick
-    warnings = [] if pick is None else [_idle(matrix, pick), guess_warning(report.exploitability, pick)]
-    answers = list(filter(None, (*warnings[:1], why, *warnings[1:])))
-    if matrix.robot is not None:
-        tested = [c for c in summary.controllers if c.achieved is not None and c.against and not c.evolved_on_robot]
-        best = max(tested, key=lambda c: c.achieved.value if c.achieved else -np.inf, default=None)
-        if best is not None and best.achieved is not None and best.name != summary.pick:
-            answers.append(f"Chosen with the robot: {best.name}, {value_of(best.achieved)} on it.")
-        answers += [
-            f"Rank correlation of {correlation.figure} with achieved: {correlation.value:+z.2f} "
-            f"({correlation.controllers} controllers)."
-            for correlation in summary.correlations
-            if correlation.value is not None
-        ]
-    return tuple(answers)
-
-
-def choice_reason(report: ComparisonResults) -> str | None:
-    """Say by what the controller to drive was chosen, and what was achieved; None where no forecast chose it."""
-    summary = report.transfer
-    found = None if summary is None or summary.pick is None else report.forecasts.get(summary.pick)
-    if summary is None or found is None:
-        return None
-    unit = f" {report.matrix.unit}" if report.matrix is not None and report.matrix.unit else ""
-    picked = summary.controller(found.controller)
-    count = sum(one.name in report.forecasts and bool(one.against) for one in summary.controllers)
-    rivals = f"the highest of {count} forecasts" if count > 1 else "the only one with a forecast"
-    said = f"Chosen without the robot: {found.controller}, {rivals}: {forecast_text(found)}{unit} are expected of it"
-    if picked.achieved is None:
-        return f"{said}."
-    inside = "as forecast" if found.covers(picked.achieved) else "outside the interval"
-    return f"{said}; it achieves {value_of(picked.achieved)} on the robot, {inside}."
-
-
-ONE_SEED = "One evolution seed: how far a claim varies from seed to seed is unknown."
-POLISHED = (
-    "{} was polished once, from the best of all searches and seeds together: how far another polish would end from it "
-    "is unknown."
-)
+ONE_SEED = "Each controller was evolved once; repeat with --repeats 3 to see how much claims vary."
+POLISHED = "{} was polished once, from the best of all searches, so the variation of its claim is not known."
 
 
 def open_questions(summary: TransferSummary) -> tuple[str, ...]:
-    """Say what the claims leave open."""
+    """Return what the claims leave open, in sentences."""
     claiming = [c for c in summary.controllers if c.claimed is not None]
     answers = [said] if (said := seeds_unknown(summary)) else []
     single = [c.name for c in claiming if c.achieved is not None and not np.isfinite(c.achieved.standard_error)]
     if single:
-        answers.append(f"A single trial on the robot has no error and judges no claim: {', '.join(single)}.")
+        answers.append(f"A single trial on the robot has no error and cannot test a claim: {', '.join(single)}.")
     return tuple(answers)
 
 
 def seeds_unknown(summary: TransferSummary) -> str:
-    """Say of which controllers it is not known how far evolution seeds differ, and why; empty if it is of all."""
+    """Return for which controllers the variation between evolution runs is not known; empty if it is for all."""
     single = [c for c in summary.controllers if c.claimed is not None and len(c.seed_fitness) < 2]
     if any(not c.polished for c in single):
         return ONE_SEED

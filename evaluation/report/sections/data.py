@@ -14,7 +14,7 @@ def section(report: ComparisonResults) -> Section:
     name = f"{data.name}: " if data.name else ""
     sentence = (
         f"{name}{len(data.training)} training episodes of {seconds[0]:.0f} s, {len(data.test)} test episodes of "
-        f"{seconds[1]:.0f} s, sampled every {data.system.dt:g} s. Training set SHA-256: {data.fingerprint}"
+        f"{seconds[1]:.0f} s, sampled every {data.system.dt:g} s. SHA-256 of the training data: {data.fingerprint}"
     )
     items = [episode_sheet(report), channel_list(report)]
     return Section("Data", items, [sentence, *report.notes], background=True)

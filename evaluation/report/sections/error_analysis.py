@@ -1,22 +1,26 @@
-"""Where errors are and what they still hold: regions, residuals, episodes, channels. A part of Prediction."""
+"""Analysis of errors: regions, residuals, episodes, states. A part of Prediction."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.formatting import horizon_name, lines, number, percent, three_digits
+from evaluation.formatting import horizon_name, lines, percent, three_digits
+from evaluation.plots import plot_residual_correlation
 from evaluation.prediction.regions import worst_region
 from evaluation.prediction.residuals import AHEAD, LAGS, LEVEL, Residuals
-from evaluation.prediction.scores import EpisodeError, ModelPrediction, Prediction
-from evaluation.report.elements import TableElement
+from evaluation.prediction.scores import PERSISTENCE, EpisodeError, ModelPrediction, Prediction
+from evaluation.report.elements import THIRD, Drawing, DrawingPair, FigureElement, TableElement
 from sysid_evo.system import System
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def region_sheet(prediction: Prediction) -> TableElement | None:
-    """Where each model's error is clearly largest; None without scores."""
+    """Return where the error of each model is clearly largest; None without scores."""
     steps, models = prediction.cases.near_horizon, [m for m in prediction.models if m.regions]
     if steps is None or not models:
         return None
@@ -24,34 +28,34 @@ def region_sheet(prediction: Prediction) -> TableElement | None:
     for model in models:
         worst = worst_region(model.regions)
         if worst is None:
-            rows.append((model.name, "nowhere clearly", "–", "–"))
+            rows.append((model.name, "no region clearly", "–", "–"))
             continue
-        times = lines(f"{worst.ratio.value:.1f}", f"{worst.ratio.low:.1f}-{worst.ratio.high:.1f}")
+        times = lines(f"{worst.ratio.value:.1f}", f"{worst.ratio.low:.1f} to {worst.ratio.high:.1f}")
         rows.append((model.name, worst.region.words, times, percent(worst.share)))
     return TableElement(
         "Where the error is largest",
-        ("model", "windows that start at", "times N\nof all", "share"),
+        ("model", "windows that start at", "N / N of\nall windows", "share of\nwindows"),
         tuple(rows),
         note=f"N after {horizon_name(steps, prediction.cases.system.dt)} of the windows that start with this state or "
-        "control, divided by that of all windows. Of every channel the lowest and highest fifth are looked at, and "
-        "that farthest from neutral; intervals allow for looking at all of them.",
+        "control, divided by that of all windows. For every channel the lowest and the highest fifth are tested, and "
+        "the fifth farthest from neutral; intervals allow for the number of tests.",
         details=True,
     )
 
 
 def residual_sheet(prediction: Prediction) -> TableElement | None:
-    """What one-step errors still hold: whether they are white, and which earlier controls show; None without any."""
+    """Return whether one-step residuals are white, and correlated with which controls; None without residuals."""
     system, models = prediction.cases.system, [m for m in prediction.models if m.residuals is not None]
     if not models:
         return None
     rows = [(m.name, *(_left(m, prediction, channel) for channel in range(system.nx))) for m in models]
     return TableElement(
-        "What is left one step ahead",
+        "White or correlated",
         ("model", *system.state_names),
         tuple(rows),
-        note="White: nothing in the one-step error foretells the next one. Not white: the correlation with an earlier "
-        "error. A control and a time: what it was set to that long before the step still shows in the error, with the "
-        f"correlation; both at {100 * LEVEL:g} %, all lags together.",
+        note="White: a residual is not correlated with earlier ones. Correlated (not white): the largest correlation "
+        "with an earlier residual, and its lag. A control and a time: the residual is correlated with the control that "
+        f"long before the step. Both tests have a level of {100 * LEVEL:g} % for all lags together.",
         details=True,
     )
 
@@ -64,7 +68,9 @@ def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
     colour = "white"
     if not found.white[channel]:
         lag = found.largest_lag(channel)
-        colour = lines("not white", f"{found.autocorrelation[lag - 1, channel]:+z.2f} after {lag * dt:g} s")
+        colour = lines(
+            "correlated (not white)", f"{found.autocorrelation[lag - 1, channel]:+z.2f} after {lag * dt:g} s"
+        )
     shown = []
     for place, control in enumerate(prediction.cases.system.control_names):
         if found.cross_p[place, channel] < LEVEL / prediction.cases.system.nu:
@@ -73,12 +79,46 @@ def _left(model: ModelPrediction, prediction: Prediction, channel: int) -> str:
     return lines(colour, *shown)
 
 
+SHOWN_MODELS = 2
+"""Models whose residuals are shown at first, the best ones; a reader may show the others."""
+
+
+def residual_picture(prediction: Prediction) -> FigureElement | None:
+    """Return the correlation of one-step residuals with earlier ones and with controls; None without residuals."""
+    found = [(m, m.residuals) for m in prediction.models if m.residuals is not None and m.name != PERSISTENCE]
+    names = [model.name for model, residuals in found if np.isfinite(residuals.autocorrelation).any()]
+    if not names:
+        return None
+    ranked = [model.name for model in prediction.ranking(prediction.cases.main_horizon) if model.name in names]
+    off = frozenset(set(names) - set(ranked[:SHOWN_MODELS]))
+    panels = []
+    for j, control in enumerate((None, *prediction.cases.system.control_names)):
+        for i, state in enumerate(prediction.cases.system.state_names):
+
+            def draw(figure: Figure, i: int = i, j: int = j) -> None:
+                plot_residual_correlation(prediction, names, i, j - 1 if j else None, figure.add_subplot())
+
+            title = f"{state} and {control or 'earlier residuals'}"
+            label = f"correlation of residuals, {title}"
+            drawing = Drawing(f"residuals-{i}-{j}", label, draw, THIRD, 2.0, keyed=True, off=off)
+            panels.append(DrawingPair(drawing, title=title))
+    return FigureElement(
+        "Correlation of one-step residuals",
+        "With earlier residuals, and with controls that long before the step. Dotted: the "
+        f"{percent(1.0 - LEVEL)} band for uncorrelated residuals, the widest of all models. Beyond it the model misses "
+        "something; before lag 0 of a control a driver who reacts shows. The best "
+        f"{min(SHOWN_MODELS, len(ranked))} of {len(names)} models are shown at first.",
+        tuple(panels),
+        columns=3,
+    )
+
+
 SHOWN_EPISODES = 40
-"""Test episodes that a table lists; ``report.json`` has them all."""
+"""Test episodes in a table; ``report.json`` has all."""
 
 
 def episode_error_sheet(prediction: Prediction) -> TableElement | None:
-    """N of every model in each test episode; None with fewer than two episodes."""
+    """Return N of every model in each test episode; None with fewer than two episodes."""
     horizon, models = prediction.cases.main_horizon, [m for m in prediction.models if m.episodes]
     if horizon is None or not models or len(models[0].episodes) < 2:
         return None
@@ -91,45 +131,13 @@ def episode_error_sheet(prediction: Prediction) -> TableElement | None:
         f"N of each test episode, {horizon_name(horizon, prediction.cases.system.dt)}",
         ("episode", *(model.name for model in models)),
         tuple(rows),
-        note="In units of the standard deviation of the whole test set, so that episodes can be compared.",
+        note="In standard deviations of all test data, so that episodes can be compared.",
         details=True,
     )
-
-
-def fit_sheet(prediction: Prediction) -> TableElement | None:
-    """Fit in free run as MATLAB's ``compare`` shows it; None without a free run."""
-    fits = {m.name: np.array([e.fit for e in m.episodes if np.isfinite(e.fit).any()]) for m in prediction.models}
-    fits = {name: values for name, values in fits.items() if len(values)}
-    if not fits:
-        return None
-    return TableElement(
-        "Fit in free run (%)",
-        ("model", *prediction.cases.system.state_names),
-        tuple((lines(name, _clipped(prediction.model(name))), *map(_fit, values.T)) for name, values in fits.items()),
-        note="100 (1 - norm(y - yhat) / norm(y - mean(y))), the fit that MATLAB's compare shows: 100 is perfect, 0 as "
-        "good as the mean, below 0 worse. Of several test episodes the mean, and below it the range. clip: free runs "
-        "that reached their clip, and the median time until then.",
-        details=True,
-    )
-
-
-def _clipped(model: ModelPrediction) -> str:
-    """Say in how many free runs a model reached its clip, and when."""
-    times = () if model.divergence is None else model.divergence.free_run_times
-    hit = [time for time in times if time is not None]
-    return f"clip {len(hit)} of {len(times)}, {np.median(hit):.1f} s" if hit else ""
-
-
-def _fit(values: np.ndarray) -> str:
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return "–"
-    spread = f"{known.min():.1f} to {known.max():.1f}" if len(known) > 1 else ""
-    return lines(number(float(known.mean())), spread)
 
 
 def residuals_to_json(found: Residuals, system: System) -> dict[str, Any]:
-    """Return what the document holds of a model's one-step errors."""
+    """Return the residuals of a model for the document."""
     channels = {
         name: {
             "white": found.white[i],
@@ -151,7 +159,7 @@ def residuals_to_json(found: Residuals, system: System) -> dict[str, Any]:
 
 
 def episode_to_json(episode: EpisodeError, horizons: Sequence[int], system: System) -> dict[str, Any]:
-    """Return what the document holds of a model's errors in one test episode."""
+    """Return the errors of a model in one test episode for the document."""
     return {
         "name": episode.name,
         "n": {str(horizon): n for horizon, n in zip(horizons, episode.n, strict=True)},

@@ -1,4 +1,4 @@
-"""How controllers were found: fitness over generations, kinds of behaviour. A part of Transfer."""
+"""How controllers were found: fitness over generations, behaviour classes. A part of Controllers."""
 
 from __future__ import annotations
 
@@ -35,15 +35,14 @@ def fitness_picture(matrix: TransferMatrix) -> FigureElement | None:
         panels.append(DrawingPair(drawing, title=champion.name))
     return FigureElement(
         "Fitness over generations",
-        "Best, mean and worst of the candidates that count in each generation, on the models evolved against, "
-        "in the trials of that generation.",
+        "Best, mean and worst of the candidates of each generation, in the models of the evolution.",
         tuple(panels),
         columns=3,
     )
 
 
 def behaviour_class_table(matrix: TransferMatrix) -> TableElement | None:
-    """The best of each niche, what it claims, and what all models say together; None without niches."""
+    """Return the best of each behaviour class with claim and forecast; None without behaviour classes."""
     rows = []
     for champion in matrix.champions:
         best: dict[str, Finalist] = {}
@@ -58,17 +57,17 @@ def behaviour_class_table(matrix: TransferMatrix) -> TableElement | None:
     if not any(kind for _, kind, _, _ in rows):
         return None
     return TableElement(
-        title=f"Kinds of behaviour that were found ({matrix.unit or 'fitness'})",
+        title=f"Best of each behaviour class ({matrix.unit or 'fitness'})",
         columns=("controller", "behaviour class", "claimed", "forecast"),
         rows=tuple(rows),
         note=(
-            "behaviour class: the side of a channel on which a search was kept more than half of the time; the best of "
-            "its repeats. forecast: expected fitness on the robot from all models, by which it was chosen."
+            "Behaviour class: the side of a channel on which a search was kept more than half of the time. Forecast: "
+            "expected fitness on the robot from all models, by which one was chosen."
         ),
     )
 
 
 def champion_to_json(champion: Champion) -> dict[str, Any]:
-    """Return what the document holds of a controller under ``champions``."""
+    """Return the entry of a controller in ``champions`` of the document."""
     known = {name: value for name, value in champion.to_dict().items() if name != "system"}
     return {**known, "parameters": champion.parameters, "history": champion.history}

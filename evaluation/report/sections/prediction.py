@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,12 +18,21 @@ from evaluation.prediction.scores import (
     ModelPrediction,
     Prediction,
 )
-from evaluation.report.elements import FigureElement, Headline, Section, TableElement, present, wide_and_narrow
+from evaluation.report.elements import (
+    DrawingPair,
+    FigureElement,
+    Fold,
+    Headline,
+    Section,
+    TableElement,
+    present,
+    wide_and_narrow,
+)
 from evaluation.report.sections.error_analysis import (
     episode_error_sheet,
     episode_to_json,
-    fit_sheet,
     region_sheet,
+    residual_picture,
     residual_sheet,
     residuals_to_json,
 )
@@ -31,7 +40,6 @@ from evaluation.results import ComparisonResults
 from evaluation.sufficiency import (
     USELESS,
     beats_mean,
-    beats_persistence,
     leads,
     no_worse,
     predicts,
@@ -45,11 +53,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-LOW_ERROR = "A low prediction error does not show that a controller evolved in the model works elsewhere: see Transfer."
+MEASURE = (
+    "Each model is started from measured states and simulated with the recorded controls. N is the error (RMSE) "
+    "divided by the standard deviation of the measured signal, averaged over the states: 0 is perfect, 1 is as bad as "
+    "predicting the mean. The row persistence keeps the first state (no change)."
+)
+LOW_ERROR = "A low N does not show that controllers evolved in the model work: see Can the models be trusted?"
 
 
 def section(report: ComparisonResults) -> Section:
-    """Return errors, their curves, and where they are; without any, why."""
+    """Return errors, their curves, and their analysis; without any, why."""
     prediction = report.prediction
     if prediction is None:
         return Section("Prediction", absent=_absent(report))
@@ -58,69 +71,73 @@ def section(report: ComparisonResults) -> Section:
         "Prediction",
         present(
             error_table(prediction),
-            coverage_table(prediction),
-            condition_table(report.conditions),
-            difference_table(prediction),
             horizon_picture(prediction) if prediction.cases.horizons else None,
             free_run_picture(prediction) if prediction.cases.free_runs and scored else None,
+            difference_table(prediction),
+            coverage_table(prediction),
+            condition_table(report.conditions),
             region_sheet(prediction),
-            residual_sheet(prediction),
+            _residuals(prediction),
             episode_error_sheet(prediction),
-            fit_sheet(prediction),
             *(state_error_table(prediction, horizon) for horizon in reversed(prediction.horizons)),
         ),
-        [LOW_ERROR] if report.matrix is not None else [],
+        [f"{MEASURE} {LOW_ERROR}" if report.matrix is not None else MEASURE],
         absent=_absent(report),
     )
 
 
+def _residuals(prediction: Prediction) -> Fold | None:
+    """Return the table of residuals with their correlations; None without residuals."""
+    items = present(residual_sheet(prediction), residual_picture(prediction))
+    return Fold("One-step residuals", items) if items else None
+
+
 def _absent(report: ComparisonResults) -> list[str]:
-    """Say what is not known of prediction errors."""
+    """Return what is not known of prediction errors, and why."""
     prediction = report.prediction
     if prediction is None:
         return ["No prediction error was computed, so it is not known which models predict."]
     found = []
     if not prediction.cases.horizons:
-        found.append("No horizon fits into the test set: there is no error over the horizon. Record longer episodes.")
+        found.append(
+            "No horizon fits into the test data, so there is no error over the horizon. Record longer episodes."
+        )
     if not prediction.cases.free_runs:
-        found.append("No episode of the test set is long enough for a free run.")
+        found.append("No test episode is long enough to simulate it whole.")
     if not any(model.coverage for model in prediction.models):
-        found.append("No model gives a spread, so no interval can be checked; some families do with stochastic=true.")
+        found.append("No model gives prediction intervals to check; some families do with stochastic=true.")
     return found
 
 
-N_IN_WORDS = "the mean error in standard deviations"
-
-
 def error_table(prediction: Prediction) -> TableElement:
-    """N of every model at every horizon and in free run, with intervals."""
+    """Return N of every model at every horizon and over whole episodes, with intervals."""
     horizons = prediction.horizons
     rows = [
         (lines(model.name, _divergence(model)), *(_n_cell(prediction, model, horizon) for horizon in horizons))
         for model in prediction.models
     ]
     protocol = prediction.cases.protocol
+    blocks = prediction.cases.blocks(prediction.cases.main_horizon)
     return TableElement(
-        title=f"Prediction error N, {N_IN_WORDS} (0 is perfect)",
+        title=f"Simulation error N ({percent(CONFIDENCE)} intervals)",
         columns=("model", *_heads(prediction, horizons)),
         rows=tuple(rows),
         note=(
-            "N: RMSE / standard deviation of the truth, mean over channels. "
-            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows; "
-            f"free run: each whole episode from sample {protocol.first}. "
-            "* best, or no significant difference from the best (paired bootstrap, single comparisons). "
-            "clip: windows in which the simulation reached its clip, and the median time until then."
-            f"{_said(too_little(prediction, prediction.cases.main_horizon))}"
-        ),
+            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows in {blocks} "
+            f"independent blocks of test data; whole episodes from sample {protocol.first}. "
+            "* lowest, or not significantly different from it (paired bootstrap, single comparisons). "
+            "Limited: windows in which a state reached its bounds, and the median time until then."
+            f" {too_little(prediction, prediction.cases.main_horizon)}"
+        ).rstrip(),
     )
 
 
 def _heads(prediction: Prediction, horizons: Sequence[int | None]) -> list[str]:
-    return [horizon_name(horizon, prediction.cases.system.dt).replace(" (", "\n(") for horizon in horizons]
+    return [_length(horizon, prediction).replace(" (", "\n(").replace("whole ", "whole\n") for horizon in horizons]
 
 
-def _said(sentence: str) -> str:
-    return f" {sentence}" if sentence else ""
+def _length(horizon: int | None, prediction: Prediction) -> str:
+    return horizon_name(horizon, prediction.cases.system.dt)
 
 
 def _n_cell(prediction: Prediction, model: ModelPrediction, horizon: int | None) -> str:
@@ -130,7 +147,7 @@ def _n_cell(prediction: Prediction, model: ModelPrediction, horizon: int | None)
     if score is None:
         return "–"
     low, high = score.estimate.interval
-    between = f"{three_digits(low)}-{three_digits(high)}" if tells_apart(prediction, horizon) else ""
+    between = f"{three_digits(low)} to {three_digits(high)}" if tells_apart(prediction, horizon) else ""
     return lines(f"{'* ' if leads(prediction, model, horizon) else ''}{three_digits(score.n)}", between)
 
 
@@ -138,11 +155,11 @@ def _divergence(model: ModelPrediction) -> str:
     found = model.divergence
     if found is None or found.share == 0:
         return ""
-    return f"clip {percent(found.share)}, {number(found.median_time, 2)} s"
+    return f"limited {percent(found.share)}, {number(found.median_time, 2)} s"
 
 
 def coverage_table(prediction: Prediction) -> TableElement | None:
-    """How much the intervals of every model with a spread hold; None if there is no such model."""
+    """Return the coverage of the prediction intervals of each model; None if no model gives any."""
     horizons, models = prediction.cases.horizons, [model for model in prediction.models if model.coverage]
     if not models:
         return None
@@ -156,38 +173,40 @@ def coverage_table(prediction: Prediction) -> TableElement | None:
         rows.append(tuple(row))
     aim = percent(models[0].coverage[0].share)
     return TableElement(
-        title=f"What {aim} intervals hold",
+        title=f"Coverage of {aim} intervals",
+        details=True,
         columns=("model", *_heads(prediction, horizons)),
         rows=tuple(rows),
         note=(
-            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over channels; "
-            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: too narrow "
-            "if lower, wider than need be if higher."
+            f"Share of measured states inside the central {aim} of 100 simulations with noise, mean over the states; "
+            f"below it each of {', '.join(prediction.cases.system.state_names)}. ! more than 5 points off: "
+            "overconfident (too narrow) if lower, underconfident if higher; the others are calibrated."
         ),
     )
 
 
 def condition_table(conditions: Mapping[str, tuple[ConditionError, ...]]) -> TableElement | None:
-    """N within and across conditions, side by side; None if none was left out."""
+    """Return N within and across conditions; None if no condition was left out."""
     found = next(iter(conditions.values()), ())
     if not found:
         return None
     return TableElement(
-        title="Error N within and across conditions",
+        title="Error N across conditions",
+        details=True,
         columns=("model", *(errors.condition or "no name" for errors in found)),
         rows=tuple(
             (label, *(f"{three_digits(errors.within)} → {three_digits(errors.across)}" for errors in of_model))
             for label, of_model in conditions.items()
         ),
         note=(
-            f"After {found[0].horizon} steps, in the test part of each condition. Left: learned from the training "
-            "parts of all conditions; right: of all but this one."
+            f"After {found[0].horizon} steps, on the test data of each condition. Left: fitted to the training data of "
+            "all conditions; right: of all but this one."
         ),
     )
 
 
 def difference_table(prediction: Prediction) -> TableElement | None:
-    """Each model against the best where models can be told apart, with intervals; None with fewer than two."""
+    """Return the difference of each model from the best, with intervals; None with fewer than two models."""
     horizons = [horizon for horizon in prediction.horizons if tells_apart(prediction, horizon)]
     rankings = {horizon: prediction.ranking(horizon) for horizon in horizons}
     if not horizons or max(len(ranking) for ranking in rankings.values()) < 2:
@@ -200,11 +219,12 @@ def difference_table(prediction: Prediction) -> TableElement | None:
         for name in names
     ]
     return TableElement(
-        "N above the best",
+        "Difference from the best model (N)",
         ("model", *_heads(prediction, horizons)),
         tuple(rows),
-        note=f"N minus that of the best model there, with its {percent(CONFIDENCE)} interval by paired block "
-        "bootstrap: both meet the same windows in every draw. An interval that holds 0 is no significant difference.",
+        note=f"N minus that of the best model at this horizon, with its {percent(CONFIDENCE)} interval by paired block "
+        "bootstrap. An interval that contains 0 is no significant difference.",
+        details=True,
     )
 
 
@@ -222,7 +242,7 @@ def _signed(value: float) -> str:
 
 
 def state_error_table(prediction: Prediction, horizon: int | None) -> TableElement:
-    """RMSE (standard deviation) [relative error] of every channel, as in Table 1 of the paper, and fit."""
+    """Return RMSE (standard deviation) [relative error] of every state, as in Table 1 of the paper, and fit."""
     system = prediction.cases.system
     heads = [lines(channel.name, f"({channel.unit})" if channel.unit else "") for channel in system.states]
     rows = []
@@ -239,14 +259,14 @@ def state_error_table(prediction: Prediction, horizon: int | None) -> TableEleme
     protocol = prediction.cases.protocol
     begin = f"{protocol.first} of each episode" if horizon is None else protocol.history_in_words
     return TableElement(
-        title=f"Error per channel, {horizon_name(horizon, prediction.cases.system.dt)}",
+        title=f"Error of each state, {_length(horizon, prediction)}",
         columns=("model", *heads),
         rows=tuple(rows),
         note=(
             f"RMSE (standard deviation of the error) [RMSE / RMS of the signal], then fit = 100 (1 - RMSE / std of the "
-            f"truth). Simulated {start} {begin}; moving samples only."
+            f"measurement). Simulated {start} {begin}; moving samples only."
         ),
-        details=horizon is not None,
+        details=True,
     )
 
 
@@ -258,26 +278,42 @@ def horizon_picture(prediction: Prediction) -> FigureElement:
 
     return FigureElement(
         "Error over the horizon",
-        "N at every step of a free run under recorded controls from measured states "
-        f"({prediction.cases.protocol.history_in_words}). Bands: intervals of the block bootstrap. Vertical "
-        "lines: the horizons of the table.",
+        "N after every step of a simulation with the recorded controls "
+        f"({prediction.cases.protocol.history_in_words}). Bands: intervals. Vertical lines: the horizons of the table.",
         (wide_and_narrow("horizon", "N over the horizon, a line for each model", draw, 3.6, 2.9),),
     )
 
 
 SHOWN_MODELS = 5
-"""Models whose free run is shown at once; a reader may switch on the others."""
+"""Models whose simulation is shown at first; a reader may show the others."""
+SHOWN_EPISODES = 6
+"""Test episodes from which a reader may choose."""
 
 
 def free_run_picture(prediction: Prediction) -> FigureElement:
-    """Measured and predicted states in free run, one plot for each channel."""
+    """Return measured and simulated states, one drawing for each of the most varied test episodes."""
     ranked = [model.name for model in prediction.ranking(None) if model.name != PERSISTENCE]
     parts = ranked[:SHOWN_MODELS], ranked[SHOWN_MODELS:]
     best, rest = ([name for name in prediction.names if name in part] for part in parts)
-    cases, nx = prediction.cases, prediction.cases.system.nx
+    cases = prediction.cases
     scale = np.where(cases.std > 0, cases.std, np.nan)
-    # the run whose states vary most, in the scale of the test set
-    run = int(np.argmax([mean_over_channels(run.states.std(axis=0) / scale) for run in cases.free_runs]))
+    variation = [-mean_over_channels(run.states.std(axis=0) / scale) for run in cases.free_runs]
+    runs = np.argsort(np.nan_to_num(variation), kind="stable")[:SHOWN_EPISODES].tolist()
+    left_out = f"; the best {SHOWN_MODELS} of {len(ranked)} models are shown at first" if rest else ""
+    several = (
+        f"; the {len(runs)} most varied episodes" if len(runs) > 1 else f"; episode {cases.free_runs[runs[0]].episode}"
+    )
+    return FigureElement(
+        "Simulated and measured",
+        f"Simulation with the recorded controls from sample {cases.protocol.first} of an episode, at most 15 s "
+        f"from the first movement{several}{left_out}.",
+        tuple(_episode(prediction, run, best, rest, place) for place, run in enumerate(runs)),
+        choose="Test episode" if len(runs) > 1 else "",
+    )
+
+
+def _episode(prediction: Prediction, run: int, best: Sequence[str], rest: Sequence[str], place: int) -> DrawingPair:
+    nx, name = prediction.cases.system.nx, prediction.cases.free_runs[run].episode
 
     def draw(figure: Figure) -> None:
         plots = figure.subplots(nx, 1, sharex=True, squeeze=False)[:, 0]
@@ -286,41 +322,46 @@ def free_run_picture(prediction: Prediction) -> FigureElement:
             ax.label_outer()
         figure.align_ylabels(plots)
 
-    label = "states in free run, measured and predicted"
-    left_out = f"; the {SHOWN_MODELS} best of {len(ranked)} models are switched on" if rest else ""
-    return FigureElement(
-        "Predicted and measured",
-        f"Free run of {cases.free_runs[run].episode!r} from its sample {cases.protocol.first}, "
-        f"under its recorded controls; at most 15 s from the first movement{left_out}.",
-        (wide_and_narrow("free-run", label, draw, 0.5 + 1.5 * nx, 0.5 + 1.5 * nx, off=frozenset(rest)),),
-    )
+    key, label = "free-run" if place == 0 else f"free-run-{place + 1}", f"simulated and measured states of {name}"
+    pair = wide_and_narrow(key, label, draw, 0.5 + 1.4 * nx, 0.5 + 1.5 * nx, off=frozenset(rest))
+    return replace(pair, title=name)
 
 
 def headline(report: ComparisonResults) -> Headline:
-    """Say at first sight which models predict."""
+    """Return which models predict, in one answer."""
     question, prediction = "Which models predict?", report.prediction
     if prediction is None:
         return Headline(question, "Not known", "No prediction was made.", "open")
     horizon = prediction.cases.main_horizon
     models = scored(prediction, horizon) if prediction.horizons else ()
     if not models:
-        return Headline(question, "Not known", "No model has a score; the notes and failures say why.", "open")
+        return Headline(question, "Not known", "No model has a score; the notes and failures give the reasons.", "open")
     best = models[0]
     score = _score(best, horizon)
     if few_data := too_little(prediction, horizon):
         lowest = f"The lowest error, N {three_digits(score.n)}, is that of {best.name}."
         return Headline(question, "Not known", f"{few_data} {lowest}", "open")
     between = " to ".join(map(three_digits, score.estimate.interval))
-    size = f"N {three_digits(score.n)} ({between})"
-    where = horizon_name(horizon, prediction.cases.system.dt)
+    size = f"{three_digits(score.n)} ({between})"
+    where = _at(prediction, horizon)
     good = [model.name for model in models if predicts(prediction, model, horizon)]
     if not good:
-        return Headline(question, "None", f"The lowest error, {size} at {where}, is that of {best.name}.", "bad")
+        if score.n >= USELESS:
+            why = "From 1 on, predicting the mean is as good"
+        elif any(beats_mean(model.score(horizon)) for model in models):
+            why = "No model is significantly better than no change (persistence)"
+        else:
+            why = "No model is significantly better than predicting the mean, which has 1"
+        lowest = f"{where}, the lowest error N is {size}, of {best.name}. {why}."
+        return Headline(question, "None", lowest, "bad")
     equal = [m.name for m in models[1:] if m.name in good and no_worse(prediction, m, best, horizon)]
     leaders = [best.name, *equal]
-    more = f"; {len(good)} of {len(models)} predict" if len(models) > 1 else ""
-    alike = ", no significant difference between them" if len(leaders) > 1 else ""
-    return Headline(question, few(leaders), f"Best at {where}: {size}{alike}{more}.", "good")
+    beaten = [model.name for model in models if model.name not in good]
+    count = f" {len(good)} of {len(models)} models predict" if len(models) > 1 else ""
+    count += f", not {few(beaten)}." if count and beaten else "." if count else ""
+    same = "; no significant difference between them" if len(leaders) > 1 else ""
+    whose = "the lowest error N" if len(leaders) > 1 else "its error N"
+    return Headline(question, few(leaders), f"{where}, {whose} is {size}{same}.{count}", "good")
 
 
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:
@@ -328,84 +369,8 @@ def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction
     return tuple(model for model in prediction.ranking(horizon) if model.name != PERSISTENCE)
 
 
-def prediction_sentences(prediction: Prediction) -> tuple[str, ...]:
-    """Answer which models predict."""
-    if not prediction.horizons:
-        return ("The test set is too short to say: no horizon and no free run fits into it.",)
-    horizon = prediction.cases.main_horizon
-    models = scored(prediction, horizon)
-    if not models:
-        return ("No model could be scored.",)
-    if few_data := too_little(prediction, horizon):
-        lowest = three_digits(_score(models[0], horizon).n)
-        where = _at(prediction, horizon).capitalize()
-        return (few_data, f"{where} the lowest N, {N_IN_WORDS}, is {lowest}, of {models[0].name}.")
-    answers = [_best(prediction, models, horizon)]
-    if any(predicts(prediction, model, horizon) for model in models):
-        equal = [model.name for model in models[1:] if no_worse(prediction, model, models[0], horizon)]
-        if equal:
-            answers.append(f"No significant difference from it: {', '.join(equal)}.")
-        beaten = [model.name for model in models if not beats_persistence(prediction, model, horizon)]
-        if beaten:
-            answers.append(f"Not significantly better than persistence: {', '.join(beaten)}.")
-    if horizon is not None and (free := scored(prediction, None)) and tells_apart(prediction, None):
-        best, n = free[0].name, _score(free[0], None).n
-        found = f"{best} is best: N {n:.3f}"
-        if not any(predicts(prediction, model, None) for model in free):
-            found = f"no model predicts: the lowest N is {n:.3f}, of {best}"
-        answers.append(f"In free run over whole episodes, {found}.")
-    clipped = [
-        f"{model.name} ({percent(model.divergence.share)} of windows)"
-        for model in models
-        if model.divergence is not None and model.divergence.share > 0
-    ]
-    if clipped:
-        answers.append(f"Simulations reach their clip: {', '.join(clipped)}.")
-    answers += [sentence for model in models if (sentence := coverage_sentence(prediction, model))]
-    return tuple(answers)
-
-
-def coverage_sentence(prediction: Prediction, model: ModelPrediction) -> str:
-    """Return in a sentence what a model's intervals hold; empty for a model without a spread."""
-    if not model.coverage:
-        return ""
-    aim = percent(model.coverage[0].share)
-    wrong = [held for held in model.coverage if not held.calibrated]
-    if not wrong:
-        shares = sorted(held.mean for held in model.coverage)
-        horizons = ", ".join(str(held.horizon) for held in model.coverage)
-        return (
-            f"The {aim} intervals of {model.name} are honest: they hold {percent(shares[0])} to {percent(shares[-1])} "
-            f"after {horizons} steps."
-        )
-    parts = []
-    for held in wrong:
-        narrow = held.mean < held.share
-        amount = f"{'only ' if narrow else ''}{percent(held.mean)}"
-        verdict = "too narrow" if narrow else "wider than they need be"
-        parts.append(f"hold {amount} after {horizon_name(held.horizon, prediction.cases.system.dt)}: {verdict}")
-    return f"The {aim} intervals of {model.name} {'; they '.join(parts)}."
-
-
-def _best(prediction: Prediction, models: tuple[ModelPrediction, ...], horizon: int | None) -> str:
-    best, score = models[0], _score(models[0], horizon)
-    still = prediction.model(PERSISTENCE).score(horizon)
-    where = _at(prediction, horizon)
-    size = f"{score.n:.3f} ({score.estimate.low:.3f} to {score.estimate.high:.3f})"
-    beside = f"; persistence has {still.n:.3f}" if still else ""
-    if any(predicts(prediction, model, horizon) for model in models):
-        return f"{where.capitalize()}, {best.name} is best: N, {N_IN_WORDS}, is {size}{beside}."
-    if score.n >= USELESS:
-        why = "from 1 on, a constant would do as well"
-    elif not any(beats_mean(model.score(horizon)) for model in models):
-        why = "no model is significantly better than a constant, which has 1"
-    else:
-        why = "no model is significantly better than that"
-    return f"No model predicts here: {where} the lowest N, {N_IN_WORDS}, is {size}, of {best.name}{beside}; {why}."
-
-
 def _at(prediction: Prediction, horizon: int | None) -> str:
-    return "in free run" if horizon is None else f"at {horizon_name(horizon, prediction.cases.system.dt)}"
+    return "Over whole episodes" if horizon is None else f"After {_length(horizon, prediction)}"
 
 
 def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
@@ -415,7 +380,7 @@ def _score(model: ModelPrediction, horizon: int | None) -> ErrorScore:
 
 
 def prediction_to_json(prediction: Prediction) -> dict[str, Any]:
-    """Return what the document holds under ``prediction``."""
+    """Return the key ``prediction`` of the document."""
     cases = prediction.cases
     return {
         "protocol": asdict(cases.protocol),

@@ -1,4 +1,4 @@
-"""One trial of each controller on every system, to watch side by side; its trace in its own model and on the robot."""
+"""Replay of one trial of each controller on every system; its path in its own model and on the robot."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def section(report: ComparisonResults) -> Section | None:
-    """Return the replay and the traces; None without controllers."""
+    """Return replay and traces; None without controllers."""
     matrix, summary = report.matrix, report.transfer
     if matrix is None or summary is None:
         return None
@@ -44,41 +44,41 @@ def section(report: ComparisonResults) -> Section | None:
 
 
 def _absent(report: ComparisonResults, shown: ReplayElement | None) -> list[str]:
-    """Say what cannot be watched."""
+    """Return what cannot be replayed, and why."""
     if shown is None:
-        return ["Nothing can be replayed: no trial of any controller was kept (traces in experiment.toml)."]
+        return ["No trial was kept, so nothing can be replayed (--traces)."]
     found = []
     if report.matrix is not None and report.matrix.robot is None:
-        found.append("There is no robot beside the models, and so no moment where they part.")
+        found.append("Without a robot the moment at which a model diverges from it is not known.")
     if not shown.paths:
-        found.append("There is no path to watch, since nothing moves on a plane here: states are shown over time.")
+        found.append("Nothing moves on a plane here, so states are shown over time instead of paths.")
     return found
 
 
 ON_A_PLANE = (
-    "Blue: forwards, orange: backwards; positions from above. The outline is the robot at the same time, the cross "
-    "where the model has left its path by a tenth of its extent."
+    "Blue: forwards, orange: backwards; seen from above. The outline is the robot at the same time; the cross marks "
+    "where a model has left the path of the robot by a tenth of its extent."
 )
 OVER_TIME = (
-    "Blue: the state, grey: what it was to be, with the tolerance; dotted: on the robot. The vertical line: where the "
-    "model has left the robot by a tenth of the range of a state."
+    "Blue: the state, grey: its target with the tolerance, dotted: on the robot. The vertical line marks where a model "
+    "has left the robot by a tenth of the range of a state."
 )
 CONTROLS = (
-    " Bars: the controls, from neutral. All start from the same state, that of the first trial if no other is named. "
-    "Keys: space plays and pauses, comma and full stop go a step back and on."
+    " Bars: the controls, from neutral. All systems start from the same state, that of the first trial if no other is "
+    "named. Keys: space plays and pauses, comma and full stop go one step back and forward."
 )
 
 MOST_NUMBERS = 1_200_000
-"""Numbers of trials that a page holds, about 3 MB: beyond it, trials on models that were not evolved against go."""
+"""Numbers in the trials of a page, about 3 MB; beyond it trials on models not evolved in are left out."""
 
 
 def replay(
     matrix: TransferMatrix, *, first: str | None = None, watched: Mapping[str, int] | None = None
 ) -> ReplayElement | None:
-    """Return the first trial of every cell that kept one; None if there is none.
+    """Return the first kept trial of every cell; None if no cell has one.
 
-    The controller ``first`` is the one shown at the start (default: the first row). Of the controllers that are
-    ``watched`` another trial is shown too, by its number from 0, where it was kept.
+    The controller ``first`` is shown at the start (default: the first row). ``watched`` names one more trial of some
+    controllers, by its number from 0, which is shown too if it was kept.
     """
     system = next((champion.system for champion in matrix.champions if champion.system is not None), None)
     kept = [trace for cell in matrix.cells.values() for trace in cell.traces[:1]]
@@ -101,8 +101,8 @@ def replay(
             numbers += _numbers(trace, paths=paths)
             other = None if on_robot else robot
             apart = None if other is None else divergence_time(trace, other, system, paths=paths)
-            told = {"row": row, "column": column, "own": own, "robot": on_robot}
-            runs.append({**told, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
+            place = {"row": row, "column": column, "own": own, "robot": on_robot}
+            runs.append({**place, "compared": other is not None, "apart": apart, **_trial(trace, paths=paths)})
             rows[row] = None
     document = {
         "unit": matrix.unit,
@@ -120,7 +120,7 @@ def replay(
 
 
 def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tuple[Champion, int]]:
-    """Yield each controller with its first trial, and where one more is watched with that."""
+    """Yield each controller with its first trial, and with the one more to watch."""
     for champion in matrix.champions:
         yield champion, 0
         if watched.get(champion.name):
@@ -128,19 +128,19 @@ def _trials(matrix: TransferMatrix, watched: Mapping[str, int]) -> Iterator[tupl
 
 
 def _ordered(matrix: TransferMatrix, champion: Champion) -> tuple[str, ...]:
-    """Return the columns, the robot first, then those that a controller was evolved on."""
+    """Return the columns, the robot first, then the models that a controller was evolved in."""
     robots = [column for column in matrix.columns if column == matrix.robot]
     return tuple(dict.fromkeys((*robots, *(c for c in matrix.columns if c in champion.against), *matrix.columns)))
 
 
 def is_planar(trace: Trace) -> bool:
-    """Tell whether the trial has the pose of a body on a plane."""
+    """Whether the trial has the pose of a body on a plane."""
     pose = trace.trajectory.pose
     return pose is not None and pose.shape[1] == 3
 
 
 APART = 0.1
-"""Two trials part where they are this share of the robot's trial apart: of its extent, of the range of a state."""
+"""Two trials diverge at a distance of this share of the robot's trial: of its extent, of the range of a state."""
 
 
 def divergence_time(trace: Trace, robot: Trace, system: System, *, paths: bool) -> float | None:
@@ -168,7 +168,7 @@ def divergence_time(trace: Trace, robot: Trace, system: System, *, paths: bool) 
 
 
 def _range(trace: Trace, place: int, values: Array, system: System) -> float:
-    """Return how far a state goes in a trial, its target included; a periodic one at most one period."""
+    """Return the range of a state in a trial, its target included; at most the period of a periodic one."""
     wanted = [target.values for target in trace.targets if target.place == place]
     spread = float(np.ptp(np.concatenate([values, *wanted])))
     period = system.states[place].period
@@ -200,7 +200,7 @@ def _numbers(trace: Trace, *, paths: bool) -> int:
 
 
 NO_NUMBER = 65535
-"""The highest number of 16 bits: it stands for what is no number."""
+"""The highest number of 16 bits, which means nan."""
 
 
 def packed(values: Array) -> dict[str, Any]:
@@ -228,7 +228,7 @@ SQUARE = (0.19, 0.17, 0.79, 0.79)
 
 
 def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
-    """What each controller did in its own model and on the robot, in the first trial: its path, or its states."""
+    """Return path or states of each controller in its own model and on the robot, in the first trial."""
     found = [(name, column, trace) for name in matrix.rows for column, trace in _traces(name, matrix)]
     if not found:
         return None
@@ -239,21 +239,22 @@ def traces_picture(matrix: TransferMatrix) -> FigureElement | None:
         drawing = _path(number, label, trace) if paths else _over_time(number, label, trace, _champion(name, matrix))
         panels.append(DrawingPair(drawing, title=label, note=f"{trace.fitness:.4g} {matrix.unit}".strip()))
     left_out = " The first controllers only." if len(found) > SHOWN_TRACES else ""
-    drawn = "Blue: what the states did, grey: what they were to do, with the tolerance"
+    drawn = "Blue: the states, grey: their targets with the tolerance"
     if paths:
         walls = ", between the walls (grey)" if any(t.walls for _, _, t in found) else ""
         passed = ", through the waypoints in order (green: passed)" if any(len(t.waypoints) for *_, t in found) else ""
         drawn = f"Blue: forwards, orange: backwards; from the dot{walls}{passed}. Positions in metres"
     return FigureElement(
-        "Traces",
+        "Traces: the first trial of each controller",
         f"{drawn}; the first trial, the same for all.{left_out}",
         tuple(panels),
         columns=4 if paths else 3,
+        details=True,
     )
 
 
 def _traces(name: str, matrix: TransferMatrix) -> Sequence[tuple[str, Trace]]:
-    """Return the first trace of a champion on a model it was evolved against, and on the robot."""
+    """Return the first trace of a champion in a model that it was evolved in, and on the robot."""
     champion = _champion(name, matrix)
 
     def first(column: str) -> Trace | None:

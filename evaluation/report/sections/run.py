@@ -1,4 +1,4 @@
-"""How the run was made: what failed, and why; models, settings, versions, times."""
+"""How the run was made: failures with reasons, settings, versions, computing times."""
 
 from __future__ import annotations
 
@@ -6,49 +6,38 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from evaluation.formatting import listed
-from evaluation.report.elements import Section, TableElement
+from evaluation.report.elements import Item, Section, TableElement, present
 from evaluation.results import ComparisonResults
 
 SHORTEST = 0.05
-"""Seconds below which the time of a cell is left out."""
+"""Seconds below which the time of a step is left out."""
 
 
 def section(report: ComparisonResults) -> Section | None:
-    """Return models, settings, versions and times; None if none is known."""
+    """Return failures, settings, versions and times; None if nothing is known."""
     timings = {cell: round(seconds, 2) for cell, seconds in report.timings.items() if seconds >= SHORTEST}
     named = (
         ("Settings", report.settings),
         ("Versions", report.versions),
-        (f"Timings (s) from {SHORTEST:g} s", timings),
+        (f"Computing times (s) of steps above {SHORTEST:g} s", timings),
     )
-    sheets = [model_sheet(report)] if report.models else []
+    sheets: list[Item] = present(failure_table(report))
     sheets += [
         TableElement(title, ("name", "value"), tuple(flat(values)), details=True, prose=True)
         for title, values in named
         if values
     ]
-    return Section("Settings", sheets, background=True) if sheets else None
+    return Section("This run", sheets, background=True) if sheets else None
 
 
-def failures(report: ComparisonResults) -> Section | None:
-    """Return what could not be computed, and why; None if nothing failed."""
+def failure_table(report: ComparisonResults) -> TableElement | None:
+    """Return the steps that failed, and why; None if none did."""
     rows = tuple((failure.what, failure.reason) for failure in report.all_failures)
-    return Section("Failures", [TableElement("Failed", ("what", "reason"), rows, prose=True)]) if rows else None
-
-
-def model_sheet(report: ComparisonResults) -> TableElement:
-    """The models and their hyper-parameters."""
-    rows = [
-        (model.name, model.family, model.knowledge, listed([f"{k} = {v}" for k, v in model.parameters.items()]))
-        for model in report.models
-    ]
-    heads = ("model", "family", "knowledge", "hyper-parameters")
-    return TableElement("Models", heads, tuple(rows), details=True, prose=True)
+    return TableElement("Failed steps", ("step", "reason"), rows, prose=True) if rows else None
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Return keys and values; what is nested gets a dotted key."""
+    """Return keys and values; nested values have a dotted key."""
     rows: list[tuple[str, str]] = []
     for key, value in values.items():
         if isinstance(value, Mapping):

@@ -1,58 +1,94 @@
-"""The first screen: three answers at first sight, then the same in sentences, what is not known, and what failed."""
+"""The first screen: title, facts, the three answers with a figure; the answers in sentences; failures."""
 
 from __future__ import annotations
 
+from datetime import date
+
+from evaluation.formatting import percent
 from evaluation.report.elements import Finding, Headline
 from evaluation.report.sections import controllers, exploitability, prediction
 from evaluation.report.sections.advice import limits_question
-from evaluation.report.sections.controllers import LOOK_AT_THE_REWARD, choice_sentences, transfer_sentences
-from evaluation.report.sections.controllers import open_questions as unknown
-from evaluation.report.sections.prediction import prediction_sentences, scored
+from evaluation.report.sections.controllers import open_questions
+from evaluation.report.sections.prediction import scored
 from evaluation.results import ComparisonResults
-from evaluation.sufficiency import none_beats_rest
+
+
+def page_title(report: ComparisonResults) -> str:
+    """Return robot, task and numbers of models and controllers; the title alone if no task was named."""
+    settings = report.settings
+    task = str(settings.get("task") or "").partition("(")[0]
+    if settings.get("title") or not task:
+        return report.title
+    made = [] if report.matrix is None else [one for one in report.matrix.champions if one.against]
+    counts = f"{len(report.models)} models" + (f", {len(made)} controllers" if made else "")
+    return f"{settings.get('robot') or report.data.name or 'own data'}, {task}: {counts}"
+
+
+def facts(report: ComparisonResults, *, today: date | None = None) -> str:
+    """Return one line on how the run was made: date, version, preset, seed, data, trials, computing time."""
+    data, settings = report.data, report.settings
+    parts = [part for part in (data.training, () if data.test == data.training else data.test) if part]
+    seconds = [sum(episode.duration for episode in part) for part in parts]
+    length = f"{sum(seconds) / 60.0:.2g} min" if sum(seconds) >= 60.0 else f"{sum(seconds):.0f} s"
+    recorded = f"{length} of data at {1.0 / data.system.dt:.3g} Hz"
+    trials = [] if report.matrix is None else [cell.trials for cell in report.matrix.cells.values()]
+    spent = sum(report.timings.values())
+    said = (
+        "" if today is None else f"{today.day} {today:%b %Y}",
+        f"sysid-evo {report.versions['sysid-evo']}" if "sysid-evo" in report.versions else "",
+        f"preset {settings['preset']}" if "preset" in settings else "",
+        f"seed {settings['seed']}" if "seed" in settings else "",
+        f"{recorded}, {percent(seconds[1] / sum(seconds))} held out" if len(seconds) > 1 else recorded,
+        f"{max(trials)} trials each" if any(trials) else "",
+        f"computed in {spent:.0f} s" if spent >= 1.0 else "",
+    )
+    return " \u00b7 ".join(filter(None, said))
+
+
+def warnings(report: ComparisonResults) -> list[str]:
+    """Return a sentence on the steps that failed; empty if none did."""
+    failures = report.all_failures
+    if not failures:
+        return []
+    first = failures[0]
+    return [f"{_failed(report)}. The first: {first.what}: {first.reason.splitlines()[0] if first.reason else 'failed'}"]
+
+
+def _failed(report: ComparisonResults) -> str:
+    count, steps = len(report.all_failures), len(report.timings)
+    of = f"{count} of {steps} steps" if steps >= count else "1 step" if count == 1 else f"{count} steps"
+    return f"{of} failed; all reasons are under This run"
 
 
 def headlines(report: ComparisonResults) -> tuple[Headline, ...]:
-    """Return the three answers that the page begins with; that on controllers first, where none is of use."""
-    found = prediction.headline(report), exploitability.headline(report), controllers.headline(report)
-    useless = report.matrix is not None and none_beats_rest(report.matrix)
-    return (found[2], *found[:2]) if useless else found
+    """Return the three answers at the top of the page, those that are not known last."""
+    found = controllers.headline(report), exploitability.headline(report), prediction.headline(report)
+    return tuple(sorted(found, key=lambda one: one.tone == "open"))
 
 
 SAID = 2
-"""Remarks of the advice that the verdict repeats."""
+"""Number of remarks of the advice that the terminal prints."""
 
 
 def verdict(report: ComparisonResults) -> tuple[Finding, ...]:
-    """Answer which models predict, which controllers transfer, what to use, and what stays open."""
-    findings = []
-    if tells_nothing(report):
+    """Return the answers, what is not known, what limits the best model, and what failed, for a terminal."""
+    findings = [Finding(one.question, (one.answer, one.sentence)) for one in headlines(report)]
+    if is_empty(report):
         both = "" if report.matrix is None else " and no controller could be run"
         said = f"Nothing: no model could be scored{both}. Look at the failures and notes, or record more data."
         compared = report.prediction is not None or report.matrix is not None
-        findings.append(Finding("What was found?", (said if compared else "Nothing was compared.",)))
-    if report.matrix is not None and none_beats_rest(report.matrix):
-        findings.append(Finding("Is there anything to choose?", (LOOK_AT_THE_REWARD,)))
-    if report.prediction is not None:
-        findings.append(Finding("Which models predict?", prediction_sentences(report.prediction)))
-    if report.matrix is not None:
-        findings.append(Finding("Which controllers transfer?", transfer_sentences(report.matrix, report.transfer)))
-        if report.transfer is not None and not all(cell.failed for cell in report.matrix.cells.values()):
-            findings.append(Finding("What to use?", choice_sentences(report)))
-            if open_questions := unknown(report.transfer):
-                findings.append(Finding("What is not known?", open_questions))
+        findings = [Finding("What was found?", (said if compared else "Nothing was compared.",))]
+    elif report.transfer is not None and (unknown := open_questions(report.transfer)):
+        findings.append(Finding("What is not known?", unknown))
     if report.advice is not None and report.advice.remarks:
         remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
         findings.append(Finding(limits_question(report.advice), remarks))
     if report.all_failures:
-        count = len(report.all_failures)
-        findings.append(
-            Finding("What failed?", (f"{count} {'part' if count == 1 else 'parts'}; the reasons are listed below.",))
-        )
+        findings.append(Finding("What failed?", (f"{_failed(report)}.",)))
     return tuple(findings)
 
 
-def tells_nothing(report: ComparisonResults) -> bool:
+def is_empty(report: ComparisonResults) -> bool:
     """Whether no model has a score and no controller was run anywhere."""
     found, matrix = report.prediction, report.matrix
     has_score = found is not None and any(scored(found, horizon) for horizon in found.horizons)

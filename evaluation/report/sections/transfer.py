@@ -1,4 +1,4 @@
-"""Every controller on every system: the transfer matrix, further measures, the paper's Table 2."""
+"""Fitness of every controller on every system: the transfer matrix, further measures, Table 2 of the paper."""
 
 from __future__ import annotations
 
@@ -7,70 +7,20 @@ from typing import Any
 import numpy as np
 
 from evaluation.formatting import by_error, folded, lines, number, percent, plus_minus, three_digits
-from evaluation.report.elements import Section, Shading, TableElement, present
-from evaluation.report.sections.controllers import (
-    claims_picture,
-    command_sheet,
-    controller_sheet,
-    open_questions,
-    standing_sheet,
-)
-from evaluation.report.sections.evolution import behaviour_class_table, fitness_picture
-from evaluation.results import ComparisonResults
+from evaluation.report.elements import Shading, TableElement
 from evaluation.transfer.matrix import BY_HAND, NOT_RUN, TransferMatrix, TransferResult
 from evaluation.transfer.summary import MatrixEstimates, other_family_models
 from sysid_evo.validation.estimates import CONFIDENCE
 
-
-def section(report: ComparisonResults) -> Section:
-    """Return the transfer matrix and what it says of each controller; without controllers, why."""
-    matrix, summary = report.matrix, report.transfer
-    if matrix is None or summary is None:
-        return Section("Transfer", absent=_absent(report))
-    return Section(
-        "Transfer",
-        present(
-            transfer_sheet(matrix),
-            paper_sheet(matrix) if report.settings.get("preset") == "paper" else None,
-            claims_picture(matrix, summary),
-            standing_sheet(matrix, summary),
-            controller_sheet(matrix, summary),
-            further_measures_table(matrix),
-            behaviour_class_table(matrix),
-            command_sheet(report),
-            fitness_picture(matrix),
-        ),
-        [
-            "Claimed: fitness on the models a controller was evolved against. Achieved: fitness elsewhere.",
-            *open_questions(summary),
-        ],
-        absent=_absent(report),
-    )
-
-
-def _absent(report: ComparisonResults) -> list[str]:
-    """Say what is not known of controllers."""
-    matrix = report.matrix
-    if matrix is None or report.transfer is None:
-        only = report.settings.get("stop_after")
-        why = f", since only {only!r} was asked for: transfer" if only else ", so transfer"
-        return [f"No controller was evolved{why} is not known."]
-    if matrix.robot is None:
-        return [
-            "Nothing was run on a robot, so what is achieved there is not known: the other models stand for it. Name "
-            "one with --robot, or drive and run the report again."
-        ]
-    if all(matrix.cell(row, matrix.robot).failed for row in matrix.rows):
-        return [f"No controller could be run on {matrix.robot}: what is achieved there is not known."]
-    return []
-
-
 CONSENSUS = "other\nfamilies"
-"""The heading of what models of other families say together."""
+"""Heading of the median over models of other families."""
 
 
 def transfer_sheet(matrix: TransferMatrix) -> TableElement:
-    """Mean fitness (standard deviation over trials) of every controller on every system, and on other families."""
+    """Return mean fitness (standard deviation over trials) of every controller on every system.
+
+    The robot comes first, then the median over models of other families, then the models.
+    """
     places = _with_consensus(matrix)
     columns = tuple(
         CONSENSUS if c is None else lines(folded(c), "(robot)" if c == matrix.robot else "") for c in places
@@ -105,25 +55,26 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         for j, column in enumerate(places)
         if column in champion.against
     )
-    models = sum(column is None or column in matrix.models for column in places)
+    robots = sum(column is not None and column not in matrix.models for column in places)
     return TableElement(
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
         rows=tuple(rows),
         note=(
-            f"{_trials(matrix)} = evolved against this model. "
-            "other families: median over the models of families that it was not evolved in. "
-            "clip: steps whose state was clipped to the model's envelope; div: trials that diverged."
+            f"{_trials(matrix)} Rows are controllers, columns are systems; = and a frame: evolved in this model. "
+            "Other families: median over the models of families that it was not evolved in. "
+            "Limited: steps at which a state was held at the state bounds; div: trials that diverged."
         ),
-        heat=Shading(shades, own, models if 0 < models < len(places) else None),
+        heat=Shading(shades, own, robots if 0 < robots < len(places) else None),
+        sticky=2 if robots else 1,
     )
 
 
 def _with_consensus(matrix: TransferMatrix) -> tuple[str | None, ...]:
-    """Return the columns with None for the consensus of other families, before the robots, if these are several."""
+    """Return the columns, robots first; None is the median over other families, if there are several."""
     families = {matrix.families[column] for column in matrix.models}
     robots = tuple(column for column in matrix.columns if column not in matrix.models)
-    return (*matrix.models, *((None,) if len(families) > 2 else ()), *robots)
+    return (*robots, *((None,) if len(families) > 2 else ()), *matrix.models)
 
 
 def _fitness_cell(cell: TransferResult, own: bool) -> str:
@@ -132,14 +83,14 @@ def _fitness_cell(cell: TransferResult, own: bool) -> str:
     error = cell.standard_error
     return lines(
         f"{'= ' if own else ''}{by_error(cell.mean, error)} ({by_error(cell.std, error)})",
-        f"clip {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
+        f"limited {percent(cell.clipped_share)}" if cell.clipped_share > 0 else "",
         f"div {percent(cell.diverged_share)}" if cell.diverged_share > 0 else "",
         f"{len(cell.missing)} missing" if cell.missing else "",
     )
 
 
 def _trials(matrix: TransferMatrix) -> str:
-    """Say how many trials a cell has; on a robot that is driven there may be fewer."""
+    """Return how many trials a cell has; on a robot that is driven there may be fewer."""
     counts = sorted({cell.trials for cell in matrix.cells.values() if cell.trials})
     if len(counts) > 1:
         return f"{counts[0]} to {counts[-1]} fresh trials, the first ones the same in every cell."
@@ -147,27 +98,28 @@ def _trials(matrix: TransferMatrix) -> str:
 
 
 def further_measures_table(matrix: TransferMatrix) -> TableElement | None:
-    """What the task tells beside the fitness, where each controller was evolved and on the robot; None if nothing."""
+    """Return measures of the task other than fitness, in the first model evolved in and on the robot; None if none."""
     rows, names = [], list(dict.fromkeys(name for cell in matrix.cells.values() for name in cell.measures))
     for champion in matrix.champions:
         own = next((column for column in champion.against if column in matrix.columns), None)
         places = dict.fromkeys(column for column in (own, matrix.robot) if column is not None)
         for column in places:
-            told = matrix.cell(champion.name, column).measures
-            shown = [three_digits(told.get(name)) for name in names]
+            measures = matrix.cell(champion.name, column).measures
+            shown = [three_digits(measures.get(name)) for name in names]
             rows.append((champion.name, folded(column), *shown))
     if not names:
         return None
     return TableElement(
-        title="What else was measured",
+        title="Other measures of the task",
         columns=("controller", "on", *(name.replace(" ", "\n") for name in names)),
         rows=tuple(rows),
-        note="Means over the trials that have the number; the first model that it was evolved on, and the robot.",
+        note="Means over the trials that have the measure, in the first model evolved in and on the robot.",
+        details=True,
     )
 
 
 FAMILIES = {"backprop27": "bp27", "parametrised": "param", "evolved3": "evo3", "nearest_neighbour": "nn"}
-"""The columns, and what the paper calls them; the last one is the car."""
+"""The columns and their names in the paper."""
 CONTROLLERS = {
     ("backprop27",): ("bp27c", (18.6, 9.0, 1.3, 14.0, 9.33)),
     ("parametrised",): ("paramc", (18.1, 15.1, 1.3, 15.5, 14.0)),
@@ -176,14 +128,14 @@ CONTROLLERS = {
     ("evolved3", "nearest_neighbour"): ("mm1c", (11.0, 4.0, 15.0, 12.0, 8.33)),
     ("backprop27", "nearest_neighbour", "parametrised"): ("mm2c", (13.6, 10.0, 10.2, 11.7, 9.33)),
 }
-"""What each controller was evolved against (the paper does not say which three models mm2c met), and its row there."""
+"""Row of the paper for each controller, by its models; the paper does not name the three models of mm2c."""
 HUMANS = "People in the paper: 8.33 waypoints forwards (humFc), 6.0 backwards (humBc)."
 
 
 def paper_sheet(matrix: TransferMatrix) -> TableElement | None:
-    """The paper's Table 2 with these cells, its own numbers below; None unless its four single models are there.
+    """Return Table 2 of the paper with these results, its own numbers below; None without its four models.
 
-    Several models of one family are not in it: the first counts.
+    Of several models of one family the first is used.
     """
     columns = {family: column for column in reversed(matrix.models) if (family := matrix.families[column]) in FAMILIES}
     if len(columns) < len(FAMILIES):
@@ -203,19 +155,19 @@ def paper_sheet(matrix: TransferMatrix) -> TableElement | None:
     driven = [champion.name for champion in matrix.champions if champion.controller == BY_HAND]
     rows += [(name, *(number(matrix.cell(name, place).mean) for place in places)) for name in driven]
     return TableElement(
-        title="Table 2 of the paper, here and there: fitness (standard deviation)",
+        title="Table 2 of the paper, with the results of this run: fitness (standard deviation)",
         columns=("controller", *FAMILIES.values(), *([] if matrix.robot is None else ["real"])),
         rows=tuple(rows),
         note=(
-            "First line: this comparison; second: the paper, whose car, data and arena are others. "
-            f"mm1c met evo3 and nn, mm2c here bp27, nn and param. {HUMANS}"
+            "First line: this run; second line: the paper, with another car, other data and another arena. "
+            f"mm1c was evolved in evo3 and nn, mm2c of this run in bp27, nn and param. {HUMANS}"
         ),
         details=True,
     )
 
 
 def matrix_to_json(matrix: TransferMatrix) -> dict[str, Any]:
-    """Return what the document holds under ``transfer``."""
+    """Return the key ``transfer`` of the document."""
     figures = MatrixEstimates(matrix)
     return {
         "unit": matrix.unit,

@@ -54,16 +54,16 @@ def painted(page):
     return np.asarray(imread(io.BytesIO(picture))[:, :, :3])
 
 
-def test_a_screen_for_every_system_the_robot_in_a_frame(page):
+def test_there_is_a_screen_for_every_system_with_a_frame_for_the_robot(page):
     page.locator(ROW).select_option("ensemble_c")
     names = page.locator(".screen .name").evaluate_all("all => all.map(e => e.firstChild.textContent)")
     assert names == ["car", "known", "weak", "sliding"]
     expect(page.locator(".screen.robot")).to_have_count(1)
     told = page.locator(".screen small").all_text_contents()
     assert "evolved here" not in told[0]
-    assert "as on the robot to the end" in told[1]
+    assert "matches the robot to the end" in told[1]
     assert "evolved here" in told[2]
-    assert "as on the robot for " in told[2]
+    assert "matches the robot for " in told[2]
 
 
 def test_another_controller_is_shown_when_it_is_chosen(page):
@@ -72,7 +72,7 @@ def test_another_controller_is_shown_when_it_is_chosen(page):
         expect(page.locator(".screen canvas").first).to_have_attribute("aria-label", re.compile(f"^{row} on car"))
 
 
-def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(page):
+def test_the_path_so_far_is_drawn_in_the_colours_of_the_theme(page):
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         coloured = []
@@ -84,7 +84,7 @@ def test_what_was_done_so_far_is_drawn_in_the_colours_of_the_theme(page):
         assert coloured[0] < 1e-5 < 3e-5 < coloured[1], scheme  # a line of a few dozen pixels
 
 
-def test_it_plays_to_the_end_pauses_and_begins_anew(page):
+def test_it_plays_to_the_end_pauses_and_starts_again(page):
     play, clock = page.locator(PLAY), page.locator(CLOCK)
     page.locator(PACE).select_option("0.25")
     play.click()
@@ -133,7 +133,7 @@ def test_it_scrubs_with_the_pointer_and_with_the_keys(page):
 def test_it_goes_by_a_step_with_buttons_and_keys(page):
     seek(page, 1.0)
     time = page.locator(TIME)
-    back, on = (page.get_by_role("button", name=f"One step {way}") for way in ("back", "on"))
+    back, on = (page.get_by_role("button", name=f"One step {way}") for way in ("back", "forward"))
     for button, value in ((on, "1.05"), (on, "1.1"), (back, "1.05")):
         button.click()
         expect(time).to_have_value(value)
@@ -150,10 +150,15 @@ def test_it_goes_by_a_step_with_buttons_and_keys(page):
     expect(page.locator(PLAY)).to_have_text("Play")
 
 
-def test_a_phone_shows_the_robot_and_one_model_side_by_side(page):
+def test_all_systems_are_shown_on_request_and_a_phone_shows_the_robot_and_one_model(page):
     page.locator(ROW).select_option("ensemble_c")
     screens, beside = page.locator(".screen"), page.locator("#replay-beside")
-    assert screens.evaluate_all("all => all.filter(e => e.clientWidth).length") == 4
+    counts = []
+    for _ in range(3):
+        counts.append(screens.evaluate_all("all => all.filter(e => e.clientWidth).length"))
+        page.locator("#replay-all").click()
+    page.locator("#replay-all").click()
+    assert counts == [3, 4, 3]  # the robot and the models of the evolution, then every system
     expect(beside).to_be_hidden()
     resize(page, PHONE)
     for name in ("known", "sliding"):
@@ -183,7 +188,7 @@ def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(
     page.locator(".screen button").first.click()
     expect(page.locator(PLAY)).to_have_text("Play")
     there = page.locator(".screen").filter(has=page.get_by_role("button")).first
-    expect(there).to_contain_text(f"as on the robot for {page.locator(CLOCK).text_content()}")
+    expect(there).to_contain_text(f"matches the robot for {page.locator(CLOCK).text_content()}")
 
 
 def test_every_control_has_a_name_for_those_who_cannot_see_it(page):

@@ -3,10 +3,12 @@
 axe-core is that of the package ``axe-core-python``, or a newer one where ``AXE_CORE`` says.
 """
 
+import csv
 import os
 import re
 from dataclasses import replace
 from itertools import pairwise
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from tests.fixtures.studies import made_up
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
 SHEET = 718
 """CSS pixels across a sheet of A4 within its margins."""
-HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Predicted and measured", "Claimed and achieved"
+HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Simulated and measured", "Claimed and achieved"
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def test_the_page_is_as_wide_as_the_screen_and_what_is_wider_scrolls_in_itself(v
         assert page.evaluate("innerWidth") == width
     if which == "long":
         resize(page, PHONE)
-        tables = page.locator("section > .scroll")
+        tables = page.locator("section > .scroll").filter(visible=True)
         assert max(tables.evaluate_all("all => all.map(e => e.scrollWidth - e.clientWidth)")) > 50
         overflow, attachment = tables.first.evaluate(
             "e => [getComputedStyle(e).overflowX, getComputedStyle(e).backgroundAttachment]"
@@ -129,7 +131,7 @@ def test_paper_gets_no_buttons_and_no_player_and_heads_of_tables_again_on_the_ne
     head = page.locator("thead").first
     expect(head).to_have_css("break-inside", "avoid")
     expect(head.locator("th").first).to_have_css("position", "static")
-    expect(page.locator("thead th button").first).to_have_css("display", "contents")
+    expect(page.locator("thead th .sort").first).to_have_css("display", "contents")
 
 
 def figure(page, title):
@@ -232,6 +234,85 @@ def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(page):
     assert column(table, 0) == before
 
 
+@pytest.fixture(scope="module")
+def large_page(tmp_path_factory):
+    return save_report(chosen.large_report(), tmp_path_factory.mktemp("large"))[1]
+
+
+def test_a_report_of_seven_models_and_eleven_controllers_is_short_and_begins_with_its_answers(visitor, large_page):
+    page = visitor.open(large_page)
+    assert page.evaluate("document.documentElement.scrollHeight") <= 10_000
+    assert page.evaluate("document.querySelector('.answers').getBoundingClientRect().top") < 120
+    assert page.evaluate("document.querySelector('table').getBoundingClientRect().top") < 950
+    assert page.get_by_role("heading", level=1).inner_text() == "emulated_car, point_to_point: 7 models, 8 controllers"
+    links = page.locator("nav a").all_inner_texts()
+    order = "Controllers, Replay, Trust, Prediction, Models, Next recording, Behaviour, Data, This run"
+    assert ", ".join(links) == order
+
+
+@pytest.mark.parametrize("width", [PHONE, DESK])
+def test_the_name_and_the_column_of_the_robot_stay_in_view(visitor, large_page, width):
+    page = visitor.open(large_page)
+    resize(page, width)
+    scroll = page.locator(".scroll").filter(has_text="evolved3").first
+    before, after = [], []
+    for found, left in ((before, 0), (after, 120)):
+        scroll.evaluate("(e, left) => { e.style.maxWidth = '500px'; e.scrollLeft = left; }", left)
+        cells = scroll.locator("tbody tr").first.locator("th, td")
+        found += [cells.nth(place).bounding_box()["x"] for place in (0, 1, 4)]
+    assert after[:2] == pytest.approx(before[:2], abs=1.0)
+    assert after[2] == pytest.approx(before[2] - 120.0, abs=1.0)
+
+
+def test_a_click_on_a_dot_plays_that_controller(visitor, large_page):
+    page = visitor.open(large_page)
+    dot = page.locator('.first .plot [data-link="4"]').first
+    dot.dispatch_event("click")
+    expect(page.locator("#replay-row")).to_have_value("evolved3")
+    expect(page.locator("#replay-play")).to_have_text("Pause")
+    name = page.locator('.first .plot [role="button"][data-link="5"]')
+    expect(name).to_have_accessible_name(re.compile("^Watch nearest_neighbour: claims 12.00 "))
+    name.press("Enter")
+    expect(page.locator("#replay-row")).to_have_value("nearest_neighbour")
+
+
+def test_a_word_is_explained_by_a_click_on_its_question_mark(page):
+    explained = page.get_by_role("button", name="What is: forecast").first
+    meaning = page.locator(f"#{explained.get_attribute('popovertarget')}")
+    expect(meaning).to_be_hidden()
+    explained.click()
+    expect(meaning).to_be_visible()
+    expect(meaning).to_contain_text("Expected fitness on the robot")
+    page.keyboard.press("Escape")
+    expect(meaning).to_be_hidden()
+
+
+def test_tables_and_figures_are_saved_by_a_click(page, report):
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save as CSV: Simulation error N").click()
+    assert saved.value.suggested_filename == "simulation-error-n-95-intervals.csv"
+    rows = list(csv.reader(saved.value.path().read_text("utf-8-sig").splitlines()))
+    assert rows[0][:2] == ["model", "1 step (0.05 s)"]
+    assert [row[0].split()[0] for row in rows[1:]] == list(report.prediction.names)
+    assert {len(row) for row in rows} == {len(rows[0])}
+    with page.expect_download() as saved:
+        page.get_by_role("button", name=f"Save as SVG: {HORIZON}").click()
+    drawing = saved.value.path().read_text()
+    assert ElementTree.fromstring(drawing).tag.endswith("svg")
+    assert "var(--" not in drawing
+    assert all(f">{name}<" in drawing for name in report.prediction.names)
+
+
+def test_a_reader_chooses_the_test_episode(page):
+    shown = figure(page, FREE_RUN)
+    select = shown.get_by_label("Test episode")
+    names = [shown.locator(".read").filter(visible=True).get_attribute("aria-label")]
+    select.select_option(index=1)
+    names.append(shown.locator(".read").filter(visible=True).get_attribute("aria-label"))
+    assert len(set(names)) == 2
+    select.select_option(index=0)
+
+
 def test_the_command_of_the_controller_to_take_is_copied(visitor, tmp_path):
     fitness = {"a": {"a": 10.0, "b": 9.0, "emulated_car": 9.5}, "b": {"a": 3.0, "b": 9.5, "emulated_car": 5.0}}
     made = chosen.report(transfer=chosen.matrix(fitness, robot="emulated_car"))
@@ -249,6 +330,6 @@ def test_the_command_of_the_controller_to_take_is_copied(visitor, tmp_path):
 def test_without_a_script_lines_and_tables_are_there_no_button_and_a_word_on_what_is_missing(visitor, report_page):
     page = visitor.open(report_page, java_script_enabled=False)
     assert shown(page, "[data-series]") > 10
-    expect(page.locator("main button:not(.deck button)")).to_have_count(0)
+    expect(page.locator("main button:not(.deck button, .help)")).to_have_count(0)
     expect(page.locator(".unplayed")).to_contain_text("needs JavaScript")
     assert shown(page, "#replay-player") == 0

@@ -8,7 +8,7 @@ import pytest
 
 from evaluation.report import to_json
 from evaluation.report.render.terminal import WIDTH, table_lines
-from evaluation.report.sections.controllers import standing_sheet
+from evaluation.report.sections.controllers import fitness_table, further_figures_table
 from evaluation.report.sections.transfer import transfer_sheet
 from evaluation.transfer import Cell, MatrixEstimates, TransferMatrix, summarise
 from sysid_evo.validation.estimates import CONFIDENCE
@@ -72,9 +72,9 @@ def test_intervals_are_over_trials_and_say_so():
     achieved = summary.controller("a").achieved
     assert achieved.value == 9.0
     assert achieved.high - achieved.low < 0.2
-    sheet = standing_sheet(matrix, summary)
-    assert [row[0].split("\n")[0] for row in sheet.rows] == ["a", "b", "hand"]
-    assert "over fresh trials of this one controller, not over evolution seeds" in sheet.note
+    sheet = further_figures_table(matrix, summary)
+    assert [row[0].split("\n")[0] for row in sheet.rows] == ["a", "b", "hand (baseline)"]
+    assert "over fresh trials of this one controller, not over evolution runs" in sheet.note
 
 
 def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in():
@@ -86,27 +86,27 @@ def test_the_consensus_leaves_out_the_family_that_a_controller_was_evolved_in():
     consensus = MatrixEstimates(matrix).consensus(matrix.champions[0])
     assert consensus.value == 4.0
     sheet = transfer_sheet(matrix)
-    assert sheet.columns[-1] == "other\nfamilies"
-    assert sheet.rows[0][-1] == "4.00 ±0"
+    assert sheet.columns[1] == "other\nfamilies"
+    assert sheet.rows[0][1] == "4.00 ±0"
 
 
-def test_the_consensus_stands_between_models_and_robots():
+def test_the_robot_comes_first_then_the_consensus_then_the_models():
     sheet = transfer_sheet(made_up.matrix(FITNESS, robot="car", against={"hand": ()}))
-    assert [column.split("\n")[0] for column in sheet.columns] == ["controller", "a", "b", "c", "other", "car"]
-    assert sheet.heat.divided == 4
-    assert sheet.heat.shades[0][3] == pytest.approx(6.5 / 12.5)
+    assert [column.split("\n")[0] for column in sheet.columns] == ["controller", "car", "other", "a", "b", "c"]
+    assert sheet.heat.divided == 1
+    assert sheet.heat.shades[0][1] == pytest.approx(6.5 / 12.5)
 
 
-def test_the_table_of_what_to_expect_fits_eighty_columns():
+def test_the_short_table_of_controllers_fits_eighty_columns():
     def shown(sheet):
-        return sum("Claimed" in str(part) for part in table_lines(sheet))
+        return sum("Controllers: forecast" in str(part) for part in table_lines(sheet))
 
     fitness = {"nearest_neighbour": 12.0, "parametrised": 11.0, "emulated_car": 10.0}
     long = {"nearest_neighbour": fitness, "parametrised": {name: 24.0 - value for name, value in fitness.items()}}
     matrix = made_up.matrix(long, robot="emulated_car")
     wide = {key: replace(cell, fitness=cell.fitness + np.tile([-3.0, 3.0], 5)) for key, cell in matrix.cells.items()}
     matrix = replace(matrix, cells=wide)
-    assert shown(standing_sheet(matrix, summarise(matrix))) == 1
+    assert shown(fitness_table(made_up.report(transfer=matrix), short=True)) == 1
     assert WIDTH == 80
 
 

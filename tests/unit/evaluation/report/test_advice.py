@@ -31,11 +31,12 @@ def test_the_verdict_ends_with_the_two_most_important_remarks():
 
 
 def test_the_page_lists_them_all_and_says_on_what_the_model_was_judged():
-    (section,) = [section for section in sections(advised()) if section.title == "Advice"]
+    (section,) = [section for section in sections(advised()) if section.link == "Next recording"]
     (sheet,) = section.items
     assert sheet.rows == tuple((one.topic, one.sentence) for one in REMARKS)
-    assert "Judged on the test part." in sheet.note
-    assert "Advice" not in [section.title for section in sections(advised(()))]
+    assert "Evaluated on the test part." in sheet.note
+    assert section.title == QUESTION.rstrip("?")
+    assert "Next recording" not in [section.link for section in sections(advised(()))]
 
 
 def test_the_terminal_lists_them_all_once():
@@ -43,7 +44,7 @@ def test_the_terminal_lists_them_all_once():
     assert lines.count(" - Sentence 3.") == 1
     assert advice_lines(ModelAdvice("")) == []
     nothing = ModelAdvice("linear", "the test part")
-    assert printed(advice_lines(nothing)) == ["Nothing stands out that limits linear. Judged on the test part."]
+    assert printed(advice_lines(nothing)) == ["No clear limit of linear was found. Evaluated on the test part."]
 
 
 def test_the_document_holds_it_and_gives_it_back():

@@ -21,19 +21,21 @@ from evaluation.plot_style import (
     to_svg,
 )
 from evaluation.plots import (
-    plot_claims,
+    plot_claimed_measured,
     plot_fitness,
     plot_free_run,
     plot_horizon_curve,
-    plot_probes,
+    plot_spreads,
     plot_trace,
-    plot_transfer,
 )
 from evaluation.report.render.svg import inline_svg
-from evaluation.transfer import Trace, summarise
+from evaluation.transfer import Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.errors import InvalidData
-from tests.fixtures.reports import matrix
+
+
+def claiming(report):
+    return [one for one in report.transfer.controllers if one.claimed and one.elsewhere]
 
 
 def draw(report, on=lambda: None):
@@ -42,10 +44,9 @@ def draw(report, on=lambda: None):
         "curve": plot_horizon_curve(report.prediction, on()),
         "free run": plot_free_run(report.prediction, 2, ax=on()),
         "fitness": plot_fitness(report.matrix.champions[0], on(), unit="waypoints"),
-        "claims": plot_claims(report.transfer, on(), unit="waypoints"),
+        "claims": plot_claimed_measured(claiming(report), on(), unit="waypoints", label="measured (waypoints)"),
         "trace": plot_trace(trace, on()),
-        "transfer": plot_transfer(report.matrix, on()),
-        "probes": plot_probes(report.exploitability, on()),
+        "spreads": plot_spreads({"one": {"a": (1.0, 0.9, 1.2)}}, on(), label="share"),
     }
 
 
@@ -60,7 +61,7 @@ def test_axes_carry_their_units(drawn):
     assert labels["curve"] == ("horizon (s)", "N (standard deviations)")
     assert labels["free run"] == ("time (s)", "yaw_rate (rad/s)")
     assert labels["fitness"] == ("generation", "fitness (waypoints)")
-    assert labels["claims"][0] == "fitness (waypoints)"
+    assert labels["claims"] == ("claimed (waypoints)", "measured (waypoints)")
     assert labels["trace"] == ("x (m)", "y (m)")
 
 
@@ -77,7 +78,7 @@ def test_a_plot_is_drawn_on_the_axes_it_is_given_and_leaves_pyplot_alone(report)
 
 
 def test_the_same_plot_gives_the_same_svg(report):
-    one, two = (to_svg(plot_transfer(report.matrix).figure) for _ in range(2))
+    one, two = (to_svg(plot_horizon_curve(report.prediction).figure) for _ in range(2))
     assert one == two
     assert "<dc:date>" not in one
 
@@ -112,13 +113,12 @@ def inside(plot, key="k", label="a curve"):
 def inline(report):
     """Drawings of the page by name."""
     trace = report.matrix.cell("known_c", "known").traces[0]
-    several = summarise(matrix({"a": {"a": 9.0, "b": 8.0, "car": 5.0}}, robot="car", seeds=(8.0, 9.0)))
     return {
         "curve": inside(lambda ax: plot_horizon_curve(report.prediction, ax), "curve"),
         "free run": inside(lambda ax: plot_free_run(report.prediction, 0, ax=ax), "free"),
         "fitness": inside(lambda ax: plot_fitness(report.matrix.champions[0], ax), "fitness"),
         "trace": inside(lambda ax: plot_trace(trace, ax), "trace"),
-        "claims": inside(lambda ax: plot_claims(several, ax), "claims"),
+        "claims": inside(lambda ax: plot_claimed_measured(claiming(report), ax, label="measured"), "claims"),
     }
 
 

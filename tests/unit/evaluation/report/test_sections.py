@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -10,20 +11,26 @@ import pytest
 from evaluation.exploitability import ProbeResult
 from evaluation.exploitability.optimism import Optimism
 from evaluation.prediction import PERSISTENCE, assess_prediction
-from evaluation.report import to_json
+from evaluation.report import ModelSummary, to_json
+from evaluation.report.elements import DrawingPair
+from evaluation.report.render.html import Words, explained_words
 from evaluation.report.render.svg import drawn
 from evaluation.report.render.terminal import table_lines
-from evaluation.report.report import sections
-from evaluation.report.sections import transfer as transfer_section
+from evaluation.report.sections import controllers as controllers_section
+from evaluation.report.sections import models as models_section
 from evaluation.report.sections.controllers import (
     ONE_SEED,
-    choice_reason,
-    claims_picture,
-    controller_sheet,
-    forecast_sheet,
+    fitness_table,
+    further_figures_table,
     model_weight_table,
+    overview_picture,
 )
-from evaluation.report.sections.error_analysis import episode_error_sheet, fit_sheet, region_sheet, residual_sheet
+from evaluation.report.sections.error_analysis import (
+    episode_error_sheet,
+    region_sheet,
+    residual_picture,
+    residual_sheet,
+)
 from evaluation.report.sections.evolution import fitness_picture
 from evaluation.report.sections.exploitability import exploitability_cards, outside_range_table, trials_to_watch
 from evaluation.report.sections.prediction import SHOWN_MODELS, difference_table, error_table, free_run_picture
@@ -82,16 +89,16 @@ def test_the_sentence_on_a_model_says_nothing_else(model, unsaid):
 
 def test_the_matrix_is_painted_from_nothing_to_the_best_and_framed_where_evolved():
     heat = transfer_sheet(matrix(FITNESS, against=AGAINST, robot="car")).heat
-    assert heat.shades == ((1.0, 0.5, 0.0), (0.8, 0.8, None))
-    assert heat.framed == {(0, 0), (1, 0), (1, 1)}
-    assert heat.divided == 2
+    assert heat.shades == ((0.0, 1.0, 0.5), (None, 0.8, 0.8))
+    assert heat.framed == {(0, 1), (1, 1), (1, 2)}
+    assert heat.divided == 1
 
 
 @pytest.mark.parametrize(
     ("fitness", "shades"),
     [
         pytest.param((0.0, 0.0), (None, None), id="one of zeros has no paint"),
-        pytest.param((1.0, -1.0, 0.0), (1.0, 0.0, 0.5, 0.25), id="a negative one is the bottom; other families last"),
+        pytest.param((1.0, -1.0, 0.0), (0.25, 1.0, 0.0, 0.5), id="a negative one is the bottom; other families first"),
     ],
 )
 def test_a_matrix_without_a_robot_has_no_line(fitness, shades):
@@ -121,8 +128,8 @@ def test_a_probe_that_saw_next_to_nothing_anywhere_is_named_below_the_table():
     sheet = outside_range_table((one, two))
     assert [column.splitlines()[0] for column in sheet.columns] == ["model", "outside", "spinning", "range"]
     assert sheet.rows[1][2:] == ("0 %", "50 %")
-    assert "anywhere: sideways." in sheet.note
-    assert "anywhere" not in outside_range_table((exploited(visited=1.0, outside=0.1),)).note
+    assert "everywhere: sideways." in sheet.note
+    assert "everywhere" not in outside_range_table((exploited(visited=1.0, outside=0.1),)).note
 
 
 def with_seeds(*seeds):
@@ -131,29 +138,20 @@ def with_seeds(*seeds):
 
 def test_claims_stand_with_those_of_all_evolution_runs_or_with_a_word_that_their_spread_is_unknown():
     people = matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")
-    one, three, human = (
-        controller_sheet(one, summarise(one)) for one in (with_seeds(9.0), with_seeds(9.0, 8.0, 9.96), people)
-    )
-    assert ONE_SEED in one.note
-    assert "evolution runs" not in one.note
-    assert ONE_SEED not in three.note
+    matrices = with_seeds(9.0), with_seeds(9.0, 8.0, 9.96), people
+    notes = [fitness_table(chosen.report(transfer=one)).note for one in matrices]
+    assert [ONE_SEED in note for note in notes] == [True, False, False]
+    one, three, _ = (further_figures_table(one, summarise(one)) for one in matrices)
+    assert "evolution runs:" not in one.note
     assert "the champion of each of 3 evolution runs" in three.note
-    assert three.rows[0][1].split("\n")[1] == "9.00, 8.00, 9.96"
-    assert ONE_SEED not in human.note
+    assert three.rows[0][1].split("\n")[-1] == "9.00, 8.00, 9.96"
 
 
 def test_a_star_marks_the_best_model_and_those_that_do_not_differ_from_it():
     sheet = error_table(prediction({"persistence": 0.9, "linear": 0.300, "sindy": 0.301, "narx": 0.5}))
     starred = {row[0] for row in sheet.rows if row[1].startswith("* ")}
     assert starred == {"linear", "sindy"}
-    assert sheet.title.startswith("Prediction error N, the mean error in standard deviations")
-
-
-def test_the_picture_of_claims_marks_the_champion_of_every_evolution_seed():
-    pictures = [claims_picture(one, summarise(one)) for one in (with_seeds(9.0), with_seeds(9.0, 8.0, 7.0))]
-    ticks = [drawn(replace(picture.panels[0], for_phone=None)).wide.count("<use") for picture in pictures]
-    assert ticks[1] - ticks[0] == 2 * 3
-    assert ["Ticks" in picture.caption for picture in pictures] == [False, True]
+    assert sheet.title == "Simulation error N (95 % intervals)"
 
 
 def test_each_controller_is_traced_in_its_model_and_on_the_robot(report):
@@ -176,7 +174,7 @@ def test_the_free_run_shows_the_best_models_and_says_how_many_can_be_switched_on
     pair, shown = picture.panels[0], drawn(picture.panels[0])
     assert [key.label for key in shown.legend] == ["measured", *names]
     assert pair.wide.off == {names[-1]}
-    assert f"the {SHOWN_MODELS} best of {SHOWN_MODELS + 1} models are switched on" in picture.caption
+    assert f"the best {SHOWN_MODELS} of {SHOWN_MODELS + 1} models are shown at first" in picture.caption
     for channel in ("forward_speed (m/s)", "lateral_speed (m/s)", "yaw_rate (rad/s)", "time (s)"):
         assert channel in shown.wide
         assert channel in shown.narrow
@@ -200,7 +198,7 @@ def test_each_model_stands_beside_the_best_with_the_words_where_there_is_no_diff
     assert difference_table(prediction({"linear": 0.3})) is None
 
 
-def test_the_table_of_residuals_tells_white_from_coloured_and_names_a_control(assessed):
+def test_the_table_of_residuals_tells_white_from_correlated_and_names_a_control(assessed):
     white = assessed.model("grip")
     p = white.residuals.white_p.copy()
     p[:] = [0.5, 0.001, np.nan]
@@ -211,49 +209,30 @@ def test_the_table_of_residuals_tells_white_from_coloured_and_names_a_control(as
     known = replace(white.residuals, white_p=p, cross=cross, cross_band=band, cross_p=cross_p)
     (row,) = residual_sheet(replace(assessed, models=(replace(white, residuals=known),))).rows
     assert row[1] == "white\nsteer, 0.15 s: +0.25"
-    assert row[2].startswith("not white\n")
+    assert row[2].startswith("correlated (not white)\n")
     assert row[3] == "–"
 
 
 def test_the_table_of_regions_names_the_worst_or_none(assessed):
     sheet = region_sheet(assessed)
     rows = {row[0]: row[1:] for row in sheet.rows}
-    assert rows["known"][0] == "nowhere clearly"
+    assert rows["known"][0] == "no region clearly"
     assert rows["grip"][0].startswith("forward_speed above ")
     assert float(rows["grip"][1].split("\n")[0]) > 1.2
     assert rows["grip"][2] == "20 %"
     assert "N after 5 steps (0.25 s)" in sheet.note
 
 
-def test_episodes_and_fits_have_a_row_each(assessed):
+def test_each_test_episode_has_a_row(assessed):
     sheet = episode_error_sheet(assessed)
     assert [row[0] for row in sheet.rows] == [f"episode-{i}" for i in range(4)]
     assert sheet.columns == ("episode", *assessed.names)
-    known = next(row for row in fit_sheet(assessed).rows if row[0] == "known")
-    mean = np.mean([episode.fit[0] for episode in assessed.model("known").episodes])
-    assert known[1].startswith(f"{mean:.1f}\n")
 
 
-def test_an_episode_in_which_one_state_stands_counts_for_the_others(assessed):
-    known = assessed.model("known")
-    first, *others = known.episodes
-    stands = replace(first, fit=np.array([np.nan, *first.fit[1:]]))
-    (row,) = fit_sheet(replace(assessed, models=(replace(known, episodes=(stands, *others)),))).rows
-    assert row[1].startswith(f"{np.mean([one.fit[0] for one in others]):.1f}\n")
-    assert row[2].startswith(f"{np.mean([one.fit[1] for one in known.episodes]):.1f}\n")
-
-
-def test_free_runs_that_reach_their_clip_are_counted_and_timed(assessed):
-    known = assessed.model("known")
-    hit = replace(known, divergence=replace(known.divergence, free_run_times=(None, 2.0, 4.0, None)))
-    fits = fit_sheet(replace(assessed, models=(hit, *(one for one in assessed.models if one is not known))))
-    assert [row[0] for row in fits.rows if row[0].startswith("known")] == ["known\nclip 2 of 4, 3.0 s"]
-
-
-@pytest.mark.parametrize("sheet", [difference_table, residual_sheet, region_sheet, episode_error_sheet, fit_sheet])
-def test_every_table_of_errors_is_80_columns_wide_at_most_and_a_detail_but_for_the_first(assessed, sheet):
+@pytest.mark.parametrize("sheet", [difference_table, residual_sheet, region_sheet, episode_error_sheet])
+def test_every_further_table_of_errors_is_80_columns_wide_at_most_and_folded(assessed, sheet):
     made = sheet(assessed)
-    assert made.details == (sheet is not difference_table)
+    assert made.details
     lines = printed(table_lines(made))
     assert max(map(len, lines)) <= 80
     assert made.title in lines
@@ -271,13 +250,18 @@ def helped(trial, value=2.0):
     return Optimism(value, value - 1.0, value + 1.0, 0.8, trial, 6.0)
 
 
+def cards_of(models, transfer):
+    return exploitability_cards(replace(chosen.report(transfer=transfer), exploitability=tuple(models))).cards
+
+
 def test_a_card_begins_with_its_verdict_and_keeps_the_other_sentences(kept):
-    models = [exploited(), exploited(gap=Estimate(0.1, 0.1)), exploited(gap=None)]
-    cards = exploitability_cards(models, kept).cards
+    models = exploited(), exploited(gap=Estimate(0.1, 0.1)), exploited(gap=None)
+    cards = cards_of(models, kept)
     assert cards[0].title == "linear"
     assert cards[0].verdict.startswith("Exploited: its controllers claim 10.00 waypoints")
     assert any("turn on the spot" in sentence for sentence in cards[0].sentences)
-    assert [card.tone for card in cards] == ["bad", "good", "open"]
+    assert [(card.tone, card.folded) for card in cards] == [("bad", False), ("open", False), ("good", True)]
+    assert cards[-1].verdict == "trusted: claims 10.00, achieves 4.00"
 
 
 @pytest.mark.parametrize(
@@ -289,7 +273,7 @@ def test_a_card_begins_with_its_verdict_and_keeps_the_other_sentences(kept):
 )
 def test_a_card_shows_a_trial(kept, optimism, watch, time, worst):
     model = exploited(optimism=optimism)
-    (card,) = exploitability_cards([model], kept).cards
+    (card,) = cards_of([model], kept)
     assert card.watch == watch
     assert time in (None, card.time)
     assert trials_to_watch([model], kept) == worst
@@ -297,7 +281,7 @@ def test_a_card_shows_a_trial(kept, optimism, watch, time, worst):
 
 def test_a_model_without_a_kept_trial_has_nothing_to_watch():
     made = matrix({"linear": {"linear": 10.0, "car": 4.0}}, robot="car")
-    assert exploitability_cards([exploited(optimism=helped(2))], made).cards[0].watch == ""
+    assert cards_of([exploited(optimism=helped(2))], made)[0].watch == ""
 
 
 FORECAST = {
@@ -311,20 +295,59 @@ def driven():
     return chosen.report(transfer=matrix(FORECAST, robot="car"))
 
 
-def test_forecasts_stand_beside_what_was_achieved_the_highest_first():
-    sheet = forecast_sheet(driven())
-    assert [row[0] for row in sheet.rows] == ["a\n(chosen)", "b", "c"]
-    assert sheet.rows[0][2:] == ("8.8 (7.6 to 9.4)", "8.50 ±0.03", "yes")
-    assert sheet.rows[1][4] == "no"
-    assert sheet.note.endswith("2 of 3 were inside.")
+def test_one_table_has_measured_forecast_and_claimed_fitness_the_highest_forecast_first():
+    sheet = fitness_table(driven())
+    assert [row[0] for row in sheet.rows] == ["a (chosen)", "b", "c"]
+    assert sheet.columns[:4] == ("controller", "on car", "forecast\n(90 %)", "claimed")
+    assert sheet.rows[0][1:] == (
+        "8.50 ±0.03", "8.8 (7.6 to 9.4)", "10.00 ±0.03", "85 %", "8.50 ±0.03", "8.00, c", "yes"
+    )  # fmt: skip
+    assert [row[-1] for row in sheet.rows] == ["yes", "yes", "yes"]
+    assert sheet.marked == {(0, 6), (1, 6), (2, 6)}
+    assert "2 of 3 measured values are inside their forecast interval." in sheet.note
 
 
-def test_without_a_robot_nothing_is_said_of_it():
+def test_reference_and_baselines_come_last_and_are_named():
+    fitness = {
+        **FORECAST,
+        "car": {"a": 1.0, "b": 1.0, "c": 1.0, "car": 20.0},
+        "rest": dict.fromkeys([*"abc", "car"], 0.0),
+    }
+    sheet = fitness_table(chosen.report(transfer=matrix(fitness, robot="car")))
+    assert [row[0] for row in sheet.rows][3:] == ["car (reference)", "rest (baseline)"]
+    assert "Reference: evolved on the robot itself" in sheet.note
+
+
+def test_a_controller_has_the_errors_of_the_models_that_it_was_evolved_in():
+    errors = prediction({"persistence": 0.9, "a": 0.1, "b": 0.25, "c": 1.0})
+    made = matrix({**FORECAST, "ab": FORECAST["a"]}, against={"ab": ("a", "b")}, robot="car")
+    sheet = fitness_table(chosen.report(errors, made))
+    found = {row[0].split()[0]: row[sheet.columns.index("N of its\nmodels")] for row in sheet.rows}
+    assert found == {"a": "0.100", "b": "0.250", "c": "1.00", "ab": "0.100 to 0.250"}
+
+
+def test_without_a_robot_the_other_models_take_its_place():
     alone = {row: {name: columns[name] for name in "abc"} for row, columns in FORECAST.items()}
-    sheet = forecast_sheet(chosen.report(transfer=matrix(alone)))
-    assert sheet.columns == ("controller", "claimed", "forecast")
+    sheet = fitness_table(chosen.report(transfer=matrix(alone)))
+    assert sheet.columns[:5] == ("controller", "other\nmodels", "forecast\n(90 %)", "claimed", "others\n/ claimed")
     assert "inside" not in sheet.note
-    assert "robot," not in str(choice_reason(chosen.report(transfer=matrix(alone))))
+    assert overview_picture(chosen.report(transfer=matrix(alone))).title == "Claimed against the other models"
+
+
+def test_the_first_figure_has_a_dot_and_a_link_for_each_controller_that_claims_something():
+    fitness = {**FORECAST, "car": {"a": 1.0, "b": 1.0, "c": 1.0, "car": 20.0}, "rest": {"car": 0.0}}
+    drawing = overview_picture(chosen.report(transfer=matrix(fitness, robot="car"))).panels[0].wide
+    assert [row for row, _ in drawing.links] == ["a", "b", "c"]
+    assert (
+        drawing.links[0][1]
+        == "a: claims 10.00 (9.93 to 10.07) waypoints, measured on car 8.50 (8.43 to 8.57) waypoints"
+    )
+    shown = drawn(DrawingPair(drawing)).wide
+    assert [shown.count(f'data-link="{i}"') for i in range(4)] == [4, 4, 4, 0]
+    assert (
+        overview_picture(chosen.report(transfer=matrix({"anna": {"car": 9.0}}, against={"anna": ()}, robot="car")))
+        is None
+    )
 
 
 def test_a_model_is_shown_with_the_share_of_a_claim_that_is_expected_to_be_kept():
@@ -340,11 +363,9 @@ def test_a_model_that_predicts_badly_weighs_less_in_the_report():
     assert weights["b"] == pytest.approx(100.0 * weights["c"])
 
 
-def test_a_report_without_a_forecast_has_no_section_of_it():
-    assert "Forecast" in [section.title for section in sections(driven())]
+def test_a_report_without_a_forecast_has_no_column_of_it():
     alone = chosen.report(transfer=matrix({"a": {"a": 9.0, "car": 8.0}}, robot="car"))
-    assert "Forecast" not in [section.title for section in sections(alone)]
-    assert choice_reason(alone) is None
+    assert "forecast\n(90 %)" not in fitness_table(alone).columns
 
 
 def test_the_document_holds_what_was_predicted_and_what_came_of_it():
@@ -391,4 +412,59 @@ def test_without_the_four_models_or_the_papers_preset_there_is_no_such_table():
     assert paper_sheet(matrix({"parametrised": {"parametrised": 1.0, "evolved3": 2.0}})) is None
     for preset, shown in (("quick", False), ("paper", True)):
         made = replace(chosen.report(transfer=paper_matrix()), settings={"preset": preset})
-        assert any("Table 2" in sheet.title for sheet in transfer_section.section(made).sheets) == shown
+        assert any("Table 2" in sheet.title for sheet in controllers_section.section(made).sheets) == shown
+
+
+def test_the_correlations_of_residuals_are_drawn_with_their_bands_for_each_state_and_control(assessed):
+    picture = residual_picture(assessed)
+    assert len(picture.panels) == assessed.cases.system.nx * (1 + assessed.cases.system.nu)
+    assert picture.panels[0].title == "forward_speed and earlier residuals"
+    shown = drawn(picture.panels[0])
+    assert [key.label for key in shown.legend] == ["known", "grip"]
+    values = json.loads(shown.chart)["axes"][0]["series"][0]["value"]
+    assert values == pytest.approx(assessed.model("known").residuals.autocorrelation[:, 0], rel=1e-3)
+    assert residual_picture(prediction({"linear": 0.3})) is None
+
+
+def test_the_note_on_weights_tells_how_well_each_figure_ranks_the_controllers():
+    note = model_weight_table(driven()).note
+    assert "Rank correlation of claimed with achieved: -1.00 (3 controllers)." in note
+    assert "Rank correlation of forecast with achieved: +1.00 (3 controllers)." in note
+
+
+def test_a_reader_chooses_among_the_most_varied_test_episodes(assessed):
+    picture = free_run_picture(assessed)
+    assert picture.choose == "Test episode"
+    titles = [panel.title for panel in picture.panels]
+    assert sorted(titles) == sorted(run.episode for run in assessed.cases.free_runs)
+    spread = {
+        run.episode: float((run.states.std(axis=0) / assessed.cases.std).mean()) for run in assessed.cases.free_runs
+    }
+    assert titles == sorted(titles, key=lambda name: -spread[name])
+
+
+def test_a_card_of_a_model_has_its_equations_parameters_and_settings():
+    rows = ({"parameter": "mass", "value": 1.5, "standard error": 0.02, "unit": "kg", "low": 0.0, "high": None,
+             "determined": True},)  # fmt: skip
+    known = ModelSummary("mine", "single_track", "grey", {"lags": 2}, ("v' = -v / tau",), rows, ({"model": "narx"},))
+    report = replace(chosen.report(prediction({"persistence": 0.9, "mine": 0.3})), models=(known,))
+    (card,) = models_section.section(report).items
+    assert card.title == "mine: N 0.300, grey box"
+    tables = {sheet.title: sheet.rows for sheet in card.items}
+    assert tables["Parameters"] == (("mass", "1.50 ± 0.02", "kg", "0 to –", "yes"),)
+    assert tables["Equations"] == (("v' = -v / tau",),)
+    assert tables["Candidates"] == (("narx",),)
+    assert ("lags", "2") in tables["Hyper-parameters"]
+
+
+def test_the_first_use_of_a_word_in_a_section_is_explained_and_names_stay_text():
+    words = Words(numbers := count())
+    first, second = words.explained("N is low for <b>; a forecast"), words.explained("N again, forecasts")
+    assert [first.count("popovertarget"), second.count("popovertarget")] == [2, 0]
+    assert "&lt;b&gt;" in first
+    assert explained_words()["forecast"][1] in first
+    assert Words(numbers).explained("N").count('id="word-2"') == 1
+
+
+def test_every_explained_word_is_a_sentence_of_the_glossary():
+    assert all(sentence.endswith(".") for _, sentence in explained_words().values())

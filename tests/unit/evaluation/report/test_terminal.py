@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from evaluation.report import Failure, brief, drive_command, tables, verdict
 from evaluation.report.report import PrintedReport
-from evaluation.report.sections.controllers import command_sheet, overview_sheet
+from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.summary import headlines
 from tests.fixtures.reports import matrix, prediction, printed, report
 
@@ -24,35 +24,16 @@ def compared(*, seeds=()):
     )
 
 
-def row(made, name):
-    sheet = overview_sheet(made)
-    return next(cells for cells in sheet.rows if cells[0] == name)
-
-
-def test_each_row_says_how_a_model_predicts_and_whether_its_controller_is_exploited():
-    assert row(compared(), "persistence") == ("persistence", "0.900", "–", "–", "–")
-    assert row(compared(), "linear") == ("linear", "0.300", "12.00 ±0.03", "4.00 ±0.03", "yes")
-    assert row(compared(), "sindy") == ("sindy", "0.060", "10.00 ±0.03", "9.80 ±0.03", "no")
-    assert row(compared(), LONG) == (LONG, "–", "9.00 ±0.03", "9.10 ±0.03", "no")
-
-
-def test_claims_stand_with_those_of_all_evolution_runs():
-    made = compared(seeds=(10.8, 12.06, 11.0))
-    assert row(made, "linear")[2] == "12.00 ±0.03\n10.80, 12.06, 11.00"
-    assert "the champion of each of 3 evolution runs" in " ".join(" ".join(printed(brief(made))).split())
-    assert "evolution runs" not in " ".join(printed(brief(compared())))
-
-
 def test_the_brief_is_a_screenful_that_begins_with_the_verdict_and_nothing_in_its_table_wraps():
     made = compared()
     lines = printed(brief(made))
     assert len(lines) < 45
     assert max(map(len, lines)) <= 80
-    (linear,) = [line for line in lines if line.startswith(" linear ")]
-    assert linear.split() == ["linear", "0.300", "12.00", "±0.03", "4.00", "±0.03", "yes"]
-    assert any(line.startswith(" N: the mean error in standard deviations") for line in lines)
-    assert lines.index("In short") > lines.index("What to use?")
-    wide = printed(brief(made), width=200)
+    (linear,) = [line for line in lines if line.startswith(" linear (chosen) ")]
+    assert [*linear.split()[2:4], *linear.split()[5:]] == ["4.00", "±0.03", "12.00", "±0.03", "yes"]
+    table = "Controllers: forecast, claimed and achieved (waypoints)"
+    assert lines.index(table) > lines.index("Which controller to use?")
+    wide = printed(brief(made), width=300)
     for finding in verdict(made):
         assert {finding.question, *(f"  {answer}" for answer in finding.answers)} <= set(wide)
     assert not any("Transfer matrix" in line for line in wide)
@@ -63,7 +44,7 @@ def test_a_printed_report_reads_as_the_terminal_does():
     made = PrintedReport(**vars(compared()))
     lines = str(made).splitlines()
     assert lines[0] == "Made up"
-    assert "In short" in lines
+    assert "Controllers: forecast, claimed and achieved (waypoints)" in lines
     assert max(map(len, lines)) <= 80
     assert len(repr(made)) < 500
 
@@ -77,27 +58,10 @@ def test_a_report_shows_its_answers_as_cards_in_which_names_are_text():
     assert "<b>" not in html
 
 
-def test_a_controller_evolved_against_another_model_has_a_row_of_its_own():
-    made = report(
-        prediction({"persistence": 0.9, "linear": 0.3}),
-        matrix({"linear": {"linear": 3.0, "other": 8.0}}, against={"linear": ("other",)}),
-    )
-    assert row(made, "linear") == ("linear", "0.300", "–", "–", "–")
-    assert row(made, "linear (controller)")[2] == "8.00 ±0.03"
-
-
-def test_without_controllers_the_table_holds_predictions_alone():
-    sheet = overview_sheet(report(prediction({"persistence": 0.9, "linear": 0.3}, failed=["sindy"])))
-    assert sheet.columns == ("model", "N, 20 steps\n(1 s)")
-    assert sheet.rows == (("persistence", "0.900"), ("linear", "0.300"), ("sindy", "failed"))
-    assert overview_sheet(report()) is None
-
-
-def test_without_a_robot_achieved_means_on_other_models():
-    made = report(transfer=matrix({"a": {"a": 10.0, "b": 2.0}}))
-    sheet = overview_sheet(made)
-    assert sheet.columns == ("model or\ncontroller", "claimed", "on other\nmodels", "exploited")
-    assert sheet.rows == (("a", "10.00 ±0.03", "2.00 ±0.03", "yes"),)
+def test_without_controllers_the_brief_has_the_errors_of_the_models():
+    lines = printed(brief(report(prediction({"persistence": 0.9, "linear": 0.3}, failed=["sindy"]))))
+    assert "Simulation error N (95 % intervals)" in lines
+    assert any(line.split() == ["sindy", "failed", "failed"] for line in lines)
 
 
 def test_the_first_failures_stand_in_the_brief_with_the_first_line_of_their_reasons():
@@ -132,9 +96,6 @@ def test_without_a_robot_the_first_command_exports_the_chosen_controller():
     export = "sysid-evo export controllers/linear.json --to c --plugin /home/me/tank.py"
     assert printed(brief(made))[-1].endswith(export)
     assert [one.command for one in headlines(made) if one.command] == [export]
-    sheet = command_sheet(made)
-    assert [(name, command.split()[1]) for name, command in sheet.rows] == [
-        ("linear", "export"), ("sindy", "export"), ("linear", "drive"), ("sindy", "drive")
-    ]  # fmt: skip
-    with_robot = command_sheet(replace(made, settings={"robot": "car"}))
-    assert {command.split()[1] for _, command in with_robot.rows} == {"drive"}
+    assert fitness_table(made).commands[0] == export
+    driven = fitness_table(replace(made, settings={"robot": "car"})).commands
+    assert [command.split()[1] if command else "" for command in driven] == ["drive", "drive", ""]
