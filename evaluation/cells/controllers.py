@@ -106,8 +106,8 @@ class Evolve(CellSettings):
             "task": None if stage.task is None else tasks.identity(stage.task),
             "models": sorted(labels.index(model) for model in stage.models),
             "until": stage.until,
-            "at_most": stage.at_most,
-            "over": stage.over,
+            "max_generations": stage.max_generations,
+            "window": stage.window,
         }
 
     def compute(self, work: CellContext) -> Champion:

@@ -1,10 +1,9 @@
 """Closed-loop rollouts of many candidates in many trials.
 
-`rollout` runs P candidates in E trials on a dynamics. It has two forms with one signature. The *reference*
-form is NumPy in float64; it takes any object that keeps the contracts, and the other form is tested against
-it. The *compiled* form runs dynamics, controller and task as kernels, where all three have one.
-`Rollouts.engine` says which ran; `resolve` says which form "auto" means.
-How a kernel is written stands in `sysid_evo.kernels`.
+`rollout` runs P candidates in E trials on a dynamics, in one of two forms. The *reference* form is NumPy in float64
+and accepts any object that follows the contracts. The *compiled* form runs dynamics, controller and task as kernels,
+if all three have one, and is tested against the reference. `Rollouts.engine` names the form that ran; `resolve`
+returns the form for "auto". See `sysid_evo.kernels` for how to write a kernel.
 """
 
 from sysid_evo.engine.compiled.open_loop import kernel_step

@@ -1,4 +1,4 @@
-"""Trials under controls that are known beforehand, in NumPy and compiled (for planning)."""
+"""Trials under given control sequences, in NumPy and compiled (for planning)."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from sysid_evo.types import Array, BoolArray
 
 
 class ImaginedTrials:
-    """Runs trials of a bound ``task`` in ``dynamics``, from where they stand, without noise.
+    """Simulation of trials of a bound ``task`` in ``dynamics``, from their current state, without noise.
 
-    ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy); "auto" takes the lowest
-    precision that the model allows where there are kernels, unless `SYSID_EVO_ENGINE` names the reference. The scores
-    are the same to rounding.
+    ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy). "auto" selects the lowest
+    precision that the model allows if there are kernels, unless `SYSID_EVO_ENGINE` selects the reference. The scores
+    agree to rounding.
     """
 
     def __init__(self, dynamics: Dynamics, task: Task, *, engine: Engine = "auto") -> None:
         self.dynamics, self.task, self.engine = dynamics, task, engine
 
     def scores(self, states: Array, controls: Array, sequences: Array, task_state: TaskState) -> Array:
-        """Return fitness and promise at the end of every sequence, (K, B).
+        """Return fitness plus potential at the end of every sequence, (K, B).
 
-        ``states`` (B, L + 1, nx) and ``controls`` (B, L, nu) are the history of B trials, of which as much is used
-        as the model wants; ``sequences`` (K, B, steps, nu) are outputs in [-1, 1]; ``task_state`` has B trials.
+        ``states`` (B, L + 1, nx) and ``controls`` (B, L, nu) are the history of B trials; the model uses its last
+        samples. ``sequences`` (K, B, steps, nu) are outputs in [-1, 1]; ``task_state`` has B trials.
         """
         dynamics, task = self.dynamics, self.task
         count, trials, steps, _ = sequences.shape
@@ -42,51 +42,55 @@ class ImaginedTrials:
         draws = np.zeros((trials, dynamics.n_draws))
         carry = dynamics.start(states[:, len(states[0]) - lags - 1 :], controls[:, len(controls[0]) - lags :], draws)
         if self.compiled is None or steps > task.horizon:  # a task's data are as long as its trials
-            reached, state, lost = self._run(carry, legal, task_state)
+            reached, state, diverged = self._run(carry, legal, task_state)
         else:
-            reached, state, lost = self.compiled.run(
+            reached, state, diverged = self.compiled.run(
                 carry, legal, task_state, nx=dynamics.system.nx, n_noise=dynamics.n_noise
             )
         scores = task.fitness(reached) + task.potential(reached, state)
-        return np.where(lost, task.worst - 1.0, scores).reshape(count, trials)
+        return np.where(diverged, task.worst - 1.0, scores).reshape(count, trials)
 
     @cached_property
     def compiled(self) -> CompiledImagined | None:
-        """The compiled form; None if it is not wanted, or the model or the task has none."""
+        """The compiled form; None for the reference engine, or if the model or the task has no kernel."""
         engine = resolve(self.engine)
         if engine == "reference":
             return None
-        of_dynamics, of_task, state_bounds = self.dynamics.kernel(), self.task.kernel(), self.dynamics.state_bounds
-        if of_dynamics is None or of_task is None:
+        dynamics_kernel, task_kernel, state_bounds = (
+            self.dynamics.kernel(),
+            self.task.kernel(),
+            self.dynamics.state_bounds,
+        )
+        if dynamics_kernel is None or task_kernel is None:
             return None
-        precision = enough(of_dynamics.precision, state_bounds) if engine == "auto" else engine
+        precision = enough(dynamics_kernel.precision, state_bounds) if engine == "auto" else engine
         return CompiledImagined(
-            of_dynamics, of_task, bounds_table(state_bounds, self.dynamics.system.nx, precision), precision
+            dynamics_kernel, task_kernel, bounds_table(state_bounds, self.dynamics.system.nx, precision), precision
         )
 
-    def _run(self, carry: Array, legal: Array, here: TaskState) -> tuple[TaskState, Array, BoolArray]:
-        """Return what `CompiledImagined.run` does, in NumPy."""
+    def _run(self, carry: Array, legal: Array, task_state: TaskState) -> tuple[TaskState, Array, BoolArray]:
+        """Return the results of `CompiledImagined.run`, in NumPy."""
         dynamics, nx, (count, trials, steps, nu) = self.dynamics, self.dynamics.system.nx, legal.shape
         legal = legal.reshape(count * trials, steps, nu)
-        carry, here = np.tile(carry, (count, 1)), here.tile(count)
-        lost = np.zeros(len(carry), dtype=bool)
+        carry, task_state = np.tile(carry, (count, 1)), task_state.tile(count)
+        diverged = np.zeros(len(carry), dtype=bool)
         with np.errstate(all="ignore"):
             for k in range(steps):
-                before, going = carry[:, :nx], here.alive
+                before, alive = carry[:, :nx], task_state.alive
                 stepped = dynamics.step(carry, legal[:, k])
-                lost |= going & ~np.isfinite(stepped).all(axis=1)
-                stepped, _ = clip_state(np.where(lost[:, None], 0.0, stepped), dynamics.state_bounds)
+                diverged |= alive & ~np.isfinite(stepped).all(axis=1)
+                stepped, _ = clip_state(np.where(diverged[:, None], 0.0, stepped), dynamics.state_bounds)
                 predicted = stepped[:, :nx]
-                advanced, after = self.task.advance(here, before, predicted, control=legal[:, k])
+                advanced, after = self.task.advance(task_state, before, predicted, control=legal[:, k])
                 if after is not predicted:
                     stepped = np.concatenate([after, stepped[:, nx:]], axis=1)
-                here = advanced if going.all() else here.updated_where(advanced, going)
-                carry = stepped if going.all() else np.where(going[:, None], stepped, carry)
-        return here, carry[:, :nx], lost
+                task_state = advanced if alive.all() else task_state.updated_where(advanced, alive)
+                carry = stepped if alive.all() else np.where(alive[:, None], stepped, carry)
+        return task_state, carry[:, :nx], diverged
 
 
 class CompiledImagined:
-    """The kernels of a dynamics and of a bound task, ready to run trials that are only imagined."""
+    """The compiled kernels of a dynamics and of a bound task, for trials under given control sequences."""
 
     def __init__(
         self, dynamics: DynamicsKernel, task: TaskKernel[Any], state_bounds: Array, precision: Precision
@@ -105,16 +109,16 @@ class CompiledImagined:
     def run(
         self, carry: Array, controls: Array, task_state: TaskState, *, nx: int, n_noise: int
     ) -> tuple[TaskState, Array, BoolArray]:
-        """Return where K sequences of ``controls`` (K, B, steps, nu) lead from B carries (B, n_carry), K B of each.
+        """Return the results of K sequences of ``controls`` (K, B, steps, nu) from B carries (B, n_carry).
 
-        These are the task's state, the state (K B, nx), and whether it was lost on the way, not being finite.
+        These are the task's state of K B trials, the final states (K B, nx), and whether each trial diverged (K B,).
         """
         real, (count, trials, steps, nu) = np.dtype(self.precision), controls.shape
         rows, data = self.task.rows(task_state), self.task.trial_data(task_state)
         rollouts, n_carry, n_task = count * trials, carry.shape[1], len(rows)
         sizes = loops.IMAGINED.integers(
             trials=trials,
-            of_data=len(data),
+            n_data=len(data),
             steps=steps,
             n_carry=n_carry,
             nx=nx,
@@ -123,13 +127,13 @@ class CompiledImagined:
             rollouts=rollouts,
         )
         given = {"start": carry, "task_start": rows.T, "trial_data": data, "controls": controls}
-        room = {
-            "carry": n_carry, "control": nu, "noise": n_noise, "before": nx, "task": n_task, "kept": n_carry + n_task,
-            "scratch": self.n_scratch,
+        lengths = {
+            "carry": n_carry, "control": nu, "noise": n_noise, "before": nx, "task": n_task,
+            "snapshot": n_carry + n_task, "scratch": self.n_scratch,
         }  # fmt: skip
         shared = {**self.tables, **{name: aligned(array, real) for name, array in given.items()}}
-        work = {name: empty_lines(n * LANES, real) for name, n in room.items()}
-        lost = np.zeros(rollouts, np.int64)
+        work = {name: empty_lines(n * LANES, real) for name, n in lengths.items()}
+        diverged = np.zeros(rollouts, np.int64)
         state, final = np.zeros(rollouts * nx, real), np.zeros(rollouts * n_task, real)
         compiled_loop(loops.imagine, loops.IMAGINE, self.precision)(
             *loops.IMAGINE.ordered(
@@ -140,8 +144,9 @@ class CompiledImagined:
                 trials=np.zeros(LANES, np.int64),
                 final_state=state,
                 final_task=final,
-                lost_of=lost,
+                diverged_of=diverged,
             )
         )
         last = final.reshape(rollouts, n_task).T.astype(np.float64)
-        return self.task.state(task_state.tile(count), last), state.reshape(rollouts, nx).astype(np.float64), lost > 0
+        final_states = state.reshape(rollouts, nx).astype(np.float64)
+        return self.task.state(task_state.tile(count), last), final_states, diverged > 0

@@ -1,4 +1,4 @@
-"""The reference form of the rollout: NumPy, any object that keeps the contracts, float64."""
+"""The reference form of the rollout: NumPy in float64, for any object that follows the contracts."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ENGINE = "reference"
 def run(
     dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds, *, record: bool
 ) -> Rollouts:
-    """Run bound ``controller`` and ``task``."""
+    """Return the rollouts of the bound ``controller`` and ``task``, see `sysid_evo.engine.rollout.rollout`."""
     system = dynamics.system
     candidates, trials = len(parameters), len(seeds)
     batch, grid = candidates * trials, (candidates, trials)
@@ -29,17 +29,17 @@ def run(
     disturbance = draw_for_steps(seeds, task.horizon, controller.n_noise, CONTROLLER_STREAM)
     draws = np.tile(draw_for_trials(seeds, dynamics.n_draws), (candidates, 1))
 
-    began = task.begin(seeds)
-    task_state = began.tile(candidates)
+    start = task.begin(seeds)
+    task_state = start.tile(candidates)
     carry = started(dynamics, task_state.state, draws)
     memory = np.zeros((*grid, controller.n_memory))
     survived, clipped = np.zeros(batch, dtype=np.int64), np.zeros(batch, dtype=np.int64)
     diverged = np.zeros(batch, dtype=bool)
     counts, centre = np.zeros((batch, 2 * (system.nx + system.nu))), neutral_values(system)
-    kept = batch if record else 0
-    taped_states = np.zeros((kept, task.horizon + 1, system.nx))
-    taped_controls = np.zeros((kept, task.horizon, system.nu))
-    taped_poses = np.zeros((kept, task.horizon + 1, began.pose.shape[1]))
+    n_recorded = batch if record else 0
+    recorded_states = np.zeros((n_recorded, task.horizon + 1, system.nx))
+    recorded_controls = np.zeros((n_recorded, task.horizon, system.nu))
+    recorded_poses = np.zeros((n_recorded, task.horizon + 1, start.pose.shape[1]))
 
     with np.errstate(all="ignore"):
         for k in range(task.horizon):
@@ -47,38 +47,38 @@ def run(
             if not alive.any():
                 break
             state = carry[:, : system.nx]
-            seen = carry[:, dynamics.observed_at : dynamics.observed_at + system.nx]
-            observation = task.observe(task_state, seen)
+            observed = carry[:, dynamics.observed_at : dynamics.observed_at + system.nx]
+            observation = task.observe(task_state, observed)
             drawn = np.broadcast_to(disturbance[:, k], (*grid, controller.n_noise)) if controller.n_noise else None
-            view = View(observation.reshape(*grid, -1), seen.reshape(*grid, -1), task_state, drawn)
+            view = View(observation.reshape(*grid, -1), observed.reshape(*grid, -1), task_state, drawn)
             raw, memory = controller.act(parameters, memory, view)
             control = system.actuate(raw.reshape(batch, system.nu))
             if sampled(k):
                 counts += above_and_below(state, control, centre) & alive[:, None]
             draw = np.tile(noise[:, k], (candidates, 1)) if dynamics.n_noise else None
             stepped = dynamics.step(carry, control, draw)
-            going = alive
+            active = alive
             if not np.isfinite(stepped).all():
                 diverged |= alive & ~np.isfinite(stepped).all(axis=1)
-                going = alive & ~diverged
-            stepped, touched = clip_state(stepped, dynamics.state_bounds)
+                active = alive & ~diverged
+            stepped, was_clipped = clip_state(stepped, dynamics.state_bounds)
             reached = stepped[:, : system.nx]
             advanced, after = task.advance(task_state, state, reached, control=control)
             if after is not reached:
                 stepped = np.concatenate([after, stepped[:, system.nx :]], axis=1)
-            if going.all():
+            if active.all():
                 carry, task_state = stepped, advanced
             else:
-                carry = np.where(going[:, None], stepped, carry)
-                task_state = task_state.updated_where(advanced, going)
-            survived += going
-            clipped += touched & going
+                carry = np.where(active[:, None], stepped, carry)
+                task_state = task_state.updated_where(advanced, active)
+            survived += active
+            clipped += was_clipped & active
             if record:
-                taped_states[going, k], taped_states[going, k + 1] = state[going], carry[going, : system.nx]
-                taped_controls[going, k], taped_poses[going, k + 1] = control[going], task_state.pose[going]
+                recorded_states[active, k], recorded_states[active, k + 1] = state[active], carry[active, : system.nx]
+                recorded_controls[active, k], recorded_poses[active, k + 1] = control[active], task_state.pose[active]
         fitness = task.fitness(task_state)
 
     penalty = np.zeros(batch) if dynamics.penalty_at is None else carry[:, dynamics.penalty_at]
-    tape = (taped_states, taped_controls, taped_poses)
+    tape = (recorded_states, recorded_controls, recorded_poses)
     found = LoopResults(fitness, survived, clipped, diverged, counts, penalty, tape)
-    return finished(found, task, system, began, task_state, ENGINE, record)
+    return finished(found, task, system, start, task_state, ENGINE, record)

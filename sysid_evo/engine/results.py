@@ -1,4 +1,4 @@
-"""What rollouts return: fitness, descriptors of behaviour, trajectories."""
+"""Results of rollouts: fitness, behaviour descriptors, trajectories."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from sysid_evo.data.trajectory import Trajectory
 from sysid_evo.engine.compiled.closed_loop import LoopResults
-from sysid_evo.engine.compiled.loops import EVERY
+from sysid_evo.engine.compiled.loops import SAMPLE_EVERY
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, TaskState
 from sysid_evo.types import Array, BoolArray, IntArray
@@ -17,15 +17,17 @@ from sysid_evo.types import Array, BoolArray, IntArray
 
 @dataclass(frozen=True)
 class Rollouts:
-    """What P candidates did in E trials.
+    """Results of P candidates in E trials.
 
-    ``fitness`` (P, E) is never nan: a trial that diverged has ``task.worst - 1 + survived /
-    horizon``, below any that did not. ``survived`` (P, E) steps; ``clipped`` (P, E) counts the
-    steps whose state was clipped to the model's state_bounds. ``behaviour`` (P, E, d) says what the controller
-    did, see `behaviour_names`; d is 0 where nobody counted. ``penalty`` (P, E) is what the dynamics counted of it, in
-    steps, see `Dynamics`; 0 where it counts none, empty where nobody asked it. ``trajectories`` (only when recorded)
-    stand candidate first, trial second; ``task_state`` is the last one. ``engine`` names the form
-    that ran. On a robot trials may be ``missing``: one reason for each that is not among the E.
+    - ``fitness`` (P, E): never nan. A trial that diverged has ``task.worst - 1 + survived / horizon``, less than any
+      trial that did not diverge.
+    - ``survived`` (P, E): number of steps; ``clipped`` (P, E): steps whose state was clipped to the state bounds.
+    - ``task_state``: the last state of the task, (P E) trials.
+    - ``engine``: the form that ran.
+    - ``behaviour`` (P, E, d): descriptors, see `behaviour_names`; d is 0 if they were not counted.
+    - ``penalty`` (P, E): penalty in steps, as counted by the dynamics (`Dynamics`); empty if the runner has none.
+    - ``trajectories``: candidate first, trial second; only if recorded.
+    - ``missing``: one reason for each trial that a robot skipped; these trials are not among the E.
     """
 
     fitness: Array
@@ -42,7 +44,7 @@ class Rollouts:
 def finished(
     found: LoopResults, task: Task, system: System, began: TaskState, task_state: TaskState, engine: str, record: bool
 ) -> Rollouts:
-    """Return what came of trials that ``began`` (E,), of each candidate; ``task_state`` is the last one (P E,)."""
+    """Return the rollouts of each candidate in the trials ``began`` (E,); ``task_state`` is the last one (P E,)."""
     grid = len(found.fitness) // len(began.pose), len(began.pose)
     return Rollouts(
         fitness=scored(task, found.fitness, found.survived, found.diverged).reshape(grid),
@@ -57,17 +59,17 @@ def finished(
 
 
 def scored(task: Task, fitness: Array, survived: IntArray, diverged: BoolArray) -> Array:
-    """Return ``fitness`` (B,), where a trial that diverged is worth less than any that did not, but more the later."""
+    """Return ``fitness`` (B,); a diverged trial scores less than all others, but more the later it diverged."""
     return np.where(diverged, task.worst - 1.0 + survived / task.horizon, fitness)
 
 
 def sampled(step: int) -> bool:
-    """Whether the behaviour is looked at in this step: while a rollout runs, so that nothing has to be recorded."""
-    return step % EVERY == 0
+    """True if the behaviour is sampled in this step."""
+    return step % SAMPLE_EVERY == 0
 
 
 def behaviour_names(system: System) -> tuple[str, ...]:
-    """Return what the descriptors of `Rollouts.behaviour` are called, two for each state and then each control."""
+    """Return the names of the descriptors in `Rollouts.behaviour`: two for each state, then two for each control."""
     channels = (*system.states, *system.controls)
     return tuple(f"{channel.name} {side}" for channel in channels for side in ("above", "below"))
 
@@ -78,24 +80,23 @@ def neutral_values(system: System) -> Array:
 
 
 def above_and_below(states: Array, controls: Array, centre: Array) -> BoolArray:
-    """Return whether each value of states (B, nx) and controls (B, nu) is above ``centre``, and below: (B, d)."""
+    """Return whether each value of states (B, nx) and controls (B, nu) is above, and below, ``centre``: (B, d)."""
     off = np.concatenate([states, controls], axis=1) - centre
     return np.stack([off > 0.0, off < 0.0], axis=2).reshape(len(off), -1)
 
 
 def time_shares(counts: Array, survived: IntArray, diverged: BoolArray) -> Array:
-    """Return the descriptors (B, d), shares in [0, 1], from the samples counted; 0 for a rollout that diverged."""
-    samples = np.maximum(1, -(-survived // EVERY))[:, None]
+    """Return the descriptors (B, d) in [0, 1] from the counted samples; 0 for a rollout that diverged."""
+    samples = np.maximum(1, -(-survived // SAMPLE_EVERY))[:, None]
     return np.where(diverged[:, None], 0.0, counts / samples)
 
 
 def trajectories(
     tape: Sequence[Array], survived: IntArray, pose: Array, task: Task, system: System
 ) -> tuple[Trajectory, ...]:
-    """Return what was recorded in ``tape`` (states, controls and poses, flat or not) of each rollout that took a step.
+    """Return the trajectory of each rollout with at least one step, from ``tape`` (states, controls, poses).
 
-    What comes after the last step, and the pose before the first, may be anything: ``pose`` (E, n) is where trials
-    begin.
+    Values after the last step, and poses before the first, are ignored: ``pose`` (E, n) holds the first poses.
     """
     states, controls, poses = tape
     trials = len(pose)
@@ -106,10 +107,10 @@ def trajectories(
     for i, steps in enumerate(survived):
         if steps == 0:
             continue
-        where = None
+        path = None
         if poses_of is not None:
-            where = np.concatenate([pose[i % trials][None], poses_of[i, 1 : steps + 1].astype(np.float64)])
+            path = np.concatenate([pose[i % trials][None], poses_of[i, 1 : steps + 1].astype(np.float64)])
         name = f"candidate-{i // trials}-trial-{i % trials}"
         state, control = states[i, : steps + 1].astype(np.float64), controls[i, :steps].astype(np.float64)
-        found.append(Trajectory(state, control, system.dt, where, name))
+        found.append(Trajectory(state, control, system.dt, path, name))
     return tuple(found)

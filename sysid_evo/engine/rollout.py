@@ -1,4 +1,4 @@
-"""Rollouts: controllers in a dynamics at a task, many candidates in many trials at once; the runners that make them."""
+"""Rollouts of many candidates in many trials on a dynamics, and the runners that make them."""
 
 from __future__ import annotations
 
@@ -23,71 +23,68 @@ from sysid_evo.types import Array, Seeds, check_shape
 
 
 class BoundRunner(Protocol):
-    """A controller and a task bound to what they are run on: bound once, run often."""
+    """A controller and a task bound to a model or robot: bound once, run often."""
 
     def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,), the same trials for all.
+        """Return the rollouts of all candidates (P, n_parameters) in the same trials, one for each seed (E,).
 
-        The fitness (P, E) is never nan. With ``record`` the trajectories are kept. Only a robot leaves trials out, and
-        says why in ``missing``.
+        The fitness (P, E) is never nan. With ``record`` the result holds trajectories. Only a robot may skip trials;
+        ``missing`` lists the reasons.
         """
         ...
 
 
 class Runner(Protocol):
-    """How a controller is run on something: a column of the transfer matrix, a member of an ensemble.
+    """A model or robot that runs controllers: a column of the transfer matrix, a member of an ensemble.
 
-    `DynamicsRunner` runs a model or an emulated robot, all trials at once; a physical robot is run by its
-    control loop, one trial at a time. Anything else with this one method can be evolved on and compared.
+    `DynamicsRunner` runs a model or an emulated robot, all trials at once. A physical robot runs one trial at a time.
+    Any other object with this method can be used in evolution and comparison.
     """
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
-        """Return what runs ``controller`` at ``task``, both bound here. Raises `IncompatibleTask` before any trial."""
+        """Return the bound runner of ``controller`` and ``task``. Raises `IncompatibleTask` before any trial."""
         ...
 
 
 @dataclass(frozen=True)
 class DynamicsRunner:
-    """Runs controllers on a `Dynamics`: a model or an emulated robot.
-
-    ``engine`` and ``threads`` as for `rollout`.
-    """
+    """Runner of a `Dynamics`: a model or an emulated robot; ``engine`` and ``threads`` as in `rollout`."""
 
     dynamics: Dynamics
     engine: Engine = "auto"
     threads: int | None = None
 
     def bind(self, controller: Controller, task: Task) -> BoundRollout:
-        """Return what runs ``controller`` at ``task`` in the dynamics, see `rollout`."""
+        """Return the bound rollout of ``controller`` and ``task`` in the dynamics, see `rollout`."""
         return BoundRollout(self.dynamics, controller, task, engine=self.engine, threads=self.threads)
 
 
 @dataclass(frozen=True)
 class PenalisedRunner:
-    """A runner whose fitness is that of ``runner`` less the penalty: its mean over the steps of the task.
+    """A runner that subtracts the penalty, averaged over the steps of the task, from the fitness of ``runner``.
 
-    A trial that diverges is in penalty from beginning to end and loses ``most``, so that it stays below all others.
+    A trial that diverges loses ``max_penalty``, so that it stays below all others.
     """
 
     runner: Runner
-    most: float
+    max_penalty: float
 
     def bind(self, controller: Controller, task: Task) -> BoundRunner:
-        """Return what runs ``controller`` at ``task``, see `Runner`."""
+        """Return the bound runner of ``controller`` and ``task``, see `Runner`."""
         bound = self.runner.bind(controller, task)
 
-        def discounted(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
+        def penalised(parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
             run = bound(parameters, seeds, record=record)
             if run.penalty.shape != run.fitness.shape:
                 return run
-            lost = np.where(run.fitness < task.worst, self.most, run.penalty / task.horizon)
-            return replace(run, fitness=run.fitness - lost)
+            penalty = np.where(run.fitness < task.worst, self.max_penalty, run.penalty / task.horizon)
+            return replace(run, fitness=run.fitness - penalty)
 
-        return discounted
+        return penalised
 
 
 def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, Runner]:
-    """Return runners by name; a bare model or emulated robot is run by a `DynamicsRunner`. Raises `InvalidArgument`."""
+    """Return runners by name; a model or emulated robot gets a `DynamicsRunner`. Raises `InvalidArgument`."""
     if not isinstance(given, Mapping):
         raise InvalidArgument(
             f"{what}: expected models or runners by name, {{name: model}}, got {type(given).__name__}"
@@ -95,7 +92,7 @@ def as_runners(given: Mapping[str, Runner | Dynamics], what: str) -> dict[str, R
     found = {name: DynamicsRunner(one) if isinstance(one, Dynamics) else one for name, one in given.items()}
     for name, runner in found.items():
         if not hasattr(runner, "bind"):
-            raise InvalidArgument(f"{what}: {name!r} is a {type(runner).__name__}, no model and no runner")
+            raise InvalidArgument(f"{what}: expected a model or a runner as {name!r}, got {type(runner).__name__}")
     return found
 
 
@@ -110,25 +107,25 @@ def rollout(
     engine: Engine = "auto",
     threads: int | None = None,
 ) -> Rollouts:
-    """Run every candidate ``parameters`` (P, n_parameters) in a trial of every seed (E,).
+    """Return the rollouts of all candidates ``parameters`` (P, n_parameters) in a trial of each seed (E,).
 
-    Candidates meet the same trials: waypoints, noise and draws depend on the trial's seed alone.
+    All candidates have the same trials: waypoints, noise and draws depend on the trial's seed alone.
 
-    ``engine`` is "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object);
-    "auto" is compiled, in the precision of the dynamics' kernel, if all three have kernels, else the reference; in
-    float64 where a state is far from zero for how much it changes (`far_from_zero`). With `SYSID_EVO_ENGINE=reference`
-    in the environment, "auto" is the reference.
-    `Rollouts.engine` says which ran.
-    Scores do not depend on ``threads`` (default: all processors this process may use).
+    - ``engine``: "float32" or "float64" (dynamics, controller and task compiled) or "reference" (NumPy, any object).
+      "auto" is compiled if all three have kernels, in the precision of the dynamics' kernel, or in float64 if a state
+      is far from zero compared with its changes (`far_from_zero`); otherwise, or with `SYSID_EVO_ENGINE=reference` in
+      the environment, it is the reference. `Rollouts.engine` names the form that ran.
+    - ``threads``: default all processors of this process. Scores do not depend on it.
+
     Raises `IncompatibleTask`, `ShapeError`, `InvalidArgument`.
     """
     return BoundRollout(dynamics, controller, task, engine=engine, threads=threads)(parameters, seeds, record=record)
 
 
 class BoundRollout:
-    """A controller and a task bound to a dynamics, and what of it is compiled; arguments as for `rollout`.
+    """A controller and a task bound to a dynamics, with compiled kernels; arguments as in `rollout`.
 
-    It keeps the kernel of the dynamics as it is now: a model that is fitted again must be bound again.
+    It holds the kernel that the dynamics has at this moment: bind again after a model is refitted.
     """
 
     def __init__(
@@ -143,7 +140,7 @@ class BoundRollout:
         self.dynamics, self.task = dynamics, task.bind(dynamics.system)
         self.controller = controller.bind_to(self.task)
         if engine not in get_args(Engine):
-            raise InvalidArgument(f"rollout: engine is {', '.join(get_args(Engine))}, not {engine!r}")
+            raise InvalidArgument(f"rollout: expected engine {', '.join(get_args(Engine))}, got {engine!r}")
         if threads is not None and threads < 1:
             raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
         self.threads = threads or available_processors()
@@ -151,51 +148,53 @@ class BoundRollout:
         self.compiled = None if engine == "reference" else self._compiled(engine)
 
     def _compiled(self, engine: Literal["auto"] | Precision) -> LoopData | None:
-        """Return the compiled form; None where a kernel is missing. Raises `InvalidArgument` if it was asked for."""
+        """Return the compiled form. Without kernels: None for "auto", else raises `InvalidArgument`."""
         dynamics, task, controller = self.dynamics, self.task, self.controller
-        of_dynamics, of_task = dynamics.kernel(), task.kernel()
-        of_controller = None if controller.n_noise else controller.kernel()
-        if of_dynamics is None or of_controller is None or of_task is None:
+        dynamics_kernel, task_kernel = dynamics.kernel(), task.kernel()
+        controller_kernel = None if controller.n_noise else controller.kernel()
+        if dynamics_kernel is None or controller_kernel is None or task_kernel is None:
             if engine == "auto":
                 return None
-            roles = {"dynamics": of_dynamics, "controller": of_controller, "task": of_task}
+            roles = {"dynamics": dynamics_kernel, "controller": controller_kernel, "task": task_kernel}
             missing = ", ".join(role for role, kernel in roles.items() if kernel is None)
-            raise InvalidArgument(f"rollout: engine {engine!r} cannot run this: there is no kernel of the {missing}")
+            raise InvalidArgument(
+                f"rollout: engine {engine!r} needs kernels, but there is none of the {missing}: use engine='auto'"
+            )
         return LoopData(
-            RolloutKernels(of_dynamics, of_controller, of_task),
+            RolloutKernels(dynamics_kernel, controller_kernel, task_kernel),
             dynamics.system,
             n_memory=controller.n_memory,
             n_observations=len(task.observations),
-            seen=dynamics.observed_at,
+            observed_at=dynamics.observed_at,
             penalty_at=dynamics.penalty_at,
             state_bounds=dynamics.state_bounds,
-            precision=enough(of_dynamics.precision, dynamics.state_bounds) if engine == "auto" else engine,
+            precision=enough(dynamics_kernel.precision, dynamics.state_bounds) if engine == "auto" else engine,
         )
 
     def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
-        """Run every candidate (P, n_parameters) in a trial of every seed (E,), see `rollout`."""
+        """Return the rollouts of all candidates (P, n_parameters) in a trial of each seed (E,), see `rollout`."""
         dynamics, task = self.dynamics, self.task
         parameters = check_shape("parameters", parameters, (None, self.controller.n_parameters))
         if len(seeds) < 1:
             raise InvalidArgument("rollout: expected at least one trial seed, got none")
         if self.compiled is None:
             return reference.run(dynamics, self.controller, parameters, task, seeds, record=record)
-        trials, began, of_task = len(seeds), task.begin(seeds), self.compiled.kernels.task
+        trials, began, task_kernel = len(seeds), task.begin(seeds), self.compiled.kernels.task
         noise = np.empty((trials, task.horizon, dynamics.n_noise))
         run_in_threads(lambda: partial(_draw, seeds, noise), trials, self.threads)
         carry = started(dynamics, began.state, draw_for_trials(seeds, dynamics.n_draws))
-        begun = LoopTrials(
+        loop_trials = LoopTrials(
             theta=parameters,
             carry=check_shape("start", carry, (trials, dynamics.n_carry)),
-            task=of_task.rows(began),
-            trial_data=of_task.trial_data(began),
+            task=task_kernel.rows(began),
+            trial_data=task_kernel.trial_data(began),
             noise=noise,
         )
-        found, rows = self.compiled.run(begun, record=record, threads=self.threads)
-        task_state = of_task.state(began.tile(len(parameters)), rows)
+        found, rows = self.compiled.run(loop_trials, record=record, threads=self.threads)
+        task_state = task_kernel.state(began.tile(len(parameters)), rows)
         return finished(found, task, dynamics.system, began, task_state, f"compiled {self.compiled.precision}", record)
 
 
 def _draw(seeds: Seeds, noise: Array, first: int, last: int) -> None:
-    """Fill the ``noise`` (E, horizon, n_noise) of some trials."""
+    """Draw the ``noise`` (E, horizon, n_noise) of the trials ``first`` to ``last``."""
     draw_for_steps(seeds[first:last], *noise.shape[1:], out=noise[first:last])

@@ -1,8 +1,8 @@
-"""How fitness on several models and trials becomes one.
+"""Aggregates: the rule that combines the fitness on several models and trials into one number.
 
 An aggregate is a function of the fitness (models, candidates, trials) that returns one number for each candidate, in
-the same unit: where a candidate scores the same everywhere, that is its fitness. Further arguments are the parameters
-of its spec.
+the unit of fitness. If a candidate scores the same on all models and trials, the aggregate equals that score. Further
+arguments are the parameters of its spec.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ Aggregate: TypeAlias = Callable[[Array], Array]
 
 @register_aggregate("min")
 def lowest(fitness: Array) -> Array:
-    """The lowest of the models' means over the trials: the paper's rule."""
+    """Return the lowest of the models' mean fitness over the trials (the paper's rule)."""
     return np.min(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("mean")
 def mean(fitness: Array) -> Array:
-    """The mean of the models' means over the trials."""
+    """Return the mean of the models' mean fitness over the trials."""
     return np.mean(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("median")
 def median(fitness: Array) -> Array:
-    """The median of the models' means over the trials."""
+    """Return the median of the models' mean fitness over the trials."""
     return np.median(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("cvar")
 def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
-    """The mean of the worst ``share`` of a candidate's outcomes, those of all models and trials together.
+    """Return the mean of the worst ``share`` of a candidate's trials, over all models together.
 
-    With ``share`` 1 it is the mean; towards 0 it becomes the single worst trial. One outcome may count in part,
-    so that the worst 25 % of ten outcomes are two and a half (Rockafellar and Uryasev 2000).
+    ``share`` 1 gives the mean; towards 0 it becomes the single worst trial. A trial may count in part: the worst 25 %
+    of ten trials are two and a half trials (Rockafellar and Uryasev 2000).
     """
     if not 0.0 < share <= 1.0:
         raise InvalidArgument(f"cvar: expected share above 0 and at most 1, got {share}")
@@ -56,9 +56,9 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
 
 
 def make_aggregate(spec: str | Spec, /, **parameters: Any) -> Aggregate:
-    """Return the aggregate that ``spec`` names, with its parameters; it is tried once, to find a wrong value.
+    """Return the aggregate that ``spec`` names, with its parameters; one trial call finds invalid values.
 
-    Raises what `Registry.check` raises, and `InvalidArgument` where the function fails.
+    Raises the errors of `Registry.check`, and `InvalidArgument` if the trial call fails.
     """
     found = aggregates.check(spec, **parameters)
     aggregate = partial(aggregates.get(found.name), **found.parameters)

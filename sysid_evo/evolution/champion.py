@@ -21,11 +21,11 @@ from sysid_evo.types import Array, Converted, check_shape
 
 @dataclass(frozen=True)
 class Finalist:
-    """The best candidate (n,) of one niche of one run, from which the champion is chosen.
+    """The best candidate (n,) of one behaviour class of one run; the champion is chosen among the finalists.
 
-    ``fitness`` is what it claims, on fresh trials; ``forecast`` what it is worth to the judges, by which it was
-    chosen (`FinalistScore`), None where there were none. ``behaviour_class`` is empty for a strategy that keeps no
-    kinds apart.
+    ``fitness`` is its claim, measured on fresh trials in the models of its evolution. ``forecast`` is its score on the
+    scoring models (`FinalistScore`), None without such models. ``behaviour_class`` is empty for a strategy without
+    behaviour classes.
     """
 
     behaviour_class: str
@@ -35,7 +35,7 @@ class Finalist:
     forecast: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the parameters, as strict JSON."""
+        """Return all fields but the parameters, as strict JSON."""
         return {
             "behaviour_class": self.behaviour_class,
             "repeat": self.repeat,
@@ -46,16 +46,17 @@ class Finalist:
 
 @dataclass(frozen=True, repr=False)
 class Champion(Displayed):
-    """One evolved parameter vector (n,) of a registered ``controller`` at a registered ``task``.
+    """One evolved parameter vector (n,) of a registered ``controller`` for a registered ``task``.
 
-    ``against`` names the models it met, ``aggregate`` how their fitnesses became one. ``history`` (G, 3) holds the
-    best, mean and worst fitness of each generation, as evolution saw them, with states observed ``estimator_delay`` s
-    late, and with ``noise`` and ``penalty`` (specs, empty for none). ``seed_fitness`` holds the fitness of the
-    champion of each run, from different evolution seeds, on the same fresh trials. The champion is one of the
-    ``finalists``: the one that is worth most to the models that ``scoring_models`` names; without judges the fittest.
-    ``system`` is the one that it was evolved for; None for somebody who drives by hand. It is ``polished`` if it was
-    chosen among those of single models and then polished on several, see `polish`. ``population`` (P, n) holds the
-    last candidates of its run, best first.
+    - ``against``: labels of the models of its evolution; ``aggregate``: the rule that combined their fitness.
+    - ``history`` (G, 3): best, mean and worst fitness of each generation during evolution, with an observation delay
+      of ``estimator_delay`` s, ``noise`` and ``penalty`` (specs, empty for none).
+    - ``finalists``: the candidates among which the champion was chosen, by their score on the ``scoring_models``, or
+      by fitness without such models.
+    - ``seed_fitness``: fitness of the best finalist of each run (one evolution seed each), on the same fresh trials.
+    - ``system``: the system it was evolved for; None for a human driver.
+    - ``polished``: True if it was refined on several models, see `polish`.
+    - ``population`` (P, n): the last candidates of its run, best first.
     """
 
     name: str
@@ -94,28 +95,28 @@ class Champion(Displayed):
 
     @classmethod
     def baseline(cls, controller: Spec | str, task: Spec | str, system: System) -> Champion:
-        """Return a controller that needs no evolution, with zeros as its parameters, for ``task`` on ``system``.
+        """Return a controller that needs no evolution, with zeros as parameters, for ``task`` on ``system``.
 
-        It was evolved against nothing. Raises `InvalidArgument` for one that must be evolved.
+        Raises `InvalidArgument` for a controller that must be evolved.
         """
         spec = spec_of(controller)
         law = make_controller(spec).bind_to(make_task(task).bind(system))
         if not law.is_baseline:
             raise InvalidArgument(f"controller {spec.name!r} must be evolved before it can drive: give its file")
-        nothing = np.zeros(law.n_parameters)
-        return cls(spec.label, nothing, (), "min", 0, np.empty((0, 3)), controller=spec, task=task, system=system)
+        zeros = np.zeros(law.n_parameters)
+        return cls(spec.label, zeros, (), "min", 0, np.empty((0, 3)), controller=spec, task=task, system=system)
 
     def check_system(self, system: System) -> None:
-        """Raise `IncompatibleSystem` unless ``system`` is, for a controller, the one it was evolved for."""
+        """Raise `IncompatibleSystem` unless ``system`` matches the system that it was evolved for."""
         differences = () if self.system is None else self.system.differences(system)
         if differences:
             raise IncompatibleSystem(
                 f"controller {self.name!r} was evolved for another system: {'; '.join(differences)}. "
-                "Evolve one for this system, or run it on the robot that it was evolved for"
+                "Evolve a controller for this system, or run this one on its own robot"
             )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but parameters and history, as strict JSON."""
+        """Return all fields but the arrays (see `tensors`), as strict JSON."""
         return {
             "name": self.name,
             "against": list(self.against),
@@ -135,7 +136,7 @@ class Champion(Displayed):
 
     @property
     def tensors(self) -> dict[str, Array]:
-        """Return what `to_dict` leaves out: the arrays."""
+        """The arrays that `to_dict` leaves out, by name."""
         n = len(self.parameters)
         return {
             "parameters": self.parameters,
@@ -146,11 +147,11 @@ class Champion(Displayed):
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any], tensors: Mapping[str, Array]) -> Champion:
-        """Undo `to_dict` and `tensors`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        """Return the champion of `to_dict` and `tensors`. Raises `KeyError`, `TypeError` or `ValueError`."""
         system = value["system"]
         parameters, history, found, population = (
             np.asarray(tensors[name], dtype=np.float64) for name in ("parameters", "history", "finalists", "population")
-        )  # JSON gives rows of none back without their number of columns
+        )  # an empty array loses its number of columns in JSON
         for name, rows in (("parameters", parameters[None]), ("finalists", found), ("population", population)):
             if rows.size and not np.isfinite(check_shape(name, rows, (None, parameters.size))).all():
                 raise InvalidArgument(f"{name}: expected finite numbers, some are not")
@@ -194,7 +195,7 @@ def save_champion(champion: Champion, path: str | Path, *, data: str | None = No
 
 
 def load_champion(path: str | Path) -> Champion:
-    """Read what `save_champion` wrote, see `stored_file`. Raises `ArtefactError`."""
+    """Return the controller that `save_champion` stored at ``path``, see `stored_file`. Raises `ArtefactError`."""
     path = stored_file(path, "controller")
     manifest, tensors = read_artefact(path, "controller")
     try:
@@ -204,5 +205,5 @@ def load_champion(path: str | Path) -> Champion:
         older = ""
         if isinstance(error, KeyError):
             older = "".join(f"; {key!r} is called {error} now" for key in manifest.learned if renamed(key, error.args))
-            older += "; another version of this library wrote it: evolve again"
+            older += "; it was written by another version of this library: evolve again"
         raise ArtefactError(f"{path}: not a stored controller: {type(error).__name__}: {error}{older}") from error

@@ -1,4 +1,4 @@
-"""Evolving a controller against a model or an ensemble: settings, what candidates meet there, how far a robot goes."""
+"""Evolution of a controller against a model or an ensemble: settings, disturbed models, range of the states."""
 
 from __future__ import annotations
 
@@ -32,22 +32,23 @@ from sysid_evo.tasks.task import Task, make_task
 from sysid_evo.types import Array, Converted, Seeds
 
 SELECTION = 2**31
-"""The generation number of the fresh trials on which champions are chosen: never reached by a run."""
+"""Generation number of the fresh trials on which champions are chosen; no run reaches it."""
 
 
 @dataclass(frozen=True)
 class ControllerEvolution:
-    """How controllers are evolved: specs of registered things (or their text) and numbers, all of it storable.
+    """Settings of controller evolution: numbers and specs (or their text), all storable.
 
-    ``trials`` of every candidate in each generation (paper: 10); ``repeats`` from different seeds (paper: 2).
-    Every niche of every run gives a finalist, its best on ``selection_trials`` fresh trials, and the
-    champion is one of them, see `Champion`. ``aggregate`` is a name or a spec, ``NAME(parameter=value)``. With
-    ``estimator_delay`` (s) every model is observed that late, as on a robot whose state is estimated,
-    see `Disturbed`. The ``schedule`` holds easier stages, or their text, which come before the task in
-    every run.
-    ``noise`` is met in evolution and in the choice of the champion, not by its claims; a spec, see
-    `DomainRandomisation`; empty for none. With ``penalty``, a spec too (`UncertaintyPenalty`), candidates lose fitness
-    where the models that they are evolved in cannot be believed.
+    - ``trials``: trials of each candidate in each generation (paper: 10).
+    - ``repeats``: number of runs, each with its own seed (paper: 2).
+    - ``aggregate``: rule that combines the fitness on several models, a spec, ``NAME(parameter=value)``.
+    - ``selection_trials``: fresh trials on which each behaviour class of each run selects its finalist; the champion
+      is one of the finalists, see `Champion`.
+    - ``estimator_delay``: delay in s with which controllers observe the state of a model, see `Disturbed`.
+    - ``schedule``: easier stages that precede the task in every run.
+    - ``noise``: domain randomisation, a spec (`DomainRandomisation`), empty for none. It acts during evolution and the
+      choice of the champion, not when claims are measured.
+    - ``penalty``: fitness penalty where models extrapolate or disagree, a spec (`UncertaintyPenalty`), empty for none.
     """
 
     generations: int = 300
@@ -79,21 +80,21 @@ class ControllerEvolution:
         return make_task(self.task).bind(system)
 
     def stages(self, task: Task, models: tuple[str, ...]) -> tuple[tuple[Stage, Task, tuple[str, ...]], ...]:
-        """Return every stage before ``task``, which is bound: with its own task, and on which of ``models`` it is met.
+        """Return each stage that precedes ``task`` (bound), with its own task (bound) and the labels of its models.
 
-        Raises `InvalidArgument` if a stage wants another controller, or models that are not there.
+        Raises `InvalidArgument` if a stage has other observations than ``task``, or a model that is not in ``models``.
         """
         found = []
         for stage in self.schedule:
-            of_stage = task if stage.task is None else make_task(stage.task).bind(task.system)
-            if of_stage.observations != task.observations:
+            stage_task = task if stage.task is None else make_task(stage.task).bind(task.system)
+            if stage_task.observations != task.observations:
                 raise InvalidArgument(
-                    f"schedule: {stage.task} shows other things than {self.task}, so that no controller can do both"
+                    f"schedule: {stage.task} has other observations than {self.task}: one controller cannot do both"
                 )
             missing = [model for model in stage.models if model not in models]
             if missing:
                 raise InvalidArgument(f"schedule: {missing[0]!r} is not among the models: {', '.join(models)}")
-            found.append((stage, of_stage, stage.models or models))
+            found.append((stage, stage_task, stage.models or models))
         return tuple(found)
 
     def make_controller(self, task: Task) -> Controller:
@@ -101,29 +102,29 @@ class ControllerEvolution:
         return make_controller(self.controller).bind_to(task)
 
     def make_noise(self) -> DomainRandomisation | None:
-        """Return the noise, None without any."""
+        """Return the domain randomisation, None without one."""
         return noises.make(self.noise) if self.noise else None
 
     def make_penalty(self) -> UncertaintyPenalty | None:
-        """Return what a trial loses where models are doubted, None for nothing."""
+        """Return the uncertainty penalty, None without one."""
         return penalties.make(self.penalty) if self.penalty else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
-        """Return the strategy, which searches ``n_parameters`` numbers.
+        """Return the strategy for ``n_parameters`` parameters.
 
-        Raises `InvalidArgument` if a parent and its child, or what the strategy keeps, do not fit into the memory.
+        Raises `InvalidArgument` if two candidates, or the state of the strategy, do not fit into memory.
         """
         import psutil
 
-        each, there = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
+        size, memory = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
         try:
-            if 2.0 * each > there:
-                raise MemoryError(f"two candidates take {2.0 * each:.3g} of {there:.3g} GB of memory")
+            if 2.0 * size > memory:
+                raise MemoryError(f"two candidates take {2.0 * size:.3g} of {memory:.3g} GB of memory")
             return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
         except MemoryError as error:
             raise InvalidArgument(
-                f"evolution: {self.controller} has {n_parameters:,} numbers, too many for {self.strategy} on this "
-                f"machine: {error}. Make the controller smaller"
+                f"evolution: {self.controller} has {n_parameters:,} parameters, too many for {self.strategy} on this "
+                f"machine: {error}. Use a smaller controller"
             ) from error
 
 
@@ -137,53 +138,53 @@ def evolve_controller(
     checkpoint: Checkpoint | None = None,
     progress: Progress | bool | None = None,
 ) -> Champion:
-    """Evolve a controller against all of ``runners``, or models, at once; return the fittest of all niches and runs.
+    """Return the fittest controller of an evolution against all ``runners`` (or models) together.
 
-    Give it to `choose` to have it chosen on models that it was not evolved in. ``progress`` is called after
-    every generation, with a note of what it reached; True shows a bar. The result depends on ``seed`` alone.
+    The result depends on ``seed`` and the arguments alone. `choose` selects among its finalists by their score on
+    other models. ``progress`` is called after every generation with a note of the fitness; True shows a bar.
 
-    With a ``checkpoint``, `CheckpointFile` for example, an evolution that was stopped or killed goes on where
-    it was, to the champion that it would have had.
+    With a ``checkpoint``, for example `CheckpointFile`, an evolution that was interrupted or killed resumes from
+    there and ends with the same champion.
     """
     runners, seed = as_runners(runners, "evolve_controller"), as_seed(seed)
     task = settings.make_task(system)
     controller = settings.make_controller(task)
-    late = disturbed_runners(runners, settings)
+    disturbed = disturbed_runners(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
-    models = tuple(late)
+    models = tuple(disturbed)
     stages = settings.stages(task, models)
 
     @cache
-    def objective(run: int, of_stage: Task, on: tuple[str, ...]) -> EnsembleObjective:
-        disturbed = tuple(late[label] for label in on)
+    def objective(run: int, stage_task: Task, labels: tuple[str, ...]) -> EnsembleObjective:
+        chosen = tuple(disturbed[label] for label in labels)
         return EnsembleObjective(
-            disturbed, controller, of_stage, derived_seed(seed, run), settings.trials, settings.aggregate
+            chosen, controller, stage_task, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
-    def begun(run: int) -> tuple[EvolutionStrategy, Schedule]:
+    def start_run(run: int) -> tuple[EvolutionStrategy, Schedule]:
         strategy = settings.make_strategy(controller.n_parameters, derived_seed(seed, run))
         strategy.prepare(
             behaviour_names=behaviour_names(system),
             control_names=system.control_names,
             generations=settings.generations,
         )
-        easier = [(stage, objective(run, of_stage, on)) for stage, of_stage, on in stages]
-        return strategy, Schedule(easier, objective(run, task, models), most=task.max_fitness)
+        easier = [(stage, objective(run, stage_task, labels)) for stage, stage_task, labels in stages]
+        return strategy, Schedule(easier, objective(run, task, models), max_fitness=task.max_fitness)
 
-    def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        found, on = [], objective(run, task, models)
-        for niche, candidates in strategy.finals.items():
-            fitness = on.on_trials(candidates, seeds).fitness
+    def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        found, final = [], objective(run, task, models)
+        for behaviour_class, candidates in strategy.finals.items():
+            fitness = final.on_trials(candidates, seeds).fitness
             winner = int(np.argmax(fitness))
-            found.append(Finalist(niche, run, float(fitness[winner]), candidates[winner]))
+            found.append(Finalist(behaviour_class, run, float(fitness[winner]), candidates[winner]))
         return tuple(found)
 
     runs = Runs(
         settings.repeats,
         settings.generations,
-        begun,
-        finals,
-        models=(*(on for _, _, on in stages), models),
+        start_run,
+        finalists_of,
+        models=(*(labels for _, _, labels in stages), models),
         checkpoint=checkpoint,
         identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, controller, task, seed),
     )
@@ -211,14 +212,14 @@ def evolve_controller(
 
 
 def selection_seeds(seed: int, trials: int) -> Seeds:
-    """Return the seeds (trials,) of the fresh trials on which finalists and champions are chosen."""
+    """Return the seeds (trials,) of the fresh trials that select finalists and champions."""
     return trial_seeds(seed, trials, generation=SELECTION)
 
 
 def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` as candidates meet them by ``settings``.
+    """Return ``runners`` with the noise, delay and penalty of ``settings``.
 
-    Raises `InvalidArgument` for what is no model, if something is to be added to it.
+    Raises `InvalidArgument` for a runner that is not a model, if something has to be added to it.
     """
     noise, penalty, delay = settings.make_noise(), settings.make_penalty(), settings.estimator_delay
     if noise is None and penalty is None and delay == 0.0:
@@ -241,43 +242,43 @@ def _models(runners: Mapping[str, Runner]) -> dict[str, DynamicsRunner]:
     others = [label for label in runners if label not in found]
     if others:
         raise InvalidArgument(
-            f"evolution: {', '.join(others)} is not a model: noise, penalty and late states can only be added to models"
+            f"evolution: {', '.join(others)} is not a model: noise, penalty and delay can only be added to models"
         )
     return found
 
 
 def delayed_runner(name: str, runner: Runner, delay: float) -> Runner:
-    """Return ``runner`` with a state that is observed ``delay`` s late. Raises `InvalidArgument`."""
+    """Return ``runner`` with an observation delay of ``delay`` s. Raises `InvalidArgument` if it is not a model."""
     if delay == 0.0:
         return runner
     if not isinstance(runner, DynamicsRunner):
-        raise InvalidArgument(f"evolution: {name} is not a model, so that its state cannot be observed late")
+        raise InvalidArgument(f"evolution: {name} is not a model: a delay can only be added to models")
     return replace(runner, dynamics=Disturbed(runner.dynamics, delay=delay))
 
 
 SECONDS = 5.0
-"""For how long every extreme command is held to see how far the states go."""
-MOST_COMMANDS = 243
-SHARE = 0.99
-"""Of the recorded samples that stay below what is called the farthest."""
+"""Time for which each extreme command is held in `simulated_state_range`."""
+MAX_COMMANDS = 243
+QUANTILE = 0.99
+"""Quantile of the recorded samples that `recorded_state_range` returns."""
 
 
 def recorded_state_range(dataset: Dataset) -> Array:
-    """Return the absolute value that each state stays below in 99 % of the recorded samples, (nx,)."""
+    """Return the 99 % quantile of the absolute value of each recorded state, (nx,)."""
     states = np.concatenate([episode.states for episode in dataset])
-    return np.asarray(np.quantile(np.abs(states), SHARE, axis=0))
+    return np.asarray(np.quantile(np.abs(states), QUANTILE, axis=0))
 
 
 def simulated_state_range(dynamics: Dynamics) -> Array | None:
-    """Return the largest absolute value of each state under extreme commands held from rest, (nx,).
+    """Return the largest absolute value of each state under constant extreme commands from rest, (nx,).
 
-    None without controls, or where a command has no limits; what stops being a number does not count.
+    None without controls, or if a control has no limits. Values that are not finite are ignored.
     """
     system = dynamics.system
     if not system.nu or not all(channel.bounded for channel in system.controls):
         return None
     ends = [sorted({channel.low, channel.neutral, channel.high}) for channel in system.controls]
-    commands = np.array(list(product(*ends))[:MOST_COMMANDS])
+    commands = np.array(list(product(*ends))[:MAX_COMMANDS])
     carry = started(dynamics, np.tile(system.neutral_state, (len(commands), 1)))
     noise = np.zeros((len(commands), dynamics.n_noise)) if dynamics.n_noise else None
     farthest = np.abs(system.neutral_state)

@@ -21,10 +21,10 @@ from sysid_evo.types import Array, Seeds, check_shape
 
 @dataclass(frozen=True)
 class EnsembleObjective:
-    """Fitness on each of the runners in ``trials`` trials, made one by ``aggregate``, a spec.
+    """Fitness on all runners in ``trials`` trials, combined by ``aggregate`` (a spec).
 
-    Everyone in a generation meets the same trials, keyed by (seed, generation, trial), and the same
-    trials on every model; the next generation meets new ones.
+    All candidates of a generation have the same trials on all models, keyed by (seed, generation, trial). The next
+    generation has new trials.
     """
 
     runners: Sequence[Runner]
@@ -47,13 +47,13 @@ class EnsembleObjective:
         return [runner.bind(self.controller, self.task) for runner in self.runners]
 
     def __call__(self, population: Array, generation: int) -> Scores:
-        """Return what ``population`` (P, n) scores in ``generation``."""
+        """Return the scores of ``population`` (P, n) in ``generation``."""
         return self.on_trials(population, trial_seeds(self.seed, self.trials, generation=generation))
 
     def on_trials(self, population: Array, seeds: Seeds) -> Scores:
-        """Return what ``population`` (P, n) scores in the trials of these seeds; the behaviour is the mean over models.
+        """Return the scores of ``population`` (P, n) in the trials of ``seeds``; behaviour is the mean over models.
 
-        Raises `ShapeError` if a runner leaves trials out.
+        Raises `ShapeError` if a runner skips trials.
         """
         shape = len(population), len(seeds)
         runs = [run(population, seeds) for run in self.bound]

@@ -1,6 +1,6 @@
-"""The generation loop, as a generator that belongs to the caller; easier stages that come before the task.
+"""The generation loop, as a generator that the caller drives; easier stages that precede the task.
 
-In incremental evolution easier forms of the task come first, the next one as soon as the fitness is there.
+Incremental evolution begins with easier forms of the task; the next stage begins when the required fitness is reached.
 """
 
 from __future__ import annotations
@@ -21,10 +21,7 @@ from sysid_evo.types import Array, Converted, check_shape
 
 @dataclass(frozen=True)
 class Scores:
-    """What P candidates scored: their fitness (P,), and what is known beside it.
-
-    ``behaviour`` (P, d) holds descriptors, ``by_model`` (M, P) the fitness on each of several models.
-    """
+    """Scores of P candidates: ``fitness`` (P,), ``behaviour`` descriptors (P, d), fitness ``by_model`` (M, P)."""
 
     fitness: Array
     behaviour: Array | None = None
@@ -32,12 +29,12 @@ class Scores:
 
 
 Objective: TypeAlias = Callable[[Array, int], Scores | Array]
-"""What candidates (P, n) score in a generation, or their fitness (P,) alone; maximised."""
+"""Returns the scores of candidates (P, n) in a generation, or only their fitness (P,), which is maximised."""
 
 
 @dataclass(frozen=True)
 class Generation:
-    """One ask-tell cycle: its number, candidates (P, n), their fitness (P,), and on each model (M, P)."""
+    """One cycle of `ask` and `tell`: its number, candidates (P, n), fitness (P,), fitness on each model (M, P)."""
 
     index: int
     population: Array
@@ -53,9 +50,9 @@ class Generation:
 def evolve(
     strategy: EvolutionStrategy, objective: Objective, generations: int, *, start: int = 0
 ) -> Iterator[Generation]:
-    """Run ask-tell cycles up to ``generations`` in all, and yield each one.
+    """Run cycles of `ask` and `tell` up to a total of ``generations``, and yield each one.
 
-    A strategy that was restored goes on from the generation ``start``, the number of those it has behind it.
+    A restored strategy continues with generation ``start``, the number of generations that it has completed.
     """
     for index in range(start, generations):
         with one_blas_thread():
@@ -66,8 +63,9 @@ def evolve(
         yield Generation(index, population, scores.fitness, scores.by_model)
 
 
-MANY, LONG = 0.5, 20
-"""Share of the candidates that must have all there is, and for how many generations, until a search is over."""
+MAX_SHARE, MAX_GENERATIONS = 0.5, 20
+"""A schedule has converged when at least this share of the candidates had the maximum fitness in each of this number
+of generations."""
 
 
 def _checked(task: Spec | str | None) -> Spec | None:
@@ -80,33 +78,37 @@ def _labels(models: Sequence[str] | str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Stage:
-    """What comes before that which is asked for, and until when.
+    """An easier stage of an evolution that precedes the final task.
 
-    The ``task`` of the stage, a spec or its text, and the ``models`` that it is met on, a list of labels or
-    ``a+b``; each is by default what is asked for. The stage ends when the median fitness of the better half has reached
-    ``until``, the median over the last ``over`` generations, or after ``at_most`` generations.
+    - ``task``: task of the stage, a spec or its text; the final task by default.
+    - ``models``: labels of its models, a list or ``a+b``; all models by default.
+    - ``until``: the stage ends when the median fitness of the better half, as the median over the last ``window``
+      generations, reaches this value.
+    - ``max_generations``: the stage ends after this number of generations at the latest.
     """
 
     task: Converted[Spec | str | None, Spec | None] = Converted(_checked, None)
     models: Converted[Sequence[str] | str, tuple[str, ...]] = Converted(_labels, ())
     until: float | None = None
-    at_most: int | None = None
-    over: int = 5
+    max_generations: int | None = None
+    window: int = 5
 
     def __post_init__(self) -> None:
-        if self.until is None and self.at_most is None:
-            raise InvalidArgument("stage: expected until=FITNESS, at_most=GENERATIONS or both, so that it ends")
-        if self.over < 1 or (self.at_most is not None and self.at_most < 1):
-            raise InvalidArgument(f"stage: expected over and at_most >= 1, got {self.over} and {self.at_most}")
+        if self.until is None and self.max_generations is None:
+            raise InvalidArgument("stage: expected until=FITNESS, max_generations=NUMBER or both: a stage must end")
+        if self.window < 1 or (self.max_generations is not None and self.max_generations < 1):
+            raise InvalidArgument(
+                f"stage: expected window and max_generations >= 1, got {self.window} and {self.max_generations}"
+            )
         if self.until is not None and not np.isfinite(self.until):
             raise InvalidArgument(f"stage: expected a finite fitness, got until={self.until}")
 
     @classmethod
     def listed(cls, given: Sequence[Stage] | str) -> tuple[Stage, ...]:
-        """Return stages, or read ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
+        """Return the stages; text is parsed: ``stage(task=..., until=...), stage(...)``. Raises `InvalidArgument`."""
         if not isinstance(given, str):
             return tuple(given)
-        return tuple(cls._of(Spec.parse(piece)) for piece in split_specs(given))
+        return tuple(cls._of(Spec.parse(text)) for text in split_specs(given))
 
     @classmethod
     def _of(cls, spec: Spec) -> Stage:
@@ -121,41 +123,45 @@ class Stage:
             raise InvalidArgument(f"schedule: {spec} cannot be read: {error}") from error
 
     def reached(self, levels: Sequence[float]) -> bool:
-        """Whether the stage has ended, after generations of these levels."""
-        enough = self.until is not None and len(levels) >= self.over and np.median(levels[-self.over :]) >= self.until
-        return bool(enough) or (self.at_most is not None and len(levels) >= self.at_most)
+        """True if the stage ends after generations with these ``levels`` (median fitness of the better half)."""
+        enough = (
+            self.until is not None and len(levels) >= self.window and np.median(levels[-self.window :]) >= self.until
+        )
+        return bool(enough) or (self.max_generations is not None and len(levels) >= self.max_generations)
 
 
 class Schedule:
-    """An objective that becomes harder: that of each stage in turn, at last what is ``asked`` for.
+    """An objective in stages: the objective of each stage in turn, then the ``final`` one.
 
-    Whoever evolves hands every generation to `tell`, and makes the strategy forget old fitness when that
-    says that the next stage has begun::
+    The caller passes every generation to `tell`, and makes the strategy forget old fitness when the next stage
+    begins::
 
         for generation in evolve(strategy, schedule, 300):
             if schedule.tell(generation):
                 strategy.forget_fitness()
 
-    ``most`` is the most that a candidate can score at what is asked for: where many reach that for long, the schedule
-    is `converged`, for nothing is left to choose by.
+    ``max_fitness`` is the highest possible fitness of the final objective. When many candidates have it for several
+    generations, selection no longer distinguishes candidates, and the schedule is `converged`.
     """
 
-    def __init__(self, stages: Sequence[tuple[Stage, Objective]], asked: Objective, *, most: float = np.inf) -> None:
+    def __init__(
+        self, stages: Sequence[tuple[Stage, Objective]], final: Objective, *, max_fitness: float = np.inf
+    ) -> None:
         self.stages = tuple(stage for stage, _ in stages)
-        self.objectives = (*(objective for _, objective in stages), asked)
-        self.stage, self.most = 0, most
+        self.objectives = (*(objective for _, objective in stages), final)
+        self.stage, self.max_fitness = 0, max_fitness
         self._levels: list[float] = []
-        self._full = 0
+        self._saturated = 0
 
     def __call__(self, population: Array, generation: int) -> Scores | Array:
-        """Return what ``population`` (P, n) scores in the present stage."""
+        """Return the scores of ``population`` (P, n) in the current stage."""
         return self.objectives[self.stage](population, generation)
 
     def tell(self, generation: Generation) -> bool:
-        """Take in a generation; return whether the next stage begins after it."""
+        """Register a generation; return True if the next stage begins after it."""
         if self.stage == len(self.stages):
-            reached = np.mean(generation.fitness >= self.most)
-            self._full = self._full + 1 if reached >= MANY else 0
+            share = np.mean(generation.fitness >= self.max_fitness)
+            self._saturated = self._saturated + 1 if share >= MAX_SHARE else 0
             return False
         self._levels.append(float(np.median(np.sort(generation.fitness)[len(generation.fitness) // 2 :])))
         if not self.stages[self.stage].reached(self._levels):
@@ -166,23 +172,23 @@ class Schedule:
 
     @property
     def converged(self) -> bool:
-        """Whether half of the candidates have had all there is in each of the last 20 generations."""
-        return self._full >= LONG
+        """True if half of the candidates had the maximum fitness in each of the last 20 generations."""
+        return self._saturated >= MAX_GENERATIONS
 
     @property
     def status(self) -> str:
-        """Which stage of how many it is, the last being what is asked for; empty without stages."""
+        """The current stage, as "stage 1 of 2"; the last is the final task. Empty without stages."""
         return f"stage {self.stage + 1} of {len(self.objectives)}" if self.stages else ""
 
     @property
     def state(self) -> StrategyState:
-        """All that `tell` has changed."""
-        return {"stage": self.stage, "levels": np.array(self._levels), "full": self._full}
+        """The state that `tell` changes."""
+        return {"stage": self.stage, "levels": np.array(self._levels), "saturated": self._saturated}
 
     def restore(self, state: StrategyState) -> None:
-        """Go on from a ``state`` of a schedule of the same stages. Raises `InvalidArgument` or `ShapeError`."""
+        """Continue from the ``state`` of a schedule of the same stages. Raises `InvalidArgument` or `ShapeError`."""
         stage = state["stage"]
         if not isinstance(stage, int) or not 0 <= stage <= len(self.stages):
             raise InvalidArgument(f"schedule: expected the number of a stage up to {len(self.stages)}, got {stage!r}")
         self.stage, self._levels = stage, check_shape("levels", state["levels"], (None,)).tolist()
-        self._full = int(state["full"])
+        self._saturated = int(state["saturated"])

@@ -1,4 +1,4 @@
-"""Fitting a model's parameters by evolution on its multi-step error (paper, section 4.2)."""
+"""Fit of a model's parameters by evolution on the multi-step error (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -42,14 +42,13 @@ CHOICE_WINDOWS = 500
 
 @dataclass(frozen=True)
 class ModelEvolution:
-    """A 50+50 strategy on the error after ``horizon`` steps from ``windows`` random starts.
+    """A 50+50 evolution strategy that minimises the error ``horizon`` steps after ``windows`` random starts.
 
-    The fitness of a candidate is minus the mean square difference between the simulated and the
-    recorded state ``horizon`` steps after the start. ``error_units`` says in what: with "spread", every state is
-    divided by its standard deviation over the data; with "paper", states count in their own units, so
-    that one whose numbers are small hardly counts. All candidates of a generation meet the same
-    windows, the next generation new ones, and parents are evaluated again. The winner is the best
-    of the last parents on up to 500 windows spread evenly over the data.
+    The fitness of a candidate is minus the mean squared difference between the simulated and the recorded state
+    ``horizon`` steps after the start. With ``error_units`` "spread", every state is divided by its standard deviation
+    over the data; with "paper", states count in their own units, so that small numbers have little weight. All
+    candidates of a generation have the same windows; the next generation has new ones, and parents are evaluated
+    again. The result is the best of the last parents on up to 500 windows, evenly spaced over the data.
     """
 
     generations: int = 1000
@@ -74,11 +73,11 @@ class ModelEvolution:
         start: Start | None = None,
         history: int = 0,
     ) -> Array:
-        """Return the best parameters found, (n,), starting around ``initial`` (n,).
+        """Return the best parameters found (n,); the first candidates are drawn around ``initial`` (n,).
 
-        With ``kernel``, the compiled form of ``step``, generations run compiled, unless `SYSID_EVO_ENGINE` names the
-        reference. A simulation starts from what ``start`` makes of ``history`` earlier samples, by default from the
-        measured state. What was stopped or killed goes on from its ``checkpoint``, to the same parameters.
+        ``kernel``, the compiled form of ``step``, is used unless `SYSID_EVO_ENGINE` selects the reference. ``start``
+        computes the first carry of a simulation from ``history`` earlier samples; by default it is the measured state.
+        With a ``checkpoint``, an interrupted fit resumes and ends with the same parameters.
         """
         every = dataset.find_windows(self.horizon, history=history)
         if not len(every):
@@ -98,7 +97,7 @@ class ModelEvolution:
                 return -final_error(step, population, chosen, start, weight=weight)
             return -kernel_error(*compiled, chosen, start, weight=weight, precision=precision)
 
-        def begun(_: int) -> tuple[EvolutionStrategy, Schedule]:
+        def start_run(_: int) -> tuple[EvolutionStrategy, Schedule]:
             strategy = MuPlusLambda(
                 n_parameters=len(initial),
                 seed=seed,
@@ -110,36 +109,36 @@ class ModelEvolution:
             )
             return strategy, Schedule((), objective)
 
-        def finals(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
+        def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
             evenly = np.unique(np.linspace(0, len(every) - 1, CHOICE_WINDOWS).astype(np.int64))
             error = final_error(step, strategy.elite, every[evenly], start, weight=weight)
             winner = int(np.argmin(error))
             return (Finalist("", run, -float(error[winner]), strategy.elite[winner]),)
 
         def identity() -> str:
-            """Return the digest of what is asked for, the data, and how the first candidates do."""
-            first = objective(begun(0)[0].ask(), 0)
-            asked = [repr(self), seed, spread, dataset.fingerprint, initial.tolist(), first.tolist()]
-            return hashlib.sha256(json.dumps([*asked, *engine_inputs().items()]).encode()).hexdigest()
+            """Return the digest of the settings, the data, and the fitness of the first candidates."""
+            first = objective(start_run(0)[0].ask(), 0)
+            inputs = [repr(self), seed, spread, dataset.fingerprint, initial.tolist(), first.tolist()]
+            return hashlib.sha256(json.dumps([*inputs, *engine_inputs().items()]).encode()).hexdigest()
 
-        def told(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # of a fit, numbers are told
+        def report(done: int, total: int, note: str = "") -> None:  # noqa: ARG001  # a fit reports numbers only
             if progress is not None:
                 progress(done, total)
 
         (run,) = Runs(
             1,
             self.generations,
-            begun,
-            finals,
+            start_run,
+            finalists_of,
             models=((),),
             checkpoint=checkpoint,
             identity="" if checkpoint is None else identity(),
-        ).finish(told)
+        ).finish(report)
         return run.finalists[0].parameters
 
 
 def starting_carries(windows: Windows, start: Start | None) -> Array:
-    """Return the carries (W, n_carry) from which ``windows`` are simulated."""
+    """Return the first carries (W, n_carry) of the simulations of ``windows``."""
     return windows.start_states if start is None else start(windows.past_states, windows.past_controls)
 
 
@@ -151,14 +150,14 @@ def final_error(
     *,
     weight: Array | float = 1.0,
 ) -> Array:
-    """Return the mean square difference (P,) of the last state of ``windows``, every state times its ``weight`` (nx,).
+    """Return the mean squared difference (P,) of the last state of ``windows``; ``weight`` (nx,) multiplies each state.
 
-    A candidate that diverges has the largest number there is.
+    The error of a candidate that diverges is the largest finite number.
     """
     nx = windows.states.shape[2]
     carry = np.repeat(starting_carries(windows, start)[None], len(population), axis=0)
     with np.errstate(all="ignore"):
-        for last in chained(lambda now, control: step(population, now, control), carry, windows.controls):
+        for last in chained(lambda current, control: step(population, current, control), carry, windows.controls):
             carry = last
         error = np.mean((carry[..., :nx] - windows.states[:, -1]) ** 2 * weight, axis=(1, 2))
     return np.where(np.isfinite(error), error, np.finfo(float).max)
@@ -173,7 +172,7 @@ def kernel_error(
     weight: Array | None = None,
     precision: Precision = "float32",
 ) -> Array:
-    """Return what `final_error` does, compiled, on all processors; ``parameters`` are the kernel's, (P, m)."""
+    """Return the error of `final_error`, compiled, on all processors; ``parameters`` (P, m) are those of the kernel."""
     error = final_errors(
         kernel.source,
         kernel.n_scratch,

@@ -1,4 +1,4 @@
-"""Several runs of a search that can be interrupted and resumed."""
+"""Several runs of an evolution, which can be interrupted and resumed."""
 
 from __future__ import annotations
 
@@ -26,91 +26,89 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class Runs:
-    """``count`` runs of ``generations`` each, or until the schedule is exhausted.
+    """``count`` runs of at most ``generations`` each; a run ends earlier when its schedule has converged.
 
-    ``begun(run)`` makes strategy and objective anew, as they are before the first generation; ``finals`` chooses
-    the finalists of a run that has ended. ``models`` are the labels of those that each stage is met on, the last
-    for what is asked. The ``checkpoint`` is kept under ``evolution_digest``.
+    ``start_run(run)`` makes a new strategy and schedule; ``finalists_of`` selects the finalists of a finished run.
+    ``models`` holds the model labels of each stage, the last for the final task. ``identity`` is the
+    `evolution_digest` under which the ``checkpoint`` is saved.
     """
 
     count: int
     generations: int
-    begun: Callable[[int], tuple[EvolutionStrategy, Schedule]]
-    finals: Callable[[int, EvolutionStrategy], tuple[Finalist, ...]]
+    start_run: Callable[[int], tuple[EvolutionStrategy, Schedule]]
+    finalists_of: Callable[[int, EvolutionStrategy], tuple[Finalist, ...]]
     models: Sequence[tuple[str, ...]]
     checkpoint: Checkpoint | None = None
     identity: str = ""
 
     def finish(self, progress: Progress | None) -> tuple[FinishedRun, ...]:
-        """Return all runs when they have ended. Whatever stops them, the generations done are kept.
+        """Return all runs when they have ended. An interruption saves the completed generations.
 
-        The state of a strategy is taken only when it is to be kept: to copy it takes as long as to learn. A stop while
-        it learns, when it has none, leaves what was kept last.
+        The state of a strategy is copied only to be saved, because a copy takes as long as an update. If the
+        interruption falls into an update, the state saved last remains.
         """
-        standing = saved = self._resumed()
+        state = saved = self._resumed()
         search: _Search | None = None
         total = self.count * self.generations
-        if progress is not None and standing.generations:
-            progress(standing.generations, total)
+        if progress is not None and state.generations:
+            progress(state.generations, total)
         try:
-            for reached, search, note in self._steps(standing):
-                standing = reached
+            for reached, search, note in self._steps(state):
+                state = reached
                 if self.checkpoint is not None and (not note or self.checkpoint.due()):
-                    self.checkpoint.save(self.identity, search.added_to(standing).state)
-                    saved = standing
+                    self.checkpoint.save(self.identity, search.added_to(state).state)
+                    saved = state
                 if progress is not None and note:
-                    progress(standing.generations, total, note)
+                    progress(state.generations, total, note)
         except BaseException:  # Ctrl-C, too
-            if self.checkpoint is not None and search is not None and standing is not saved and search.settled:
-                self.checkpoint.save(self.identity, search.added_to(standing).state)
+            if self.checkpoint is not None and search is not None and state is not saved and search.is_consistent:
+                self.checkpoint.save(self.identity, search.added_to(state).state)
             raise
-        return standing.ended
+        return state.ended
 
-    def _steps(self, standing: EvolutionState) -> Iterator[tuple[EvolutionState, _Search, str]]:
-        """Yield how things stand after every generation, with a note, and after every run, without one."""
-        for run in range(len(standing.ended), self.count):
-            strategy, schedule = self.begun(run)
-            standing.restore(strategy, schedule)
-            begin = len(standing.history)
-            for generation in evolve(
-                strategy, schedule, begin if schedule.converged else self.generations, start=begin
-            ):
+    def _steps(self, state: EvolutionState) -> Iterator[tuple[EvolutionState, _Search, str]]:
+        """Yield the state after every generation, with a note, and after every run, with an empty note."""
+        for run in range(len(state.ended), self.count):
+            strategy, schedule = self.start_run(run)
+            state.restore(strategy, schedule)
+            done = len(state.history)
+            for generation in evolve(strategy, schedule, done if schedule.converged else self.generations, start=done):
                 note = self._note(run, generation, strategy, schedule)
                 if schedule.tell(generation):
                     strategy.forget_fitness()
-                history = np.concatenate([standing.history, [generation.summary]])
-                standing = EvolutionState(standing.ended, history)
-                yield standing, _Search(strategy, schedule, strategy.updates), note
+                history = np.concatenate([state.history, [generation.summary]])
+                state = EvolutionState(state.ended, history)
+                yield state, _Search(strategy, schedule, strategy.updates), note
                 if schedule.converged:
                     break
             if schedule.stage < len(schedule.stages):
                 warnings.warn(
-                    f"run {run + 1} ended in {schedule.status}: the task itself was never evolved. "
-                    "Give more generations, a lower until, or at_most",
+                    f"run {run + 1} ended in {schedule.status}: the final task was not reached. "
+                    "Use more generations, a lower until= or max_generations=",
                     EvolutionWarning,
                     stacklevel=2,
                 )
-            ended = FinishedRun(self.finals(run, strategy), standing.history, strategy.elite)
-            standing = EvolutionState((*standing.ended, ended))
-            yield standing, _Search(strategy, schedule, strategy.updates), ""
+            ended = FinishedRun(self.finalists_of(run, strategy), state.history, strategy.elite)
+            state = EvolutionState((*state.ended, ended))
+            yield state, _Search(strategy, schedule, strategy.updates), ""
 
     def _resumed(self) -> EvolutionState:
-        """Return how far the checkpoint is, if it is a checkpoint of this very evolution."""
+        """Return the state in the checkpoint, or an empty one if the checkpoint belongs to another evolution."""
         found = None if self.checkpoint is None else self.checkpoint.load(self.identity)
         if found is None:
             return EvolutionState()
         try:
-            standing = EvolutionState.of(found)
-            standing.restore(*self.begun(0))
+            state = EvolutionState.of(found)
+            state.restore(*self.start_run(0))
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(
-                f"the checkpoint is ignored, and all is computed again: {error}", CheckpointWarning, stacklevel=2
+                f"the checkpoint is ignored and the evolution starts again: {error}", CheckpointWarning, stacklevel=2
             )
             return EvolutionState()
-        return standing
+        return state
 
     def _note(self, run: int, generation: Generation, strategy: EvolutionStrategy, schedule: Schedule) -> str:
-        """Return what a generation reached: best and mean, the best on every model, what the strategy says."""
+        """Return the progress note of a generation: best and mean fitness, fitness by model, status of the strategy."""
         models = self.models[schedule.stage]
         best, mean, _ = generation.summary
         parts = [f"best {best:.1f}, mean {mean:.1f}"]
@@ -124,34 +122,34 @@ class Runs:
 
 @dataclass(frozen=True)
 class _Search:
-    """What goes on in a run after a generation: the ``strategy`` was ``told`` of so many."""
+    """Strategy and schedule of a run after a generation; ``updates`` is the strategy's count at that time."""
 
     strategy: EvolutionStrategy
     schedule: Schedule
-    told: int
+    updates: int
 
     @property
-    def settled(self) -> bool:
-        """Whether nothing was learned since."""
-        return self.strategy.updates == self.told
+    def is_consistent(self) -> bool:
+        """True if no update has begun since."""
+        return self.strategy.updates == self.updates
 
-    def added_to(self, standing: EvolutionState) -> EvolutionState:
-        """Return ``standing`` with the states of both, as they are now; as it is between two runs."""
-        if not len(standing.history):
-            return standing
-        return replace(standing, strategy=self.strategy.state, schedule=self.schedule.state)
+    def added_to(self, state: EvolutionState) -> EvolutionState:
+        """Return ``state`` with the current states of strategy and schedule; unchanged between two runs."""
+        if not len(state.history):
+            return state
+        return replace(state, strategy=self.strategy.state, schedule=self.schedule.state)
 
 
 def evolution_digest(
-    told: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int
+    inputs: Sequence[Any], runners: Mapping[str, Runner], controller: Controller, task: Task, seed: int
 ) -> str:
-    """Return the digest of an evolution: what is ``told`` of it, strict JSON, and where controllers drive in models."""
-    text = json.dumps([*told, list(runners), task.system.to_dict(), seed, *engine_inputs().items()], sort_keys=True)
+    """Return the digest of an evolution: its ``inputs`` (strict JSON) and trajectories of sample controllers."""
+    text = json.dumps([*inputs, list(runners), task.system.to_dict(), seed, *engine_inputs().items()], sort_keys=True)
     digest = hashlib.sha256(text.encode())
-    some = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
+    samples = np.random.default_rng(seed).standard_normal((2, controller.n_parameters))
     for runner in runners.values():
-        if isinstance(runner, DynamicsRunner):  # a robot never drives the same way twice
-            for trajectory in runner.bind(controller, task)(some, trial_seeds(seed, 2), record=True).trajectories:
+        if isinstance(runner, DynamicsRunner):  # trials of a robot are not reproducible
+            for trajectory in runner.bind(controller, task)(samples, trial_seeds(seed, 2), record=True).trajectories:
                 digest.update(np.ascontiguousarray(trajectory.states).tobytes())
     return digest.hexdigest()
 
@@ -161,7 +159,7 @@ STRATEGY, SCHEDULE = "strategy.", "schedule."
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """What one run ended with: finalists, history (G, 3), the last candidates (P, n)."""
+    """Result of one run: finalists, history (G, 3), last candidates (P, n)."""
 
     finalists: tuple[Finalist, ...]
     history: Array
@@ -170,7 +168,7 @@ class FinishedRun:
 
 @dataclass(frozen=True)
 class EvolutionState:
-    """The runs that ended, and how far the next one is: history (G, 3) of G generations, strategy and schedule."""
+    """The finished runs, and the current run: its history (G, 3), strategy and schedule."""
 
     ended: tuple[FinishedRun, ...] = ()
     history: Array = field(default_factory=lambda: np.empty((0, 3)))
@@ -179,28 +177,28 @@ class EvolutionState:
 
     @property
     def generations(self) -> int:
-        """How many generations are done, those of all runs."""
+        """Number of completed generations of all runs."""
         return sum(len(run.history) for run in self.ended) + len(self.history)
 
     @property
     def state(self) -> StrategyState:
-        """All of it as arrays, numbers and text, see `of`."""
+        """All fields as arrays, numbers and text, see `of`."""
         ended: dict[str, Array | str] = {}
         for i, run in enumerate(self.ended):
             ended |= {
-                f"ended.{i}.niches": json.dumps([finalist.behaviour_class for finalist in run.finalists]),
+                f"ended.{i}.behaviour_classes": json.dumps([finalist.behaviour_class for finalist in run.finalists]),
                 f"ended.{i}.fitness": np.array([finalist.fitness for finalist in run.finalists]),
                 f"ended.{i}.finalists": np.array([finalist.parameters for finalist in run.finalists]),
                 f"ended.{i}.history": run.history,
                 f"ended.{i}.population": run.population,
             }
-        present = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
-        present |= {f"{SCHEDULE}{name}": value for name, value in self.schedule.items()}
-        return {"runs": len(self.ended), "history": self.history, **ended, **present}
+        current = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
+        current |= {f"{SCHEDULE}{name}": value for name, value in self.schedule.items()}
+        return {"runs": len(self.ended), "history": self.history, **ended, **current}
 
     @classmethod
     def of(cls, state: StrategyState) -> EvolutionState:
-        """Undo `state`. Raises `KeyError`, `TypeError` or `ValueError` for anything else."""
+        """Return the evolution state of `state`. Raises `KeyError`, `TypeError` or `ValueError`."""
         runs = state["runs"]
         if not isinstance(runs, int) or runs < 0:
             raise ValueError(f"expected a number of runs, got {runs!r}")
@@ -212,7 +210,7 @@ class EvolutionState:
         )
 
     def restore(self, strategy: EvolutionStrategy, schedule: Schedule) -> None:
-        """Let ``strategy`` and ``schedule``, both new, go on from here. Raises what they say of a wrong state."""
+        """Restore a new ``strategy`` and ``schedule`` to this state. Raises their errors for an invalid state."""
         if len(self.history):
             strategy.restore(self.strategy)
             schedule.restore(self.schedule)
@@ -223,10 +221,10 @@ def _part(state: StrategyState, prefix: str) -> StrategyState:
 
 
 def _ended(state: Mapping[str, Array | int | float | str], run: int) -> FinishedRun:
-    niches, fitness, finalists, history, population = (
-        state[f"ended.{run}.{name}"] for name in ("niches", "fitness", "finalists", "history", "population")
+    classes, fitness, finalists, history, population = (
+        state[f"ended.{run}.{name}"] for name in ("behaviour_classes", "fitness", "finalists", "history", "population")
     )
-    names: list[str] = json.loads(str(niches))
+    names: list[str] = json.loads(str(classes))
     fitness = check_shape("fitness", fitness, (len(names),))
     finalists = check_shape("finalists", finalists, (len(names), None))
     return FinishedRun(

@@ -1,7 +1,7 @@
-"""The closed loop compiled: arrays for the loop, threads, and what it wrote.
+"""The compiled closed loop: its arrays, threads and results.
 
-This module knows kernels and numbers, no task and no controller: `sysid_evo.engine.rollout` begins the trials, and
-turns results into `Rollouts`.
+This module works with kernels and numbers only. `sysid_evo.engine.rollout` begins the trials and converts the results
+to `Rollouts`.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class RolloutKernels:
 
 @dataclass(frozen=True)
 class LoopTrials:
-    """What P candidates begin with in E trials: ``theta`` (P, n) and ``carry`` (E, n_carry), and the rest of a trial.
+    """Start of P candidates, ``theta`` (P, n), in E trials: ``carry`` (E, n_carry) and ``noise`` (E, horizon, n_noise).
 
-    ``task`` (rows, E) and ``trial_data`` (E, n) are those of its `TaskKernel`; ``noise`` is (E, horizon, n_noise).
+    ``task`` (rows, E) and ``trial_data`` (E, n) come from the `TaskKernel`.
     """
 
     theta: Array
@@ -60,11 +60,10 @@ class LoopTrials:
 
 @dataclass(frozen=True)
 class LoopResults:
-    """What B = P E rollouts came to, candidate first, trial second; one that ``diverged`` ended there.
+    """Results of B = P E rollouts, candidate first, trial second; a rollout that ``diverged`` ended at that step.
 
-    ``counts`` (B, d) are samples of the behaviour, ``penalty`` (B,) is as it was counted. The ``tape`` holds states
-    (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat or not, if they were
-    recorded.
+    ``counts`` (B, d) are the counts of the behaviour samples, ``penalty`` (B,) the penalty in steps. ``tape`` holds the
+    recorded states (B, horizon + 1, nx), controls (B, horizon, nu) and poses (B, horizon + 1, n_pose), flat or not.
     """
 
     fitness: Array
@@ -77,10 +76,10 @@ class LoopResults:
 
 
 class LoopData:
-    """A compiled closed loop and what it reads that is the same in all trials, in one precision.
+    """A compiled closed loop and the data that all trials share, in one precision.
 
-    Controllers remember ``n_memory`` numbers and are shown ``n_observations``. From ``seen`` on stands the state that
-    is observed in the carry, at ``penalty_at`` the steps in penalty, if somebody counts them; states are clipped to the
+    ``n_memory`` and ``n_observations`` are sizes of the controller. ``observed_at`` is the first row of the observed
+    state in the carry, ``penalty_at`` the row that counts the penalty, None without a penalty. States are clipped to
     ``state_bounds`` (2, nx).
     """
 
@@ -91,7 +90,7 @@ class LoopData:
         *,
         n_memory: int,
         n_observations: int,
-        seen: int = 0,
+        observed_at: int = 0,
         penalty_at: int | None = None,
         state_bounds: Array | None = None,
         precision: Precision = "float32",
@@ -119,7 +118,7 @@ class LoopData:
             "n_memory": n_memory,
             "pose_row": kernels.task.pose_row,
             "n_pose": kernels.task.n_pose,
-            "seen": seen,
+            "observed_at": observed_at,
             "penalty_at": -1 if penalty_at is None else penalty_at,
         }
         self.rows = {
@@ -128,19 +127,23 @@ class LoopData:
             "observation": max(1, n_observations),
             "raw": system.nu,
             "before": system.nx,
-            "tally": 2 * (system.nx + system.nu),
-            "turn": 1,
+            "sign_counts": 2 * (system.nx + system.nu),
+            "trial_index": 1,
             "scratch": kernels.dynamics.n_scratch,
             "controller_scratch": kernels.controller.n_scratch,
         }
 
-    def run(self, begun: LoopTrials, *, record: bool, threads: int = 1) -> tuple[LoopResults, Array]:
-        """Run all candidates in all trials; return the results, and the rows of the task after the last step.
+    def run(self, loop_trials: LoopTrials, *, record: bool, threads: int = 1) -> tuple[LoopResults, Array]:
+        """Return the results of all candidates in all trials, and the rows of the task at the end, (rows, P E).
 
-        Those are (rows, P E). The number of ``threads`` changes no result.
+        The results do not depend on ``threads``.
         """
-        real, (trials, horizon, n_noise) = np.dtype(self.precision), begun.noise.shape
-        (candidates, n_theta), n_carry, n_task = begun.theta.shape, begun.carry.shape[1], len(begun.task)
+        real, (trials, horizon, n_noise) = np.dtype(self.precision), loop_trials.noise.shape
+        (candidates, n_theta), n_carry, n_task = (
+            loop_trials.theta.shape,
+            loop_trials.carry.shape[1],
+            len(loop_trials.task),
+        )
         nx, nu, n_pose, rollouts = self.sizes["nx"], self.sizes["nu"], self.sizes["n_pose"], candidates * trials
         sizes = loops.CLOSED.integers(
             **self.sizes,
@@ -154,26 +157,26 @@ class LoopData:
             record=int(record),
         )
         shared = {
-            "noise_of": noise_table(begun.noise, self.precision),
+            "noise_of": noise_table(loop_trials.noise, self.precision),
             **self.tables,
-            "theta_of": aligned(begun.theta, real),
-            "start": aligned(begun.carry, real),
-            "task_start": aligned(begun.task.T, real),
-            "trial_data": aligned(begun.trial_data, real),
+            "theta_of": aligned(loop_trials.theta, real),
+            "start": aligned(loop_trials.carry, real),
+            "task_start": aligned(loop_trials.task.T, real),
+            "trial_data": aligned(loop_trials.trial_data, real),
         }
-        kept = rollouts if record else 0
+        recorded = rollouts if record else 0
         lengths = {
             "fitness": rollouts,
             "final_task": rollouts * n_task,
             "counts": rollouts * 2 * (nx + nu),
             "penalties": rollouts,
-            "states": max(1, kept * (horizon + 1) * nx),
-            "controls": max(1, kept * horizon * nu),
-            "poses": max(1, kept * (horizon + 1) * n_pose),
+            "states": max(1, recorded * (horizon + 1) * nx),
+            "controls": max(1, recorded * horizon * nu),
+            "poses": max(1, recorded * (horizon + 1) * n_pose),
         }
         results = {name: np.zeros(length, real) for name, length in lengths.items()}
         outcomes = {name: np.zeros(rollouts, np.int64) for name in loops.OUTCOMES.names}
-        own = {"carry": n_carry, "noise": n_noise, "task": n_task, "theta": n_theta, "kept": n_carry + n_task}
+        own = {"carry": n_carry, "noise": n_noise, "task": n_task, "theta": n_theta, "snapshot": n_carry + n_task}
         rows = {**self.rows, **own}
 
         def prepare() -> Work:
@@ -205,22 +208,22 @@ class LoopData:
 
 @cache
 def thread_pool(threads: int) -> ThreadPoolExecutor:
-    """Return a pool of that many threads, kept for the life of the process."""
+    """Return a pool of ``threads`` threads, which lives as long as the process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="rollout")
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=thread_pool.cache_clear)  # a forked process has none of its parent's threads
+    os.register_at_fork(after_in_child=thread_pool.cache_clear)  # threads do not survive a fork
 
 
 Work: TypeAlias = Callable[[int, int], None]
 
 
 def run_in_threads(prepare: Callable[[], Work], count: int, threads: int) -> None:
-    """Do ``work(first, last)`` for all of ``range(count)``, on up to ``threads`` threads, this one among them.
+    """Call ``work(first, last)`` for all of ``range(count)`` on up to ``threads`` threads, including this one.
 
-    Every thread prepares its own work (buffers) and then takes the next few until none are left, so
-    that no thread waits for one with slower rollouts or a busier processor.
+    Each thread prepares its own work (buffers), then takes parts until none are left, so that no thread waits for one
+    with slower rollouts or a busier processor.
     """
     threads = max(1, min(threads, count))
     if threads == 1:

@@ -1,8 +1,8 @@
-"""Elementary functions for float32 kernels, of numbers or rows: branch-free, so that LLVM vectorises them.
+"""Elementary functions for float32 kernels, of numbers or rows, without branches so that LLVM vectorises them.
 
-The polynomials are minimax fits (``python -m tests.benchmarks.elementary`` computes them). Largest errors
-in float32: `tanh` 4e-7 relative; `sin` and `cos` 2e-7 absolute for |x| up to 1000; `atan2` 4e-7 absolute;
-`exp` 3e-7 relative for |x| up to 87. In float64 kernels the mathematics library takes their place.
+The polynomials are minimax fits (computed by ``python -m tests.benchmarks.elementary``). Largest errors in float32:
+`tanh` 4e-7 relative; `sin` and `cos` 2e-7 absolute for |x| up to 1000; `atan2` 4e-7 absolute; `exp` 3e-7 relative for
+|x| up to 87. Float64 kernels use the mathematics library.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from sysid_evo.kernels import nearest, power_of_two, where_less
 
 
 def tanh(x):
-    """tanh x as x P(x^2) / Q(x^2) on [-9, 9], beyond which it is 1 in float32."""
+    """tanh x as x P(x^2) / Q(x^2) on [-9, 9]; outside it is +-1 in float32."""
     x = min(max(x, -9.0), 9.0)
     s = x * x
     p = 1.3354474790875319e-08
@@ -31,7 +31,7 @@ def tanh(x):
 
 
 def sin(x):
-    """sin x: the nearest multiple k of pi is taken off in three parts, the rest is an odd polynomial."""
+    """sin x: subtract the nearest multiple k of pi in three parts, then an odd polynomial of the remainder."""
     k = (x * 0.3183098861837907 + 12582912.0) - 12582912.0
     r = x - k * 3.140625
     r = r - k * 0.0009670257568359375
@@ -46,7 +46,7 @@ def sin(x):
 
 
 def cos(x):
-    """cos x = sin(pi / 2 + x), with the reduction done for x: k + 1/2 is the nearest odd half."""
+    """cos x = sin(pi / 2 + x), with argument reduction of x: k + 1/2 is the nearest odd half."""
     k = (x * 0.3183098861837907 - 0.5 + 12582912.0) - 12582912.0
     h = k + 0.5
     r = x - h * 3.140625
@@ -82,7 +82,7 @@ def atan2(y, x):
 
 
 def exp(x):
-    """exp x for |x| up to 87: 2^k times a polynomial of the rest, k the nearest multiple of ln 2."""
+    """exp x for |x| up to 87: 2^k times a polynomial of the remainder, k the nearest multiple of ln 2."""
     x = min(max(x, -87.0), 87.0)
     k = (x * 1.4426950408889634 + 12582912.0) - 12582912.0
     r = x - k * 0.693359375
@@ -109,4 +109,4 @@ FLOAT32: dict[Callable[..., float], Callable[..., float]] = {
     math.exp: exp,
     nearest: nearest_single,
 }
-"""What a call of the mathematics library, or of `nearest`, becomes in a float32 kernel."""
+"""Replacements of `math` functions and of `nearest` in float32 kernels."""

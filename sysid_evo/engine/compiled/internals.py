@@ -1,12 +1,12 @@
-"""Inside Numba: how functions of kernels are inlined, and how arrays pass between compiled functions.
+"""Use of Numba's internals: inlining of kernel functions, and passing of arrays between compiled functions.
 
-Numba takes every compiled function through all of LLVM: it inlines what the function calls, optimises, and makes
-machine code that Python could call. A kernel is a chain of functions, each inlined into the next, so the innermost
-would be translated once for every link of the chain, and all but the last thrown away. With
-``pipeline_class=Inlined`` a function stops before that; who calls it takes it in.
+Numba passes every compiled function through all of LLVM: it inlines its callees, optimises, and generates machine code
+that Python can call. A kernel is a chain of functions, each inlined into the next, so the innermost function would be
+translated once for every link, and all results but the last discarded. With ``pipeline_class=Inlined`` a function stops
+before machine code; its caller inlines it.
 
-To Numba an array is seven numbers, all of which are written for every call. A kernel that is called once a step
-gets only the `address` of each array and makes the array again with `array_at`.
+An array has seven fields in Numba, and every call writes all of them. A kernel that is called once per step receives
+only the `address` of each array and rebuilds the array with `array_at`.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from numba.core.typed_passes import NativeLowering
 from numba.extending import intrinsic
 
 CHECKED_VERSIONS = ((0, 68),)
-"""Versions of Numba whose passes are known to be what this file takes them for."""
+"""Versions of Numba whose passes were checked against the assumptions of this module."""
 
 
 class _ToBeInlined(JITCodeLibrary):
-    """The code of a function and of what it calls, as LLVM text alone.
+    """The code of a function and its callees, as LLVM text without machine code.
 
-    It is optimised here as well as in its caller: which products are fused into sums depends on what was done before.
+    It is optimised here as well as in its caller, because the fusion of products into sums depends on earlier passes.
     """
 
     def _finalize_final_module(self) -> None:
-        """Give nothing to the machine that translates."""
+        """Generate no machine code."""
         self._finalized = True
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(LoweringPass):
-    """Numba's own lowering, whose code goes where other functions find it and nowhere else."""
+    """Numba's lowering pass; its code is available to other compiled functions only."""
 
     _name = "lowering_of_what_is_inlined"
 
@@ -48,12 +48,12 @@ class _Lowering(LoweringPass):
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
-        """Put the code of ``state`` within reach of other functions."""
+        """Make the code of ``state`` available to other functions."""
         state.library = _ToBeInlined(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         NativeLowering().run_pass(state)
         lowered = state["cr"]
-        description, address = lowered.fndesc, 0  # nobody calls it: the name by which compiled code finds the function
+        description, address = lowered.fndesc, 0  # never called: compiled code finds the function by its name
         found_by = make_function(
             description.lookup_module(), state.func_id.func_name, "", address, lowered.env, (state.library,)
         )
@@ -63,7 +63,7 @@ class _Lowering(LoweringPass):
 
 
 class _WithoutMachineCode(CompilerBase):
-    """Numba's compiler, but for the last step."""
+    """Numba's compiler without its last step."""
 
     def define_pipelines(self) -> list[Any]:
         """Return the passes, in order."""
@@ -75,7 +75,7 @@ class _WithoutMachineCode(CompilerBase):
 
 
 def compiler_for(version: tuple[int, int]) -> type[CompilerBase]:
-    """Return how functions within kernels are compiled by a version of Numba."""
+    """Return the compiler of functions within kernels for a version of Numba."""
     chosen: type[CompilerBase] = _WithoutMachineCode if version in CHECKED_VERSIONS else Compiler
     return chosen
 
@@ -95,7 +95,7 @@ def address(typing_context, array):
 
 @intrinsic
 def array_at(typing_context, pointer):
-    """Return the array that begins at a `pointer`, without length or ownership: never keep it."""
+    """Return the array that begins at a `pointer`, without length or ownership: do not store it."""
     array = types.Array(pointer.dtype, 1, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

@@ -1,7 +1,7 @@
-"""The loops over time as kernel functions: closed loop, imagined trials, recorded windows, one step.
+"""The loops over time as kernel functions: closed loop, trials under given controls, recorded windows, one step.
 
-They know nothing of systems and tasks: kernels come as first-class functions, sizes in an integer array. Every loop
-goes through blocks of 64 rollouts, or windows, one for each lane.
+Kernels are passed as first-class functions, sizes as an integer array. Every loop works on blocks of 64 rollouts (or
+windows), one for each lane. Sets of lanes are integers with one bit for each lane; -1 has all bits set.
 """
 
 from __future__ import annotations
@@ -33,28 +33,27 @@ from sysid_evo.kernels import (
     where_less,
 )
 
-EVERY = 5
-"""Steps between two samples of the behaviour; odd, so that a control which changes at every other step is seen on both
-sides."""
+SAMPLE_EVERY = 5
+"""Steps between two samples of the behaviour. It is odd, so that both values of a control that alternates are seen."""
 
 CLOSED = Layout(
     "trials", "horizon", "n_carry", "nx", "nu", "n_memory", "n_task", "n_noise", "n_theta", "rollouts", "record",
-    "pose_row", "n_pose", "seen", "penalty_at",
+    "pose_row", "n_pose", "observed_at", "penalty_at",
 )  # fmt: skip
 SHARED = Arrays(
     "noise_of", "dynamics_parameters", "controller_parameters", "task_parameters", "theta_of", "start", "task_start",
     "trial_data", "state_bounds", "actuation", "centre",
 )  # fmt: skip
 WORK = Arrays(
-    "carry", "control", "noise", "memory", "observation", "raw", "before", "task", "theta", "kept", "tally", "turn",
-    "scratch", "controller_scratch",
+    "carry", "control", "noise", "memory", "observation", "raw", "before", "task", "theta", "snapshot", "sign_counts",
+    "trial_index", "scratch", "controller_scratch",
 )  # fmt: skip
 RESULTS = Arrays("fitness", "final_task", "counts", "penalties", "states", "controls", "poses")
 OUTCOMES = Arrays("survived", "clipped", "diverged", kind=INTEGERS)
 
 
 def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, trials, results, outcomes, first, last):
-    """Run blocks ``first`` to ``last`` of 64 rollouts each; candidate first, trial second."""
+    """Run blocks ``first`` to ``last`` of 64 rollouts; rollouts are ordered by candidate, then by trial."""
     horizon, nx, nu = sizes.horizon, sizes.nx, sizes.nu
     n_carry, n_task, n_noise = sizes.n_carry, sizes.n_task, sizes.n_noise
     n_trials, rollouts, n_theta = sizes.trials, sizes.rollouts, sizes.n_theta
@@ -65,7 +64,7 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
             trial = rollout % n_trials
             candidate = rollout // n_trials
             trials[lane] = trial
-            work.turn[lane] = float(trial)
+            work.trial_index[lane] = float(trial)
             for row in range(n_carry):
                 work.carry[row * LANES + lane] = shared.start[trial * n_carry + row]
             for row in range(n_task):
@@ -73,15 +72,15 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
             for row in range(n_theta):
                 work.theta[row * LANES + lane] = shared.theta_of[candidate * n_theta + row]
         clear(work.memory, sizes.n_memory)
-        clear(work.tally, 2 * (nx + nu))
+        clear(work.sign_counts, 2 * (nx + nu))
         used = min(LANES, rollouts - block * LANES)
-        in_order = (block * LANES) % n_trials  # from here on the trials of the lanes follow each other
-        over = ~lanes_differ(load(work.task, LANES), splat(0.0))  # a bit for each lane whose trial is over
-        lost = 0  # and for each that diverged
+        in_order = (block * LANES) % n_trials  # the lanes have consecutive trials, beginning with this one
+        ended = ~lanes_differ(load(work.task, LANES), splat(0.0))  # lanes whose trial has ended
+        diverged = 0  # lanes that diverged
         for k in range(horizon):
-            if over == -1:
+            if ended == -1:
                 break
-            observe(work.task, view(work.carry, sizes.seen * LANES), work.observation, shared.task_parameters)
+            observe(work.task, view(work.carry, sizes.observed_at * LANES), work.observation, shared.task_parameters)
             controller(
                 work.theta,
                 work.memory,
@@ -91,27 +90,33 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                 work.controller_scratch,
             )
             actuate(work.raw, work.control, shared.actuation, nu)
-            if k % EVERY == 0:
-                count_sides(work.carry, view(work.task, LANES), view(shared.centre, 0), nx, work.tally)
+            if k % SAMPLE_EVERY == 0:
+                count_sides(work.carry, view(work.task, LANES), view(shared.centre, 0), nx, work.sign_counts)
                 count_sides(
-                    work.control, view(work.task, LANES), view(shared.centre, nx), nu, view(work.tally, 2 * nx * LANES)
+                    work.control,
+                    view(work.task, LANES),
+                    view(shared.centre, nx),
+                    nu,
+                    view(work.sign_counts, 2 * nx * LANES),
                 )
-            draw(shared.noise_of, k * n_noise, n_noise, n_trials, in_order, work.turn, work.noise)
+            draw(shared.noise_of, k * n_noise, n_noise, n_trials, in_order, work.trial_index, work.noise)
             copy_rows(work.carry, work.before, nx)
-            if over != 0:
-                copy_rows(work.carry, work.kept, n_carry)
-                copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
+            if ended != 0:
+                copy_rows(work.carry, work.snapshot, n_carry)
+                copy_rows(work.task, view(work.snapshot, n_carry * LANES), n_task)
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
-            marked = needs_care(work.carry, shared.state_bounds, n_carry, nx)
-            if marked != 0:
+            suspicious = needs_care(work.carry, shared.state_bounds, n_carry, nx)
+            if suspicious != 0:
                 diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
-                fresh, clipping = diverging & ~over, marked & ~diverging & ~over
-                over |= fresh
-                lost |= fresh
-                clear_diverged(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
-                while fresh != 0:
-                    lane = first_lane(fresh)
-                    fresh &= fresh - 1
+                newly_diverged, clipping = diverging & ~ended, suspicious & ~diverging & ~ended
+                ended |= newly_diverged
+                diverged |= newly_diverged
+                clear_diverged(
+                    work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, diverging & diverged
+                )
+                while newly_diverged != 0:
+                    lane = first_lane(newly_diverged)
+                    newly_diverged &= newly_diverged - 1
                     if lane < used:
                         outcomes.diverged[block * LANES + lane] = 1
                         outcomes.survived[block * LANES + lane] = k
@@ -122,13 +127,13 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                         outcomes.clipped[block * LANES + lane] += 1
                 clip(work.carry, shared.state_bounds, nx)
             advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
-            if over != 0:
-                undo_ended(work.carry, work.kept, n_carry, over)
-                undo_ended(work.task, view(work.kept, n_carry * LANES), n_task, over)
+            if ended != 0:
+                undo_ended(work.carry, work.snapshot, n_carry, ended)
+                undo_ended(work.task, view(work.snapshot, n_carry * LANES), n_task, ended)
             if sizes.record == 1:
                 for lane in range(used):
                     rollout = block * LANES + lane
-                    if (over >> lane) & 1 == 0:
+                    if (ended >> lane) & 1 == 0:
                         at = rollout * (horizon + 1) + k
                         for row in range(nx):
                             results.states[at * nx + row] = work.before[row * LANES + lane]
@@ -137,11 +142,11 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
                             results.controls[(rollout * horizon + k) * nu + row] = work.control[row * LANES + lane]
                         for row in range(n_pose):
                             results.poses[(at + 1) * n_pose + row] = work.task[(pose_row + row) * LANES + lane]
-            ended = ~lanes_differ(load(work.task, LANES), splat(0.0)) & ~over
-            over |= ended
-            while ended != 0:
-                lane = first_lane(ended)
-                ended &= ended - 1
+            newly_ended = ~lanes_differ(load(work.task, LANES), splat(0.0)) & ~ended
+            ended |= newly_ended
+            while newly_ended != 0:
+                lane = first_lane(newly_ended)
+                newly_ended &= newly_ended - 1
                 if lane < used:
                     outcomes.survived[block * LANES + lane] = k + 1
         for lane in range(used):
@@ -150,10 +155,10 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
             for row in range(n_task):
                 results.final_task[rollout * n_task + row] = work.task[row * LANES + lane]
             for row in range(2 * (nx + nu)):
-                results.counts[rollout * 2 * (nx + nu) + row] = work.tally[row * LANES + lane]
+                results.counts[rollout * 2 * (nx + nu) + row] = work.sign_counts[row * LANES + lane]
             if sizes.penalty_at >= 0:
                 results.penalties[rollout] = work.carry[sizes.penalty_at * LANES + lane]
-            if (over >> lane) & 1 == 0:
+            if (ended >> lane) & 1 == 0:
                 outcomes.survived[rollout] = horizon
 
 
@@ -163,29 +168,29 @@ CLOSED_LOOP = Signature.of(
     sizes=CLOSED, shared=SHARED, work=WORK, trials=INTEGERS, results=RESULTS, outcomes=OUTCOMES,
     first=INTEGER, last=INTEGER,
 )  # fmt: skip
-IMAGINED = Layout("trials", "of_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
+IMAGINED = Layout("trials", "n_data", "steps", "n_carry", "nx", "nu", "n_task", "rollouts")
 IMAGINED_SHARED = Arrays(
     "dynamics_parameters", "task_parameters", "state_bounds", "start", "task_start", "trial_data", "controls"
 )
-IMAGINED_WORK = Arrays("carry", "control", "noise", "before", "task", "kept", "scratch")
+IMAGINED_WORK = Arrays("carry", "control", "noise", "before", "task", "snapshot", "scratch")
 
 
-def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_task, lost_of):
-    """Run blocks of 64 rollouts each, sequence first, trial second, under ``controls`` (rollouts, steps, nu)."""
+def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_task, diverged_of):
+    """Run blocks of 64 rollouts, ordered by sequence, then by trial, under ``controls`` (rollouts, steps, nu)."""
     steps, nx, nu, n_carry = sizes.steps, sizes.nx, sizes.nu, sizes.n_carry
     n_task, n_trials, rollouts = sizes.n_task, sizes.trials, sizes.rollouts
     for block in range((rollouts + LANES - 1) // LANES):
         for lane in range(LANES):
             trial = min(block * LANES + lane, rollouts - 1) % n_trials
-            trials[lane] = trial % sizes.of_data
+            trials[lane] = trial % sizes.n_data
             for row in range(n_carry):
                 work.carry[row * LANES + lane] = shared.start[trial * n_carry + row]
             for row in range(n_task):
                 work.task[row * LANES + lane] = shared.task_start[trial * n_task + row]
-        over = ~lanes_differ(load(work.task, LANES), splat(0.0))  # a bit for each lane whose trial is over
-        lost = 0  # and for each that diverged
+        ended = ~lanes_differ(load(work.task, LANES), splat(0.0))  # lanes whose trial has ended
+        diverged = 0  # lanes that diverged
         for k in range(steps):
-            if over == -1:
+            if ended == -1:
                 break
             for lane in range(LANES):
                 rollout = min(block * LANES + lane, rollouts - 1)
@@ -193,26 +198,28 @@ def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_t
                 for row in range(nu):
                     work.control[row * LANES + lane] = given[row]
             copy_rows(work.carry, work.before, nx)
-            if over != 0:
-                copy_rows(work.carry, work.kept, n_carry)
-                copy_rows(work.task, view(work.kept, n_carry * LANES), n_task)
+            if ended != 0:
+                copy_rows(work.carry, work.snapshot, n_carry)
+                copy_rows(work.task, view(work.snapshot, n_carry * LANES), n_task)
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
-            marked = needs_care(work.carry, shared.state_bounds, n_carry, nx)
-            if marked != 0:
+            suspicious = needs_care(work.carry, shared.state_bounds, n_carry, nx)
+            if suspicious != 0:
                 diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
-                fresh = diverging & ~over
-                over |= fresh
-                lost |= fresh
-                clear_diverged(work.carry, work.kept, n_carry, work.task, n_task, fresh, diverging & lost)
+                newly_diverged = diverging & ~ended
+                ended |= newly_diverged
+                diverged |= newly_diverged
+                clear_diverged(
+                    work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, diverging & diverged
+                )
                 clip(work.carry, shared.state_bounds, nx)
             advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
-            if over != 0:
-                undo_ended(work.carry, work.kept, n_carry, over)
-                undo_ended(work.task, view(work.kept, n_carry * LANES), n_task, over)
-            over |= ~lanes_differ(load(work.task, LANES), splat(0.0))
+            if ended != 0:
+                undo_ended(work.carry, work.snapshot, n_carry, ended)
+                undo_ended(work.task, view(work.snapshot, n_carry * LANES), n_task, ended)
+            ended |= ~lanes_differ(load(work.task, LANES), splat(0.0))
         for lane in range(min(LANES, rollouts - block * LANES)):
             rollout = block * LANES + lane
-            lost_of[rollout] = (lost >> lane) & 1
+            diverged_of[rollout] = (diverged >> lane) & 1
             for row in range(nx):
                 final_state[rollout * nx + row] = work.carry[row * LANES + lane]
             for row in range(n_task):
@@ -222,7 +229,7 @@ def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_t
 IMAGINE = Signature.of(
     imagine,
     dynamics=DYNAMICS, advance=ADVANCE, sizes=IMAGINED, shared=IMAGINED_SHARED, work=IMAGINED_WORK, trials=INTEGERS,
-    lost_of=INTEGERS,
+    diverged_of=INTEGERS,
 )  # fmt: skip
 
 OPEN = Layout("windows", "steps", "n_carry", "nx", "nu", "n_parameters")
@@ -233,8 +240,8 @@ OPEN_SHARED = Arrays("parameters_of", "start", "controls", "truth", "weight")
 def open_loop(dynamics, sizes, shared, work, first, last, error):
     """Simulate every window under recorded controls for candidates ``first`` to ``last``.
 
-    ``error`` of a candidate is the mean over windows and states of the square difference
-    after the last step times the state's ``weight``; not a number where a simulation diverged.
+    The ``error`` of a candidate is the mean over windows and states of the squared difference after the last step times
+    the state's ``weight``; it is not finite if a simulation diverged.
     """
     windows, steps, n_carry = sizes.windows, sizes.steps, sizes.n_carry
     nx, nu, n_parameters = sizes.nx, sizes.nu, sizes.n_parameters
@@ -268,7 +275,7 @@ FREE_SHARED = Arrays("parameters_of", "start", "controls", "state_bounds")
 
 
 def free_runs(dynamics, sizes, shared, work, first, last, states):
-    """Simulate every window for candidates ``first`` to ``last``, each from carries of its own, and keep all states.
+    """Simulate every window for candidates ``first`` to ``last``, each from its own carries; store all states.
 
     ``start`` is (candidates, windows, n_carry), ``states`` (candidates, windows, steps, nx), clipped to the
     state_bounds.
@@ -303,7 +310,7 @@ FREE_RUNS = Signature.of(
 
 
 def one_step(dynamics, carry, control, noise, parameters, scratch):
-    """Step one block."""
+    """Run one step of one block."""
     dynamics(carry, control, noise, parameters, scratch)
 
 
@@ -311,7 +318,7 @@ ONE_STEP = Signature.of(one_step, dynamics=DYNAMICS)
 
 
 def actuate(raw, control, actuation, nu):
-    """Controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
+    """Convert controller outputs to legal controls, as `System.actuate`; see `actuation_table`."""
     width = int(actuation[0])
     for row in range(nu):
         at, value = 1 + row * width, load(raw, row * LANES)
@@ -328,31 +335,31 @@ def actuate(raw, control, actuation, nu):
             store(control, row * LANES, chosen)
 
 
-def draw(noise_of, first, n_noise, n_trials, in_order, turn, noise):
-    """Write the noise of a step for every lane, by the number of its trial in ``turn``; see `noise_table`."""
+def draw(noise_of, first, n_noise, n_trials, in_order, trial_index, noise):
+    """Write the noise of a step for every lane, selected by ``trial_index``; see `noise_table`."""
     if n_trials <= QUARTER:
         drawn = view(noise_of, first * QUARTER)
         for lane in range(0, LANES, QUARTER):
-            trial, here = load_quarter(turn, lane), view(noise, lane)
+            trial, target = load_quarter(trial_index, lane), view(noise, lane)
             for row in range(n_noise):
-                store(here, row * LANES, look_up(load_quarter(drawn, row * QUARTER), trial))
+                store(target, row * LANES, look_up(load_quarter(drawn, row * QUARTER), trial))
     else:
         drawn = view(noise_of, first * (n_trials + LANES) + in_order)
         for row in range(n_noise):
             store(noise, row * LANES, load(drawn, row * (n_trials + LANES)))
 
 
-def count_sides(values, alive, centre, rows, tally):
-    """Count where each of ``rows`` values is above its centre, and where below, in the trials that are alive."""
+def count_sides(values, alive, centre, rows, sign_counts):
+    """Count, for each of ``rows`` values, the samples above and below its centre in trials that are alive."""
     counted = load(alive, 0)
     for row in range(rows):
         value, middle, above = load(values, row * LANES), centre[row], 2 * row * LANES
-        store(tally, above, load(tally, above) + where_less(middle, value, counted, 0.0))
-        store(tally, above + LANES, load(tally, above + LANES) + where_less(value, middle, counted, 0.0))
+        store(sign_counts, above, load(sign_counts, above) + where_less(middle, value, counted, 0.0))
+        store(sign_counts, above + LANES, load(sign_counts, above + LANES) + where_less(value, middle, counted, 0.0))
 
 
 def needs_care(carry, state_bounds, n_carry, nx):
-    """Return a bit for each lane that needs care: a state outside the state_bounds, or a number that is not finite."""
+    """Return the lanes with a state outside the state bounds or a number that is not finite."""
     fine = -1
     for row in range(nx):
         value = load(carry, row * LANES)
@@ -363,7 +370,7 @@ def needs_care(carry, state_bounds, n_carry, nx):
 
 
 def not_finite(carry, state_bounds, n_carry, nx):
-    """Return a bit for each lane with a number that is not finite."""
+    """Return the lanes with a number that is not finite."""
     finite = -1
     for row in range(n_carry):
         finite &= lanes_at_most(abs(load(carry, row * LANES)), splat(state_bounds[2 * nx]))
@@ -371,25 +378,25 @@ def not_finite(carry, state_bounds, n_carry, nx):
 
 
 def clip(carry, state_bounds, nx):
-    """Clip every state to the state_bounds: low, then high of each state, then the largest number there is."""
+    """Clip every state to the state bounds, see `bounds_table`."""
     for row in range(nx):
         store(carry, row * LANES, min(max(load(carry, row * LANES), state_bounds[row]), state_bounds[nx + row]))
 
 
-def clear_diverged(carry, kept, n_carry, task, n_task, fresh, lost):
-    """Put zeros into the carry of the lanes that are ``lost``; the ``fresh`` ones among them keep their task."""
+def clear_diverged(carry, snapshot, n_carry, task, n_task, newly_diverged, diverged):
+    """Write zeros into the carry of the ``diverged`` lanes; the ``newly_diverged`` lanes keep their task."""
     for row in range(n_carry):
-        store(carry, row * LANES, where_bits(lost, splat(0.0), load(carry, row * LANES)))
-        store(kept, row * LANES, where_bits(lost, splat(0.0), load(kept, row * LANES)))
+        store(carry, row * LANES, where_bits(diverged, splat(0.0), load(carry, row * LANES)))
+        store(snapshot, row * LANES, where_bits(diverged, splat(0.0), load(snapshot, row * LANES)))
     for row in range(n_carry, n_carry + n_task):
-        here = load(task, (row - n_carry) * LANES)
-        store(kept, row * LANES, where_bits(fresh, here, load(kept, row * LANES)))
+        current = load(task, (row - n_carry) * LANES)
+        store(snapshot, row * LANES, where_bits(newly_diverged, current, load(snapshot, row * LANES)))
 
 
-def undo_ended(array, kept, rows, over):
-    """Undo a step in the lanes whose trial is over."""
+def undo_ended(array, snapshot, rows, ended):
+    """Undo a step in the lanes whose trial has ended."""
     for row in range(rows):
-        store(array, row * LANES, where_bits(over, load(kept, row * LANES), load(array, row * LANES)))
+        store(array, row * LANES, where_bits(ended, load(snapshot, row * LANES), load(array, row * LANES)))
 
 
 def clear(array, rows):
@@ -399,6 +406,6 @@ def clear(array, rows):
 
 
 def copy_rows(source, target, rows):
-    """Copy rows, one after the other: no test whether the arrays overlap."""
+    """Copy rows one by one, which needs no test whether the arrays overlap."""
     for row in range(rows):
         store(target, row * LANES, load(source, row * LANES))

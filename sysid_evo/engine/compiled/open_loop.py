@@ -1,4 +1,4 @@
-"""Kernels of dynamics without a controller: simulations of recorded windows, their error at the end, one step."""
+"""Kernels of dynamics without a controller: simulation of recorded windows, final error, one step."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def free_runs(
     *,
     precision: Precision = "float64",
 ) -> Array:
-    """Return the states (P, W, H, nx) of W windows under P parameter vectors (P, m) of the kernel ``source``.
+    """Return the simulated states (P, W, H, nx) of W windows for P parameter vectors (P, m) of the kernel ``source``.
 
-    Every vector has carries of its own to start from, ``start`` (P, W, n_carry); ``controls`` are (W, H, nu). States
-    are clipped to the ``state_bounds`` (2, nx); one that is not a number stays so, or becomes a limit.
+    Each vector starts from its own carries, ``start`` (P, W, n_carry); ``controls`` are (W, H, nu). States are clipped
+    to ``state_bounds`` (2, nx); nan stays nan or becomes a bound.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (len(parameters), windows, None))
@@ -63,11 +63,11 @@ def final_errors(
     precision: Precision = "float32",
     threads: int = 1,
 ) -> Array:
-    """Return the mean square error (P,) after the last step of W windows; not finite where it diverges.
+    """Return the mean squared error (P,) after the last step of W windows; not finite if a simulation diverges.
 
-    ``source`` is a dynamics kernel that needs ``n_scratch`` rows; ``parameters`` (P, m) are its flat
-    parameters for every candidate; ``start`` (W, n_carry), ``controls`` (W, H, nu), ``truth``
-    (W, nx) at the end; the square of state i counts ``weight[i]`` times (nx,), once by default.
+    - ``source``: a dynamics kernel that needs ``n_scratch`` rows; ``parameters`` (P, m): its parameters by candidate.
+    - ``start`` (W, n_carry), ``controls`` (W, H, nu), ``truth`` (W, nx): the measured states after the last step.
+    - ``weight`` (nx,): factor of the squared error of each state, 1 by default.
     """
     windows, steps, nu = controls.shape
     start = check_shape("start", start, (windows, None))
@@ -93,7 +93,7 @@ def final_errors(
 
 
 def _work(n_carry: int, nu: int, n_scratch: int, n_parameters: int, real: Any) -> tuple[Any, ...]:
-    """Return memory for one block of windows and the parameters of one candidate."""
+    """Return the arrays for one block of windows and the parameters of one candidate."""
     rows = {"carry": n_carry, "control": nu, "noise": 1, "scratch": n_scratch}
     arrays = {name: empty_lines(n * LANES, real) for name, n in rows.items()}
     return loops.WINDOW.chosen({**arrays, "parameters": empty_lines(n_parameters, real)})

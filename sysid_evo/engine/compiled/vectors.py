@@ -1,9 +1,9 @@
-"""What the words of the kernel language mean on a processor: rows of 64 lanes, or of sixteen, as values of LLVM.
+"""Implementation of the words of the kernel language for CPUs: rows of 64 lanes, or of 16, as LLVM vectors.
 
-A row is a value, so that a sum over many of them stays in registers. The words of `sysid_evo.kernels` stand here under
-the same names. In a kernel ``+ - * /``, ``-row``, ``abs``, ``min`` and ``max`` take rows, or a row and a number, which
-then stands in every lane. So do functions of `math`: a square root is one instruction, the others ask the library lane
-by lane. In float32 `sysid_evo.engine.compiled.elementary` takes their place, with arithmetic and `power_of_two`.
+A row is a value, so that a sum over many rows stays in registers. The words of `sysid_evo.kernels` have the same names
+here. In a kernel ``+ - * /``, ``-row``, ``abs``, ``min`` and ``max`` accept rows, or a row and a number, which is
+broadcast to all lanes. Functions of `math` accept rows, too: a square root is one instruction, the others call the
+library for each lane. In float32, `sysid_evo.engine.compiled.elementary` replaces them.
 
 Only generated files import this module, see `sysid_evo.engine.compiled.compiler`.
 """
@@ -26,10 +26,10 @@ from sysid_evo.engine.compiled.internals import Inlined
 from sysid_evo.kernels import LANES, QUARTER
 
 FASTMATH = ("contract", "arcp", "nsz")
-"""What the compiler may do with real numbers: fuse, divide by a reciprocal, take -0 for 0."""
+"""Optimisations of real arithmetic that the compiler may use: fusion, reciprocals, no signed zeros."""
 
 WITHIN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": Inlined}
-"""How what an operation becomes is compiled: only kernels call it."""
+"""Compiler options of an operation that only kernels call."""
 
 
 class LanesType(types.Type):
@@ -42,7 +42,7 @@ class LanesType(types.Type):
 
 @register_model(LanesType)
 class LanesModel(models.PrimitiveModel):
-    """Represents the lanes as one LLVM vector."""
+    """Representation of the lanes as one LLVM vector."""
 
     def __init__(self, manager: Any, lanes: LanesType) -> None:
         scalar = ir.FloatType() if lanes.dtype == types.float32 else ir.DoubleType()
@@ -51,7 +51,7 @@ class LanesModel(models.PrimitiveModel):
 
 @intrinsic
 def view(typing_context, array, first):
-    """Return ``array`` from element ``first`` on, without length or ownership: never keep it."""
+    """Return ``array`` from element ``first`` on, without length or ownership: do not store it."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         moved = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -137,7 +137,7 @@ def pick(typing_context, row, lane):
 
 
 def _choice(comparison: str) -> Any:
-    """Return a function of rows, of numbers, or of both: the third where the first two compare, else the fourth."""
+    """Return a function of rows or numbers (a, b, x, y): x where the comparison of a and b holds, else y."""
 
     @intrinsic
     def choice(typing_context, a, b, x, y):
@@ -166,7 +166,7 @@ where_at_most = _choice("<=")
 
 @intrinsic
 def where_bits(typing_context, bits, x, y):
-    """Return x in the lanes whose bit is set, else y; of a quarter, the lowest sixteen bits count."""
+    """Return x in the lanes whose bit is set, else y; a quarter uses the lowest 16 bits."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bits = arguments[0] if x.count == LANES else builder.trunc(arguments[0], ir.IntType(x.count))
@@ -177,7 +177,7 @@ def where_bits(typing_context, bits, x, y):
 
 
 def _marks(comparison: str) -> Any:
-    """Return a function of two rows (or quarters): an integer whose bit i says whether lane i compares."""
+    """Return a function of two rows (or quarters): an integer with bit i set where the comparison holds in lane i."""
 
     @intrinsic
     def marks(typing_context, a, b):
@@ -190,14 +190,14 @@ def _marks(comparison: str) -> Any:
 
 
 lanes_less = _marks("<")
-"""Return an integer whose bit i says whether a < b in lane i of two rows or quarters."""
+"""Return an integer with bit i set where a < b in lane i of two rows or quarters."""
 lanes_at_most = _marks("<=")
-"""Return an integer whose bit i says whether a <= b in lane i of two rows or quarters."""
+"""Return an integer with bit i set where a <= b in lane i of two rows or quarters."""
 
 
 @intrinsic
 def lanes_differ(typing_context, a, b):
-    """Return an integer whose bit i says whether lane i of two rows differs; what is no number differs from all."""
+    """Return an integer with bit i set where lane i of two rows differs; nan differs from every number."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(builder.fcmp_unordered("!=", *arguments), ir.IntType(LANES))
@@ -207,7 +207,7 @@ def lanes_differ(typing_context, a, b):
 
 @intrinsic
 def first_lane(typing_context, bits):
-    """Return the number of the lowest bit that is set; there must be one."""
+    """Return the index of the lowest bit that is set; at least one must be set."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _first_bit(builder, *arguments)
@@ -229,13 +229,13 @@ def _bits(builder: Any, chosen: Any, count: int) -> Any:
 
 @intrinsic
 def lowest(typing_context, row):
-    """Return the smallest number of a row (or of a quarter); none may be nan."""
+    """Return the smallest number of a row (or quarter) without nan."""
     return row.dtype(row), _lowest
 
 
 @intrinsic
 def lane_of_lowest(typing_context, row):
-    """Return the first lane of a quarter that holds its smallest number; the last lane if none compares."""
+    """Return the first lane of a quarter with its smallest number; the last lane if all are nan."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         least = _lowest(context, builder, signature, arguments)
@@ -257,7 +257,7 @@ def _lowest(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 @intrinsic
 def look_up(typing_context, table, place):
-    """Return for each lane of a quarter the number of ``table`` (another quarter) at ``place``, from 0.0 to 15.0."""
+    """Return, for each lane of a quarter, the number of ``table`` (a quarter) at ``place`` (0.0 to 15.0)."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         numbers, places = arguments
@@ -279,7 +279,7 @@ def look_up(typing_context, table, place):
 
 
 def _look_up_eights(builder: Any, numbers: Any, index: Any) -> Any:
-    """`look_up` with an instruction that takes one of eight numbers for each of eight lanes."""
+    """`look_up` by an instruction that selects one of eight numbers for each of eight lanes."""
     whole, eight = ir.IntType(32), QUARTER // 2
     halves = [ir.Constant(ir.VectorType(whole, eight), list(range(first, first + eight))) for first in (0, eight)]
     low, high = (builder.shuffle_vector(numbers, numbers, half) for half in halves)
@@ -294,13 +294,13 @@ def _look_up_eights(builder: Any, numbers: Any, index: Any) -> Any:
 
 @cache
 def _host_has(feature: str) -> bool:
-    """Whether this processor has a feature by LLVM's name, and compiled code may use it."""
+    """True if this processor has the LLVM ``feature`` and compiled code may use it."""
     return bool(get_host_cpu_features().get(feature)) and not numba_settings.CPU_NAME
 
 
 @intrinsic
 def power_of_two(typing_context, exponent):
-    """Return 2 to the power of whole numbers, one or a row, given as real ones, by writing the bits of exponents."""
+    """Return 2 to the power of integers given as real numbers (one or a row), by writing the exponent bits."""
     number = exponent.dtype if isinstance(exponent, LanesType) else exponent
     whole, mantissa, bias = (32, 23, 127) if number == types.float32 else (64, 52, 1023)
 
@@ -319,7 +319,7 @@ def power_of_two(typing_context, exponent):
 
 
 def _overload_with_numbers(function: Any, operation: Any) -> None:
-    """Let ``function`` take two rows, or a row and a number, which then stands in every lane."""
+    """Let ``function`` accept two rows, or a row and a number, which is broadcast to all lanes."""
 
     @overload(function, jit_options=WITHIN)
     def with_lanes(a, b):
@@ -363,7 +363,7 @@ for _symbol, _instruction in (
 
 @intrinsic
 def _least(typing_context, a, b):
-    """The second where they do not compare, as the built-in function of two numbers."""
+    """The minimum; b if one of them is nan, like Numba's built-in function of two numbers."""
     return a(a, b), _smaller("<")
 
 
@@ -480,12 +480,12 @@ def broadcast(builder: Any, number: Any, vector: Any) -> Any:
 
 
 def call_elementwise(builder: Any, name: str, vector: Any, arguments: Any) -> Any:
-    """Call LLVM's own elementwise function ``name``."""
+    """Call LLVM's elementwise function ``name``."""
     kind = "f32" if isinstance(vector.element, ir.FloatType) else "f64"
     return call_named(builder, f"llvm.{name}.v{vector.count}{kind}", vector, arguments)
 
 
 def call_named(builder: Any, name: str, result: Any, arguments: Any) -> Any:
-    """Call the function that LLVM knows by ``name``."""
+    """Call the LLVM function ``name``."""
     kind = ir.FunctionType(result, [argument.type for argument in arguments])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), arguments)

@@ -1,8 +1,8 @@
-"""Memory of compiled loops: named slots of one piece, tables of switches, limits and noise.
+"""Memory of compiled loops: arrays in one contiguous block, tables of actuation, bounds and noise.
 
-A load across two cache lines costs twice. And some processors find a line of the first-level cache by a hash of
-its address, so that two pages that lie far apart may drive each other out of it at every step, in one process and
-not in the next; pages that follow each other never do.
+A load across two cache lines takes twice as long. Some processors index the first-level cache by a hash of the
+address, so two distant pages may evict each other at every step, in one process and not in the next. Contiguous pages
+never do.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from sysid_evo.types import Array
 CACHE_LINE = 64
 """Bytes."""
 SMALL = 1 << 14
-"""Numbers of an array that is copied beside a thread's own ones."""
+"""An array of at most this many numbers is copied next to a thread's own arrays."""
 
 
 def empty_lines(count: int, real: Any) -> Any:
-    """Return ``count`` zeros, at least one, that begin on a cache line."""
+    """Return ``count`` zeros (at least one) that begin on a cache line."""
     count, itemsize = max(1, count), np.dtype(real).itemsize
-    room = np.zeros(count + CACHE_LINE // itemsize, real)
-    first = -room.__array_interface__["data"][0] % CACHE_LINE // itemsize
-    return room[first : first + count]
+    memory = np.zeros(count + CACHE_LINE // itemsize, real)
+    first = -memory.__array_interface__["data"][0] % CACHE_LINE // itemsize
+    return memory[first : first + count]
 
 
 def aligned(array: Any, real: Any = None) -> Any:
-    """Return a flat copy of ``array`` from a cache line on, in another precision if ``real`` is given."""
+    """Return a flat copy of ``array`` that begins on a cache line, in the precision ``real`` if given."""
     copied = empty_lines(array.size, real or array.dtype)
     with np.errstate(over="ignore"):  # a number beyond float32 is infinite
         copied[: array.size].reshape(array.shape)[...] = array
@@ -39,36 +39,36 @@ def aligned(array: Any, real: Any = None) -> Any:
 
 
 def together(sizes: Mapping[str, int], real: Any, *, copies: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return arrays of zeros of the ``sizes``, one after the other in memory, each from a cache line on.
+    """Return arrays of zeros of the ``sizes``, contiguous in memory, each beginning on a cache line.
 
-    Of the ``copies``, flat arrays of the same precision, the small ones are copied behind them and the others
-    returned as they are.
+    ``copies`` are flat arrays of the same precision: small ones are copied into the same block, large ones are returned
+    unchanged.
     """
     copies = copies or {}
-    near = {name: array for name, array in copies.items() if array.size <= SMALL}
+    small = {name: array for name, array in copies.items() if array.size <= SMALL}
     per_line = CACHE_LINE // np.dtype(real).itemsize
-    counts = {**sizes, **{name: array.size for name, array in near.items()}}
-    wholes = {name: -(-max(1, count) // per_line) * per_line for name, count in counts.items()}
-    room, first = empty_lines(sum(wholes.values()), real), 0
+    counts = {**sizes, **{name: array.size for name, array in small.items()}}
+    padded = {name: -(-max(1, count) // per_line) * per_line for name, count in counts.items()}
+    memory, first = empty_lines(sum(padded.values()), real), 0
     placed: dict[str, Any] = dict(copies)
-    for name, whole in wholes.items():
-        placed[name] = room[first : first + max(1, counts[name])]
-        first += whole
-    for name, array in near.items():
+    for name, length in padded.items():
+        placed[name] = memory[first : first + max(1, counts[name])]
+        first += length
+    for name, array in small.items():
         placed[name][:] = array
     return placed
 
 
 def actuation_table(system: System, precision: Precision, *, before_tanh: bool = False) -> Array:
-    """Return `System.actuate` as numbers: the width of a row, then one row a control.
+    """Return `System.actuate` as a table: the width of a row, then one row for each control.
 
-    ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``; count 0 is continuous, -1 too,
-    but of an output that is still to be squashed (``before_tanh``); boundaries are then those before tanh. A boundary
-    belongs to the level nearer to zero, so that a negative one is the last number of ``precision`` below it.
+    A row is ``[count, low, high, level 0, level 1, boundary 1, level 2, boundary 2, ...]``. Count 0 is a continuous
+    control; -1 is one whose output still needs tanh (``before_tanh``), with boundaries before tanh. A boundary belongs
+    to the level nearer to zero, so a negative boundary is stored as the next lower number of ``precision``.
     """
-    most = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
+    max_levels = max((len(channel.levels) for channel in system.controls if channel.levels), default=0)
     system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
-    table = np.zeros((system.nu, 4 + 2 * most))
+    table = np.zeros((system.nu, 4 + 2 * max_levels))
     for row, channel in zip(table, system.controls, strict=True):
         row[0], row[1], row[2] = -1.0 if before_tanh else 0.0, channel.low, channel.high
         if channel.levels is not None:
@@ -81,18 +81,18 @@ def actuation_table(system: System, precision: Precision, *, before_tanh: bool =
 
 
 def bounds_table(state_bounds: Array | None, nx: int, precision: Precision) -> Array:
-    """Return the lowest and the highest value of each state, none infinite, and the largest number of ``precision``."""
-    most = np.finfo(precision).max
+    """Return the lower bounds, then the upper bounds of the states (all finite), then the largest finite number."""
+    largest = np.finfo(precision).max
     limits = np.full((2, nx), np.inf) * [[-1.0], [1.0]] if state_bounds is None else state_bounds
-    return np.append(np.clip(limits, -most, most), most)
+    return np.append(np.clip(limits, -largest, largest), largest)
 
 
 def noise_table(noise: Array, precision: Precision) -> Any:
-    """Return ``noise`` (E, steps, n_noise) as the loop reads it, flat.
+    """Return ``noise`` (E, steps, n_noise) in the layout of the loop, flat.
 
-    Of up to sixteen trials it is (steps, n_noise, 16), and every lane looks up that of its trial; of more it is
-    (steps, n_noise, E + LANES), the trials in order, again and again, so that any 64 rollouts that follow each
-    other find theirs in one piece.
+    For at most 16 trials the layout is (steps, n_noise, 16), and each lane looks up the noise of its trial. For more
+    trials it is (steps, n_noise, E + LANES), the trials repeated in order, so that the noise of 64 consecutive
+    rollouts is contiguous.
     """
     trials, steps, n_noise = noise.shape
     if not n_noise:

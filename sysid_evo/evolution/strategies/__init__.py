@@ -1,4 +1,4 @@
-"""Evolution strategies: what asks for candidates and is told their fitness."""
+"""Evolution strategies, which propose candidates and learn from their fitness."""
 
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.map_elites import MapElites

@@ -1,4 +1,4 @@
-"""Covariance matrix adaptation in plain NumPy, from a wide start."""
+"""Covariance matrix adaptation (CMA-ES) in plain NumPy, with a wide initial distribution."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from sysid_evo.registry.registry import register_strategy
 from sysid_evo.types import Array, IntArray, check_shape
 
 ELITE = 15
-"""Candidates of the last generation that stand for the champion, beside the mean."""
+"""Number of candidates of the last generation in the elite, in addition to the mean."""
 CONDITION = 1e14
-"""Largest condition number of C: beyond it small eigenvalues are rounding errors, and some are negative."""
+"""Largest condition number of C. Above it, small eigenvalues are rounding errors, and some are negative."""
 SHRINKAGE = 0.01
-"""Least share of the smallest eigenvalue that is left of it. With few candidates in one or two dimensions, those drawn
-from axes that are some generations old may take more than all."""
+"""The smallest eigenvalue shrinks at most to this share in one decomposition. With few candidates in one or two
+dimensions, an update with axes that are several generations old could make it negative."""
 SMALLEST, LARGEST = 1e-100, 1e100
 """Bounds of sigma and of the eigenvalues of C, within which all candidates are finite."""
 
@@ -28,8 +28,8 @@ SMALLEST, LARGEST = 1e-100, 1e100
 class LearningRates:
     """The constants of CMA-ES for n parameters and a population of lambda candidates.
 
-    ``w`` (lambda,) are the weights, best candidate first: the first ``mu`` are positive and sum up to 1. ``gap`` is
-    the number of generations between two decompositions of C. ``chi_n`` is E ||N(0, I)||.
+    ``w`` (lambda,): weights, best candidate first; the first ``mu`` are positive and have the sum 1. ``gap``: number of
+    generations between two decompositions of C. ``chi_n``: E ||N(0, I)||.
     """
 
     w: Array
@@ -49,8 +49,8 @@ class LearningRates:
         w, mu = math.log((population + 1) / 2) - np.log(np.arange(1, population + 1)), population // 2  # (49)
         better, worse = w[:mu], w[mu:]
         mu_eff, mu_eff_minus = (float(part.sum() ** 2 / (part**2).sum()) for part in (better, worse))
-        # (55) as in cma: 3 instead of 5, and more damping of large populations, with which a sphere takes a quarter
-        # more evaluations with 50 candidates.
+        # (55) as in cma: 3 instead of 5, and more damping for large populations. With 50 candidates a sphere then takes
+        # a quarter more evaluations.
         c_sigma = min(0.5, (mu_eff + 2) / (n + mu_eff + 3))
         more = max(1.0, 3 * (1 - 0.5 ** (n / 9)))
         d_sigma = 1 + 2 * max(0.0, more * math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma
@@ -60,8 +60,8 @@ class LearningRates:
         no_decay, like_mu = 1 + c_1 / c_mu, 1 + 2 * mu_eff_minus / (mu_eff + 2)  # (50), (51)
         alpha = min(no_decay, like_mu, (1 - c_1 - c_mu) / (n * c_mu))  # (52): C stays positive definite
         w = np.concatenate([better / better.sum(), alpha * worse / -worse.sum()])  # (53)
-        # Appendix B.2 decomposes C after a tenth of this, which in a hundred dimensions took most of the
-        # time. Now C may have changed by 1 / n meanwhile, and which candidates come differs little.
+        # Appendix B.2 decomposes C ten times as often, which took most of the time in a hundred dimensions. With this
+        # gap C changes by about 1 / n between decompositions, and the candidates differ little.
         gap = 1 / (n * (c_1 + c_mu))
         chi_n = math.sqrt(2) * math.exp(math.lgamma((n + 1) / 2) - math.lgamma(n / 2))
         return cls(w, mu, mu_eff, c_sigma, d_sigma, c_c, c_1, c_mu, gap, chi_n)
@@ -71,11 +71,10 @@ class LearningRates:
 class CmaEs(EvolutionStrategy):
     """CMA-ES with cumulative step-size adaptation and negative weights (active CMA).
 
-    A generation is ``population`` candidates drawn from the normal distribution that it adapts, and the mean of
-    that distribution, from which it learns nothing: where the fitness is noisy, the mean is often the best.
-    ``sigma`` is the deviation at the start, around ``initial`` (default 0). The default is wide: units of a
-    network saturate there, which is where racing controllers were found. Random numbers come from a generator
-    keyed by (seed, generation).
+    A generation is ``population`` candidates drawn from the adapted normal distribution, and the mean of that
+    distribution. The mean does not enter the update; under noisy fitness it is often the best candidate. ``sigma`` is
+    the initial standard deviation around ``initial`` (default 0). The default is wide, so that the units of a network
+    saturate; racing controllers were found there. Random numbers come from a generator keyed by (seed, generation).
 
     Source: Hansen, "The CMA evolution strategy: a tutorial" (2016, revised 2023, arXiv:1604.00772), appendix A. The
     letters are the tutorial's, and numbers in brackets are those of its equations.
@@ -120,7 +119,7 @@ class CmaEs(EvolutionStrategy):
                 f"cma_es: expected a state with {', '.join(sorted(expected))}, "
                 f"got {', '.join(sorted(state)) or 'nothing'}"
             )
-        # Copies are C-ordered, as the arrays always are: products of others are rounded otherwise.
+        # Copies are C-ordered, like the original arrays: another order changes the rounding of products.
         found = {name: check_shape(f"state: {name}", state[name], shape).copy() for name, shape in shapes.items()}
         self._m, self._C, self._B, self._D = (found[name] for name in ("mean", "covariance", "axes", "lengths"))
         self._p_c, self._p_sigma, self._elite = (found[name] for name in ("path", "sigma_path", "elite"))
@@ -136,7 +135,7 @@ class CmaEs(EvolutionStrategy):
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
         if len(population) != self.population + 1:
             raise InvalidArgument(f"cma_es: expected {self.population + 1} candidates, got {len(population)}")
-        best = np.argsort(-fitness, kind="stable")  # ranks alone count, so that -inf is a fitness like any other
+        best = np.argsort(-fitness, kind="stable")  # only ranks are used, so -inf is a valid fitness
         mean = self.population
         kept = best[:ELITE] if mean in best[:ELITE] else [*best[:ELITE], mean]
         self._elite = population[kept].copy()
@@ -146,19 +145,19 @@ class CmaEs(EvolutionStrategy):
             self._decompose()
 
     def _adapt(self, best_first: IntArray) -> None:
-        """Move and reshape the distribution after the order of the candidates that were asked for."""
+        """Update mean, step size and covariance from the candidates' ranking."""
         n, rates, w = self.n_parameters, self.rates, self.rates.w
         mu_eff, c_sigma, c_c, c_1, c_mu = rates.mu_eff, rates.c_sigma, rates.c_c, rates.c_1, rates.c_mu
         z, y = self._z[best_first], self._y[best_first]
         z_w, y_w = (w[: rates.mu] @ steps[: rates.mu] for steps in (z, y))  # (41)
         self._m = self._m + self._sigma * y_w  # (42)
-        isotropic = self._B @ z_w  # C^(-1/2) <y>_w, as y = B D z: nothing is ever divided by D or sigma
+        isotropic = self._B @ z_w  # C^(-1/2) <y>_w, since y = B D z; this avoids a division by D or sigma
         self._p_sigma = (1 - c_sigma) * self._p_sigma + math.sqrt(c_sigma * (2 - c_sigma) * mu_eff) * isotropic  # (43)
         length = float(np.linalg.norm(self._p_sigma)) / rates.chi_n
         factor = math.exp(min(1.0, c_sigma / rates.d_sigma * (length - 1)))
         self._sigma = min(max(self._sigma * factor, SMALLEST), LARGEST)  # (44)
-        # While sigma must grow fast, p_c stalls, so that C does not grow in its place.
-        expected = math.sqrt(1 - (1 - c_sigma) ** (2 * (self.generation + 1)))  # from a path that began with 0
+        # While sigma grows fast, p_c is not updated, so that C does not grow instead of sigma.
+        expected = math.sqrt(1 - (1 - c_sigma) ** (2 * (self.generation + 1)))  # the path began with 0
         h_sigma = float(length < (1.4 + 2 / (n + 1)) * expected)
         self._p_c = (1 - c_c) * self._p_c + h_sigma * math.sqrt(c_c * (2 - c_c) * mu_eff) * y_w  # (45)
         w_o = w * np.where(w >= 0, 1.0, n / (z**2).sum(axis=1))  # (46)
@@ -166,7 +165,7 @@ class CmaEs(EvolutionStrategy):
         self._C = kept * self._C + c_1 * np.outer(self._p_c, self._p_c) + c_mu * (w_o[:, None] * y).T @ y  # (47)
 
     def _decompose(self) -> None:
-        """Find the axes B and their lengths D with C = B D^2 B^T."""
+        """Compute the axes B and their lengths D, C = B D^2 B^T."""
         squares, axes = np.linalg.eigh((self._C + self._C.T) / 2)
         least = max(SHRINKAGE * self._D.min() ** 2, squares[-1] / CONDITION, SMALLEST)
         limited = np.clip(squares, least, LARGEST)

@@ -1,4 +1,4 @@
-"""The paper's evolution strategy: fifty parents, fifty children, the best fifty survive (section 4.2)."""
+"""The paper's evolution strategy: 50 parents, 50 children, the best 50 survive (section 4.2)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from sysid_evo.types import Array, check_shape
 
 @register_strategy("mu_plus_lambda")
 class MuPlusLambda(EvolutionStrategy):
-    """A (parents + children) strategy with Gaussian mutation of every parameter at once.
+    """A (parents + children) strategy with Gaussian mutation of all parameters.
 
-    Parent i modulo ``parents`` bears child i by adding normal numbers of standard deviation
-    ``sigma`` (0.1: the paper's "variance 0.01"), drawn from a generator keyed by (seed, generation,
-    child). The first parents are ``initial`` (default 0) plus normal numbers of deviation
-    ``spread``. With ``reevaluate`` (the default) parents are asked again in every generation, so
-    that a lucky draw of a noisy fitness does not last; without it they keep their first fitness.
-    The paper does not say which it did. Among equals the newer survives, so that a plateau drifts.
+    Child i is parent i modulo ``parents`` plus normal numbers of standard deviation ``sigma`` (0.1: the paper's
+    "variance 0.01"), drawn from a generator keyed by (seed, generation, child). The first parents are ``initial``
+    (default 0) plus normal numbers of standard deviation ``spread``. With ``reevaluate`` (the default) parents are
+    evaluated again in every generation, so that a high score by chance does not persist under noisy fitness; without
+    it they keep their first fitness. The paper does not specify this. Among equals the newer candidate survives, so
+    that the search drifts on a plateau.
     """
 
     def __init__(
@@ -71,8 +71,8 @@ class MuPlusLambda(EvolutionStrategy):
         self._parents, self._parents_fitness, self.generation = parents.copy(), fitness, int(state["generation"])
 
     def ask(self) -> Array:
-        bearers = self._parents[np.arange(self.n_children) % self.n_parents]
-        children = bearers + self.sigma * self._normal(self.generation + 1, self.n_children)
+        repeated = self._parents[np.arange(self.n_children) % self.n_parents]
+        children = repeated + self.sigma * self._normal(self.generation + 1, self.n_children)
         if self._parents_fitness is not None and not self.reevaluate:
             return children
         return np.concatenate([self._parents, children])

@@ -1,4 +1,4 @@
-"""The contract of an evolution strategy: ask for a population, tell its fitness."""
+"""The contract of an evolution strategy: `ask` for a population, `tell` its fitness."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sysid_evo.registry.registry import strategies
 from sysid_evo.types import Array, check_shape
 
 ABOVE, BELOW = "above", "below"
-"""How the two descriptors of a channel end, see `sysid_evo.engine.behaviour_names`."""
+"""Last words of the two descriptors of a channel, see `sysid_evo.engine.behaviour_names`."""
 
 StrategyState: TypeAlias = CheckpointState
-"""All that changes in a strategy."""
+"""The variables of a strategy that `tell` changes."""
 
 
 class EvolutionStrategy(ABC):
-    """Searches R^n for high fitness. Fitness is **maximised**.
+    """Search of R^n for high fitness. Fitness is **maximised**.
 
-    Made with ``n_parameters`` and ``seed``, and parameters of its own. Random numbers are best drawn
-    from a generator keyed by (seed, generation), so that no generator is part of the state. Whoever evolves
-    may tell what lies ahead before the first `ask`, see `prepare`.
+    The constructor takes ``n_parameters``, ``seed`` and the parameters of the strategy. Draw random numbers from a
+    generator keyed by (seed, generation): then no generator is part of the state. The caller may call `prepare` before
+    the first `ask`.
     """
 
     n_parameters: int
@@ -34,15 +34,15 @@ class EvolutionStrategy(ABC):
     control_names: tuple[str, ...] = ()
     generations: int | None = None
     updates: int = 0
-    """Of how many generations it was told, counted before it learns from them."""
+    """Number of calls of `tell`, counted before the update."""
 
     def prepare(
         self, *, behaviour_names: tuple[str, ...], control_names: tuple[str, ...], generations: int | None = None
     ) -> None:
-        """Tell what lies ahead: how many generations, and what the descriptors of behaviour are called.
+        """Set the number of generations and the names of the behaviour descriptors.
 
-        Without a call there are no descriptors; see `sysid_evo.engine.behaviour_names`. ``control_names`` are
-        those of the channels that a controller decides on.
+        Without this call there are no descriptors; see `sysid_evo.engine.behaviour_names`. ``control_names`` are the
+        channels that a controller sets.
         """
         self.behaviour_names, self.control_names, self.generations = behaviour_names, control_names, generations
 
@@ -52,52 +52,52 @@ class EvolutionStrategy(ABC):
 
     @abstractmethod
     def _update(self, population: Array, fitness: Array, behaviour: Array) -> None:
-        """Take in the fitness (population,) of what `ask` returned, and its behaviour (population, d)."""
+        """Learn from the fitness (population,) and behaviour (population, d) of the candidates of `ask`."""
 
     @property
     @abstractmethod
     def elite(self) -> Array:
-        """The candidates from which the champion is chosen, best first, (any, n_parameters)."""
+        """The candidates among which the champion is chosen, best first, (any, n_parameters)."""
 
     @property
     def finals(self) -> Mapping[str, Array]:
-        """Candidates (any, n_parameters) by the niche they were found in: each niche gives one finalist.
+        """Candidates (any, n_parameters) by behaviour class; each class gives one finalist.
 
-        By default there is one niche without a name, that of the `elite`.
+        By default the `elite` is the only class, with an empty name.
         """
         return {"": self.elite}
 
-    def forget_fitness(self) -> None:  # noqa: B027  # most have nothing to forget
-        """Forget what candidates scored: from now on the task is another; where they are found still counts.
+    def forget_fitness(self) -> None:  # noqa: B027  # most strategies store no fitness
+        """Discard stored fitness, because the task changes; the distribution of the candidates remains.
 
-        Does nothing by default, which is right for a strategy that compares nobody with what it was told before.
+        Does nothing by default, which is right for a strategy that compares candidates of one generation only.
         """
 
     @property
     def status(self) -> str:
-        """What to say beside the fitness while it runs, in a few words: how many niches are filled, for example."""
+        """Short text for the progress display, for example the number of filled niches."""
         return ""
 
     @property
     @abstractmethod
     def state(self) -> StrategyState:
-        """All that `tell` has changed: copies, which stay as they are.
+        """Copies of all variables that `tell` changes.
 
-        What `ask` changes does not matter: a state that is taken after it leads the same way.
+        Variables that `ask` changes are not part of it: a state taken after `ask` leads to the same search.
         """
 
     @abstractmethod
     def restore(self, state: StrategyState) -> None:
-        """Go on from a ``state`` of a strategy made with the same arguments, bit for bit as that one would have.
+        """Continue, bit for bit, from the ``state`` of a strategy made with the same arguments.
 
-        Raises `InvalidArgument` or `ShapeError` if it is the state of another.
+        Raises `InvalidArgument` or `ShapeError` if it is the state of another strategy.
         """
 
     def tell(self, population: Array, fitness: Array, behaviour: Array | None = None) -> None:
-        """Report the fitness (population,) of what `ask` returned; nan is an error, not a fitness.
+        """Report the fitness (population,) of the candidates of `ask`. Raises `InvalidArgument` for nan.
 
-        ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``; None where there are none. A
-        strategy that got none before is given none.
+        ``behaviour`` (population, d) holds the descriptors in ``behaviour_names``, None without descriptors. It is
+        ignored if `prepare` set no names.
         """
         population = check_shape("population", population, (None, self.n_parameters))
         fitness = check_shape("fitness", fitness, (len(population),))
@@ -112,6 +112,6 @@ class EvolutionStrategy(ABC):
 
 
 def make_strategy(spec: str | Spec, /, **parameters: Any) -> EvolutionStrategy:
-    """Return the strategy that ``spec`` names, made with its parameters and these; see `Registry.make`."""
+    """Return the strategy that ``spec`` names, with its parameters and ``parameters``; see `Registry.make`."""
     made: EvolutionStrategy = strategies.make(spec, **parameters)
     return made

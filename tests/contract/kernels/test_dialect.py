@@ -87,7 +87,7 @@ def test_names_never_clash_and_literals_have_the_precision_of_the_kernel(precisi
 def test_free_names_stand_for_what_is_bound():
     assert call(with_a_bound_function, 2.0, inner=decorated)[0] == 2.1
     assert call(with_a_bound_function, 2.0, inner=KernelSource(same_name.helper))[0] == 30.0
-    with pytest.raises(InvalidArgument, match=r"with_a_bound_function uses 'inner': no such name"):
+    with pytest.raises(InvalidArgument, match=r"with_a_bound_function uses 'inner': the name is not defined"):
         call(with_a_bound_function, 2.0)
 
 

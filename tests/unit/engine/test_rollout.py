@@ -236,7 +236,7 @@ def test_names_of_behaviours_stand_in_the_order_of_states_and_controls():
 
 def test_samples_of_behaviour_are_counted_by_hand(ladder):
     """Heights begin at 0, which is neutral, and at 3; samples are those of steps 0 and 5; 0.25 is no command."""
-    assert loops.EVERY == 5
+    assert loops.SAMPLE_EVERY == 5
     climbs, stays, descends = climb(Climber(ladder), [1.0, 0.25, -1.0], 0, 3).behaviour
     np.testing.assert_array_equal(climbs, [[0.5, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 0.0]])
     np.testing.assert_array_equal(stays[:, 2:], 0.0)

@@ -242,7 +242,7 @@ def test_a_bare_model_is_run_by_a_runner_of_its_own_and_what_is_none_is_refused(
     )
     for models, settings, reason in (
         ([model], SETTINGS, r"expected models or runners by name, \{name: model\}, got list"),
-        ({"linear": "linear"}, SETTINGS, "'linear' is a str, no model and no runner"),
+        ({"linear": "linear"}, SETTINGS, "expected a model or a runner as 'linear', got str"),
         ({"linear": Watched(runners["linear"])}, replace(SETTINGS, estimator_delay=0.03), "not a model"),
         ({"car": Watched(runners["linear"])}, replace(SETTINGS, noise=NOISE), "car is not a model"),
     ):
@@ -326,7 +326,7 @@ def test_candidates_lose_fitness_where_models_are_doubted(models, evolved):
         replace(SETTINGS, noise="domain_randomisation(gain=0.1)", penalty="uncertainty(outside=1, disagreement=2)"),
     )
     assert isinstance(doubted["a"], PenalisedRunner)
-    assert doubted["a"].most == 3.0
+    assert doubted["a"].max_penalty == 3.0
 
 
 def test_noise_belongs_to_what_a_controllers_cell_depends_on():

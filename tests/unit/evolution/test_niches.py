@@ -15,7 +15,7 @@ def prepared(generations=100, **arguments):
     return strategy
 
 
-def test_a_niche_finds_the_high_hill_beside_the_broad_one():
+def test_a_niche_finds_the_high_hill_next_to_the_broad_one():
     strategy = prepared()
     for _ in evolve(strategy, trap, 100):
         pass
@@ -26,48 +26,48 @@ def test_a_niche_finds_the_high_hill_beside_the_broad_one():
     assert strategy.status == "2 niches, best drive above"
 
 
-def test_the_survey_begins_on_both_sides_of_every_control_and_two_kinds_go_on():
+def test_the_initial_phase_searches_both_sides_of_every_control_and_two_classes_continue():
     strategy = prepared()
     assert [island.name for island in strategy.islands] == ["drive above", "drive below", "steer above", "steer below"]
     for _ in evolve(strategy, trap, 20):
         pass
     kept = [island.name for island in strategy.active]
     assert len(kept) == 2
-    assert "drive above" in kept  # the slow kind is not lost: the others all went backwards
+    assert "drive above" in kept  # the slow class is not lost: all others went backwards
     ages = {island.name: island.age for island in strategy.islands}
-    assert set(ages.values()) == {10}  # every island of the survey had the same
+    assert set(ages.values()) == {10}  # every island had the same share of the initial phase
 
 
-def test_an_island_ranks_what_leaves_its_niche_below_all_inside():
-    told = []
+def test_an_island_ranks_candidates_outside_its_niche_below_all_inside():
+    reported = []
 
     class Listening:
         elite = np.zeros((1, 3))
 
         def tell(self, population, fitness):
-            told.append(fitness)
+            reported.append(fitness)
 
-    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), kind=0)
+    island = Island("x", "drive", 1, Listening(), np.zeros((1, 3)), np.zeros(1), behaviour_class=0)
     fitness = np.array([1.0, 9.0, 8.0, -3.0])
     island.tell(np.arange(12.0).reshape(4, 3), fitness, np.zeros((4, 6)), np.array([0.0, 0.1, 0.4, 0.0]))
-    assert list(np.argsort(-told[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
+    assert list(np.argsort(-reported[0])) == [0, 3, 1, 2]  # inside by fitness, outside by how far
     np.testing.assert_array_equal(island.best[0], [0.0, 1.0, 2.0])
     assert island.smoothed_quantile == pytest.approx(np.quantile([1.0, -3.0], 0.8))
     np.testing.assert_array_equal(fitness, [1.0, 9.0, 8.0, -3.0])
 
 
-@pytest.mark.parametrize(("failed", "promise"), [(0, 16.8), (12, 16.8), (17, -np.inf), (21, -np.inf)])
-def test_an_island_of_which_most_fail_promises_nothing(failed, promise):
+@pytest.mark.parametrize(("failed", "quantile"), [(0, 16.8), (12, 16.8), (17, -np.inf), (21, -np.inf)])
+def test_the_quantile_of_an_island_whose_candidates_mostly_fail_is_minus_infinity(failed, quantile):
     island = prepared().islands[0]
     population = island.strategy.ask()
     fitness = np.where(np.arange(21) < failed, -np.inf, np.arange(1.0, 22.0) - 0.2)
     outside = np.zeros(21)
     outside[20] = 0.1
     island.tell(population, fitness, described(population), outside if failed == 21 else np.zeros(21))
-    assert island.smoothed_quantile == promise
+    assert island.smoothed_quantile == quantile
 
 
-def test_an_empty_niche_promises_nothing():
+def test_the_quantile_of_an_empty_niche_is_minus_infinity():
     strategy = prepared()
 
     def forwards_only(population, _):
@@ -81,33 +81,38 @@ def test_an_empty_niche_promises_nothing():
     assert len(strategy.active) == 2
 
 
-def test_the_control_that_divides_behaviour_goes_on_though_islands_of_another_promise_more():
+def test_the_control_that_separates_behaviour_continues_although_islands_of_another_score_more():
     strategy = prepared()
-    strategy.islands  # noqa: B018  # the survey begins
-    leans = {"drive above": (0.9, 0.1), "drive below": (0.0, 1.0), "steer above": (0.6, 0.4), "steer below": (0.4, 0.6)}
-    for island, promise in zip(strategy.islands, (8.0, 11.0, 12.0, 12.5), strict=True):
-        above, below = leans[island.name]
-        island.promises = [promise]
+    strategy.islands  # noqa: B018  # makes the islands
+    biases = {
+        "drive above": (0.9, 0.1),
+        "drive below": (0.0, 1.0),
+        "steer above": (0.6, 0.4),
+        "steer below": (0.4, 0.6),
+    }
+    for island, quantile in zip(strategy.islands, (8.0, 11.0, 12.0, 12.5), strict=True):
+        above, below = biases[island.name]
+        island.quantiles = [quantile]
         forwards = (1.0, 0.0) if island.name in ("drive above", "steer below") else (0.0, 1.0)
         drive, steer = ((above, below), (0.5, 0.5)) if island.channel == "drive" else (forwards, (above, below))
         island.behaviour = np.array([*forwards, *drive, *steer])
     assert strategy._choose() == [1, 0]
 
 
-def test_a_start_that_no_longer_rises_makes_room_for_another_and_the_best_go_on_at_the_end():
+def test_a_stagnated_island_is_replaced_by_a_restart_and_the_best_continue_at_the_end():
     strategy = prepared(generations=400)
     for generation in evolve(strategy, trap, 400):
         if generation.index == 300:
-            begun = {island.name: island.age for island in strategy.active}
-    assert {"drive above", "drive above #2"} <= set(begun)  # the first was at the top long ago
+            before_end = {island.name: island.age for island in strategy.active}
+    assert {"drive above", "drive above #2"} <= set(before_end)  # the first was at the top long ago
     asked = {island.name: island.age for island in strategy.active}
-    last = [name for name in asked if asked[name] != begun[name]]
+    last = [name for name in asked if asked[name] != before_end[name]]
     assert len(last) <= 4  # those that ran on, and the two that are best at the end
     assert any(name.startswith("drive above") for name in last)
     assert set(strategy.finals) == set(asked)
 
 
-def test_less_than_a_hundredth_more_is_no_rise():
+def test_an_increase_of_less_than_one_percent_is_no_improvement():
     island = prepared().islands[0]
 
     def reaches(fitness):
@@ -122,36 +127,36 @@ def test_less_than_a_hundredth_more_is_no_rise():
     assert reaches(101.1) > 42
 
 
-def test_a_kind_is_known_when_several_of_its_starts_reached_the_same():
+def test_a_class_has_converged_when_several_islands_reached_the_same_fitness():
     assert not any(_converged(reached) for reached in ([], [12.0], [12.0, 11.5]))
     assert _converged([12.0, 11.7])
     assert _converged([-10.0, -10.2])
 
 
-def test_a_kind_that_is_known_is_not_begun_again_while_others_are_open():
+def test_a_converged_class_gets_no_restart_while_others_have_not_converged():
     strategy = prepared()
-    strategy.islands  # noqa: B018  # the survey begins
+    strategy.islands  # noqa: B018  # makes the islands
     strategy._chosen = [0, 1]
-    for kind, peaks in ((0, (5.0, 9.0, 7.0)), (1, (10.0, 10.1))):
-        numbers = [kind, *(strategy._start(kind) for _ in peaks[1:])]
+    for number_of_class, peaks in ((0, (5.0, 9.0, 7.0)), (1, (10.0, 10.1))):
+        numbers = [number_of_class, *(strategy._restart(number_of_class) for _ in peaks[1:])]
         for number, peak in zip(numbers, peaks, strict=True):
             island = strategy.islands[number]
             island.age, island.peak, island.peak_age = 1000, peak, 100
-    assert strategy._next_restart() == 0  # although it has more starts and reached less
-    strategy.islands[1].peak = 12.0  # its two starts differ now
-    assert strategy._next_restart() == 1  # fewer starts
-    strategy._start(1)
+    assert strategy._next_restart() == 0  # although it has more islands and reached less
+    strategy.islands[1].peak = 12.0  # its two islands differ now
+    assert strategy._next_restart() == 1  # fewer islands
+    strategy._restart(1)
     assert strategy._next_restart() == 1  # as many, and it reached more
 
 
 def test_other_channels_can_tell_niches_apart():
     strategy = prepared(channels="speed")
     assert [island.name for island in strategy.islands] == ["speed above", "speed below"]
-    with pytest.raises(InvalidArgument, match="channels are speed, drive, steer, got 'sped'"):
+    with pytest.raises(InvalidArgument, match="expected channels among speed, drive, steer, got 'sped'"):
         prepared(channels="sped").ask()
 
 
-def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot():
+def test_without_descriptors_there_is_one_niche_with_an_island_for_each_slot():
     strategy = Niches(n_parameters=3, seed=1)
     assert [island.name for island in strategy.islands] == ["anything", "anything #2"]
     assert strategy.ask().shape == (102, 3)
@@ -159,15 +164,15 @@ def test_where_nobody_counts_there_is_one_niche_with_a_start_for_each_slot():
 
 def test_a_state_of_another_plan_is_refused():
     state = dict(prepared().state)
-    with pytest.raises(InvalidArgument, match="expected a state with generation, kinds, chosen, running"):
+    with pytest.raises(InvalidArgument, match="expected a state with generation, behaviour_classes, chosen, running"):
         prepared().restore({"generation": 3})
-    with pytest.raises(InvalidArgument, match="expected islands that begin with a survey of 2, got kinds"):
+    with pytest.raises(InvalidArgument, match="expected behaviour classes that begin with 0 to 1, got"):
         prepared(channels="speed").restore(state)
-    with pytest.raises(InvalidArgument, match="expected some of 4 islands to run"):
+    with pytest.raises(InvalidArgument, match="expected running and chosen below 4 islands"):
         prepared().restore({**state, "running": np.array([9.0])})
 
 
-def test_a_search_that_goes_on_from_a_state_in_the_middle_of_everything_goes_on_the_same():
+def test_a_search_restored_from_any_state_continues_identically():
     whole, places, states = prepared(generations=400), (3, 20, 150, 330), {}
     for generation in evolve(whole, trap, 345):
         states[generation.index + 1] = whole.state

@@ -31,8 +31,8 @@ SETTINGS = ControllerEvolution(
     controller="recurrent(hidden=2)",
     task="point_to_point(horizon=40)",
     strategy="mu_plus_lambda(parents=4, children=4)",
-    schedule="stage(task=point_to_point(horizon=20, waypoint_radius=0.8), models=[linear], at_most=2), "
-    "stage(task=point_to_point(horizon=30, waypoint_radius=0.5), until=0.1, over=2)",
+    schedule="stage(task=point_to_point(horizon=20, waypoint_radius=0.8), models=[linear], max_generations=2), "
+    "stage(task=point_to_point(horizon=30, waypoint_radius=0.5), until=0.1, window=2)",
 )
 
 
@@ -72,7 +72,7 @@ def hill(width):
 
 
 def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some_generations():
-    schedule = Schedule([(Stage(until=2.0, over=3), hill(9.0))], hill(1.0))
+    schedule = Schedule([(Stage(until=2.0, window=3), hill(9.0))], hill(1.0))
     lucky, below, there = scored(9.0, 1.0, 1.0, 0.0, 0.0, 0.0), scored(1.9, 1.9, 0.0, 0.0), scored(2.1, 2.0, 0.0, -9.0)
     for generation in (there, lucky, below, there, lucky):
         assert not schedule.tell(generation)
@@ -82,7 +82,9 @@ def test_a_stage_ends_when_the_median_of_the_better_half_has_been_there_for_some
 
 
 def test_a_stage_ends_after_its_most_generations():
-    schedule = Schedule([(Stage(until=2.0, at_most=3), hill(9.0)), (Stage(at_most=1), hill(3.0))], hill(1.0))
+    schedule = Schedule(
+        [(Stage(until=2.0, max_generations=3), hill(9.0)), (Stage(max_generations=1), hill(3.0))], hill(1.0)
+    )
     assert [schedule.tell(scored(0.0)) for _ in range(6)] == [False, False, True, True, False, False]
 
 
@@ -101,7 +103,7 @@ def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones():
 
 def test_parents_that_are_not_asked_again_do_not_live_on_the_fitness_of_an_easier_stage():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=5, children=5, reevaluate=False)
-    schedule = Schedule([(Stage(at_most=3), lambda population, _: population[:, 0] + 1000.0)], hill(2.0))
+    schedule = Schedule([(Stage(max_generations=3), lambda population, _: population[:, 0] + 1000.0)], hill(2.0))
     for generation in evolve(strategy, schedule, 10):
         if schedule.tell(generation):
             assert len(strategy.ask()) == 5
@@ -139,7 +141,7 @@ def test_the_stages_of_a_controller_meet_their_own_task_and_models(evolved, note
 
 def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, evolved, noted):
     strategy = "mu_plus_lambda(parents=4, children=3, reevaluate=false)"
-    settings = replace(SETTINGS, generations=5, strategy=strategy, schedule=(Stage(at_most=3),))
+    settings = replace(SETTINGS, generations=5, strategy=strategy, schedule=(Stage(max_generations=3),))
     evolved(settings, {"linear": runners["linear"]})
     assert [asked for _, asked, _ in noted] == [7, 3, 3, 7, 3, 4]  # at last the finalists
 
@@ -153,13 +155,13 @@ def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, e
 
 def test_a_stage_that_never_ends_is_said(evolved):
     unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
-    with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the task itself was never evolved"):
+    with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the final task was not reached"):
         evolved(unreachable)
 
 
 def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
     first, second = SETTINGS.schedule
-    assert first == Stage(task="point_to_point(horizon=20, waypoint_radius=0.8)", models=("linear",), at_most=2)
+    assert first == Stage(task="point_to_point(horizon=20, waypoint_radius=0.8)", models=("linear",), max_generations=2)
     assert second.task == Spec("point_to_point", {"horizon": 30, "waypoint_radius": 0.5})
     assert Stage(models="a + b", until=1).models == ("a", "b")
 
@@ -167,10 +169,13 @@ def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("stage(task=point_to_point)", "expected until=FITNESS, at_most=GENERATIONS or both"),
+        ("stage(task=point_to_point)", "expected until=FITNESS, max_generations=NUMBER or both"),
         ("stage(until=inf)", "finite"),
-        ("stage(at_most=0)", ">= 1"),
-        ("step(until=3)", r"expected stage\(task=..., models=..., until=..., at_most=..., over=...\), got step"),
+        ("stage(max_generations=0)", ">= 1"),
+        (
+            "step(until=3)",
+            r"expected stage\(task=..., models=..., until=..., max_generations=..., window=...\), got step",
+        ),
         ("stage(untill=3)", "expected stage"),
         ("stage(until=high)", "cannot be read"),
         ("stage(task=point_to_point(radius=1), until=3)", "has no parameter 'radius'"),
@@ -190,7 +195,7 @@ def test_stages_must_fit_what_is_asked_for(car_data):
 
 
 def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_twenty_generations():
-    schedule = Schedule([], hill(1.0), most=2.0)
+    schedule = Schedule([], hill(1.0), max_fitness=2.0)
     full, not_quite = scored(2.0, 2.0, 0.0, 0.0), scored(2.0, 1.9, 1.9, 0.0)
     for generation in (*[full] * 19, not_quite, *[full] * 19):
         schedule.tell(generation)
@@ -200,7 +205,7 @@ def test_a_search_is_over_when_half_of_the_candidates_have_had_all_there_is_for_
 
 
 def test_an_easier_stage_does_not_end_a_search():
-    schedule = Schedule([(Stage(at_most=30), hill(9.0))], hill(1.0), most=1.0)
+    schedule = Schedule([(Stage(max_generations=30), hill(9.0))], hill(1.0), max_fitness=1.0)
     for _ in range(30):
         schedule.tell(scored(1.0, 1.0))
     assert schedule.stage == 1

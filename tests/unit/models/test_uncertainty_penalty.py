@@ -98,7 +98,7 @@ def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst(
     )
     controls, seeds = np.array([[0.0], [-0.5], [-1.0], [1.0]]), trial_seeds(0, 2)
     plain = runner.bind(Constant(), Ladder())(controls, seeds)
-    less = PenalisedRunner(runner, most=5.0).bind(Constant(), Ladder())(controls, seeds)
+    less = PenalisedRunner(runner, max_penalty=5.0).bind(Constant(), Ladder())(controls, seeds)
     diverged = plain.fitness < Ladder().worst
     assert diverged.any()
     assert plain.penalty[~diverged].max() > 0.0
