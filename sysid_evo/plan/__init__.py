@@ -1,4 +1,4 @@
-"""Work as cells: what each needs, what its result depends on, and who computes it."""
+"""Work as cells: their inputs, their results in a store, and the executors that compute them."""
 
 from sysid_evo.plan.cell import CELL_KINDS, CONTRACT, Cell, CellContext, CellKind, CellSettings, ResultType
 from sysid_evo.plan.dask_executor import Scheduler

@@ -1,4 +1,4 @@
-"""A cell: one piece of work as data, with a name for people and a digest for the machine; the table of their kinds."""
+"""A cell: one unit of work as data, with a readable name and a digest; the table of cell kinds."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress
 
 CONTRACT = 15
-"""Raised whenever the same inputs give another result than before: every stored result is then computed anew."""
+"""Increased whenever the same inputs give another result: all stored results are then computed again."""
 
 
 @dataclass(frozen=True)
 class CellContext:
-    """What a cell may use while it computes.
+    """Access of a cell to its inputs and files while it computes.
 
-    ``result(cell)`` is the value of a cell that it needs, None if that one failed and this one is
-    `CellKind.tolerant`; ``path`` is the path, without suffix, at which its result will be stored, and ``path_of(cell)``
-    the one at which that of a cell that it needs stands. What it keeps in the file ``checkpoint`` is there when it is
-    computed again after an interruption, and goes when it is done.
+    - ``result(cell)``: value of a needed cell; None if that cell failed and this one is `CellKind.tolerant`.
+    - ``path``: path, without suffix, of the result; ``path_of(cell)``: the same of a needed cell.
+    - ``checkpoint``: file that persists over an interruption and is removed when the cell is done.
     """
 
     result: Callable[[Cell], Any]
@@ -38,11 +37,11 @@ class CellContext:
 
 
 class CellSettings(ABC):
-    """What a cell computes with: the settings of one kind of work, in a small frozen dataclass."""
+    """Settings of one kind of work, a small frozen dataclass with the computation."""
 
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """Return all that the result depends on beside the needed cells, as strict JSON. Labels are no part of it."""
+        """Return all inputs of the result except the needed cells, as strict JSON, without labels."""
 
     @abstractmethod
     def compute(self, work: CellContext) -> Any:
@@ -54,15 +53,17 @@ S = TypeVar("S", bound=CellSettings, covariant=True, default=Any)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell(Generic[S]):
-    """One piece of work of a plan: ``kind``, ``settings`` and what it ``needs`` say all; equal digests are equal.
+    """One unit of work of a plan, defined by ``kind``, ``settings`` and ``needs``; cells with equal digests are equal.
 
-    ``name`` is how its files are called, and need not be unique; ``title`` what people read: the kind of work, then
-    its object; ``group`` what a log calls many short cells in a single line, empty for a line of its own. ``labels``
-    are fields of the result that carry names, see `labelled`. It takes about ``expected_seconds`` on one processor. One
-    that is ``resumable`` goes on after an interruption where it was. One that is ``local`` is computed by the process
-    that made the plan, as it holds recordings, reads a file or drives a robot; one that is ``local_only``, and all that
-    needs it, where the run folder is, as its work or its result names files there. ``known_digest`` is that of a stored
-    cell (`stored`), of which no more is known than its record.
+    - ``name``: file name, not necessarily unique; ``title``: text for users, the kind of work and its object.
+    - ``group``: label of many short cells that share one log line; empty for a line per cell.
+    - ``labels``: fields of the result that hold names, see `labelled`.
+    - ``expected_seconds``: expected time on one processor.
+    - ``resumable``: True if it resumes after an interruption.
+    - ``local``: True if the process that made the plan computes it (it holds recordings, reads a file or drives a
+      robot).
+    - ``local_only``: True if it, and all cells that need it, are computed where the run folder is.
+    - ``known_digest``: digest of a cell that is known by its record only (`stored`).
     """
 
     kind: str
@@ -80,18 +81,19 @@ class Cell(Generic[S]):
 
     @property
     def tolerant(self) -> bool:
-        """Whether it is computed although some of the cells that it needs failed."""
+        """True if it is computed although some of its needed cells failed."""
         return CELL_KINDS[self.kind].tolerant
 
     @property
     def result(self) -> ResultType:
-        """How its result is stored."""
+        """The storage format of its result."""
         return CELL_KINDS[self.kind].result
 
     def labelled(self, value: Any) -> Any:
-        """Return a result under this cell's labels: one with the same digest may have been computed under others.
+        """Return ``value`` with this cell's labels; it may have been computed under other labels.
 
-        Several labels are put back only where the result has as many: what failed may have been left out of it.
+        A list of labels is applied only if the result has the same number of entries, since failed entries may be
+        missing from it.
         """
         fitting = {
             name: label
@@ -108,11 +110,11 @@ class Cell(Generic[S]):
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of everything that the result depends on: needed cells, and the engine unless it is "auto", too."""
+        """SHA-256 of all inputs of the result, including needed cells, and the engine unless it is "auto"."""
         return self.known_digest or self.digest_here()
 
     def digest_here(self) -> str:
-        """Return what `digest` is with the code of this process: another one if versions or plugins differ."""
+        """Return the digest under the code of this process; it differs if versions or plugins differ."""
         content = {
             "kind": self.kind,
             "version": CELL_KINDS[self.kind].version,
@@ -127,9 +129,9 @@ class Cell(Generic[S]):
 
 @dataclass(frozen=True)
 class ResultType:
-    """How results of one type are stored, in the folder ``folder`` of a run.
+    """Storage of results of one type in the folder ``folder`` of a run.
 
-    ``save(value, path, cell)`` writes files, or a folder, that begin with ``path`` and returns the files;
+    ``save(value, path, cell)`` writes files (or a folder) whose names begin with ``path`` and returns the files;
     ``load(path)`` reads them.
     """
 
@@ -140,10 +142,10 @@ class ResultType:
 
 @dataclass(frozen=True)
 class CellKind:
-    """What all cells of one kind have in common.
+    """Common properties of the cells of one kind.
 
-    ``version`` is raised whenever they give another result on the same inputs. A cell that is ``tolerant`` is computed
-    although some of the cells that it needs failed.
+    ``version`` increases whenever the same inputs give another result. A ``tolerant`` cell is computed although some of
+    its needed cells failed.
     """
 
     result: ResultType
@@ -152,4 +154,4 @@ class CellKind:
 
 
 CELL_KINDS: dict[str, CellKind] = {}
-"""The kinds of cells by name; a module that defines settings enters theirs."""
+"""The cell kinds by name; the module that defines the settings registers its kind."""

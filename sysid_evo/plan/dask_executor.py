@@ -1,7 +1,7 @@
-"""The cells of a plan on the workers of a Dask cluster, which need not see the run folder.
+"""Execution of the cells of a plan on the workers of a Dask cluster, which need no access to the run folder.
 
-A cell travels pickled in memory, results as the bytes of their files. This process alone writes the run folder, as
-results come in: what is finished is here, whatever dies there. The lower half of this module runs in the workers.
+Cells are sent as pickles, results as the bytes of their files. Only this process writes the run folder, as results
+arrive, so finished results survive a failure of the cluster. The lower half of this module runs in the workers.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ if TYPE_CHECKING:
     import distributed
     from distributed import Client
 
-LOOK = 1.0  # s, between two looks at who is there
-ALONE = 5.0  # s without workers, after which that is told
-PATIENCE = 5.0  # s, to wait for a worker that takes data
+LOOK = 1.0  # s, between two checks of the workers
+ALONE = 5.0  # s without workers, after which a remark is made
+PATIENCE = 5.0  # s, time limit for sending data to a worker
 LOST = 20
-"""How often a cell is sent whose data are lost on the way."""
+"""Number of attempts at a cell whose data are lost in the cluster."""
 AHEAD = 2
-"""Cells that are sent for every thread of the workers, so that none waits for this process."""
+"""Cells sent per thread of the workers, so that no thread waits for this process."""
 FIRST = 16
-"""Cells that are sent while there are no workers: a cluster that grows with its work sees some."""
+"""Cells sent while there are no workers, for a cluster that grows with its work."""
 RUNNING = "running"
 
 
 @dataclass(frozen=True)
 class RemoteTask:
-    """A pickled cell, which of its needs failed, and what a worker must have loaded, in the run called ``run``."""
+    """A pickled cell of ``run``, its failed needs, and the engine, plugins and versions that a worker must have."""
 
     run: str
     digest: str
@@ -64,8 +64,8 @@ class RemoteTask:
 
 
 @dataclass
-class Away:
-    """A cell that was sent: our claim on it, and the workers it is restricted to, if it is."""
+class SentCell:
+    """A cell that was sent, with this process's claim on it and the workers it is restricted to, if any."""
 
     cell: Cell
     claim: ExitStack
@@ -73,21 +73,23 @@ class Away:
 
 
 class DaskExecutor:
-    """The workers of ``scheduler``, for the ``cells`` of a plan; ``tell`` passes a remark on to the user.
+    """The workers of ``scheduler`` for the ``cells`` of a plan; ``remark`` passes a sentence to the user.
 
-    Results that cells need are sent once and stay in the cluster as long as one of the cells needs them.
+    A result that cells need is sent once and stays in the cluster as long as an unfinished cell needs it.
     """
 
-    def __init__(self, store: Store, cells: Sequence[Cell], scheduler: Scheduler, tell: Callable[[str], None]) -> None:
-        self._store, self._scheduler, self._tell = store, scheduler, tell
-        self._away: dict[Future[Any], Away] = {}
+    def __init__(
+        self, store: Store, cells: Sequence[Cell], scheduler: Scheduler, remark: Callable[[str], None]
+    ) -> None:
+        self._store, self._scheduler, self._remark = store, scheduler, remark
+        self._sent_cells: dict[Future[Any], SentCell] = {}
         self._users = Counter(digest for cell in cells for digest in {needed.digest for needed in cell.needs})
         self._sent: dict[str, distributed.Future[Any]] = {}
-        self._unable: dict[str, set[str]] = {}  # workers that do not know a cell
+        self._unable: dict[str, set[str]] = {}  # workers that cannot run a cell
         self._lost: Counter[str] = Counter()
-        self._said: SimpleQueue[tuple[str, int, int, str]] = SimpleQueue()
+        self._events: SimpleQueue[tuple[str, int, int, str]] = SimpleQueue()
         self._threads: dict[str, int] = {}
-        self._looked, self._seen = 0.0, time.monotonic()
+        self._last_look, self._last_worker = 0.0, time.monotonic()
         self._run = uuid.uuid4().hex
         files = map(Path, loaded_plugins())
         self._plugins: Bundle = tuple((file.name, 0, file.read_bytes()) for file in files if file.is_file())
@@ -104,23 +106,23 @@ class DaskExecutor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with self._open:
-            for away in self._away.values():
-                away.claim.close()
+            for sent_cell in self._sent_cells.values():
+                sent_cell.claim.close()
             if self._client.status == RUNNING:
                 with self._unless_lost():
                     self._executor.shutdown(wait=False)
                     self._client.unsubscribe_topic(self._run)
             self._sent.clear()
 
-    def room(self) -> int:
-        """Return how many more cells to send. Raises `SchedulerLost`."""
+    def n_idle(self) -> int:
+        """Return the number of cells to send now. Raises `SchedulerLost`."""
         self._look()
         if self._client.status != RUNNING:
             return 0
-        return (AHEAD * sum(self._threads.values()) or FIRST) - len(self._away)
+        return (AHEAD * sum(self._threads.values()) or FIRST) - len(self._sent_cells)
 
     def submit(self, cell: Cell, failed: Collection[str]) -> Future[Any] | None:
-        """Send ``cell``; None if another process is at it, or nobody is there now. Raises `Unsendable`."""
+        """Send ``cell``; None if another process computes it, or no worker is connected. Raises `Unsendable`."""
         future: Future[Any] | None = None
         with ExitStack() as claim:
             if not claim.enter_context(self._store.claim(cell)):
@@ -128,7 +130,7 @@ class DaskExecutor:
             if self._store.done(cell) and self._store.without(cell) == set(failed):
                 future = Future()
                 future.set_result((CellEnd("kept", self._store.seconds(cell)), (), ""))
-                self._away[future] = Away(cell, claim.pop_all())
+                self._sent_cells[future] = SentCell(cell, claim.pop_all())
                 return future
             task = RemoteTask(
                 self._run, cell.digest, pickled(cell, self._store), tuple(failed), resolve(), self._plugins, versions()
@@ -139,22 +141,22 @@ class DaskExecutor:
                 needed = self._bundles({needed.digest for needed in cell.needs} - set(failed))
                 where = {} if only is None else {"workers": sorted(only)}
                 future = self._executor.submit(compute, task, needed, **where)
-                self._away[future] = Away(cell, claim.pop_all(), only)
+                self._sent_cells[future] = SentCell(cell, claim.pop_all(), only)
         return future
 
     def result(self, cell: Cell, future: Future[Any]) -> CellEnd:
-        """Put down the result of ``cell`` and return how it ended. Raises `CellLost`, OSError if the disk is full."""
+        """Store the result of ``cell`` and return its end. Raises `CellLost`, OSError if the disk is full."""
         from distributed import KilledWorker
 
-        with self._away.pop(future).claim:
+        with self._sent_cells.pop(future).claim:
             try:
                 end, bundle, worker = future.result()
             except CancelledError:
-                return self._again(cell)
+                return self._retry(cell)
             except KilledWorker as error:
                 times = error.allowed_failures + 1
-                return self._failed(cell, f"{times} worker{'s' if times > 1 else ''} died while it was there")
-            except Exception as error:  # whatever a worker without this version raises
+                return self._failed(cell, f"{times} worker{'s' if times > 1 else ''} died while computing it")
+            except Exception as error:  # a worker with another version may raise anything
                 return CellEnd("unknown", reason=f"{type(error).__name__}: {error}")
             if end.status == "unknown":
                 return self._unknown(cell, end, worker)
@@ -173,11 +175,11 @@ class DaskExecutor:
         return end
 
     def progress(self) -> Iterator[tuple[Cell, int, int, str]]:
-        """Yield what workers have said since the last time."""
-        cells = {away.cell.digest: away.cell for away in self._away.values()}
+        """Yield the progress events of the workers since the last call."""
+        cells = {sent_cell.cell.digest: sent_cell.cell for sent_cell in self._sent_cells.values()}
         with suppress(Empty):
             while True:
-                digest, done, total, note = self._said.get_nowait()
+                digest, done, total, note = self._events.get_nowait()
                 if digest in cells:
                     yield cells[digest], done, total, note
 
@@ -185,47 +187,47 @@ class DaskExecutor:
         self._store.fail(cell, reason=reason, traceback="", seconds=0.0)
         return CellEnd("failed", reason=reason)
 
-    def _again(self, cell: Cell) -> CellEnd:
-        """A cell, or what it needs, was lost in the cluster: all of it is sent again."""
-        self._looked = 0.0  # the next look says whether the scheduler is there
+    def _retry(self, cell: Cell) -> CellEnd:
+        """Send a cell again that was lost in the cluster, with its needs."""
+        self._last_look = 0.0  # check the scheduler at the next call
         self._lost[cell.digest] += 1
         if self._lost[cell.digest] > LOST:
-            return self._failed(cell, f"it, or what it needs, was lost in the cluster {LOST} times")
+            return self._failed(cell, f"the cell or its inputs were lost in the cluster {LOST} times")
         for needed in cell.needs:
             self._sent.pop(needed.digest, None)
-        self._listen()  # to the new scheduler, if it is one
+        self._listen()  # the scheduler may be a new one
         return CellEnd("busy")
 
     def _unknown(self, cell: Cell, end: CellEnd, worker: str) -> CellEnd:
-        """A worker has another version of something: another one is asked, if there is one."""
+        """Send a cell to another worker, if there is one, since this worker has other versions or plugins."""
         unable = self._unable.setdefault(cell.digest, set())
         unable.add(worker)
-        self._tell(f"the worker {worker} does not know all of this work ({end.reason})")
+        self._remark(f"the worker {worker} cannot run some cells ({end.reason})")
         return CellEnd("busy") if set(self._threads) - unable else end
 
     def _look(self) -> None:
-        """See, now and then, who is there. Raises `SchedulerLost`."""
+        """Update the list of workers, at most once per `LOOK`. Raises `SchedulerLost`."""
         now = time.monotonic()
-        if now - self._looked < LOOK:
+        if now - self._last_look < LOOK:
             return
-        self._looked = now
+        self._last_look = now
         if self._client.status not in (RUNNING, "connecting"):
-            raise SchedulerLost(f"the scheduler at {self._address} does not answer any more: {GO_ON}")
+            raise SchedulerLost(f"the scheduler at {self._address} no longer answers: {CONTINUE}")
         with self._unless_lost():
             self._threads = dict(self._client.nthreads())
-        self._seen = now if self._threads else self._seen
-        if now - self._seen > ALONE:
-            self._tell("there is no worker: waiting for one")
-        for future, away in self._away.items():
-            if away.only is not None and not away.only & set(self._threads):
+        self._last_worker = now if self._threads else self._last_worker
+        if now - self._last_worker > ALONE:
+            self._remark("the scheduler has no worker: waiting for one")
+        for future, sent_cell in self._sent_cells.items():
+            if sent_cell.only is not None and not sent_cell.only & set(self._threads):
                 future.cancel()
 
     def _listen(self) -> None:
         with self._unless_lost():
-            self._client.subscribe_topic(self._run, lambda event: self._said.put(event[1]))
+            self._client.subscribe_topic(self._run, lambda event: self._events.put(event[1]))
 
     def _bundles(self, digests: Collection[str]) -> list[distributed.Future[Any]]:
-        """Return the results of cells in the cluster; those that are not there are sent."""
+        """Return the results of cells in the cluster, after sending those that are missing there."""
         missing = [digest for digest in digests if digest not in self._sent or self._sent[digest].status != "finished"]
         for digest in missing:
             self._sent[digest] = self._client.scatter([self._store.bundle(digest)], timeout=PATIENCE, hash=False)[0]
@@ -233,34 +235,32 @@ class DaskExecutor:
 
     @contextmanager
     def _unless_lost(self) -> Iterator[None]:
-        """Leave the block at once where the connection breaks, which Dask tells in many ways, or nobody takes data."""
-        from distributed import TimeoutError as NobodyThere
+        """Leave the block if the connection is lost (Dask raises several errors) or no worker accepts data."""
+        from distributed import TimeoutError as NoWorker
         from distributed.comm.core import CommClosedError
 
         try:
             yield
-        except (NobodyThere, CommClosedError):  # that it is closed may be heard before the client knows it
+        except (NoWorker, CommClosedError):  # raised before the client's status changes
             pass
-        except Exception:  # whatever a closed connection raises
+        except Exception:  # a closed connection may raise anything
             if self._client.status == RUNNING:
                 raise
 
 
 Scheduler: TypeAlias = Union[str, Path, "Client"]
-"""``tcp://HOST:PORT``, ``tls://HOST:PORT``, the file that a scheduler wrote, or a client of it."""
+"""``tcp://HOST:PORT``, ``tls://HOST:PORT``, the file that a scheduler wrote, or a Dask client."""
 FILE_ENDS = ".json"
 SCHEMES = ("tcp://", "tls://", "ws://", "wss://")
-GO_ON = (
-    "what was finished until then is kept, and the same command goes on from there, with another scheduler or without"
-)
+CONTINUE = "finished results are kept; rerun the same command to resume, with another scheduler or without one"
 
 
 @contextmanager
 def connected(scheduler: Scheduler) -> Iterator[Client]:
-    """Connect to ``scheduler``; a client that was given stays connected, another one is closed in the end.
+    """Connect to ``scheduler``; a given client stays connected, a new one is closed at the end.
 
-    Certificates for ``tls://`` are those of Dask's configuration. Raises `InvalidArgument`, and `SchedulerLost` if
-    nobody answers there.
+    Certificates for ``tls://`` come from Dask's configuration. Raises `InvalidArgument`, and `SchedulerLost` without an
+    answer.
     """
     from distributed import Client, Security
 
@@ -272,8 +272,8 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
     address = address_of(str(scheduler))
     if address.startswith("tls://") and Security().get_connection_args("client").get("ssl_context") is None:
         raise InvalidArgument(
-            f"scheduler {address}: expected certificates in Dask's configuration, found none; the page 'A cluster' of "
-            "the documentation tells how to make them and where they are named"
+            f"scheduler {address}: expected certificates in Dask's configuration, found none; see the page 'A cluster' "
+            "of the documentation"
         )
     with _quiet():
         try:
@@ -281,8 +281,8 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
         except OSError as error:
             why = (str(error).splitlines() or [type(error).__name__])[0]
             raise SchedulerLost(
-                f"no scheduler answers at {address} ({why}): start one with 'dask scheduler', name the "
-                f"address that it prints, or compute without one; {GO_ON}"
+                f"no scheduler answers at {address} ({why}): start one with 'dask scheduler' and give the "
+                f"address that it prints, or compute without one; {CONTINUE}"
             ) from error
         try:
             yield client
@@ -292,7 +292,7 @@ def connected(scheduler: Scheduler) -> Iterator[Client]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Let Dask's client log nothing: that a scheduler is lost is an error of ours, told once."""
+    """Suppress the log of Dask's client: a lost scheduler is reported once, as `SchedulerLost`."""
     log = logging.getLogger("distributed.client")
     level = log.level
     log.setLevel(logging.CRITICAL)
@@ -303,7 +303,7 @@ def _quiet() -> Iterator[None]:
 
 
 def address_of(text: str) -> str:
-    """Return the address that ``text`` is, or that stands in the file that it names. Raises `InvalidArgument`."""
+    """Return the address ``text``, or the address in the file ``text``. Raises `InvalidArgument`."""
     if text.endswith(FILE_ENDS):
         try:
             found = json.loads(Path(text).read_text(encoding="utf-8"))["address"]
@@ -312,7 +312,7 @@ def address_of(text: str) -> str:
                 f"scheduler: expected the file that 'dask scheduler --scheduler-file {text}' writes, found none"
             ) from None
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
-            raise InvalidArgument(f"scheduler: expected the file of a scheduler, {text} is none: {error}") from error
+            raise InvalidArgument(f"scheduler: expected the file of a scheduler, got {text}: {error}") from error
         return str(found)
     if not text.startswith(SCHEMES):
         raise InvalidArgument(
@@ -321,65 +321,65 @@ def address_of(text: str) -> str:
     return text
 
 
-WATCH = 0.5  # s, between two looks at whether the result is still wanted
+WATCH = 0.5  # s, between two checks whether the task was cancelled
 ONE_AT_A_TIME = threading.Lock()
-"""Threads of libraries and random numbers belong to the process: its threads take turns."""
+"""Library threads and random numbers belong to the process, so its threads compute one after another."""
 STORES: dict[str, Store] = {}
-"""The last runs that this worker computed for, each with a folder of its own."""
-FEW = 4
+"""The last runs of this worker, each with its own folder."""
+MAX_STORES = 4
 PLUGINS: dict[str, str] = {}
-"""Where plugin files stand that were sent, by their SHA-256."""
+"""Paths of the received plugin files by their SHA-256."""
 
 
-class Unwanted(BaseException):
-    """Nobody waits for the result any more."""
+class TaskCancelled(BaseException):
+    """The result of the current task is no longer needed."""
 
 
 def compute(task: RemoteTask, needed: Sequence[Bundle]) -> tuple[CellEnd, Bundle, str]:
-    """Compute a cell in a worker; return how it ended, the files of its result if it is done, and the worker."""
+    """Compute a cell in a worker; return its end, the files of its result if it is done, and the worker's address."""
     from distributed import get_worker
 
     worker = get_worker()
 
-    def say(*step: int | str) -> None:
+    def report(*step: int | str) -> None:
         worker.log_event(task.run, (task.digest, *step))
 
-    with ONE_AT_A_TIME, _while_wanted(worker), suppress(Unwanted):
+    with ONE_AT_A_TIME, _unless_cancelled(worker), suppress(TaskCancelled):
         store = _store_of(task.run, worker.local_directory)
         for bundle in needed:
             if not (store.path / bundle[0][0]).is_file():
-                unpack((*bundle[1:], bundle[0]), store.path)  # the record last: then the result is whole
+                unpack((*bundle[1:], bundle[0]), store.path)  # the record last, when the result is complete
         os.environ[ENGINE_VARIABLE] = task.engine
         use_processors(1)
         try:
             problem = _load(task.plugins, worker.local_directory)
-            end = run_sent(store, task.cell, task.failed, say)
+            end = run_sent(store, task.cell, task.failed, report)
         finally:
             use_processors(0)
         if end.status == "unknown":
-            ours = versions()
+            own = versions()
             differing = [
-                f"{name} {ours.get(name)} instead of {one}"
+                f"{name} {own.get(name)} instead of {one}"
                 for name, one in task.versions.items()
-                if ours.get(name) != one
+                if own.get(name) != one
             ]
             end = replace(end, reason=", ".join(filter(None, (end.reason, problem, *differing))))
-        if end.status == "kept":  # here: another attempt had finished it
+        if end.status == "kept":  # an earlier attempt on this worker finished it
             end = replace(end, status="done")
         return end, store.bundle(task.digest) if end.status == "done" else (), worker.address
     raise CancelledError
 
 
 def _store_of(run: str, place: str) -> Store:
-    """Return the folder of this worker for a run; those not used for longest are removed."""
+    """Return the store of this worker for a run; the least recently used are removed."""
     STORES[run] = STORES.pop(run) if run in STORES else Store(tempfile.mkdtemp(prefix="sysid-evo-", dir=place))
-    while len(STORES) > FEW:
+    while len(STORES) > MAX_STORES:
         shutil.rmtree(STORES.pop(next(iter(STORES))).path, ignore_errors=True)
     return STORES[run]
 
 
 def _load(plugins: Bundle, place: str) -> str:
-    """Load plugin files that were sent; return what is wrong with them."""
+    """Load the received plugin files; return the error message, empty if there is none."""
     for name, _, content in plugins:
         digest = hashlib.sha256(content).hexdigest()
         if digest not in PLUGINS:
@@ -392,17 +392,17 @@ def _load(plugins: Bundle, place: str) -> str:
 
 
 @contextmanager
-def _while_wanted(worker: Any) -> Iterator[None]:
-    """Raise `Unwanted` inside when nobody waits for the result of the present task any more."""
+def _unless_cancelled(worker: Any) -> Iterator[None]:
+    """Raise `TaskCancelled` inside when the current task is cancelled."""
     from distributed import Status
 
-    key, thread, over = worker.get_current_task(), threading.get_ident(), threading.Event()
+    key, thread, ended = worker.get_current_task(), threading.get_ident(), threading.Event()
 
     def watch() -> None:
-        while not over.wait(WATCH):
+        while not ended.wait(WATCH):
             task = worker.state.tasks.get(key)
             if worker.status not in (Status.running, Status.paused) or task is None or task.state != "executing":
-                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(Unwanted))
+                ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(TaskCancelled))
                 return
 
     watcher = threading.Thread(target=watch, daemon=True)
@@ -410,5 +410,5 @@ def _while_wanted(worker: Any) -> Iterator[None]:
     try:
         yield
     finally:
-        over.set()
+        ended.set()
         watcher.join()

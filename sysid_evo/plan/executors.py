@@ -1,4 +1,4 @@
-"""A plan computed: in this process, in several beside it, or on a cluster; other processes may work on it, too."""
+"""Execution of a plan in this process, in worker processes, or on a cluster; other processes may share the work."""
 
 from __future__ import annotations
 
@@ -32,137 +32,138 @@ def execute(
     jobs: int | None = 1,
     scheduler: Scheduler | None = None,
 ) -> dict[str, CellOutcome]:
-    """Compute every cell of ``plan`` that ``store`` does not have; return how each ended, by digest.
+    """Compute the cells of ``plan`` that are not in ``store``; return the outcomes of all cells by digest.
 
-    A cell that fails is an outcome with its reason, and so is one whose needs failed; the rest goes on.
-    A cell that another process has claimed is left to it. With ``only``, no others are computed: what
-    they gave is what the store knows.
+    A failed cell is an outcome with a reason, and so is a cell whose needs failed; the other cells continue. A cell
+    that another process has claimed is left to that process.
 
-    Up to ``jobs`` cells that do not depend on each other are computed side by side, each in a process of its own; 1
-    computes them here, one after the other; None as many as there are processors, where there is work for them, see
-    `number_of_jobs`. With a ``scheduler`` the workers of that Dask cluster compute them instead: its address, its
-    file, or a client. Results do not depend on it. Raises OSError if a result cannot be written, `SchedulerLost`
-    if the scheduler does not answer.
+    - ``only``: compute these cells only; the outcomes of others are those in the store.
+    - ``jobs``: number of worker processes; 1 computes in this process; None is one job per processor if there is
+      enough work, see `number_of_jobs`.
+    - ``scheduler``: compute on the workers of this Dask cluster instead (address, scheduler file or client).
+
+    Results depend on neither. Raises OSError if a result cannot be written, `SchedulerLost` if the scheduler does not
+    answer.
     """
     if scheduler is not None and jobs not in (None, 1):
-        raise InvalidArgument(f"{jobs} jobs in processes here and a scheduler: expected one of both; leave one out")
+        raise InvalidArgument(f"expected either jobs or a scheduler, got {jobs} jobs and a scheduler: omit one of them")
     execution = Execution(plan, store, observer, only)
     left = execution.left
     if scheduler is not None and left:
         check_installed("a scheduler", ["distributed"])
-        with DaskExecutor(store, left, scheduler, execution.tell) as workers:
-            execution.to_the_end(workers, local_cells(plan))
+        with DaskExecutor(store, left, scheduler, execution.remark) as workers:
+            execution.run(workers, local_cells(plan))
         return execution.ended
     count, sentence = number_of_jobs(jobs, left)
     if sentence:
-        execution.tell(sentence)
+        execution.remark(sentence)
     if count > 1:
         with Processes(store, left, count) as workers:
-            execution.to_the_end(workers)
+            execution.run(workers)
     else:
-        execution.to_the_end()
+        execution.run()
     return execution.ended
 
 
-PATIENCE = 0.1  # s, between two looks at cells that another process computes
-LOOK = 0.2  # s, between two looks at how far workers are
+PATIENCE = 0.1  # s, between two checks of cells that another process computes
+LOOK = 0.2  # s, between two reports of the workers' progress
 TRIES = 2
-"""How often a cell is tried whose worker dies."""
+"""Number of attempts at a cell whose worker dies."""
 
 
 class Workers(Protocol):
-    """Workers behind one or several `concurrent.futures.Executor`."""
+    """Workers of one or several `concurrent.futures.Executor`."""
 
-    def room(self) -> int:
-        """Return how many more cells they can take."""
+    def n_idle(self) -> int:
+        """Return the number of cells that can be sent now."""
 
     def submit(self, cell: Cell, failed: Collection[str]) -> Future[Any] | None:
         """Send ``cell``, see `run_cell`; None if it must wait. Raises `Unsendable`."""
 
     def result(self, cell: Cell, future: Future[Any]) -> CellEnd:
-        """Return how ``cell`` ended; its result is in the store. Raises `CellLost`, OSError."""
+        """Return the end of ``cell``; its result is in the store. Raises `CellLost`, OSError."""
 
     def progress(self) -> Iterable[tuple[Cell, int, int, str]]:
-        """Return how far cells are: steps done, steps in all, and what else there is to say."""
+        """Return the progress of cells: steps done, steps in total, and a note."""
 
 
 class Execution:
-    """Brings the cells of a plan to their end: those whose needs are there, first what most work waits for.
+    """Execution of the cells of a plan, in the order of their needs; cells on the critical path first.
 
-    ``ended`` is how they ended, by digest; those whose results are there have ended at once, the others are ``left``.
-    With ``only``, no others are computed: what they gave is what the store knows.
+    ``ended`` holds the outcomes by digest; cells whose results are stored end at once, the others are ``left``. With
+    ``only``, other cells are not computed: their outcomes are those in the store.
     """
 
     def __init__(self, plan: Plan, store: Store, observer: Observer | None, only: Collection[Cell] | None) -> None:
         self.plan, self.store, self.observer, self.only = plan, store, observer or Observer(), only
         self.workers: Workers | None = None
-        self.here: set[str] = set()
+        self.local: set[str] = set()
         self.ended: dict[str, CellOutcome] = {}
-        self.told: set[str] = set()
+        self.reported: set[str] = set()
         self.started: set[str] = set()
-        self.tried: Counter[str] = Counter()
+        self.attempts: Counter[str] = Counter()
         self.rank: dict[str, tuple[float, int]] = {}
         self.ready: list[tuple[tuple[float, int], Cell]] = []  # for workers
-        self.own: list[tuple[tuple[float, int], Cell]] = []  # for this process
-        self.later: list[tuple[float, Cell]] = []  # what another process computes, and when to look again
-        self.away: dict[Future[Any], Cell] = {}
-        self.looked = 0.0
+        self.ready_here: list[tuple[tuple[float, int], Cell]] = []  # for this process
+        self.busy: list[tuple[float, Cell]] = []  # cells that another process computes, and when to check again
+        self.sent: dict[Future[Any], Cell] = {}
+        self.last_progress = 0.0
         kept = {cell for cell in plan if store.done(cell) and not store.without(cell)}
-        self.tell()
+        self.remark()
         self.left = [cell for cell in plan if cell not in kept]
         self.observer.plan(len(plan), len(kept), sum(cell.expected_seconds for cell in self.left))
         for cell in plan:
             if cell in kept:
                 self._end(cell, CellEnd("kept", store.seconds(cell)))
-        self.open: Counter[str] = Counter()  # how many cells each waits for
-        self.waiting: dict[str, list[Cell]] = {}  # by what they wait for
+        self.open: Counter[str] = Counter()  # number of unfinished needs of each cell
+        self.waiting: dict[str, list[Cell]] = {}  # cells by the digest of a need
         for cell in self.left:
             for digest in {needed.digest for needed in cell.needs} - set(self.ended):
                 self.open[cell.digest] += 1
                 self.waiting.setdefault(digest, []).append(cell)
 
-    def to_the_end(self, workers: Workers | None = None, here: Collection[str] = ()) -> None:
-        """Compute what is left: workers do, and this process what is ``here`` by its digest, or unknown to them.
+    def run(self, workers: Workers | None = None, local: Collection[str] = ()) -> None:
+        """Compute the cells that are left on ``workers``; this process computes the ``local`` digests.
 
-        Without workers this process computes all, in the order of the plan. Raises OSError if a result cannot be
-        written, and what the workers raise if they are lost.
+        This process also computes cells that are unknown to the workers. Without workers it computes all, in the order
+        of the plan. Raises OSError if a result cannot be written, and the errors of the workers.
         """
-        self.workers, self.here = workers, set(here)
+        self.workers, self.local = workers, set(local)
         ahead = {} if workers is None else critical_path(self.plan)
         self.rank = {cell.digest: (-ahead.get(cell.digest, 0.0), i) for i, cell in enumerate(self.plan)}
-        self._free([cell for cell in self.left if not self.open[cell.digest]])
-        while self.ready or self.own or self.later or self.away:
-            while self.later and self.later[0][0] <= time.monotonic():
-                self._push(self.later.pop(0)[1])
-            while self.ready and workers is not None and workers.room():
+        self._schedule([cell for cell in self.left if not self.open[cell.digest]])
+        while self.ready or self.ready_here or self.busy or self.sent:
+            while self.busy and self.busy[0][0] <= time.monotonic():
+                self._push(self.busy.pop(0)[1])
+            while self.ready and workers is not None and workers.n_idle():
                 self._send(heappop(self.ready)[1], workers)
-            if self.own:
-                self._compute(heappop(self.own)[1])
-            if self.away and workers is not None:
-                self._take_in(workers)
-            elif not self.own and (self.later or self.ready):
+            if self.ready_here:
+                self._compute(heappop(self.ready_here)[1])
+            if self.sent and workers is not None:
+                self._collect(workers)
+            elif not self.ready_here and (self.busy or self.ready):
                 time.sleep(PATIENCE)
 
-    def tell(self, *sentences: str) -> None:
-        """Tell the observer these sentences and the store's remarks, each once."""
+    def remark(self, *sentences: str) -> None:
+        """Pass these sentences and the store's remarks to the observer, each once."""
         for sentence in (*sentences, *self.store.remarks):
-            if sentence not in self.told:
-                self.told.add(sentence)
+            if sentence not in self.reported:
+                self.reported.add(sentence)
                 self.observer.remark(sentence)
 
-    def _free(self, cells: list[Cell]) -> None:
-        """Have cells computed that wait for nothing, or end them, and then what waited for them."""
+    def _schedule(self, cells: list[Cell]) -> None:
+        """Queue cells without unfinished needs, or end them and then the cells that depend on them."""
         while cells:
             cell = cells.pop()
-            end = self._decided(cell)
+            end = self._end_without_work(cell)
             if end is None:
                 self._push(cell)
                 continue
             self._end(cell, end)
             cells += self._released(cell)
 
-    def _decided(self, cell: Cell) -> CellEnd | None:
-        """Return how ``cell`` ends without work: what it needs failed, or it is not asked for; else None."""
+    def _end_without_work(self, cell: Cell) -> CellEnd | None:
+        """Return the end of a cell whose needs failed or that is not in ``only``; None if it must be computed."""
         failed = [needed for needed in cell.needs if self.ended[needed.digest].failed]
         if failed and not cell.tolerant:
             return CellEnd("blocked", reason=blocked_reason(failed[0]))
@@ -172,15 +173,15 @@ class Execution:
         return None
 
     def _released(self, ended: Cell) -> list[Cell]:
-        """Return the cells that waited for ``ended`` alone."""
+        """Return the cells whose last unfinished need was ``ended``."""
         waited = self.waiting.pop(ended.digest, [])
         for cell in waited:
             self.open[cell.digest] -= 1
         return [cell for cell in waited if not self.open[cell.digest]]
 
     def _push(self, cell: Cell) -> None:
-        here = self.workers is None or cell.local or cell.digest in self.here
-        heappush(self.own if here else self.ready, (self.rank[cell.digest], cell))
+        local = self.workers is None or cell.local or cell.digest in self.local
+        heappush(self.ready_here if local else self.ready, (self.rank[cell.digest], cell))
 
     def _failed(self, cell: Cell) -> set[str]:
         return {needed.digest for needed in cell.needs if self.ended[needed.digest].failed}
@@ -188,33 +189,33 @@ class Execution:
     def _compute(self, cell: Cell) -> None:
         self.started.add(cell.digest)
         end = run_cell(self.store, cell, self._failed(cell), self.observer, repair=self.only is None)
-        self._over(cell, end)
+        self._finish(cell, end)
 
     def _send(self, cell: Cell, workers: Workers) -> None:
         try:
             future = workers.submit(cell, self._failed(cell))
         except Unsendable as error:
-            self._over(cell, CellEnd("unknown", reason=str(error)))
+            self._finish(cell, CellEnd("unknown", reason=str(error)))
         else:
             if future is None:
-                self._over(cell, CellEnd("busy"))
+                self._finish(cell, CellEnd("busy"))
             else:
-                self.away[future] = cell
+                self.sent[future] = cell
 
-    def _take_in(self, workers: Workers) -> None:
-        """Take in what workers have finished, wait a little if there is nothing, and pass on how far they are."""
-        patience = 0.0 if self.own else PATIENCE if self.later else LOOK
-        ended, _ = wait(self.away, timeout=patience, return_when=FIRST_COMPLETED)
+    def _collect(self, workers: Workers) -> None:
+        """Collect finished cells, with a short wait if there are none, and report the workers' progress."""
+        patience = 0.0 if self.ready_here else PATIENCE if self.busy else LOOK
+        ended, _ = wait(self.sent, timeout=patience, return_when=FIRST_COMPLETED)
         for future in ended:
-            cell = self.away.pop(future)
+            cell = self.sent.pop(future)
             try:
                 end = workers.result(cell, future)
             except CellLost as lost:
-                self._again(cell, lost)
+                self._retry(cell, lost)
             else:
-                self._over(cell, end)
-        if time.monotonic() - self.looked >= LOOK:
-            self.looked = time.monotonic()
+                self._finish(cell, end)
+        if time.monotonic() - self.last_progress >= LOOK:
+            self.last_progress = time.monotonic()
             for cell, done, total, note in workers.progress():
                 self._start(cell)
                 self.observer.progress(cell, done, total, note)
@@ -224,54 +225,54 @@ class Execution:
             self.started.add(cell.digest)
             self.observer.start(cell)
 
-    def _again(self, cell: Cell, lost: CellLost) -> None:
-        """Try a cell that was lost once more; then it has failed."""
-        self.tried[cell.digest] += 1
-        if self.tried[cell.digest] < TRIES:
-            self.tell(f"{cell.title} is computed again: {lost}")
+    def _retry(self, cell: Cell, lost: CellLost) -> None:
+        """Try a lost cell again; after `TRIES` attempts it has failed."""
+        self.attempts[cell.digest] += 1
+        if self.attempts[cell.digest] < TRIES:
+            self.remark(f"{cell.title} is computed again: {lost}")
             self._push(cell)
             return
         reason = f"{lost}, {TRIES} times"
         self.store.fail(cell, reason=reason, traceback="", seconds=0.0)
-        self._over(cell, CellEnd("failed", reason=reason))
+        self._finish(cell, CellEnd("failed", reason=reason))
 
-    def _over(self, cell: Cell, end: CellEnd) -> None:
-        """Take note of how an attempt at ``cell`` ended, and pass on what was said meanwhile."""
+    def _finish(self, cell: Cell, end: CellEnd) -> None:
+        """Process the end of an attempt at ``cell``, with its remarks and warnings."""
         for sentence in end.warnings:
             warnings.warn(sentence, stacklevel=2)
-        self.tell(*end.remarks)
+        self.remark(*end.remarks)
         if end.status == "busy":
-            self.later.append((time.monotonic() + PATIENCE, cell))
+            self.busy.append((time.monotonic() + PATIENCE, cell))
         elif end.status == "unknown":
-            self.here.add(cell.digest)
-            self.tell(f"what workers do not know is computed in this process ({end.reason})")
+            self.local.add(cell.digest)
+            self.remark(f"cells that workers cannot run are computed in this process ({end.reason})")
             self._push(cell)
         else:
             if end.status in ("done", "failed"):
                 self._start(cell)
             self._end(cell, end)
-            self._free(self._released(cell))
+            self._schedule(self._released(cell))
 
     def _end(self, cell: Cell, end: CellEnd) -> None:
         self.ended[cell.digest] = CellOutcome(None, end.reason, end.seconds, end.error)
         self.observer.finish(cell, cached=end.status == "kept", reason=end.reason)
-        self.tell()
+        self.remark()
 
 
 VARIABLE = "SYSID_EVO_JOBS"
-"""The environment variable with the number of jobs where none is asked for."""
+"""Environment variable with the default number of jobs."""
 WORTH = 5.0
-"""Seconds of work for which one more process is worth its start."""
+"""Seconds of work per process: with less work, starting another process does not pay."""
 MEMORY = 2**30
-"""Bytes that one process may need: most is the code of the libraries; cells take far less."""
+"""Bytes that one process may need; most of it is library code."""
 LIMITS = tuple(Path("/sys/fs/cgroup") / name for name in ("memory.max", "memory.current"))
-"""What a container may use in all, and what it does use."""
+"""Memory limit and memory use of a container."""
 
 
 def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str]:
-    """Return how many of the cells that are ``left`` to compute at once, and why fewer than ``wanted``, if so.
+    """Return the number of jobs for the cells that are ``left``, and the reason if it is less than ``wanted``.
 
-    None stands for as many as there are processors, but no more than there is work for. Raises `InvalidArgument`.
+    ``wanted`` None is one job per processor, limited by the amount of work. Raises `InvalidArgument`.
     """
     if wanted is not None and wanted < 1:
         raise InvalidArgument(f"jobs: expected at least 1, got {wanted}")
@@ -284,8 +285,8 @@ def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str
     if fitting >= jobs:
         return jobs, ""
     return fitting, (
-        f"{fitting} instead of {jobs} cells are computed at once: {available / 2**30:.1f} GiB of memory are free, "
-        f"and each may need {MEMORY / 2**30:.0f}"
+        f"{fitting} instead of {jobs} cells are computed at the same time: {available / 2**30:.1f} GiB of memory are "
+        f"free, and each may need {MEMORY / 2**30:.0f} GiB"
     )
 
 
@@ -299,7 +300,7 @@ def _by_default(seconds: float) -> int:
 
 
 def available_memory() -> int:
-    """Return how many bytes can be used without swapping, within the limits of a container."""
+    """Return the bytes of free memory without swap, within the limits of a container."""
     import psutil
 
     free = int(psutil.virtual_memory().available)

@@ -1,4 +1,4 @@
-"""A plan: cells in order of their needs, made without doing any work."""
+"""A plan: cells in the order of their needs; making a plan computes nothing."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan.cell import Cell
 from sysid_evo.randomness import derived_seed
 
-MOST_YEARS = 10.0
-"""Longest plan, in years of one processor: a longer one is a mistake. A thousand processors take four days."""
+MAX_YEARS = 10.0
+"""Limit of a plan in years of one processor (four days of a thousand processors); a longer plan is a mistake."""
 YEAR = 365.25 * 86400.0
 """In seconds."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Distinct ``cells``, each after those it needs, and ``remarks`` on what was left out and why."""
+    """Distinct ``cells``, each after its needs, and ``remarks`` on omitted work."""
 
     cells: tuple[Cell, ...]
     remarks: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
-        """Return the plan of the ``wanted`` cells and all that they need.
+        """Return the plan of the ``wanted`` cells and all cells that they need.
 
-        Raises `InvalidArgument` for years of work, as cells foresee it (`Cell.expected_seconds`).
+        Raises `InvalidArgument` if the sum of `Cell.expected_seconds` exceeds the limit.
         """
         placed: dict[str, Cell] = {}
 
@@ -39,13 +39,12 @@ class Plan:
 
         for cell in wanted:
             place(cell)
-        foreseen = {cell.title: cell.expected_seconds for cell in placed.values()}
-        if sum(foreseen.values()) > MOST_YEARS * YEAR:
-            longest = max(foreseen, key=foreseen.__getitem__)
+        expected = {cell.title: cell.expected_seconds for cell in placed.values()}
+        if sum(expected.values()) > MAX_YEARS * YEAR:
+            longest = max(expected, key=expected.__getitem__)
             raise InvalidArgument(
-                f"plan: {longest} would take about {foreseen[longest] / YEAR:.2g} years on one processor, and no plan "
-                f"of more than {MOST_YEARS:g} years is begun: ask for less of it, such as generations, trials, runs, "
-                "minutes"
+                f"plan: {longest} would take about {expected[longest] / YEAR:.2g} years on one processor; the limit of "
+                f"a plan is {MAX_YEARS:g} years. Reduce generations, trials, repeats or minutes"
             )
         return cls(tuple(placed.values()), tuple(remarks))
 
@@ -61,12 +60,12 @@ class Plan:
 
 
 def cell_seed(seed: int, work: str) -> int:
-    """Return the seed of ``work``: it depends on the experiment's seed and the text, not on its place in a plan."""
+    """Return the seed of ``work``, which depends on the experiment's seed and the text only."""
     return derived_seed(seed, zlib.crc32(work.encode()))
 
 
 def local_cells(plan: Plan) -> set[str]:
-    """Return the digests of the cells that must be computed where the run is, and of those that need them."""
+    """Return the digests of the cells that must be computed where the run folder is, and of those that need them."""
     found: set[str] = set()
     for cell in plan:
         if cell.local_only or any(needed.digest in found for needed in cell.needs):
@@ -75,7 +74,7 @@ def local_cells(plan: Plan) -> set[str]:
 
 
 def critical_path(plan: Plan) -> dict[str, float]:
-    """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
+    """Return, by digest, the seconds from the start of a cell to the end of the longest chain of dependent cells."""
     ahead = {cell.digest: cell.expected_seconds for cell in plan}
     for cell in reversed(plan.cells):
         for needed in cell.needs:

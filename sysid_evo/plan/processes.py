@@ -1,6 +1,6 @@
-"""Worker processes on this machine, which see the run folder.
+"""Worker processes on this machine, which share the run folder.
 
-Each is an executor of its own: a worker that crashes, or is killed for want of memory, costs its own cell and no other.
+Each has its own executor, so that a worker that crashes or is killed affects its own cell only.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from sysid_evo.plan.store import Store
 from sysid_evo.processors import INNER_THREADS, shared_counts, usable_processors, use_shared_count
 from sysid_evo.registry.plugins import load_plugins_again, loaded_plugins
 
-GRACE = 10.0  # s, in which a worker may write down what it has so far
-WATCH = 0.5  # s, between two looks of a worker at whether its parent is there
+GRACE = 10.0  # s, for a worker to write its checkpoint
+WATCH = 0.5  # s, between two checks of a worker whether its parent is alive
 INTERRUPTED = 130
 SHARES = "processors"
 
 
 class Slot:
-    """A worker process in the place ``number``, which is started again when it has died."""
+    """Worker process number ``number``, which is restarted after it died; it writes its progress to ``note``."""
 
-    def __init__(self, number: int, note: Path, *begin: Any) -> None:
-        self.number, self.note, self._begin = number, note, (number, note, *begin)
+    def __init__(self, number: int, note: Path, *arguments: Any) -> None:
+        self.number, self.note, self._arguments = number, note, (number, note, *arguments)
         self.cell: Cell | None = None
         self.start()
 
@@ -47,12 +47,12 @@ class Slot:
         from joblib.externals.loky import ProcessPoolExecutor
 
         environment = {name: os.environ.get(name, "1") for name in INNER_THREADS} | SAFE
-        self.executor = ProcessPoolExecutor(1, env=environment, initializer=begin, initargs=self._begin)
+        self.executor = ProcessPoolExecutor(1, env=environment, initializer=begin, initargs=self._arguments)
         with _uninterrupted():
             self._process: Future[int] = self.executor.submit(os.getpid)
 
     def submit(self, cell: Cell, *arguments: Any) -> Future[CellEnd]:
-        """Have ``cell`` computed."""
+        """Send ``cell`` to the process."""
         self.cell = cell
         try:
             return self.executor.submit(compute, cell.digest, *arguments)
@@ -61,16 +61,16 @@ class Slot:
             return self.executor.submit(compute, cell.digest, *arguments)
 
     def step(self) -> tuple[int, int, str] | None:
-        """Return how far the cell is, None if that is not known yet."""
+        """Return steps done, steps in total and a note of the current cell; None if unknown."""
         try:
             digest, *step = json.loads(self.note.read_text(encoding="utf-8"))
         except (OSError, ValueError):  # not begun, or just being written
             return None
-        done, total, said = step
-        return (done, total, said) if self.cell is not None and digest == self.cell.digest else None
+        done, total, note = step
+        return (done, total, note) if self.cell is not None and digest == self.cell.digest else None
 
     def interrupt(self) -> bool:
-        """Let the cell end as soon as it has written down how far it is; return whether it has begun."""
+        """Ask the process to write its checkpoint and end; return False if it has not started."""
         if not self._process.done() or self._process.exception() is not None:
             return False
         with suppress(ProcessLookupError):
@@ -78,14 +78,14 @@ class Slot:
         return True
 
     def stop(self, *, kill: bool) -> None:
-        """End the process: when it is idle, or at once."""
+        """End the process when it is idle, or at once with ``kill``."""
         self.executor.shutdown(wait=True, kill_workers=kill)
 
 
 class Processes:
     """Up to ``jobs`` worker processes for the ``cells`` of a plan.
 
-    Where fewer cells are computed than there are processors, the engine inside uses the idle ones.
+    With fewer cells than processors, the engine in each worker uses the idle processors.
     """
 
     def __init__(self, store: Store, cells: Sequence[Cell], jobs: int) -> None:
@@ -98,8 +98,8 @@ class Processes:
         self._folder = Path(tempfile.mkdtemp(prefix="sysid-evo-"))
         (self._folder / SHARES).write_bytes(bytes(2 * self._jobs))
         self._shares = shared_counts(self._folder / SHARES)
-        told = (os.getpid(), str(self._store.path), loaded_plugins(), self._modules)
-        self._slots = [Slot(i, self._folder / str(i), *told) for i in range(self._jobs)]
+        arguments = (os.getpid(), str(self._store.path), loaded_plugins(), self._modules)
+        self._slots = [Slot(i, self._folder / str(i), *arguments) for i in range(self._jobs)]
         return self
 
     def __exit__(
@@ -112,8 +112,8 @@ class Processes:
                 slot.stop(kill=kind is not None)
             shutil.rmtree(self._folder, ignore_errors=True)
 
-    def room(self) -> int:
-        """Return how many workers are idle."""
+    def n_idle(self) -> int:
+        """Return the number of idle workers."""
         return len(self._slots) - len(self._busy)
 
     def submit(self, cell: Cell, failed: Collection[str]) -> Future[CellEnd]:
@@ -126,15 +126,15 @@ class Processes:
         return future
 
     def result(self, cell: Cell, future: Future[CellEnd]) -> CellEnd:
-        """Return how ``cell`` ended. Raises `CellLost`, OSError if its result could not be written."""
+        """Return the end of ``cell``. Raises `CellLost`, OSError if its result could not be written."""
         slot = self._busy.pop(future)
         slot.cell = None
         try:
             return future.result()
         except BrokenExecutor as error:
             codes = re.search(r"\{(.+)\}", str(error))
-            how = codes[1] if codes else "without a word"
-            if "SIGKILL" in how and len(self._slots) > 1:  # for want of memory, it may be: fewer need less
+            how = codes[1] if codes else "without an exit code"
+            if "SIGKILL" in how and len(self._slots) > 1:  # perhaps out of memory: continue with fewer workers
                 self._slots.remove(slot)
             else:
                 slot.start()
@@ -143,13 +143,13 @@ class Processes:
             self._share_processors()
 
     def progress(self) -> Iterator[tuple[Cell, int, int, str]]:
-        """Yield how far the cells are."""
+        """Yield the progress of the cells."""
         for slot in self._busy.values():
             if slot.cell is not None and (step := slot.step()) is not None:
                 yield slot.cell, *step
 
     def _share_processors(self) -> None:
-        """Give every worker that computes its share of the processors, the longest cell the rest."""
+        """Divide the processors among the busy workers; the longest cells get the remainder."""
         working = sorted(self._busy.values(), key=lambda slot: -slot.cell.expected_seconds if slot.cell else 0.0)
         processors = usable_processors()
         for i, slot in enumerate(working):
@@ -157,11 +157,11 @@ class Processes:
 
 
 SAFE = {"PYTHONSAFEPATH": "1"}
-"""For a process of Python that must not run ./json.py of the current folder."""
+"""Environment of a Python process that must not import modules of the current folder, such as ./json.py."""
 
 
 def _start_trackers() -> None:
-    """Start the two processes that remove what is left of locks, so that they have safe paths and say nothing."""
+    """Start the two resource tracker processes with a safe import path and without warnings."""
     from joblib.externals.loky.backend import resource_tracker as of_loky
 
     before = dict(os.environ)
@@ -176,7 +176,7 @@ def _start_trackers() -> None:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Let processes that are started inside be deaf to Ctrl-C: this one hears it, and ends them in good order."""
+    """Start processes inside that ignore Ctrl-C: this process handles it and ends them in order."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -188,7 +188,7 @@ def _uninterrupted() -> Iterator[None]:
 
 
 class _Work:
-    """What this process computes for, where it is a worker."""
+    """Store and progress file of this process, if it is a worker."""
 
     store: Store
     note: Path
@@ -202,17 +202,17 @@ def begin(number: int, note: Path, parent: int, folder: str, plugins: Sequence[s
     with suppress(OSError):  # a daemon has neither
         os.dup2(2, 1)  # what libraries print is no output of the command
     threading.Thread(target=_watch, args=(parent, note.parent), daemon=True).start()
-    process_executor._USE_PSUTIL = False  # libraries that a cell loads are no leak of memory
+    process_executor._USE_PSUTIL = False  # libraries that a cell loads are not a memory leak
     use_shared_count(note.with_name(SHARES), number)
     _Work.store, _Work.note = Store(folder), note
-    with suppress(Exception):  # what is wrong is told when a cell needs it
+    with suppress(Exception):  # the error is reported when a cell needs the plugin
         load_plugins_again(plugins)
         for module in modules:
             importlib.import_module(module)
 
 
 def _watch(parent: int, folder: Path) -> None:
-    """End this process when its parent has gone; a cell may write down first how far it is."""
+    """End this process when its parent has ended, after the cell had time to write its checkpoint."""
     while os.getppid() == parent:
         time.sleep(WATCH)
     shutil.rmtree(folder, ignore_errors=True)
@@ -226,11 +226,11 @@ def _watch(parent: int, folder: Path) -> None:
 def compute(digest: str, sent: bytes, failed: Collection[str]) -> CellEnd:
     """Compute a cell for the parent of this process."""
 
-    def say(*step: int | str) -> None:
-        with suppress(OSError):  # the parent has gone
+    def report(*step: int | str) -> None:
+        with suppress(OSError):  # the parent has ended
             _Work.note.write_text(json.dumps([digest, *step]), encoding="utf-8")
 
     try:
-        return run_sent(_Work.store, sent, failed, say)
+        return run_sent(_Work.store, sent, failed, report)
     except KeyboardInterrupt:
         os._exit(INTERRUPTED)

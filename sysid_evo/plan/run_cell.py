@@ -1,6 +1,7 @@
-"""One cell computed: claimed, computed of the results that it needs, and stored; also one that was sent by a process.
+"""Computation of one cell: claim it, compute it from the results that it needs, store its result.
 
-A cell travels in memory, pickled. Its result travels as files, see `Store.bundle`, or stays in the run folder.
+Cells are sent to workers as pickles in memory. Results are sent as files, see `Store.bundle`, or stay in the run
+folder.
 """
 
 from __future__ import annotations
@@ -24,33 +25,30 @@ from sysid_evo.processors import one_blas_thread
 
 
 class Observer:
-    """Is told what an execution is doing, and does nothing; the command line draws progress from it.
-
-    Cells may run side by side.
-    """
+    """Callbacks of an execution; these do nothing. Several cells may be computed at the same time."""
 
     def plan(self, cells: int, kept: int, seconds: float) -> None:
-        """``cells`` in all, of which ``kept`` are done already; the others take about ``seconds``."""
+        """Called first: number of ``cells``, number of stored results (``kept``), expected ``seconds`` of the rest."""
 
     def start(self, cell: Cell) -> None:
-        """``cell`` begins."""
+        """Called when ``cell`` begins."""
 
     def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
-        """``cell`` has done so many of its steps; ``note`` is what else there is to say."""
+        """Called after ``done`` of ``total`` steps of ``cell``, with a short ``note``."""
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
-        """``cell`` is done, was done before (``cached``), or failed for ``reason``."""
+        """Called when ``cell`` is done, was done before (``cached``), or failed for ``reason``."""
 
     def remark(self, sentence: str) -> None:
-        """Something that the user should know, and that stops nothing."""
+        """Called with a notice for the user that does not stop the execution."""
 
 
 @dataclass(frozen=True)
 class CellEnd:
-    """How an attempt at a cell ended, and what is to be passed on to the user.
+    """Result of one attempt to compute a cell, with remarks and warnings for the user.
 
-    ``status``: "done" now, or "kept" as it was stored already; "failed", and stored as such; "blocked" by what it
-    needs; "busy" in another process; "unknown" to the worker that was asked. ``error`` is what was raised here.
+    ``status`` is "done"; "kept" (stored before); "failed" (and stored as such); "blocked" by a failed need; "busy" in
+    another process; or "unknown" to the worker. ``error`` is the exception raised in this process.
     """
 
     status: Literal["done", "kept", "failed", "blocked", "busy", "unknown"]
@@ -63,23 +61,23 @@ class CellEnd:
 
 
 class Unsendable(Exception):
-    """A cell refers to something that cannot be pickled."""
+    """A cell refers to an object that cannot be pickled."""
 
 
 class CellLost(Exception):
-    """A cell has neither result nor failure: its worker died, or what came of it is not whole."""
+    """A cell has neither a result nor a failure: its worker died, or the result is incomplete."""
 
 
 def run_cell(
     store: Store, cell: Cell, failed: Collection[str] = (), observer: Observer | None = None, *, repair: bool = True
 ) -> CellEnd:
-    """Compute ``cell`` and store its result, unless it is there or another process is at it.
+    """Compute ``cell`` and store its result, unless it is stored or another process computes it.
 
-    What it needs is in ``store``, but for the cells whose digests are in ``failed``. With ``repair`` a result among
-    these that turns out to be unreadable is computed again. Raises OSError if the result cannot be written.
+    Its needs must be in ``store``, except those whose digests are in ``failed``. With ``repair``, an unreadable result
+    of a needed cell is computed again. Raises OSError if the result cannot be written.
     """
-    with store.claim(cell) as ours:
-        if not ours:
+    with store.claim(cell) as claimed:
+        if not claimed:
             return CellEnd("busy")
         without = {needed.digest for needed in cell.needs} & set(failed)
         if store.done(cell) and store.without(cell) == without:
@@ -94,7 +92,7 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
 
     def result(needed: Cell) -> Any:
         if needed.digest not in needs:
-            raise InvalidArgument(f"{needed.title} is not among the needs of the cell that asks for its result")
+            raise InvalidArgument(f"{needed.title} is not among the needs of {cell.title}: add it to needs")
         if needed.digest in without:
             return None
         try:
@@ -112,18 +110,18 @@ def _computed(store: Store, cell: Cell, without: Collection[str], observer: Obse
     work = CellContext(result, partial(observer.progress, cell), store.new_path(cell), checkpoint, store.result_path)
     began = time.perf_counter()
     try:
-        with one_blas_thread():  # so that sums are rounded alike everywhere
+        with one_blas_thread():  # so that sums are rounded the same everywhere
             value = cell.settings.compute(work)
-    except Blocked as blocked:  # no failure of its own, so that none is stored
+    except Blocked as blocked:  # not a failure of this cell, so none is stored
         return CellEnd("blocked", reason=str(blocked))
-    except Exception as error:  # whatever a plugin does, the other cells go on
+    except Exception as error:  # an error of a plugin must not stop the other cells
         return _failed(store, cell, error, time.perf_counter() - began)
     seconds = time.perf_counter() - began
     try:
         store.save(cell, value, seconds=seconds, without=without)
     except OSError:  # a full disk stops all cells
         raise
-    except Exception as error:  # a plugin's result may be such that it cannot be written
+    except Exception as error:  # the result of a plugin may not be writable
         return _failed(store, cell, error, seconds)
     checkpoint.unlink(missing_ok=True)
     return CellEnd("done", seconds)
@@ -137,7 +135,7 @@ def _failed(store: Store, cell: Cell, error: Exception, seconds: float) -> CellE
 
 
 class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it has no types
-    """Also pickles what a notebook or a script defines. Recordings in a cell are replaced by their records."""
+    """Pickler that accepts definitions of a notebook or script, and replaces recordings in a cell by their records."""
 
     def __init__(self, file: io.BytesIO, store: Store) -> None:
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -150,53 +148,53 @@ class _Pickler(cloudpickle.Pickler):  # type: ignore[misc]  # it has no types
 
 
 def pickled(cell: Cell, store: Store) -> bytes:
-    """Return ``cell`` and all that it refers to, for a worker. Raises `Unsendable`."""
+    """Return ``cell`` and all objects that it refers to, pickled for a worker. Raises `Unsendable`."""
     buffer = io.BytesIO()
     try:
         _Pickler(buffer, store).dump(cell)
-    except Exception as error:  # whatever an object does that cannot be pickled
+    except Exception as error:  # an object that cannot be pickled may raise anything
         raise Unsendable(f"{cell.title} cannot be sent: {type(error).__name__}: {error}") from error
     return buffer.getvalue()
 
 
-OFTEN = 0.1  # s, between two reports of progress
+PROGRESS_INTERVAL = 0.1  # s
 
 
-class Telling(Observer):
-    """Tells the process that sent a cell how far it is, by ``say(done, total, note)``; keeps remarks for later."""
+class ForwardingObserver(Observer):
+    """Observer that sends progress to the parent process by ``report(done, total, note)`` and collects remarks."""
 
-    def __init__(self, say: Callable[[int, int, str], None]) -> None:
+    def __init__(self, report: Callable[[int, int, str], None]) -> None:
         self.remarks: list[str] = []
-        self._say, self._next = say, 0.0
+        self._report, self._next = report, 0.0
 
     def start(self, cell: Cell) -> None:
-        self._say(0, 0, "")
+        self._report(0, 0, "")
 
     def progress(self, cell: Cell, done: int, total: int, note: str = "") -> None:
         now = time.monotonic()
         if now >= self._next:
-            self._next = now + OFTEN
-            self._say(done, total, note)
+            self._next = now + PROGRESS_INTERVAL
+            self._report(done, total, note)
 
     def remark(self, sentence: str) -> None:
         self.remarks.append(sentence)
 
 
-def run_sent(store: Store, sent: bytes, failed: Collection[str], say: Callable[[int, int, str], None]) -> CellEnd:
-    """Compute a cell that another process has `pickled`, see `run_cell`; one that differs here is "unknown"."""
-    observer = Telling(say)
+def run_sent(store: Store, sent: bytes, failed: Collection[str], report: Callable[[int, int, str], None]) -> CellEnd:
+    """Compute a cell that another process has `pickled`, see `run_cell`; "unknown" if its digest differs here."""
+    observer = ForwardingObserver(report)
     with warnings.catch_warnings(record=True) as caught:
         try:
-            cell: Cell = pickle.loads(sent)  # memory of the process that this one works for, never a file
+            cell: Cell = pickle.loads(sent)  # from the memory of the parent process, never from a file
             why = "" if cell.digest_here() == cell.digest else "another version, or another plugin of that name"
-        except Exception as error:  # whatever the code of another version raises
+        except Exception as error:  # code of another version may raise anything
             why = f"{type(error).__name__}: {error}"
         if why:
             return CellEnd("unknown", reason=why)
         try:
             end = run_cell(store, cell, failed, observer)
         except SystemExit as error:  # of the cell, not of the worker
-            end = _failed(store, cell, RuntimeError(f"it ends its process, with code {error.code}"), 0.0)
-    told = tuple(str(warning.message) for warning in caught)
+            end = _failed(store, cell, RuntimeError(f"it called exit with code {error.code}"), 0.0)
+    sentences = tuple(str(warning.message) for warning in caught)
     lost = end.error if isinstance(end.error, LinkLost) else None  # it ends a command; others may not be picklable
-    return replace(end, error=lost, remarks=(*observer.remarks, *store.remarks), warnings=told)
+    return replace(end, error=lost, remarks=(*observer.remarks, *store.remarks), warnings=sentences)

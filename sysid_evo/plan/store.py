@@ -1,4 +1,4 @@
-"""A run folder as a store: results are found by the digest of everything that they depend on."""
+"""A run folder as a store of results, which are found by the digest of all their inputs."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ SCHEMA: Literal["sysid-evo/cell/1"] = "sysid-evo/cell/1"
 MAX_BYTES = 2**22
 NAME_LENGTH = 60
 IN_MEMORY = 512
-"""Values that a store keeps in memory; those not used for longest go first."""
+"""Maximum number of values in memory; the least recently used are dropped."""
 WAITING = "not computed yet"
 
 
 class CellRecord(BaseModel):
-    """What stands in ``cells/<digest>.json``: a cell that was tried, and where its result is.
+    """Content of ``cells/<digest>.json``: a computed or failed cell, and the place of its result.
 
-    ``files`` maps each file of the result, relative to the run folder, to its SHA-256; ``artefact`` is
-    the path that they begin with. ``without`` lists the needed cells that a tolerant cell did without.
+    ``files`` maps each file of the result, relative to the run folder, to its SHA-256; ``artefact`` is their common
+    path. ``without`` lists the failed needs of a tolerant cell.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -59,15 +59,15 @@ class CellRecord(BaseModel):
 
     @property
     def seconds(self) -> float:
-        """How long the computation took."""
+        """Duration of the computation in s."""
         return self.timings.get("seconds", 0.0)
 
 
 @dataclass(frozen=True)
 class CellOutcome:
-    """What a cell gave: a value, or None and the reason; and the seconds it took when it was computed.
+    """Result of a cell: a value, or None and the reason; and the seconds of its computation.
 
-    ``error`` is what was raised, if that was now.
+    ``error`` is the exception, if it was raised in this execution.
     """
 
     value: Any
@@ -84,7 +84,7 @@ class CellOutcome:
 class Store:
     """The results in the run folder ``path``; several processes may use one folder at the same time.
 
-    The last values that were computed or loaded are kept in memory. ``remarks`` say what was damaged.
+    The values used last are kept in memory. ``remarks`` lists damaged files.
     """
 
     path: Path
@@ -95,18 +95,18 @@ class Store:
         self.path, self.remarks, self._values = Path(path), [], {}
 
     def records(self) -> list[CellRecord]:
-        """Return every readable record, the oldest first; each unreadable one is a remark."""
+        """Return all readable records, oldest first; each unreadable record adds a remark."""
         files = sorted((self.path / CELLS).glob("*.json"), key=lambda file: (file.stat().st_mtime_ns, file.name))
         found = (self._read(file) for file in files)
         return [record for record in found if record is not None]
 
     def find(self, digest: str) -> CellRecord | None:
-        """Return the record of the cell with this digest, None if it was never tried or its record is damaged."""
+        """Return the record of the cell with this digest; None if there is none or it is damaged."""
         file = self._record(digest)
         return self._read(file) if file.is_file() else None
 
     def done(self, cell: Cell) -> bool:
-        """Whether the result of ``cell`` is here, whole; what is missing or damaged is a remark."""
+        """True if the result of ``cell`` is complete; a missing or damaged file adds a remark."""
         if cell.digest in self._values:
             return True
         record = self.find(cell.digest)
@@ -137,7 +137,7 @@ class Store:
             del self._values[next(iter(self._values))]
 
     def outcome(self, cell: Cell) -> CellOutcome:
-        """Return what is known of ``cell``: its value, or why there is none."""
+        """Return the value of ``cell``, or the reason why there is none."""
         record = self.find(cell.digest)
         seconds = 0.0 if record is None else record.seconds
         if record is None and cell.digest not in self._values:
@@ -150,17 +150,17 @@ class Store:
             return CellOutcome(None, str(error), seconds)
 
     def without(self, cell: Cell) -> set[str]:
-        """Return the digests of the needed cells that a stored result did without: a tolerant cell's may be stale."""
+        """Return the digests of the failed needs of a stored tolerant cell; its result may be outdated."""
         record = self.find(cell.digest) if cell.tolerant else None
         return set() if record is None else set(record.without)
 
     def seconds(self, cell: Cell) -> float:
-        """Return how long ``cell`` took when it was computed or tried, as far as that is known."""
+        """Return the seconds of the last computation of ``cell``, 0 if unknown."""
         record = self.find(cell.digest)
         return 0.0 if record is None else record.seconds
 
     def _why_not(self, cell: Cell) -> str:
-        """Return why a cell was never tried: one that it needs failed, or nobody has come to it."""
+        """Return why a cell has no record: a needed cell failed, or it is `WAITING`."""
         for needed in () if cell.tolerant else cell.needs:
             record = self.find(needed.digest)
             if record is not None and record.status == "failed":
@@ -170,27 +170,25 @@ class Store:
         return WAITING
 
     def new_path(self, cell: Cell) -> Path:
-        """Return where the result of ``cell`` stands, without suffix: a readable name and a piece of the digest."""
+        """Return the path of the result of ``cell``, without suffix: a readable name and the start of the digest."""
         name = re.sub(r"[^\w.+-]+", "-", cell.name).strip("-.") or cell.kind
         return self.path / cell.result.folder / f"{name[:NAME_LENGTH]}-{cell.digest[:8]}"
 
     def checkpoint(self, cell: Cell) -> Path:
-        """Return where ``cell`` keeps how far it is until it is done."""
+        """Return the path of the checkpoint of ``cell``."""
         return self.path / cell.result.folder / f"{cell.digest}{CHECKPOINT}"
 
     def result_path(self, cell: Cell) -> Path:
-        """Return where the result of ``cell`` stands, or would: one found again may have had another name."""
+        """Return the path of the result of ``cell``; a stored result may have been saved under another name."""
         record = self.find(cell.digest)
         return self.new_path(cell) if record is None or record.status != "done" else self.path / record.artefact
 
     def save(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[str] = ()) -> CellRecord:
-        """Write the result of ``cell``, then its record; ``without`` are the digests of needed cells that
-        had failed.
+        """Write the result of ``cell``, then its record; ``without`` holds the digests of failed needs.
 
         Raises OSError if the disk is full.
         """
-        place = self.new_path(cell)
-        files = cell.result.save(value, place, cell)
+        files = cell.result.save(value, self.new_path(cell), cell)
         record = self._of(
             cell,
             status="done",
@@ -203,7 +201,7 @@ class Store:
         return record
 
     def bundle(self, digest: str) -> Bundle:
-        """Return record and result of a finished cell, to be sent elsewhere. Raises `ArtefactError`."""
+        """Return the record and the result of a finished cell as files in memory. Raises `ArtefactError`."""
         record = self.find(digest)
         if record is None or record.status != "done":
             raise ArtefactError(f"{self.path}: the cell {digest}: {WAITING}")
@@ -211,33 +209,34 @@ class Store:
         return tuple((name, file.stat().st_mtime_ns, file.read_bytes()) for name, file in files)
 
     def receive(self, cell: Cell, bundle: Bundle) -> CellRecord:
-        """Put down the result of ``cell`` that was computed elsewhere, as it is: its record and its own files alone.
+        """Store the result of ``cell`` that a worker computed: its record and its files.
 
-        Raises `ArtefactError` if that is no result of this cell or not whole, OSError if the disk is full.
+        Raises `ArtefactError` if the bundle belongs to another cell or is incomplete, OSError if the disk is full.
         """
-        (named, _, text), *files = bundle or ((self._name(cell.digest), 0, b""),)
+        (record_name, _, text), *files = bundle or ((self._name(cell.digest), 0, b""),)
         try:
             record = CellRecord.model_validate_json(text)
         except ValidationError as error:
-            raise ArtefactError(f"{cell.title}: what came has no readable record: {error}") from error
+            raise ArtefactError(f"{cell.title}: the received result has no readable record: {error}") from error
         digests = {name: hashlib.sha256(content).hexdigest() for name, _, content in files}
-        place, _, artefact = record.artefact.rpartition("/")
-        ours = named == self._name(record.digest) and record.digest == cell.digest and place == cell.result.folder
-        ours &= artefact.endswith(f"-{cell.digest[:8]}") and all(name.startswith(record.artefact) for name in digests)
-        if not ours or record.status != "done" or record.files != digests:
-            raise ArtefactError(f"{cell.title}: what came is not the whole result of this cell")
+        folder, _, artefact = record.artefact.rpartition("/")
+        fits = record_name == self._name(record.digest) and record.digest == cell.digest
+        fits &= folder == cell.result.folder and artefact.endswith(f"-{cell.digest[:8]}")
+        fits &= all(name.startswith(record.artefact) for name in digests)
+        if not fits or record.status != "done" or record.files != digests:
+            raise ArtefactError(f"{cell.title}: the received files are not the complete result of this cell")
         unpack(tuple(files), self.path)
         self._write(record)
         return record
 
     def fail(self, cell: Cell, *, reason: str, traceback: str, seconds: float) -> CellRecord:
-        """Record that ``cell`` failed, and why; it is tried again the next time."""
+        """Record the failure of ``cell``; the next execution tries it again."""
         record = self._of(cell, status="failed", seconds=seconds, reason=reason, traceback=traceback)
         self._write(record)
         return record
 
     def log(self, **event: Any) -> None:
-        """Append one line to ``log.jsonl``, in one write, so that lines of two processes never mix."""
+        """Append one line to ``log.jsonl`` in one write, so that lines of two processes never mix."""
         self.path.mkdir(parents=True, exist_ok=True)
         line = json.dumps({"time": time.time(), **event}) + "\n"
         with (self.path / LOG).open("ab", buffering=0) as file:
@@ -245,7 +244,7 @@ class Store:
 
     @contextmanager
     def claim(self, cell: Cell) -> Iterator[bool]:
-        """Claim ``cell`` for this process; yields False if another one is at it. A dead process claims nothing."""
+        """Claim ``cell`` for this process; yields False if another (living) process holds the claim."""
         folder = self.path / CELLS / LOCKS
         folder.mkdir(parents=True, exist_ok=True)
         lock = FileLock(folder / f"{cell.digest}.lock")
@@ -260,7 +259,7 @@ class Store:
             lock.release()
 
     def busy(self) -> bool:
-        """Whether a process has a claim on a cell here."""
+        """True if a process holds a claim on a cell of this folder."""
         for file in (self.path / CELLS / LOCKS).glob("*.lock"):
             lock = FileLock(file)
             try:
@@ -300,7 +299,7 @@ class Store:
                 raise ValueError("it is the record of another cell")
             outside = [name for name in (*record.files, record.artefact) if not is_inside(name)]
             if outside:
-                raise ValueError(f"{outside[0]} lies outside the run folder")
+                raise ValueError(f"{outside[0]} is outside the run folder")
         except FileNotFoundError:
             return None
         except (OSError, ValidationError, ValueError) as error:
@@ -321,7 +320,7 @@ class Store:
 
 @dataclass(frozen=True)
 class Stored(CellSettings):
-    """What is known of a cell of a run that can be loaded but not computed: its ``record``."""
+    """Settings of a cell that is known by its ``record`` only: it can be loaded, not computed."""
 
     record: CellRecord
 
@@ -329,11 +328,13 @@ class Stored(CellSettings):
         return self.record.inputs
 
     def compute(self, work: CellContext) -> Any:
-        raise ArtefactError(f"{self.record.artefact} is missing or damaged, and how it was made is not known here")
+        raise ArtefactError(
+            f"{self.record.artefact} is missing or damaged and cannot be computed here: rerun the command that made it"
+        )
 
 
 def stored(record: CellRecord) -> Cell[Stored]:
-    """Return the cell of which ``record`` is all that is known."""
+    """Return the cell of ``record``, which can be loaded but not computed."""
     return Cell(
         kind=record.kind,
         name=record.name,
@@ -357,18 +358,18 @@ def _digest(file: Path) -> str | None:
 
 
 Bundle: TypeAlias = tuple[tuple[str, int, bytes], ...]
-"""Files by their path below a folder: path, time of the last change in ns (what is older comes first), content."""
+"""Files below a folder: path, time of the last change in ns, content; oldest first."""
 
 
 def unpack(bundle: Bundle, folder: Path) -> list[Path]:
     """Write the files of ``bundle`` below ``folder``, and return them.
 
-    Raises `ArtefactError` for one outside it, also where a link leads there.
+    Raises `ArtefactError` for a path outside ``folder``, also through a link.
     """
     written = []
     for name, changed, content in bundle:
         if not is_inside(name) or not (folder / name).parent.resolve().is_relative_to(folder.resolve()):
-            raise ArtefactError(f"{name} lies outside the folder that it is sent to")
+            raise ArtefactError(f"{name} is outside the target folder")
         file = write_atomically(folder / name, partial(Path.write_bytes, data=content))
         os.utime(file, ns=(changed, changed))
         written.append(file)
@@ -376,6 +377,6 @@ def unpack(bundle: Bundle, folder: Path) -> list[Path]:
 
 
 def is_inside(name: str) -> bool:
-    """Whether a relative path stays below the folder that it is relative to."""
+    """True if ``name`` is a relative path that stays below its folder."""
     path = Path(name)
     return not path.is_absolute() and ".." not in path.parts

@@ -106,7 +106,7 @@ def test_an_address_stands_in_the_file_of_a_scheduler(tmp_path):
 @pytest.mark.parametrize("text", ["{", "[1]", "{}", "3"])
 def test_a_file_that_is_not_a_schedulers_is_named(tmp_path, text):
     (tmp_path / "odd.json").write_text(text)
-    with pytest.raises(InvalidArgument, match=r"expected the file of a scheduler, .*odd\.json is none"):
+    with pytest.raises(InvalidArgument, match=r"expected the file of a scheduler, got .*odd\.json"):
         address_of(str(tmp_path / "odd.json"))
 
 
@@ -169,7 +169,7 @@ class Here:
 
     def look(self):
         self.cluster._looked = 0.0
-        return self.cluster.room()
+        return self.cluster.n_idle()
 
     def answered(self, cell, answer):
         """Send ``cell``, have it answered, and return how it ended."""
@@ -217,7 +217,7 @@ def test_what_is_lost_is_sent_again_but_not_for_ever(here):
         assert here.answered(TOP, CancelledError()).status == "busy"
     assert here.cluster._looked == 0.0  # it is seen at once who is there
     assert here.answered(TOP, CancelledError()).status == "failed"
-    assert here.store.find(TOP.digest).reason == f"it, or what it needs, was lost in the cluster {LOST} times"
+    assert here.store.find(TOP.digest).reason == f"the cell or its inputs were lost in the cluster {LOST} times"
 
 
 def test_a_result_is_stored_if_it_is_that_of_the_cell_and_whole(here, tmp_path):
@@ -240,7 +240,7 @@ def test_a_failure_is_stored_and_what_is_blocked_is_not(here):
 
 
 def test_workers_that_die_are_told_by_how_many_and_what_they_cannot_run_is_unknown(here):
-    for allowed, reason in ((0, "1 worker died while it was there"), (3, "4 workers died while it was there")):
+    for allowed, reason in ((0, "1 worker died while computing it"), (3, "4 workers died while computing it")):
         end = here.answered(TOP, KilledWorker("key", SimpleNamespace(address="a"), allowed))
         assert (end.status, end.reason) == ("failed", reason)
         assert here.store.find(TOP.digest).reason == reason
@@ -253,7 +253,7 @@ def test_a_cell_that_a_worker_does_not_know_is_sent_to_the_others_and_then_unkno
     here.look()
     unknown = CellEnd("unknown", reason="another version")
     assert here.answered(TOP, (unknown, (), "old")).status == "busy"
-    assert here.told == ["the worker old does not know all of this work (another version)"]
+    assert here.told == ["the worker old cannot run some cells (another version)"]
     future = here.cluster.submit(TOP, ())
     assert here.client.sent[-1].workers == ["new"]
     here.client.threads = {"old": 1}
@@ -284,7 +284,7 @@ def test_there_is_room_for_two_cells_a_thread_and_for_some_where_nobody_is_yet(h
     here.client.threads = {}
     monkeypatch.setattr("sysid_evo.plan.dask_executor.ALONE", -1.0)
     here.look()
-    assert here.told == ["there is no worker: waiting for one"]
+    assert here.told == ["the scheduler has no worker: waiting for one"]
 
 
 def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_error(here):
@@ -295,7 +295,7 @@ def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_err
     with here.store.claim(TOP) as ours:
         assert ours
     here.client.status = "closed"
-    with pytest.raises(SchedulerLost, match=r"the scheduler at tcp://made\.up:1 does not answer any more"):
+    with pytest.raises(SchedulerLost, match=r"the scheduler at tcp://made\.up:1 no longer answers"):
         here.look()
 
 
@@ -319,8 +319,8 @@ def test_in_the_end_all_is_taken_back_and_free(tmp_path):
 
 def test_what_workers_say_is_how_far_a_cell_is(here):
     here.cluster.submit(TOP, ())
-    here.cluster._said.put((TOP.digest, 1, 2, "half"))
-    here.cluster._said.put((ONE.digest, 1, 2, "not sent"))
+    here.cluster._events.put((TOP.digest, 1, 2, "half"))
+    here.cluster._events.put((ONE.digest, 1, 2, "not sent"))
     assert list(here.cluster.progress()) == [(TOP, 1, 2, "half")]
 
 

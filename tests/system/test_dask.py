@@ -183,7 +183,7 @@ def test_a_cell_whose_workers_die_too_often_fails_and_the_rest_goes_on(tmp_path,
     watching, store = run(tmp_path, plan, own.address)
     killer.join()
     assert watching.failed == {
-        "bad": "1 worker died while it was there",
+        "bad": "1 worker died while computing it",
         "after": "needs count bad, which failed",
     }
     assert store.done(plan.cells[-1])
@@ -199,7 +199,7 @@ def test_a_killed_scheduler_is_a_clear_error_and_the_rest_is_computed_without_it
         mortal.scheduler.kill()
 
     killer = meanwhile(kill)
-    with pytest.raises(SchedulerLost, match="does not answer any more: what was finished until then is kept") as raised:
+    with pytest.raises(SchedulerLost, match="no longer answers: finished results are kept") as raised:
         run(tmp_path, plan, address)
     killer.join()
     assert isinstance(raised.value, ConnectionError)
@@ -245,8 +245,8 @@ def test_a_worker_that_plans_otherwise_is_named_and_others_compute_what_it_canno
     assert processes(tmp_path) == {os.getpid()}
     remark, here = watching.remarks
     assert remark.startswith("the worker tcp://127.0.0.1:")
-    assert "does not know all of this work (another version, or another plugin of that name, sysid-evo 0.0.1" in remark
-    assert "what workers do not know is computed in this process" in here
+    assert "cannot run some cells (another version, or another plugin of that name, sysid-evo 0.0.1" in remark
+    assert "cells that workers cannot run are computed in this process" in here
     own.hire()
     own.wait()
     (tmp_path / "diary").unlink()

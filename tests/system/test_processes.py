@@ -97,7 +97,7 @@ def test_a_worker_that_dies_in_a_cell_costs_that_cell_alone_and_that_only_the_se
         "count worse is computed again: its worker died (EXIT(5))",
     ]
     reason = "its worker died (EXIT(5)), 2 times"
-    ends = "RuntimeError: it ends its process, with code 5"
+    ends = "RuntimeError: it called exit with code 5"
     assert watching.failed == {"worse": reason, "never": "needs count worse, which failed", "ends": ends}
     assert {name: times for name, times in diary(tmp_path).items() if times > 1} == {"bad": 2, "worse": 2}
     found = {cell.name: cell for cell in plan}
@@ -137,9 +137,9 @@ def test_what_workers_cannot_have_or_do_not_know_is_computed_here_with_a_remark(
     assert processes(tmp_path) == {os.getpid()}
     assert set(diary(tmp_path).values()) == {1}
     assert sorted(watching.remarks) == [
-        "what workers do not know is computed in this process (another version, or another plugin of that name)",
-        "what workers do not know is computed in this process (count unsendable cannot be sent: TypeError: cannot "
-        "pickle '_thread.lock' object)",
+        "cells that workers cannot run are computed in this process (another version, or another plugin of that name)",
+        "cells that workers cannot run are computed in this process (count unsendable cannot be sent: TypeError: "
+        "cannot pickle '_thread.lock' object)",
     ]
     assert len(store.records()) == len(plan)
 

@@ -32,7 +32,7 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
     assert number_of_jobs(2, cells) == (2, "")
     monkeypatch.setattr(executors, "available_memory", lambda: 3 * 2**30 + 5)
     assert number_of_jobs(2, cells) == (2, "")
-    few = "3 instead of 5 cells are computed at once: 3.0 GiB of memory are free, and each may need 1"
+    few = "3 instead of 5 cells are computed at the same time: 3.0 GiB of memory are free, and each may need 1"
     assert number_of_jobs(5, cells) == (3, few)
     monkeypatch.setattr(executors, "available_memory", lambda: 0)
     assert number_of_jobs(5, cells)[0] == 1
@@ -48,7 +48,7 @@ def test_a_number_of_jobs_that_is_none_is_refused(monkeypatch, wrong):
 
 
 def test_processes_here_and_a_scheduler_exclude_each_other(tmp_path):
-    with pytest.raises(InvalidArgument, match="2 jobs in processes here and a scheduler: expected one of both"):
+    with pytest.raises(InvalidArgument, match="expected either jobs or a scheduler, got 2 jobs"):
         execute(Plan.of([number(1)]), Store(tmp_path), jobs=2, scheduler="tcp://127.0.0.1:9")
 
 

@@ -30,8 +30,8 @@ def test_a_plan_of_ten_years_is_the_longest_and_a_longer_one_names_its_longest_c
     with pytest.raises(InvalidArgument) as refused:
         Plan.of([*few, lasting(0.1, "last")])
     assert str(refused.value) == (
-        "plan: count most would take about 6.9 years on one processor, and no plan of more than 10 years is begun: ask "
-        "for less of it, such as generations, trials, runs, minutes"
+        "plan: count most would take about 6.9 years on one processor; the limit of a plan is 10 years. Reduce "
+        "generations, trials, repeats or minutes"
     )
     with pytest.raises(InvalidArgument, match=r"count one would take about 3.2e\+12 years on one processor"):
         Plan.of([number(1), lasting(1e20 / YEAR, "one")])

@@ -101,7 +101,7 @@ class MadeUpWorkers:
         self.store, self.ends, self.asked, self.under_way = store, ends, [], 0
         self.under_way_cell = None
 
-    def room(self):
+    def n_idle(self):
         return 2 - self.under_way
 
     def submit(self, cell, failed):
@@ -128,7 +128,7 @@ def executed(folder, *cells, here=(), **ends):
     watching, store = Watching(), Store(folder)
     execution = Execution(Plan.of(cells), store, watching, None)
     workers = MadeUpWorkers(store, **ends)
-    execution.to_the_end(workers, here)
+    execution.run(workers, here)
     return {cell.name: execution.ended[cell.digest].reason for cell in execution.plan}, workers.asked, watching
 
 
@@ -153,7 +153,7 @@ def test_the_observer_is_told_once_that_a_cell_starts_and_of_a_kept_one_not_at_a
     execution = Execution(Plan.of(cells), Store(tmp_path), Told(), None)
     workers = MadeUpWorkers(execution.store, kept=[CellEnd("kept")])
     workers.under_way_cell = ONE
-    execution.to_the_end(workers)
+    execution.run(workers)
     assert sorted(what for what in told if isinstance(what, str)) == ["one", "two"]
     assert told.index("one") < told.index(("one", 1, 2)) < told.index(("one", 2, 2))
 
@@ -187,7 +187,7 @@ def test_what_workers_do_not_know_and_what_is_local_is_computed_here_with_a_rema
     )
     assert set(ended.values()) == {None}
     assert sorted(asked) == ["one", "two"]
-    assert watching.remarks == ["what workers do not know is computed in this process (why)"]
+    assert watching.remarks == ["cells that workers cannot run are computed in this process (why)"]
 
 
 def test_a_long_chain_that_is_blocked_ends(tmp_path):

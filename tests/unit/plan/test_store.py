@@ -216,8 +216,9 @@ def test_a_cell_of_which_only_the_record_is_known_is_loaded_and_not_computed(tmp
     assert Store(tmp_path).load(known) == 1
     next((tmp_path / "results").glob("base-*.txt")).unlink()
     watching, _ = run(tmp_path, known)
-    missing = f"results/base-{BASE.digest[:8]} is missing or damaged, and how it was made is not known here"
-    assert watching.failed == {"base": missing}
+    missing = f"results/base-{BASE.digest[:8]} is missing or damaged and cannot be computed here: rerun the command"
+    assert watching.failed["base"].startswith(missing)
+    assert set(watching.failed) == {"base"}
 
 
 def test_the_record_of_another_cell_is_not_taken_for_this_one(tmp_path):
@@ -241,7 +242,7 @@ def test_a_record_that_leads_out_of_the_folder_is_damaged(tmp_path, name, key):
     file.write_text(json.dumps(record))
     watching, store = run(folder, BASE)
     assert watching.computed == ["base"]
-    assert "lies outside the run folder" in watching.remarks[0]
+    assert "is outside the run folder" in watching.remarks[0]
     assert store.load(BASE) == 1
 
 

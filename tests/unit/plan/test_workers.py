@@ -45,12 +45,12 @@ def workers(tmp_path, monkeypatch):
 
 def test_processors_are_shared_by_the_busy_and_the_longest_cell_has_the_rest(workers):
     short = workers.submit(SHORT, ())
-    assert (workers.room(), workers._shares) == (1, [5, 0])
+    assert (workers.n_idle(), workers._shares) == (1, [5, 0])
     workers.submit(LONG, ())
-    assert (workers.room(), workers._shares) == (0, [2, 3])
+    assert (workers.n_idle(), workers._shares) == (0, [2, 3])
     short.set_result(CellEnd("done"))
     assert workers.result(SHORT, short).status == "done"
-    assert (workers.room(), workers._shares[1]) == (1, 5)
+    assert (workers.n_idle(), workers._shares[1]) == (1, 5)
 
 
 def died(workers, cell, how):
@@ -65,10 +65,10 @@ def test_a_worker_that_died_is_started_again_but_after_a_kill_there_is_one_less_
     assert died(workers, SHORT, "EXIT(5)") == "its worker died (EXIT(5))"
     assert [slot.starts for slot in workers._slots] == [2, 1]
     died(workers, SHORT, "SIGKILL(-9)")
-    assert workers.room() == 1
+    assert workers.n_idle() == 1
     died(workers, SHORT, "SIGKILL(-9)")
     assert [slot.starts for slot in workers._slots] == [2]
-    assert workers.room() == 1
+    assert workers.n_idle() == 1
 
 
 def test_a_worker_that_died_while_it_was_idle_costs_no_cell(workers):
