@@ -77,7 +77,7 @@ def check(
             line.add_row("", Text(result.failure))
         out.print(line)
     if broken:
-        err.print(f"{name} breaks {broken} of the contract's sentences")
+        err.print(f"{name} breaks {broken} rules of the contract")
         raise typer.Exit(1)
 
 

@@ -1,7 +1,7 @@
-"""The contract of each kind of plugin as a table of sentences and checks, which plugin authors run, and CI runs.
+"""Contract tests for plugin authors: a table of rules and checks for each kind of plugin.
 
-``check_KIND(name)`` raises `ContractViolation` listing every broken sentence; ``KIND.run(name)``, such as `MODEL.run`,
-yields each sentence with its verdict. `hardware.testing` has the contract of robots, and those of all kinds by name.
+``check_KIND(name)`` raises `ContractViolation` with all broken rules; ``KIND.run(name)``, such as `MODEL.run`, yields
+the result of each check. `hardware.testing` has the contract of robots, and the contracts of all kinds by name.
 """
 
 import lazy_loader

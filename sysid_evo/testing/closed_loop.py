@@ -1,4 +1,4 @@
-"""The contracts of a controller and of a task, sentence by sentence, tried in closed loop."""
+"""The contracts of a controller and of a task, tested in closed loop."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from sysid_evo.testing.examples import ExampleDynamics, bare_system, continuous_
 from sysid_evo.types import Array, Seeds
 
 CANDIDATES, NETWORKS, TRIALS = 3, 6, 4
-"""Controllers that are asked at once, networks that drive at a task, and trials of each."""
+"""Number of controllers in one call, of networks that run a task, and of trials."""
 
 SEEDS = trial_seeds(3, TRIALS)
 
@@ -40,7 +40,7 @@ TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class ControllerExample:
-    """A controller as it is made, the same bound to ``task``, and parameters (P, n_parameters) for it."""
+    """A controller, the same controller bound to ``task``, and its parameters (P, n_parameters)."""
 
     made: Controller
     bound: Controller
@@ -48,7 +48,7 @@ class ControllerExample:
     task: Task
 
     def view(self, moment: int, candidates: slice = slice(None), trials: slice = slice(None)) -> View:
-        """Return what some candidates see in some trials at a ``moment``, an arbitrary number."""
+        """Return the view of some candidates in some trials; ``moment`` is the seed of its random state."""
         system = self.task.system
         p, e = len(range(CANDIDATES)[candidates]), len(range(TRIALS)[trials])
         rng = np.random.default_rng(moment)
@@ -62,7 +62,7 @@ class ControllerExample:
         return View(observation.reshape(p, e, -1), state, task_state, noise)
 
     def memory(self, moment: int) -> Array:
-        """Return some memory (P, E, n_memory): zeros at moment 0, else what an action has left."""
+        """Return the memory (P, E, n_memory) after ``moment`` actions; zeros at first."""
         memory = np.zeros((CANDIDATES, TRIALS, self.bound.n_memory))
         for earlier in range(moment):
             _, memory = self.bound.act(self.parameters, memory, self.view(earlier))
@@ -70,9 +70,9 @@ class ControllerExample:
 
 
 def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered controller ``name`` breaks.
+    """Raise `ContractViolation` with all rules that the registered controller ``name`` breaks.
 
-    It is tried ``at`` a task that is bound, by default `PointToPoint` on a made-up car.
+    ``at`` is a bound task, by default `PointToPoint` on a made-up car.
     """
     CONTROLLER.check(name, at=at, **parameters)
 
@@ -86,33 +86,33 @@ def _controller(name: str, *, at: Task | None = None, **parameters: Any) -> tupl
 
 
 def binding_gives_a_controller_of_that_size(given: ControllerExample) -> None:
-    """bind gives a controller of that many inputs and outputs, and leaves the others as they are"""
+    """bind_to returns a controller with the inputs and outputs of the task and changes no other controller"""
     before = dict(vars(given.bound))
     system = given.task.system
     wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
     try:
         other = given.made.bind_to(given.task.bind(wider))
-    except IncompatibleTask as error:  # it was made for this one system
+    except IncompatibleTask as error:  # it accepts one system only
         raise NotApplicable from error
     raw, _ = other.act(
         np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
     )
-    expect(raw.shape == (1, 1, 3), f"bound to three outputs it gives {raw.shape[-1:]}")
+    expect(raw.shape == (1, 1, 3), f"bound to three controls it returns {raw.shape[-1:]}")
     expect(vars(given.bound) == before, "a controller changes when another is bound")
 
 
 def it_has_parameters_to_evolve(given: ControllerExample) -> None:
-    """It has at least one parameter, and parameters decide what it does"""
+    """It has at least one parameter, and its outputs depend on the parameters"""
     count = given.bound.n_parameters
     expect(isinstance(count, int) and count >= 1, f"expected n_parameters >= 1, got {count!r}")
     raw, _ = given.bound.act(given.parameters, given.memory(2), given.view(2))
-    alike = np.repeat(given.parameters[:1], CANDIDATES, axis=0)
-    other, _ = given.bound.act(alike, given.memory(2), given.view(2))
-    expect(not same(raw, other), "all parameter vectors act alike")
+    equal = np.repeat(given.parameters[:1], CANDIDATES, axis=0)
+    other, _ = given.bound.act(equal, given.memory(2), given.view(2))
+    expect(not same(raw, other), "all parameter vectors give the same outputs")
 
 
 def an_action_has_the_right_shape_and_type(given: ControllerExample) -> None:
-    """act gives outputs (P, E, n_outputs) and memory (P, E, n_memory), finite and in float64"""
+    """act returns outputs (P, E, n_outputs) and memory (P, E, n_memory), finite and in float64"""
     for moment in (0, 3):
         raw, memory = given.bound.act(given.parameters, given.memory(moment), given.view(moment))
         expect_numbers("outputs", raw, (CANDIDATES, TRIALS, given.task.system.nu))
@@ -120,23 +120,23 @@ def an_action_has_the_right_shape_and_type(given: ControllerExample) -> None:
 
 
 def outputs_stay_within_their_limits(given: ControllerExample) -> None:
-    """Outputs stay within [-1, 1], whatever the parameters"""
+    """Outputs are within [-1, 1] for any parameters"""
     raw, _ = given.bound.act(30.0 * given.parameters, given.memory(2), given.view(2))
     expect(np.abs(raw).max() <= 1.0, f"an output is {raw.ravel()[np.abs(raw).argmax()]:.3g}")
 
 
 def an_action_is_pure(given: ControllerExample) -> None:
-    """act changes neither its arguments nor its own later results: what it remembers stands in its memory"""
+    """act changes neither its arguments nor its later results: all state is in the memory array"""
     view, memory = given.view(2), given.memory(2)
     first = expect_pure("action", given.bound.act, given.parameters, memory, view)
     for moment in range(3):
         given.bound.act(given.parameters, given.memory(moment), given.view(moment))
     again = given.bound.act(given.parameters, memory, view)
-    expect(same(first, again), "what it did in between changes what it does")
+    expect(same(first, again), "calls in between change the result of the same call")
 
 
 def candidates_and_trials_are_independent(given: ControllerExample) -> None:
-    """Every candidate acts for itself in every trial"""
+    """The outputs of a candidate in a trial do not depend on other candidates and trials"""
     memory = given.memory(2)
     together = given.bound.act(given.parameters, memory.copy(), given.view(2))
     for p in range(CANDIDATES):
@@ -144,18 +144,18 @@ def candidates_and_trials_are_independent(given: ControllerExample) -> None:
             one, trial = slice(p, p + 1), slice(e, e + 1)
             alone = given.bound.act(given.parameters[one], memory[one, trial], given.view(2, one, trial))
             for found, expected in zip(alone, together, strict=True):
-                alike = np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12)
-                expect(alike, f"candidate {p} in trial {e} acts otherwise when it is alone")
+                equal = np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12)
+                expect(equal, f"candidate {p} in trial {e} acts differently when it is alone")
 
 
 def the_compiled_form_acts_as_act_does(given: ControllerExample) -> None:
-    """The compiled form acts as act does"""
+    """The compiled form gives the results of act"""
     expect_kernel(given.bound.kernel())
     expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
 
 
-def the_form_for_other_languages_acts_as_act_does(given: ControllerExample) -> None:
-    """The form for other languages acts as act does"""
+def the_exported_program_acts_as_act_does(given: ControllerExample) -> None:
+    """The program for export gives the results of act"""
     for p in range(CANDIDATES):
         program = given.bound.program(given.parameters[p])
         if program is None:
@@ -167,7 +167,7 @@ def the_form_for_other_languages_acts_as_act_does(given: ControllerExample) -> N
             found, remembered = program.run(view.observation[p, 0], remembered)
             expect(
                 np.allclose(found, raw[p, 0], rtol=1e-9, atol=1e-12),
-                f"outputs are {found} in sample {moment}, those of act {raw[p, 0]}",
+                f"outputs of the program are {found} in sample {moment}, those of act {raw[p, 0]}",
             )
 
 
@@ -179,14 +179,14 @@ CONTROLLER_CHECKS = (
     an_action_is_pure,
     candidates_and_trials_are_independent,
     the_compiled_form_acts_as_act_does,
-    the_form_for_other_languages_acts_as_act_does,
+    the_exported_program_acts_as_act_does,
 )
 CONTROLLER = Contract(controllers, _controller, CONTROLLER_CHECKS)
 
 
 @dataclass(frozen=True)
 class TaskExample:
-    """A task as it is made, and the same bound to a system that has its roles."""
+    """A task, and the same task bound to a system that has its roles."""
 
     made: Task
     task: Task
@@ -197,7 +197,7 @@ class TaskExample:
         return self.task.system
 
     def moment(self) -> tuple[TaskState, Array, Array, Array]:
-        """Return trials that have gone on for some steps, the states (B, nx) before and after the next, its control."""
+        """Return trials after three steps, the states (B, nx) before and after the next step, and its control."""
         dynamics, rng = ExampleDynamics(self.system), np.random.default_rng(7)
         task_state = self.task.begin(SEEDS)
         before = task_state.state.copy()
@@ -208,26 +208,26 @@ class TaskExample:
         return task_state, before, dynamics.step(before, controls[3]), controls[3]
 
     def advance(self, task_state: TaskState, before: Array, after: Array, control: Array) -> tuple[TaskState, Array]:
-        """Advance the task, the control as the last argument."""
+        """Advance the task by one step."""
         return self.task.advance(task_state, before, after, control=control)
 
     def drive(self, parameters: Array, seeds: Any = SEEDS) -> Rollouts:
-        """Return rollouts of networks with these parameters in the reference form."""
+        """Return rollouts of networks with these parameters, in the reference form."""
         return rollout(
             ExampleDynamics(self.system), RecurrentNetwork(hidden=3), parameters, self.task, seeds, engine="reference"
         )
 
     @property
     def networks(self) -> Array:
-        """Parameters (P, n) of random networks, small enough that none is chaotic: rounding stays rounding."""
+        """Parameters (P, n) of random networks, small enough that rounding errors do not grow."""
         bound = RecurrentNetwork(hidden=3).bind_to(self.task)
         return 0.5 * np.random.default_rng(8).standard_normal((NETWORKS, bound.n_parameters))
 
 
 def check_task(name: str, system: System | None = None, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered task ``name`` breaks.
+    """Raise `ContractViolation` with all rules that the registered task ``name`` breaks.
 
-    ``system`` is one that has the roles of the task; without it, the first of `example_systems` that has.
+    ``system`` has the roles of the task; by default it is the first of `example_systems` that has them.
     """
     TASK.check(name, system, **parameters)
 
@@ -237,8 +237,8 @@ def _task(name: str, system: System | None = None, **parameters: Any) -> tuple[T
     return (TaskExample(made, _bound(made, example_systems() if system is None else (system,))),)
 
 
-def binding_leaves_the_task_as_it_is(given: TaskExample) -> None:
-    """bind gives a task on that system and leaves the task itself as it is"""
+def binding_does_not_change_the_task(given: TaskExample) -> None:
+    """bind returns a task on that system and does not change the task itself"""
     before = dict(vars(given.made))
     bound = given.made.bind(given.system)
     expect(bound is not given.made and vars(given.made) == before, "bind changes the task itself")
@@ -246,7 +246,7 @@ def binding_leaves_the_task_as_it_is(given: TaskExample) -> None:
 
 
 def a_missing_role_is_named(given: TaskExample) -> None:
-    """bind refuses a system that lacks a role with IncompatibleTask, and names the role"""
+    """bind raises IncompatibleTask for a system that lacks a role, and names the role"""
     try:
         given.made.bind(bare_system())
     except IncompatibleTask as error:
@@ -255,8 +255,8 @@ def a_missing_role_is_named(given: TaskExample) -> None:
         expect(any(role in str(error) for role in roles), f"expected one of {', '.join(roles)} in: {error}")
 
 
-def it_says_what_it_is(given: TaskExample) -> None:
-    """It has a horizon of at least one step, and every observation a name of its own"""
+def it_has_a_horizon_and_named_observations(given: TaskExample) -> None:
+    """It has a horizon of at least one step, and its observations have different names"""
     task = given.task
     expect(isinstance(task.horizon, int) and task.horizon >= 1, f"expected horizon >= 1 steps, got {task.horizon!r}")
     expect(
@@ -264,11 +264,11 @@ def it_says_what_it_is(given: TaskExample) -> None:
         f"expected observations to be channels, got {task.observations!r}",
     )
     names = [channel.name for channel in task.observations]
-    expect(len(set(names)) == len(names), f"two observations have one name: {', '.join(names)}")
+    expect(len(set(names)) == len(names), f"two observations have the same name: {', '.join(names)}")
 
 
 def a_trial_begins_within_the_system(given: TaskExample) -> None:
-    """begin gives one living trial for each seed, with a state (E, nx) and a pose (E, n_pose)"""
+    """begin returns one trial for each seed, alive, with a state (E, nx) and a pose (E, n_pose)"""
     began = given.task.begin(SEEDS)
     expect_numbers("state", began.state, (TRIALS, given.system.nx))
     expect_numbers("pose", began.pose, (TRIALS, given.system.n_pose))
@@ -277,59 +277,59 @@ def a_trial_begins_within_the_system(given: TaskExample) -> None:
 
 
 def a_trial_depends_on_its_seed_alone(given: TaskExample) -> None:
-    """A trial depends on its seed alone: not on the other trials, and not on chance"""
-    expect(same(given.task.begin(SEEDS), given.task.begin(SEEDS)), "the same seeds begin other trials")
+    """A trial depends only on its seed, not on other trials and not on global randomness"""
+    expect(same(given.task.begin(SEEDS), given.task.begin(SEEDS)), "the same seeds begin different trials")
     together = given.drive(given.networks).fitness
     alone = np.concatenate([given.drive(given.networks, SEEDS[e : e + 1]).fitness for e in range(TRIALS)], axis=1)
-    expect(np.allclose(together, alone, rtol=1e-9), "a trial ends otherwise when it is run alone")
+    expect(np.allclose(together, alone, rtol=1e-9), "a trial ends differently when it is run alone")
 
 
-def candidates_meet_the_same_trials(given: TaskExample) -> None:
-    """All candidates meet the same trials"""
-    alike = np.repeat(given.networks[:1], 3, axis=0)
-    found = given.drive(alike).fitness
-    expect(np.allclose(found, found[0], rtol=1e-9), "the same controller scores otherwise as another candidate")
+def candidates_have_the_same_trials(given: TaskExample) -> None:
+    """All candidates have the same trials"""
+    equal = np.repeat(given.networks[:1], 3, axis=0)
+    found = given.drive(equal).fitness
+    expect(np.allclose(found, found[0], rtol=1e-9), "two equal candidates have different scores")
 
 
 def an_observation_has_the_right_shape_and_type(given: TaskExample) -> None:
-    """observe gives one finite float64 number for each observation of each trial"""
+    """observe returns one finite float64 number for each observation of each trial"""
     task_state, before, *_ = given.moment()
     expect_numbers("observation", given.task.observe(task_state, before), (TRIALS, len(given.task.observations)))
 
 
 def observing_is_pure(given: TaskExample) -> None:
-    """observe changes neither its arguments nor its own later results"""
+    """observe changes neither its arguments nor its later results"""
     task_state, before, *_ = given.moment()
     expect_pure("observation", given.task.observe, task_state, before)
 
 
 def advancing_is_pure(given: TaskExample) -> None:
-    """advance changes neither its arguments nor its own later results"""
+    """advance changes neither its arguments nor its later results"""
     expect_pure("advance", given.advance, *given.moment())
 
 
 def advancing_keeps_shapes(given: TaskExample) -> None:
-    """advance gives trials and a state (B, nx) of the same shapes, finite and in float64"""
+    """advance returns trials and states (B, nx) of the same shapes, finite and in float64"""
     task_state, *step = given.moment()
     advanced, reached = given.advance(task_state, *step)
-    expect(type(advanced) is type(task_state), f"the trials become a {type(advanced).__name__}")
+    expect(type(advanced) is type(task_state), f"the type of the trials becomes {type(advanced).__name__}")
     expect_numbers("state", reached, (TRIALS, given.system.nx))
     expect_numbers("pose", advanced.pose, (TRIALS, given.system.n_pose))
     expect(np.shape(advanced.alive) == (TRIALS,), f"alive has the shape {np.shape(advanced.alive)}")
 
 
-def a_tracked_pose_is_believed(given: TaskExample) -> None:
-    """advance takes the pose that a tracker saw, if it is given one"""
+def a_measured_pose_is_used(given: TaskExample) -> None:
+    """advance uses the measured pose if it is given"""
     if given.system.n_pose == 0:
         raise NotApplicable
     task_state, before, after, control = given.moment()
-    seen = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
-    advanced, _ = given.task.advance(task_state, before, after, control=control, pose=seen)
-    expect(same(advanced.pose, seen), "the pose after the step is another one")
+    measured = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
+    advanced, _ = given.task.advance(task_state, before, after, control=control, pose=measured)
+    expect(same(advanced.pose, measured), "the pose after the step is not the measured pose")
 
 
 def fitness_is_a_number_and_never_below_the_worst(given: TaskExample) -> None:
-    """fitness is one number for each trial, never nan and never below worst"""
+    """fitness returns one number for each trial, never nan and never below worst"""
     task_state, *_ = given.moment()
     expect_numbers("fitness", given.task.fitness(task_state), (TRIALS,))
     driven = given.drive(given.networks).fitness
@@ -338,18 +338,18 @@ def fitness_is_a_number_and_never_below_the_worst(given: TaskExample) -> None:
     expect(lowest >= given.task.worst, f"a fitness of {lowest:g} is below worst, which is {given.task.worst:g}")
 
 
-def a_trial_that_is_over_keeps_its_fitness(given: TaskExample) -> None:
-    """A trial that is over can be held while others go on"""
+def an_ended_trial_keeps_its_fitness(given: TaskExample) -> None:
+    """The fitness of a trial that has ended does not change while others continue"""
     task_state, *step = given.moment()
-    going = np.arange(TRIALS) % 2 == 0
+    active = np.arange(TRIALS) % 2 == 0
     advanced, _ = given.advance(task_state, *step)
-    kept = given.task.fitness(task_state.updated_where(advanced, going))
-    expected = np.where(going, given.task.fitness(advanced), given.task.fitness(task_state))
-    expect(same(kept, expected), "the fitness of a trial that is held changes with the others")
+    found = given.task.fitness(task_state.updated_where(advanced, active))
+    expected = np.where(active, given.task.fitness(advanced), given.task.fitness(task_state))
+    expect(same(found, expected), "the fitness of an ended trial changes with the others")
 
 
 def a_scene_can_be_drawn(given: TaskExample) -> None:
-    """scene gives what can be drawn of a trial: places (k, 2) in m, those reached among them"""
+    """scene returns the markers (k, 2) of a trial in m and the number of those reached"""
     task_state, *_ = given.moment()
     for trial in range(TRIALS):
         scene = given.task.scene(task_state, trial)
@@ -359,25 +359,25 @@ def a_scene_can_be_drawn(given: TaskExample) -> None:
 
 
 def the_compiled_form_is_the_reference(given: TaskExample) -> None:
-    """The compiled form scores as the reference form does"""
+    """The compiled form gives the scores of the reference form"""
     expect_kernel(given.task.kernel())
     expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
 
 
 TASK_CHECKS = (
-    binding_leaves_the_task_as_it_is,
+    binding_does_not_change_the_task,
     a_missing_role_is_named,
-    it_says_what_it_is,
+    it_has_a_horizon_and_named_observations,
     a_trial_begins_within_the_system,
     a_trial_depends_on_its_seed_alone,
-    candidates_meet_the_same_trials,
+    candidates_have_the_same_trials,
     an_observation_has_the_right_shape_and_type,
     observing_is_pure,
     advancing_is_pure,
     advancing_keeps_shapes,
-    a_tracked_pose_is_believed,
+    a_measured_pose_is_used,
     fitness_is_a_number_and_never_below_the_worst,
-    a_trial_that_is_over_keeps_its_fitness,
+    an_ended_trial_keeps_its_fitness,
     a_scene_can_be_drawn,
     the_compiled_form_is_the_reference,
 )
@@ -385,20 +385,20 @@ TASK = Contract(tasks, _task, TASK_CHECKS)
 
 
 def _bound(task: Task, systems: tuple[System, ...]) -> Task:
-    """Return ``task`` on the first system that it takes. Raises `ContractViolation`."""
+    """Return ``task`` bound to the first system that it accepts. Raises `ContractViolation`."""
     reasons = []
     for system in systems:
         try:
             return task.bind(system)
         except IncompatibleTask as error:
             reasons.append(f"{system.name or 'the system'}: {error}")
-    raise ContractViolation(f"bind refuses every system; give one that has its roles. {'; '.join(reasons)}")
+    raise ContractViolation(f"bind refuses every example system; give a system with its roles. {'; '.join(reasons)}")
 
 
 def expect_engines_agree(
     dynamics: Dynamics, controller: Controller, parameters: Array, task: Task, seeds: Seeds | None = None
 ) -> None:
-    """Raise `ContractViolation` unless the compiled form runs the same trials as the reference form, in float64."""
+    """Raise `ContractViolation` unless the compiled form (float64) and the reference form give the same trials."""
     seeds = trial_seeds(9, 4) if seeds is None else seeds
     compiled, exact = (
         rollout(dynamics, controller, parameters, task, seeds, record=True, engine=engine)

@@ -1,7 +1,7 @@
-"""What a contract is, a table of checks; and what checks expect of arrays.
+"""Contracts as tables of checks, and helper functions of checks.
 
-A check is a function of what it looks at; its docstring is the sentence that must hold, and it raises
-`ContractViolation` with a reason where the sentence is broken.
+A check is a function of the tested object. Its docstring is the rule, and it raises `ContractViolation` with a reason
+if the rule is broken.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from sysid_evo.types import Array, BoolArray
 
 Check: TypeAlias = Callable[..., None]
 
-MADE = "It is made from its name and parameters"
+MADE = "It can be made from its name and parameters"
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """One check: its sentence, and why it failed (None if it holds); or why it says nothing here, ``idle``."""
+    """Result of one check: its rule, the reason of a failure or None, the reason if it does not apply (``idle``)."""
 
     sentence: str
     failure: str | None
@@ -38,10 +38,10 @@ class NotApplicable(Exception):
 
 @dataclass(frozen=True)
 class Contract:
-    """The contract of one kind of plugin: the registry of its names, and the table of its checks.
+    """The contract of one kind of plugin: its registry and its checks.
 
-    ``prepare(name, ...)`` makes what every check is called with, from a registered name, what its kind takes besides,
-    and parameters. Where the ``decisive`` check fails, those after it are not tried.
+    ``prepare(name, ...)`` makes the arguments of all checks from a registered name, further arguments of the kind, and
+    parameters. If the ``decisive`` check fails, later checks are skipped.
     """
 
     registry: Registry[Any]
@@ -50,10 +50,10 @@ class Contract:
     decisive: Check | None = None
 
     def run(self, name: str, *given: Any, **parameters: Any) -> Iterator[CheckResult]:
-        """Yield the result of making the thing called ``name`` and of every check that applies to it.
+        """Yield the result of making the plugin ``name``, then the results of all checks that apply.
 
-        If it cannot be made, that is the only result. Errors of this library that are raised while it is
-        made (an unknown name, a parameter out of range) are the caller's, and are passed on.
+        If it cannot be made, that is the only result. Errors of this library in the preparation (an unknown name, a
+        parameter out of range) are errors of the caller and are raised.
         """
         try:
             subject = self.prepare(name, *given, **parameters)
@@ -62,7 +62,7 @@ class Contract:
             return
         except SysidEvoError:
             raise
-        except Exception as error:  # a plugin may fail in any way: that is what is being found out
+        except Exception as error:  # a plugin may fail in any way, and the check reports it
             yield CheckResult(MADE, described(error))
             return
         yield CheckResult(MADE, None)
@@ -73,21 +73,21 @@ class Contract:
                     return
 
     def check(self, name: str, *given: Any, **parameters: Any) -> None:
-        """Raise `ContractViolation` listing every sentence that the thing called ``name`` breaks, if there is one."""
+        """Raise `ContractViolation` with all rules that the plugin ``name`` breaks, if any."""
         broken = [result for result in self.run(name, *given, **parameters) if result.failure is not None]
         if broken:
             lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
             kind = self.registry.kind
-            raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} of the contract's sentences:\n{lines}")
+            raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} rules of the contract:\n{lines}")
 
 
 def sentence_of(check: Check) -> str:
-    """Return the sentence that ``check`` tries."""
+    """Return the rule that ``check`` tests."""
     return (check.__doc__ or check.__name__).strip()
 
 
 def verdict(check: Check, subject: tuple[Any, ...]) -> CheckResult:
-    """Run one check on ``subject`` and return its result, whatever it raises but `NotApplicable` without a reason."""
+    """Run one check on ``subject`` and return its result. Raises `NotApplicable` only if it has no reason."""
     sentence = sentence_of(check)
     try:
         check(*subject)
@@ -97,7 +97,7 @@ def verdict(check: Check, subject: tuple[Any, ...]) -> CheckResult:
         return CheckResult(sentence, None, idle=str(error))
     except ContractViolation as error:
         return CheckResult(sentence, str(error))
-    except Exception as error:  # a plugin may fail in any way: that is what is being found out
+    except Exception as error:  # a plugin may fail in any way, and the check reports it
         return CheckResult(sentence, described(error))
     return CheckResult(sentence, None)
 
@@ -127,11 +127,11 @@ Kernel = TypeVar("Kernel")
 
 
 def expect_kernel(kernel: Kernel | None) -> Kernel:
-    """Return the ``kernel``. Raises `NotApplicable` if it is None, or if `SYSID_EVO_ENGINE` names the reference."""
+    """Return the ``kernel``. Raises `NotApplicable` if it is None, or if `SYSID_EVO_ENGINE` selects the reference."""
     if kernel is None:
-        raise NotApplicable("it has none, so that Python computes every step")
+        raise NotApplicable("it has no compiled form: Python computes every step")
     if resolve() == "reference":
-        raise NotApplicable(f"{ENGINE_VARIABLE} is reference, so that nothing is compiled")
+        raise NotApplicable(f"{ENGINE_VARIABLE} is reference: nothing is compiled")
     return kernel
 
 
@@ -146,22 +146,22 @@ def expect_numbers(name: str, array: Any, shape: tuple[int, ...]) -> None:
 
 
 def expect_pure(name: str, function: Callable[..., Result], *arguments: Any) -> Result:
-    """Call ``function`` twice and return the result; ``name`` is what a reason calls it.
+    """Call ``function`` twice and return the result; reasons use the word ``name``.
 
     Raises `ContractViolation` if it changes its arguments or gives another result the second time.
     """
-    kept = [copied(argument) for argument in arguments]
+    arguments_before = [copied(argument) for argument in arguments]
     first = function(*arguments)
-    held = copied(first)
+    first_before = copied(first)
     second = function(*arguments)
-    expect(all(map(same, arguments, kept)), f"{name} overwrites its arguments")
-    expect(same(held, first), f"a second {name} overwrites the result of the first")
+    expect(all(map(same, arguments, arguments_before)), f"{name} overwrites its arguments")
+    expect(same(first_before, first), f"a second {name} overwrites the result of the first")
     expect(same(first, second), f"the same {name} twice gives two results")
     return first
 
 
 def same(first: Any, second: Any) -> bool:
-    """Return whether two results are equal: arrays number by number, nan being equal to nan."""
+    """Return whether two results are equal; arrays are compared number by number, and nan equals nan."""
     if isinstance(first, (tuple, list)):
         return len(first) == len(second) and all(map(same, first, second))
     if is_dataclass(first):
@@ -172,7 +172,7 @@ def same(first: Any, second: Any) -> bool:
 
 
 def copied(value: Any) -> Any:
-    """Return a copy of arrays and of the tuples and dataclasses that hold them; anything else as it is."""
+    """Return ``value`` with copies of its arrays, also those within tuples, lists and dataclasses."""
     if isinstance(value, (tuple, list)):
         return type(value)(map(copied, value))
     if isinstance(value, np.ndarray):
@@ -186,12 +186,12 @@ def copied(value: Any) -> Any:
 
 
 def mismatched_rows(found: Array, expected: Array, tolerance: float) -> BoolArray:
-    """Return which rows of (B, n) differ by more than ``tolerance`` times the number plus its column's largest."""
+    """Return the rows (B,) that differ by more than ``tolerance`` times (the number + the largest of its column)."""
     size = np.abs(expected)
     return (np.abs(found - expected) > tolerance * (size + size.max(axis=0, initial=0.0))).any(axis=1)
 
 
 def normal(count: int, rows: int, rng: np.random.Generator | None = None) -> Array | None:
-    """Return standard normal numbers (rows, count), or None if none are taken."""
+    """Return standard normal numbers (rows, count), None if ``count`` is 0."""
     rng = np.random.default_rng(3) if rng is None else rng
     return rng.standard_normal((rows, count)) if count else None

@@ -1,4 +1,4 @@
-"""The contract of an evolution strategy, sentence by sentence."""
+"""The contract of an evolution strategy."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sysid_evo.types import Array
 N_PARAMETERS = 4
 GENERATIONS = 60
 PEAK = 1.5
-"""Where the fitness of the checks is highest, in every parameter."""
+"""Optimum of the fitness of the checks, in every parameter."""
 
 
 @dataclass(frozen=True)
 class StrategyExample:
-    """A spec from which strategies of several sizes and seeds are made."""
+    """A spec that makes strategies of several sizes and seeds."""
 
     spec: Spec
 
@@ -34,7 +34,7 @@ class StrategyExample:
 
 
 def check_strategy(name: str, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered strategy ``name`` breaks."""
+    """Raise `ContractViolation` with all rules that the registered strategy ``name`` breaks."""
     STRATEGY.check(name, **parameters)
 
 
@@ -45,25 +45,25 @@ def _strategy(name: str, **parameters: Any) -> tuple[StrategyExample]:
 
 
 def ask_gives_candidates(given: StrategyExample) -> None:
-    """ask gives finite candidates (population, n_parameters) in float64, also for one parameter"""
+    """`ask` returns finite candidates (population, n_parameters) in float64, also for one parameter"""
     for n in (1, N_PARAMETERS):
         strategy = given.make(n_parameters=n)
         for generation in range(3):
             population = strategy.ask()
-            expect(population.ndim == 2 and len(population) > 0, f"ask gives an array of shape {population.shape}")
+            expect(population.ndim == 2 and len(population) > 0, f"ask returns an array of shape {population.shape}")
             expect_numbers(f"ask in generation {generation}", population, (len(population), n))
             strategy.tell(population, fitness(population))
 
 
 def the_seed_decides(given: StrategyExample) -> None:
-    """The same seed asks the same candidates, another seed asks others"""
+    """The same seed gives the same candidates, another seed gives others"""
     first, again, other = (_candidates(given.make(seed=seed), 3) for seed in (1, 1, 2))
-    expect(same(first, again), "the same seed asks other candidates")
-    expect(not same(first, other), "another seed asks the same candidates")
+    expect(same(first, again), "the same seed gives other candidates")
+    expect(not same(first, other), "another seed gives the same candidates")
 
 
 def fitness_is_maximised(given: StrategyExample) -> None:
-    """Fitness is maximised: on a hill the elite climbs"""
+    """Fitness is maximised: the elite approaches the optimum of a quadratic function"""
     for seed in (1, 2):
         strategy = given.make(seed=seed)
         first = fitness(strategy.ask()).mean()
@@ -72,53 +72,53 @@ def fitness_is_maximised(given: StrategyExample) -> None:
         reached = float(fitness(strategy.elite)[0])
         expect(
             reached > 0.5 * first,
-            f"after {GENERATIONS} generations the elite is {_distance(reached):.2f} from the peak, "
+            f"after {GENERATIONS} generations the elite is {_distance(reached):.2f} from the optimum, "
             f"the first candidates were {_distance(float(first)):.2f} from it",
         )
 
 
-def the_elite_stands_best_first(given: StrategyExample) -> None:
-    """The elite is one candidate or more, the best first"""
+def the_elite_is_ordered_best_first(given: StrategyExample) -> None:
+    """The elite has at least one candidate, best first"""
     strategy = given.make()
     for _ in evolve(strategy, lambda population, _: fitness(population), 5):
         elite = strategy.elite
-        expect(elite.ndim == 2 and len(elite) > 0, f"expected one candidate or more, got an array {elite.shape}")
+        expect(elite.ndim == 2 and len(elite) > 0, f"expected at least one candidate, got an array {elite.shape}")
         expect_numbers("elite", elite, (len(elite), N_PARAMETERS))
         expect((np.diff(fitness(elite)) <= 0.0).all(), "a later one of the elite is better than an earlier one")
 
 
 def tell_leaves_its_arguments(given: StrategyExample) -> None:
-    """tell leaves candidates and fitness as they are, and keeps no hold of them"""
+    """`tell` does not change its arguments and stores no reference to them"""
     strategy, other = given.make(), given.make()
     population = strategy.ask()
-    kept, score = population.copy(), fitness(population)
+    before, score = population.copy(), fitness(population)
     strategy.tell(population, score)
-    expect(same(population, kept) and same(score, fitness(kept)), "tell overwrites its arguments")
-    other.tell(other.ask(), fitness(kept))
+    expect(same(population, before) and same(score, fitness(before)), "`tell` overwrites its arguments")
+    other.tell(other.ask(), fitness(before))
     population += 7.0
     score -= 7.0
-    expect(same(_candidates(strategy, 2), _candidates(other, 2)), "what its caller does with the arrays changes it")
+    expect(same(_candidates(strategy, 2), _candidates(other, 2)), "later changes of the arguments of `tell` affect it")
 
 
-def tell_refuses_what_is_no_fitness(given: StrategyExample) -> None:
-    """tell refuses nan and a fitness that is not one number for each candidate"""
+def tell_refuses_an_invalid_fitness(given: StrategyExample) -> None:
+    """`tell` raises an error for nan and for a fitness that is not one number for each candidate"""
     strategy = given.make()
     population = strategy.ask()
     missing = fitness(population)
     missing[-1] = np.nan
     for wrong, error in ((missing, InvalidArgument), (fitness(population)[:-1], ShapeError)):
-        expect_error(error, f"tell of a fitness {wrong.shape}", strategy.tell, population, wrong)
+        expect_error(error, f"`tell` of a fitness {wrong.shape}", strategy.tell, population, wrong)
 
 
-def a_plateau_is_no_end(given: StrategyExample) -> None:
-    """A fitness that is the same for everyone, however low, does not stop it"""
+def a_plateau_does_not_stop_it(given: StrategyExample) -> None:
+    """Equal fitness of all candidates, however low, does not stop it"""
     strategy = given.make()
     for generation in evolve(strategy, lambda population, _: np.full(len(population), -1e300), 5):
-        expect(np.isfinite(generation.population).all(), "it asks candidates that are not finite")
+        expect(np.isfinite(generation.population).all(), "it returns candidates that are not finite")
 
 
-def a_restored_strategy_goes_on(given: StrategyExample) -> None:
-    """The state can be stored, and a strategy restored from it goes on bit for bit"""
+def a_restored_strategy_continues(given: StrategyExample) -> None:
+    """The state can be stored, and a restored strategy continues bit for bit"""
     for before in (0, 4):
         strategy = given.make()
         _candidates(strategy, before)
@@ -126,16 +126,16 @@ def a_restored_strategy_goes_on(given: StrategyExample) -> None:
         stored = _stored(state)
         expected = _candidates(strategy, 4), strategy.elite
         expect(same(list(stored.items()), list(_stored(state).items())), "a state changes after it was taken")
-        for asked, kept in ((False, stored), (True, _stored(_asked(given, before).state))):
+        for asked, saved in ((False, stored), (True, _stored(_asked(given, before).state))):
             other = given.make()
             _candidates(other, 2)
-            other.restore(kept)
-            when = f"it goes on otherwise after {before} generations{' and a question' if asked else ''}"
+            other.restore(saved)
+            when = f"it continues differently after {before} generations{' and a call of ask' if asked else ''}"
             expect(same(expected, (_candidates(other, 4), other.elite)), when)
 
 
-def what_is_forgotten_does_not_count(given: StrategyExample) -> None:
-    """After forget_fitness nobody stays in the elite for what it scored before, however much that was"""
+def forgotten_fitness_does_not_count(given: StrategyExample) -> None:
+    """After forget_fitness no candidate stays in the elite because of its earlier fitness"""
     strategy = given.make()
     for _ in evolve(strategy, lambda population, _: 1e6 + fitness(population), 5):
         pass
@@ -144,25 +144,27 @@ def what_is_forgotten_does_not_count(given: StrategyExample) -> None:
     for _ in evolve(strategy, lambda population, _: fitness(-population), GENERATIONS):
         pass
     stayed = int((strategy.elite[:, None] == before).all(axis=2).any(axis=1).sum())
-    expect(not stayed, f"{GENERATIONS} generations later, on another hill, {stayed} of the elite are still there")
+    expect(
+        not stayed, f"{GENERATIONS} generations after a change of the fitness, {stayed} of the elite are still there"
+    )
 
 
 CHECKS = (
     ask_gives_candidates,
     the_seed_decides,
     fitness_is_maximised,
-    the_elite_stands_best_first,
+    the_elite_is_ordered_best_first,
     tell_leaves_its_arguments,
-    tell_refuses_what_is_no_fitness,
-    a_plateau_is_no_end,
-    a_restored_strategy_goes_on,
-    what_is_forgotten_does_not_count,
+    tell_refuses_an_invalid_fitness,
+    a_plateau_does_not_stop_it,
+    a_restored_strategy_continues,
+    forgotten_fitness_does_not_count,
 )
 STRATEGY = Contract(strategies, _strategy, CHECKS)
 
 
 def fitness(population: Array) -> Array:
-    """Return minus the squared distance (P,) from the peak."""
+    """Return minus the squared distance (P,) from the optimum."""
     return -((population - PEAK) ** 2).sum(axis=1)
 
 
@@ -176,7 +178,7 @@ def _candidates(strategy: EvolutionStrategy, generations: int) -> list[Array]:
 
 
 def _asked(given: StrategyExample, generations: int) -> EvolutionStrategy:
-    """Return a strategy after so many generations that was asked for the next, and not told of it."""
+    """Return a strategy after ``generations`` and one further `ask` without `tell`."""
     strategy = given.make()
     _candidates(strategy, generations)
     strategy.ask()
@@ -184,7 +186,7 @@ def _asked(given: StrategyExample, generations: int) -> EvolutionStrategy:
 
 
 def _stored(state: StrategyState) -> Mapping[str, Any]:
-    """Return a copy of ``state``. Raises `ContractViolation` if something in it cannot be stored."""
+    """Return a copy of ``state``. Raises `ContractViolation` for a value that cannot be stored."""
     for name, value in state.items():
         if not isinstance(value, (int, float, str)) and not (
             isinstance(value, np.ndarray) and value.dtype == np.float64

@@ -1,4 +1,4 @@
-"""What checks use by default: made-up cars, a pendulum, a recording, dynamics for any system."""
+"""Default examples of the checks: made-up cars, a pendulum, a recording, dynamics for any system."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 DECAY = 0.9
-"""Of the distance of a state of `ExampleDynamics` from neutral, per step."""
+"""Factor per step of the deviation of a state from neutral in `ExampleDynamics`."""
 PUSH = 0.3
-"""Of a control on every state of `ExampleDynamics`, per step, at most."""
+"""Largest effect per step of a control on a state in `ExampleDynamics`."""
 
 
 def example_systems() -> tuple[System, ...]:
@@ -33,13 +33,13 @@ def continuous_car() -> System:
 
 
 def pendulum() -> System:
-    """Return an angle that comes round again, its rate and a torque, without a motion, at 50 Hz."""
+    """Return a periodic angle, its rate and a torque, without a motion, at 50 Hz."""
     states = (Channel("angle", "rad", period=2.0 * np.pi), Channel("angular_speed", "rad/s"))
     return System(states, (Channel("torque", "N m", -2.0, 2.0),), dt=0.02, name="made-up pendulum")
 
 
 def bare_system() -> System:
-    """Return one state and one control that mean nothing: a system that has no role."""
+    """Return a system with one state and one control without roles."""
     return System((Channel("some_state"),), (Channel("some_control", low=0.0, high=1.0),), dt=0.1, name="bare system")
 
 
@@ -61,7 +61,7 @@ def example_dataset(seed: int = 0, episodes: int = 3, steps: int = 200) -> Datas
 class ExampleDynamics(PlainDynamics):
     """A stable linear system for any states and controls: x' = x_n + 0.9 (x - x_n) + B (u - u_n).
 
-    The subscript n is neutral. B (nx, nu) is made of cosines, so that every control acts on every state.
+    The subscript n means neutral. B (nx, nu) consists of cosines, so that every control acts on every state.
     """
 
     def __init__(self, system: System) -> None:

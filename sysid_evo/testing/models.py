@@ -1,6 +1,6 @@
-"""The contract of a model family, sentence by sentence, and what must hold for anything that steps.
+"""The contract of a model family, and checks of any `Dynamics`.
 
-Each check is a function of a fitted model and the data it was fitted to.
+Each check is a function of a fitted model and its training data.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from sysid_evo.types import Array, IntArray
 
 CHAINED_STEPS = 10
 COMPILED_TOLERANCE = {"float64": 1e-7, "float32": 1e-3}
-"""Of a number and of the largest in its column."""
+"""Tolerance relative to a number plus the largest of its column."""
 
 
 def check_model(name: str, dataset: Dataset | None = None, **parameters: object) -> None:
-    """Fit the registered family ``name`` and raise `ContractViolation` listing every broken sentence."""
+    """Fit the registered family ``name`` and raise `ContractViolation` with all broken rules."""
     MODEL.check(name, dataset, **parameters)
 
 
 def _prepared(name: str, dataset: Dataset | None = None, **parameters: object) -> tuple[DynamicsModel, Dataset]:
-    """Return the family ``name``, which a check fits, and the data set: by default `example_dataset`.
+    """Return an unfitted model of the family ``name`` and the data set, by default `example_dataset`.
 
-    ``parameters`` go to the constructor; the family's ``quick`` preset holds for the others. Raises
-    `IncompatibleSystem` if the family refuses the system of ``dataset``.
+    ``parameters`` go to the constructor; other parameters come from the ``quick`` preset. Raises `IncompatibleSystem`
+    if the family refuses the system of ``dataset``.
     """
     dataset = example_dataset() if dataset is None else dataset
     family: Any = models.get(name)
@@ -63,23 +63,23 @@ def _prepared(name: str, dataset: Dataset | None = None, **parameters: object) -
     return model, dataset
 
 
-def an_unfitted_model_says_so(model: DynamicsModel, dataset: Dataset) -> None:
-    """A model that is not fitted says so instead of failing somewhere inside"""
+def an_unfitted_model_raises_an_error(model: DynamicsModel, dataset: Dataset) -> None:
+    """A model that is not fitted raises NotFitted"""
     nx, nu = dataset.system.nx, dataset.system.nu
-    nothing = np.zeros((1, 1, nx)), np.zeros((1, 0, nu)), np.zeros((1, 1, nu))
-    expect_error(NotFitted, "simulate before fit", model.simulate, *nothing)
+    zeros = np.zeros((1, 1, nx)), np.zeros((1, 0, nu)), np.zeros((1, 1, nu))
+    expect_error(NotFitted, "simulate before fit", model.simulate, *zeros)
 
 
 def fit_returns_the_model_itself(model: DynamicsModel, dataset: Dataset) -> None:
-    """fit learns from a recording, leaves it as it is, and returns the model itself"""
+    """fit does not change the recording and returns the model itself"""
     fingerprint = dataset.fingerprint
     expect(model.fit(dataset, rng=np.random.default_rng(1)) is model, "fit must return self")
     expect(dataset.with_episodes(dataset.episodes).fingerprint == fingerprint, "fit overwrites the recording")
 
 
-def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
-    """fit says how far it is, and what progress raises stops it and leaves the model as it was"""
-    told: list[tuple[int, int]] = []
+def fit_reports_progress_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit reports progress, and an exception from progress stops it and leaves the model unchanged"""
+    reported: list[tuple[int, int]] = []
     rng = np.random.default_rng
 
     def stopping(after: int) -> Progress:
@@ -91,31 +91,35 @@ def fit_tells_and_can_be_stopped(model: DynamicsModel, dataset: Dataset) -> None
 
         return progress
 
-    clone(model).fit(dataset, rng=rng(1), progress=lambda done, total: told.append((done, total)))
-    whole = len(told) >= 2 and told[-1][0] == told[-1][1] and all(0 <= done <= total for done, total in told)
-    expect(whole, f"expected progress from 0 to all of the steps, got {told[:3]} ... {told[-3:]}")
+    clone(model).fit(dataset, rng=rng(1), progress=lambda done, total: reported.append((done, total)))
+    whole = (
+        len(reported) >= 2
+        and reported[-1][0] == reported[-1][1]
+        and all(0 <= done <= total for done, total in reported)
+    )
+    expect(whole, f"expected progress from 0 to the total, got {reported[:3]} ... {reported[-3:]}")
     unfitted, fitted = clone(model), copy.copy(model)
     inputs = _some_inputs(model, dataset)
     expected = step(model, inputs)
-    for start, after in ((unfitted, 0), (unfitted, len(told) // 2), (fitted, len(told) // 2)):
+    for start, after in ((unfitted, 0), (unfitted, len(reported) // 2), (fitted, len(reported) // 2)):
         before = set(vars(start))
-        goes_on = "an exception from progress does not stop the fit"
-        expect_error(_Stopped, goes_on, start.fit, dataset, rng=rng(1), progress=stopping(after))
+        not_stopped = "an exception from progress does not stop the fit"
+        expect_error(_Stopped, not_stopped, start.fit, dataset, rng=rng(1), progress=stopping(after))
         expect(set(vars(start)) == before, f"a stopped fit leaves {sorted(set(vars(start)) ^ before)} behind")
     expect(same(step(fitted, inputs), expected), "a fitted model steps differently after a second fit was stopped")
 
 
 class _Stopped(Exception):
-    """What the check of interruption raises from progress."""
+    """Raised from progress by the check of interruption."""
 
 
 def a_step_has_the_right_shape_and_type(model: DynamicsModel, dataset: Dataset) -> None:
-    """A step turns a carry (B, n_carry) into a carry of the same shape, in float64"""
+    """step returns a carry of the same shape (B, n_carry), finite and in float64"""
     expect_shape_and_type(model, _some_inputs(model, dataset))
 
 
 def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> None:
-    """The carry begins with the state"""
+    """The first nx numbers of the carry are the state"""
     windows = dataset.windows(1, history=model.n_lags)
     carry = model.start(windows.past_states, windows.past_controls, normal(model.n_draws, len(windows)))
     begins = same(carry[:, : dataset.system.nx], windows.start_states)
@@ -123,17 +127,17 @@ def the_carry_begins_with_the_state(model: DynamicsModel, dataset: Dataset) -> N
 
 
 def rows_are_independent(model: DynamicsModel, dataset: Dataset) -> None:
-    """Every row of a batch is computed for itself"""
+    """The result of a row does not depend on the other rows of its batch"""
     expect_independent_rows(model, _some_inputs(model, dataset))
 
 
 def a_step_is_pure(model: DynamicsModel, dataset: Dataset) -> None:
-    """A step changes neither its arguments nor its own later results"""
+    """step changes neither its arguments nor its later results"""
     expect_pure_step(model, _some_inputs(model, dataset))
 
 
-def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
-    """A free run equals its steps one after the other"""
+def simulation_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> None:
+    """A simulation equals its steps one after the other"""
     windows = dataset.windows(5, stride=20, history=model.n_lags)
     simulated = model.simulate(
         windows.past_states, windows.past_controls, windows.controls, rng=np.random.default_rng(2)
@@ -146,7 +150,7 @@ def free_run_equals_chained_steps(model: DynamicsModel, dataset: Dataset) -> Non
             state = np.clip(carry[:, : dataset.system.nx], *model.state_bounds)
             carry = np.concatenate([state, carry[:, dataset.system.nx :]], axis=1)
         if not np.isfinite(carry).all():
-            return  # another sentence says so
+            return  # another check reports it
         expect(np.allclose(carry[:, : dataset.system.nx], simulated[:, k]), f"they differ at step {k + 1}")
 
 
@@ -157,8 +161,8 @@ def the_same_seed_fits_the_same_model(model: DynamicsModel, dataset: Dataset) ->
     expect(same(step(model, inputs), step(again, inputs)), "two fits with the same seed step differently")
 
 
-def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Dataset) -> None:
-    """Of a recording longer than max_steps a part is learned from, and a warning and fit_note report how much"""
+def a_long_recording_is_thinned(model: DynamicsModel, dataset: Dataset) -> None:
+    """fit uses part of a recording longer than max_steps; a warning and fit_note report how much"""
     if "max_steps" not in model.get_params(deep=False):
         return
     short = clone(model).set_params(max_steps=dataset.n_steps // 2)
@@ -166,19 +170,19 @@ def a_longer_recording_is_learned_from_in_part(model: DynamicsModel, dataset: Da
         warnings.simplefilter("always")
         short.fit(dataset, rng=np.random.default_rng(1))
     part = f"of {dataset.n_steps:,} steps"
-    told = part in short.fit_note and any(part in str(one.message) for one in given)
-    expect(told, f"fit_note is {short.fit_note!r} after a fit with max_steps={short.max_steps}")
+    reported = part in short.fit_note and any(part in str(one.message) for one in given)
+    expect(reported, f"fit_note is {short.fit_note!r} after a fit with max_steps={short.max_steps}")
 
 
 def parameters_survive_clone(model: DynamicsModel, _: Dataset) -> None:
-    """get_params and clone give back the constructor's arguments, unfitted"""
+    """get_params and clone return the constructor's arguments; a clone is not fitted"""
     copy = clone(model)
     expect(copy.get_params() == model.get_params(), f"expected {model.get_params()}, got {copy.get_params()}")
     expect(not hasattr(copy, "system_"), "a clone must not be fitted")
 
 
 def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) -> None:
-    """A stored model steps bit for bit as before"""
+    """A model that is saved and loaded steps bit for bit the same"""
     inputs = _some_inputs(model, dataset)
     with tempfile.TemporaryDirectory() as folder:
         save_model(model, Path(folder) / "model")
@@ -189,21 +193,21 @@ def saving_and_loading_keeps_every_step(model: DynamicsModel, dataset: Dataset) 
 
 
 def learned_arrays_declares_what_was_learned(model: DynamicsModel, _: Dataset) -> None:
-    """What fit learned is as learned_arrays declares it; a family that declares something declares every array"""
+    """Learned arrays match learned_arrays; a family that declares arrays declares all of them"""
     undeclared = check_learned(model)
-    sound = not undeclared or "learned_arrays" not in vars(type(model))
-    expect(sound, f"learned_arrays says nothing of {', '.join(undeclared)}")
+    complete = not undeclared or "learned_arrays" not in vars(type(model))
+    expect(complete, f"learned_arrays does not declare {', '.join(undeclared)}")
 
 
 def the_compiled_form_steps_as_step_does(model: DynamicsModel, dataset: Dataset) -> None:
-    """The compiled form steps as step does"""
+    """The compiled form gives the results of step"""
     resting = np.concatenate([_at_rest(model, 1), _after_a_pulse(model)])
     idle = np.tile(dataset.system.neutral_control, (2, 1))
     expect_same_compiled(model, _some_inputs(model, dataset).followed_by(resting, idle))
 
 
 def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> None:
-    """A model at rest with neutral control stays at rest, where dead_band is on"""
+    """With dead_band, a model at rest with neutral control stays at rest"""
     band = model.dead_band_size
     if band is None:
         raise NotApplicable("dead_band is off")
@@ -213,11 +217,11 @@ def a_model_at_rest_stays_at_rest(model: DynamicsModel, dataset: Dataset) -> Non
     idle = np.tile(system.neutral_control, (2, 1))
     for _ in range(CHAINED_STEPS):
         carry = model.step(carry, idle, normal(model.n_noise, 2))
-        expect(same(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))), "it moves off by itself")
+        expect(same(carry[:, : system.nx], np.tile(system.neutral_state, (2, 1))), "it moves without a control")
 
 
-def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: Dataset) -> None:
-    """A body at rest answers to a pulse that ended before it acts, where dead_band is on"""
+def a_delayed_pulse_still_acts(model: DynamicsModel, dataset: Dataset) -> None:
+    """With dead_band, a body at rest reacts to a delayed pulse that has already ended"""
     carry, noise = _after_a_pulse(model), normal(model.n_noise, 1)
     if not model.dead_band:
         raise NotApplicable("dead_band is off")
@@ -226,23 +230,23 @@ def a_pulse_that_has_yet_to_act_is_not_swallowed(model: DynamicsModel, dataset: 
     idle = dataset.system.neutral_control[None]
     free = copy.copy(model).set_params(dead_band=False)
     stepped, expected = model.step(carry, idle, noise), free.step(carry, idle, noise)
-    expect(same(stepped, expected), "it is held although an earlier control in its carry is not neutral")
+    expect(same(stepped, expected), "it stays at rest although an earlier control in its carry is not neutral")
 
 
 CHECKS = (
-    an_unfitted_model_says_so,
+    an_unfitted_model_raises_an_error,
     fit_returns_the_model_itself,
-    fit_tells_and_can_be_stopped,
+    fit_reports_progress_and_can_be_stopped,
     a_step_has_the_right_shape_and_type,
     the_carry_begins_with_the_state,
     rows_are_independent,
     a_step_is_pure,
-    free_run_equals_chained_steps,
+    simulation_equals_chained_steps,
     the_compiled_form_steps_as_step_does,
     a_model_at_rest_stays_at_rest,
-    a_pulse_that_has_yet_to_act_is_not_swallowed,
+    a_delayed_pulse_still_acts,
     the_same_seed_fits_the_same_model,
-    a_longer_recording_is_learned_from_in_part,
+    a_long_recording_is_thinned,
     parameters_survive_clone,
     saving_and_loading_keeps_every_step,
     learned_arrays_declares_what_was_learned,
@@ -257,19 +261,19 @@ def _some_inputs(model: DynamicsModel, dataset: Dataset) -> StepInputs:
 
 
 def _at_rest(model: DynamicsModel, rows: int) -> Array:
-    """Return the carry (rows, n_carry) of a body that has always rested."""
+    """Return the carry (rows, n_carry) of a body that was always at rest."""
     return started(model, np.tile(model.system.neutral_state, (rows, 1)), normal(model.n_draws, rows))
 
 
 def _after_a_pulse(model: DynamicsModel) -> Array:
-    """Return the carry (1, n_carry) of a body at rest whose commands until now were not neutral."""
+    """Return the carry (1, n_carry) of a body at rest whose earlier controls were not neutral."""
     controls = model.system.neutral_control[None] + 1.0
     return started(model, model.system.neutral_state[None], normal(model.n_draws, 1), controls=controls)
 
 
 @dataclass(frozen=True)
 class StepInputs:
-    """What a step is given: carries (B, n_carry), controls (B, nu) and noise (B, n_noise) or None."""
+    """Arguments of a step: carries (B, n_carry), controls (B, nu) and noise (B, n_noise) or None."""
 
     carry: Array
     control: Array
@@ -280,13 +284,13 @@ class StepInputs:
         return StepInputs(self.carry[rows], self.control[rows], None if self.noise is None else self.noise[rows])
 
     def followed_by(self, carry: Array, control: Array) -> StepInputs:
-        """Return these inputs and further ones, with the noise of the first rows."""
+        """Return these inputs with further rows, which get the noise of the first rows."""
         noise = None if self.noise is None else np.concatenate([self.noise, self.noise[: len(carry)]])
         return StepInputs(np.concatenate([self.carry, carry]), np.concatenate([self.control, control]), noise)
 
 
 def step(dynamics: Dynamics, inputs: StepInputs) -> Array:
-    """Return the next carry (B, n_carry); ``inputs`` stay as they are, whatever a step does to its arguments."""
+    """Return the next carry (B, n_carry), with copies of ``inputs`` as arguments."""
     return dynamics.step(*copied((inputs.carry, inputs.control, inputs.noise)))
 
 
@@ -294,31 +298,30 @@ def expect_shape_and_type(dynamics: Dynamics, inputs: StepInputs) -> None:
     """Raise `ContractViolation` unless a step gives finite carries of the same shape, in float64."""
     carry, after = inputs.carry, step(dynamics, inputs)
     given = carry.shape[1]
-    expect(given == dynamics.n_carry, f"start gives a carry of {given} numbers, n_carry says {dynamics.n_carry}")
+    expect(given == dynamics.n_carry, f"start returns a carry of {given} numbers, n_carry is {dynamics.n_carry}")
     sound = after.shape == carry.shape and after.dtype == np.float64
     expect(sound, f"expected {carry.shape} float64, got {after.shape} {after.dtype}")
     expect(np.isfinite(after).all(), "a step from a training state is not finite")
 
 
 def expect_independent_rows(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if the row of a batch depends on the others."""
+    """Raise `ContractViolation` if the result of a row depends on the other rows of its batch."""
     together = step(dynamics, inputs)
     alone = np.concatenate([step(dynamics, inputs.rows(slice(i, i + 1))) for i in range(len(inputs.carry))])
     back = np.arange(len(inputs.carry))[::-1]
     backwards = step(dynamics, inputs.rows(back))[back]
-    alike = np.allclose(together, alone, rtol=1e-9, atol=1e-12, equal_nan=True)
-    alike = alike and np.allclose(together, backwards, rtol=1e-9, equal_nan=True)
-    expect(alike, "a row's result changes with the other rows of its batch")
+    equal = np.allclose(together, alone, rtol=1e-9, atol=1e-12, equal_nan=True)
+    equal = equal and np.allclose(together, backwards, rtol=1e-9, equal_nan=True)
+    expect(equal, "a row's result changes with the other rows of its batch")
 
 
 def expect_pure_step(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if a step changes its arguments or its own later results."""
+    """Raise `ContractViolation` if a step changes its arguments or its later results."""
     expect_pure("step", dynamics.step, inputs.carry, inputs.control, inputs.noise)
 
 
 def expect_same_compiled(dynamics: Dynamics, inputs: StepInputs) -> None:
-    """Raise `ContractViolation` if the compiled form steps otherwise than `step`; `NotApplicable` as
-    `expect_kernel`."""
+    """Raise `ContractViolation` if the compiled form and `step` differ, `NotApplicable` as in `expect_kernel`."""
     kernel = expect_kernel(dynamics.kernel())
     carry, control, noise = inputs.carry, inputs.control, inputs.noise
     stepped = step(dynamics, inputs)
@@ -331,5 +334,5 @@ def expect_same_compiled(dynamics: Dynamics, inputs: StepInputs) -> None:
         compiled, _ = clip_state(compiled, dynamics.state_bounds)
         stepped, _ = clip_state(dynamics.step(stepped, control, noise), dynamics.state_bounds)
     off = mismatched_rows(compiled, stepped, COMPILED_TOLERANCE[kernel.precision])
-    few = off.mean() <= 0.1  # may differ: two neighbours as near as each other
+    few = off.mean() <= 0.1  # rows with two equally near neighbours may differ
     expect(few, f"{off.sum()} of {len(off)} rows differ after {CHAINED_STEPS} steps in {kernel.precision}")

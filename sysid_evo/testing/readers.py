@@ -1,4 +1,4 @@
-"""The contract of a reader of log files, sentence by sentence."""
+"""The contract of a reader of log files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_COLUMN = "a column that no file has"
 
 @dataclass(frozen=True)
 class ReaderExample:
-    """A reader called ``name``, and a file that it reads, which held ``content`` before."""
+    """A reader called ``name``, and a file of its kind with its original ``content``."""
 
     name: str
     reader: Reader
@@ -46,21 +46,21 @@ class ReaderExample:
 
 
 def check_reader(name: str, path: Path, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered reader ``name`` breaks.
+    """Raise `ContractViolation` with all rules that the registered reader ``name`` breaks.
 
-    ``path`` is a file of its kind with two rows or more, and at least one column of finite numbers.
+    ``path`` is a file of its kind with at least two rows and one column of finite numbers.
     """
     READER.check(name, path, **parameters)
 
 
 def _reader(name: str, path: Path, **parameters: Any) -> tuple[ReaderExample]:
     if not path.is_file():
-        raise InvalidArgument(f"reader {name!r}: expected a file of its kind to read, found none at {path}")
+        raise InvalidArgument(f"reader {name!r}: expected a file of its kind at {path}, found none")
     return (ReaderExample(name, readers.make(name, **parameters), path, path.read_bytes()),)
 
 
 def it_names_its_suffixes(given: ReaderExample) -> None:
-    """It names the suffixes of its files, in lower case and with the point; the example has one of them"""
+    """It lists the suffixes of its files, in lower case and with the point; the example has one of them"""
     suffixes = given.reader.suffixes
     sound = isinstance(suffixes, tuple) and suffixes and all(s.startswith(".") and s == s.lower() for s in suffixes)
     expect(sound, f"expected suffixes such as ('.log',), got {suffixes!r}")
@@ -71,43 +71,43 @@ def no_other_reader_has_its_suffixes(given: ReaderExample) -> None:
     """No other reader has one of its suffixes"""
     for other, make in readers.load_all():
         shared = sorted(set(given.reader.suffixes) & set(make().suffixes)) if other != given.name else []
-        expect(not shared, f"{' and '.join(shared)} belong to reader {other!r} too")
+        expect(not shared, f"reader {other!r} also has {' and '.join(shared)}")
 
 
 def the_header_names_the_columns(given: ReaderExample) -> None:
-    """header gives the names of the columns, each once"""
+    """header returns the names of the columns, each once"""
     header = given.reader.header(given.path)
     expect(
         isinstance(header, tuple) and header and all(isinstance(name, str) and name for name in header),
         f"expected a tuple of names, got {header!r}",
     )
-    expect(len(set(header)) == len(header), f"a name stands there twice: {', '.join(header)}")
-    expect(given.reader.header(given.path) == header, "a second look gives another header")
+    expect(len(set(header)) == len(header), f"a name occurs twice: {', '.join(header)}")
+    expect(given.reader.header(given.path) == header, "a second call returns another header")
 
 
 def read_gives_finite_numbers(given: ReaderExample) -> None:
-    """read gives the columns asked for, in that order, as finite float64 numbers of one length"""
+    """read returns the requested columns, in that order, as finite float64 numbers of one length"""
     columns = given.columns
     expect(columns, "no column of the example holds numbers")
     asked = columns[::-1]
     table = given.reader.read(given.path, asked)
-    expect(tuple(table.columns) == asked, f"asked for {', '.join(asked)}, got {', '.join(table.columns)}")
-    expect(len(table) >= 2, f"expected two rows or more, got {len(table)}")
+    expect(tuple(table.columns) == asked, f"expected {', '.join(asked)}, got {', '.join(table.columns)}")
+    expect(len(table) >= 2, f"expected at least two rows, got {len(table)}")
     for name, values in table.columns.items():
         expect_numbers(f"column {name!r}", values, (len(table),))
 
 
 def rows_are_numbered(given: ReaderExample) -> None:
-    """Every row has its number in the file, rising from row to row"""
+    """Every row has its row number in the file, in increasing order"""
     table = given.whole()
     rows = np.asarray(table.rows)
     expect(rows.dtype.kind == "i" and rows.min() >= 0, f"expected whole numbers from 0 on, got {rows[:3]}")
-    expect((np.diff(rows) > 0).all(), "the numbers of the rows do not rise")
-    expect(table.path == given.path, f"the table says it is of {table.path}")
+    expect((np.diff(rows) > 0).all(), "the row numbers do not increase")
+    expect(table.path == given.path, f"the path of the table is {table.path}")
 
 
 def a_column_does_not_depend_on_the_others(given: ReaderExample) -> None:
-    """A column is the same, whichever others are read with it, and each time"""
+    """A column does not depend on the other columns that are read with it"""
     whole = given.whole()
     for name in given.columns:
         alone = given.reader.read(given.path, [name])
@@ -115,43 +115,43 @@ def a_column_does_not_depend_on_the_others(given: ReaderExample) -> None:
 
 
 def a_missing_column_is_named(given: ReaderExample) -> None:
-    """A column that is missing is an InvalidData that names the file and the column"""
+    """For a missing column it raises InvalidData with the names of the file and the column"""
     error = expect_error(InvalidData, "a missing column", given.reader.read, given.path, [NO_COLUMN])
     for word in (given.path.name, NO_COLUMN):
         expect(word in str(error), f"expected {word!r} in: {error}")
 
 
-def a_damaged_file_is_told(given: ReaderExample) -> None:
-    """A file that is empty, or of other bytes, is an InvalidData that names the file"""
+def a_damaged_file_is_refused(given: ReaderExample) -> None:
+    """For an empty file or other bytes it raises InvalidData with the name of the file"""
     for name, content in (("empty", b""), ("garbage", np.random.default_rng(0).bytes(400))):
         expect(
             _read_copy(given, name, content) is None, f"{name}{given.path.suffix}: expected InvalidData, got no error"
         )
 
 
-def a_wrong_number_is_told(given: ReaderExample) -> None:
-    """A file with NaN, nothing, infinity or a word for a number is an InvalidData that names the file"""
+def a_wrong_number_is_refused(given: ReaderExample) -> None:
+    """For NaN, nothing, infinity or a word instead of a number it raises InvalidData with the name of the file"""
     whole = given.whole().columns
     for name, content in _with_wrong_numbers(given.content):
         table = _read_copy(given, name, content)
-        # the number may have been in a text column or a comment; then everything else is read as before
-        unharmed = table is None or all(same(values, table.columns.get(column)) for column, values in whole.items())
-        expect(unharmed, f"{name} in the place of a number: expected InvalidData, got other numbers or fewer rows")
+        # the number may be in a text column or a comment; then all other numbers are read as before
+        unchanged = table is None or all(same(values, table.columns.get(column)) for column, values in whole.items())
+        expect(unchanged, f"{name} instead of a number: expected InvalidData, got other numbers or fewer rows")
 
 
 def a_file_that_is_cut_short_gives_no_wrong_numbers(given: ReaderExample) -> None:
-    """A file that is cut short is an InvalidData that names the file, or the rows before the cut"""
+    """For a truncated file it raises InvalidData with the name of the file, or returns the complete rows"""
     whole = given.whole()
     for quarters in (1, 2, 3):
         table = _read_copy(given, "cut", given.content[: quarters * len(given.content) // 4])
         for name, values in () if table is None else table.columns.items():
-            expect_numbers(f"column {name!r} of a file that is cut short", values, values.shape)
-            before = values[:-1]  # of the last row a number may be cut itself
+            expect_numbers(f"column {name!r} of a truncated file", values, values.shape)
+            before = values[:-1]  # the last number may be truncated itself
             expect(same(before, whole.columns[name][: len(before)]), f"column {name!r} has other numbers than before")
 
 
 def the_file_is_left_alone(given: ReaderExample) -> None:
-    """Reading leaves the file as it is"""
+    """Reading does not change the file"""
     given.whole()
     expect(given.path.read_bytes() == given.content, "the file has changed")
 
@@ -164,8 +164,8 @@ CHECKS = (
     rows_are_numbered,
     a_column_does_not_depend_on_the_others,
     a_missing_column_is_named,
-    a_damaged_file_is_told,
-    a_wrong_number_is_told,
+    a_damaged_file_is_refused,
+    a_wrong_number_is_refused,
     a_file_that_is_cut_short_gives_no_wrong_numbers,
     the_file_is_left_alone,
 )
@@ -173,7 +173,7 @@ READER = Contract(readers, _reader, CHECKS)
 
 
 def _read_copy(given: ReaderExample, name: str, content: bytes) -> Table | None:
-    """Return what it reads from a file with this content, None if it refuses it by its name."""
+    """Return the table of a file with this content, None if the reader raises InvalidData with its name."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}{given.path.suffix}"
         path.write_bytes(content)
@@ -189,7 +189,7 @@ WRONG = {"nan": b"NaN", "nothing": b"", "infinity": b"1e999", "word": b"three"}
 
 
 def _with_wrong_numbers(content: bytes) -> Iterator[tuple[str, bytes]]:
-    """Yield the content of a file of text with one number replaced, in the middle and last; nothing of other files."""
+    """Yield the content of a text file with one number replaced, in the middle or last; nothing for binary files."""
     if b"\0" in content:
         return
     numbers = list(NUMBER.finditer(content))

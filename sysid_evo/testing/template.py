@@ -1,4 +1,4 @@
-"""A working plugin package for each kind that has a contract check: one file, one entry-point line, one test."""
+"""Templates of a working plugin package for each kind with a contract: one file, one entry point, one test."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from sysid_evo.registry.registry import KINDS
 
 @dataclass(frozen=True)
 class PluginTemplate:
-    """What is special about one kind: where the kit of its contract is, how the thing is used, further files.
+    """Template of one kind: the command that uses it, the module of its contract (``kit``), further files.
 
-    ``check`` are the options of `plugin check` that are wanted besides the name; ``files`` are sources
-    and targets, with ``{name}`` for the name.
+    ``check`` holds further options of `plugin check`; ``files`` maps sources to targets, with ``{name}`` for the name.
     """
 
     use: str
@@ -48,21 +47,21 @@ PLUGINS = {
 
 
 def write_plugin(name: str, folder: Path, kind: str = "model") -> list[Path]:
-    """Write the package of a new thing of this ``kind`` called ``name`` into ``folder`` and return its files.
+    """Write a plugin package of this ``kind`` called ``name`` into ``folder`` and return its files.
 
-    Raises `InvalidArgument` if ``name`` is no Python name or a file stands in the way,
-    `RegistrationError` if the name is in use.
+    Raises `InvalidArgument` if ``name`` is not a Python name or a file exists, `RegistrationError` if the name is
+    in use.
     """
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
         raise InvalidArgument(f"plugin: expected a lower-case Python name such as my_{kind}, got {name!r}")
-    of_kind = PLUGINS[kind]
-    sources = {f"{kind}.py.txt": "{name}.py", **(of_kind.files or {"test_plugin.py.txt": TEST}), **COMMON}
+    template = PLUGINS[kind]
+    sources = {f"{kind}.py.txt": "{name}.py", **(template.files or {"test_plugin.py.txt": TEST}), **COMMON}
     targets = {source: folder / target.format(name=name) for source, target in sources.items()}
-    standing = [str(path) for path in targets.values() if path.exists()]
-    if standing:
-        raise InvalidArgument(f"plugin: {', '.join(standing)} would be overwritten; choose another folder with --out")
+    existing = [str(path) for path in targets.values() if path.exists()]
+    if existing:
+        raise InvalidArgument(f"plugin: {', '.join(existing)} would be overwritten; choose another folder with --out")
     _refuse_a_name_in_use(name, kind)
     values = {
         "name": name,
@@ -70,11 +69,11 @@ def write_plugin(name: str, folder: Path, kind: str = "model") -> list[Path]:
         "factory": f"{name}_robot",
         "kebab": name.replace("_", "-"),
         "kind": kind,
-        "kit": of_kind.kit,
+        "kit": template.kit,
         "group": KINDS[kind].group,
-        "check_options": of_kind.check,
+        "check_options": template.check,
     }
-    values["use"] = Template(of_kind.use).substitute(values)
+    values["use"] = Template(template.use).substitute(values)
     for source, path in targets.items():
         text = Template(files("sysid_evo.plugin_template").joinpath(source).read_text()).substitute(values)
         write_atomically(path, partial(Path.write_text, data=text))
@@ -92,12 +91,11 @@ def _refuse_a_name_in_use(name: str, kind: str) -> None:
     registry = KINDS[kind]
     if name in registry.names():
         raise RegistrationError(
-            f"{kind} {name!r} is taken by the module {registry.module(name)}, so that the new module {name} "
-            "could not register it; choose another name"
+            f"{kind} {name!r} is already registered by the module {registry.module(name)}: choose another name"
         )
     found = importlib.util.find_spec(name)
     if found is not None and found.origin is not None:
         raise InvalidArgument(
-            f"plugin: a module called {name!r} can be imported already ({found.origin}), and the new file {name}.py "
-            "would hide it or be hidden; choose another name"
+            f"plugin: a module called {name!r} already exists ({found.origin}), and the file {name}.py would conflict "
+            "with it: choose another name"
         )

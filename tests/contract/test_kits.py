@@ -103,8 +103,8 @@ def test_a_sound_plugin_keeps_every_sentence(kind, plugin, register, given):
     assert broken(results.values()) == {}
     sentences = {sentence_of(one) for one in contract.checks}
     expected = {
-        "task": {sentence_of(of_tasks.kit.a_tracked_pose_is_believed)},
-        "controller": {sentence_of(of_controllers.kit.the_form_for_other_languages_acts_as_act_does)},
+        "task": {sentence_of(of_tasks.kit.a_measured_pose_is_used)},
+        "controller": {sentence_of(of_controllers.kit.the_exported_program_acts_as_act_does)},
     }
     assert results.keys() == {MADE, *sentences} - expected.get(kind, set()), "what does not apply is not mentioned"
 
@@ -133,7 +133,7 @@ def test_the_check_of_a_kind_raises_with_every_broken_sentence_and_nothing_for_a
     with pytest.raises(ContractViolation) as raised:
         check("broken", *given(kind))
     head, *lines = str(raised.value).splitlines()
-    assert head == f"{kind} 'broken' breaks {len(found)} of the contract's sentences:"
+    assert head == f"{kind} 'broken' breaks {len(found)} rules of the contract:"
     assert lines == [f"- {said}: {reason}" for said, reason in found.items()]
 
 
@@ -167,7 +167,7 @@ def test_a_task_that_no_system_fits_says_why(register):
 
 
 def test_a_reader_is_not_checked_without_a_file(tmp_path):
-    with pytest.raises(InvalidArgument, match="reader 'csv': expected a file of its kind to read, found none at"):
+    with pytest.raises(InvalidArgument, match="reader 'csv': expected a file of its kind at .*, found none"):
         check_reader("csv", tmp_path / "nothing.csv")
 
 

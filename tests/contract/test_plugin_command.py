@@ -104,9 +104,12 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path):
     ("arguments", "reason"),
     [
         (("new", "my-model"), "expected a lower-case Python name such as my_model, got 'my-model'"),
-        (("new", "linear"), "model 'linear' is taken by the module model_zoo.linear, so that the new module linear"),
-        (("new", "niches", "--kind", "strategy"), "strategy 'niches' is taken by the module sysid_evo.evolution."),
-        (("new", "random", "--kind", "task"), "a module called 'random' can be imported already"),
+        (("new", "linear"), "model 'linear' is already registered by the module model_zoo.linear: choose another name"),
+        (
+            ("new", "niches", "--kind", "strategy"),
+            "strategy 'niches' is already registered by the module sysid_evo.evolution.",
+        ),
+        (("new", "random", "--kind", "task"), "a module called 'random' already exists"),
         (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, robot, reader,"),
         (("check", "linnear"), "no model, task, controller, strategy, robot or reader is called 'linnear'"),
         (("check", "linear"), "'linear' is a model and a controller: say which with --kind"),
@@ -127,7 +130,7 @@ def test_a_mistake_is_told_before_anything_is_written(arguments, reason, tmp_pat
 def test_a_shipped_thing_is_checked_by_its_name_alone_with_parameters():
     done = CliRunner().invoke(app, ["check", "mu_plus_lambda(parents=5, children=5)"])
     assert done.exit_code == 0, done.output
-    assert "ok     Fitness is maximised: on a hill the elite climbs" in done.output
+    assert "ok     Fitness is maximised: the elite approaches the optimum of a quadratic function" in done.output
 
 
 def test_a_check_is_on_the_recordings_that_are_given(stored_data, tmp_path):
