@@ -1,4 +1,4 @@
-"""Models, ensembles and emulated robots as environments of Gymnasium; importing this registers them there."""
+"""Models, ensembles and emulated robots as Gymnasium environments; importing this package registers them."""
 
 from sysid_evo.environments.environments import (
     Actions,

@@ -1,4 +1,4 @@
-"""Models, ensembles and robots as environments of Gymnasium, one or many; policies learned there as champions."""
+"""Models, ensembles and robots as Gymnasium environments, single or vectorised; learned policies as champions."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ except ModuleNotFoundError as error:
 SEEDS = 2**63
 
 Actions: TypeAlias = Literal["auto", "continuous", "discrete"]
-"""How a system is controlled: a Box of outputs as controllers have them, or the number of a level for each control."""
+"""Kind of actions: continuous controller outputs (Box), or the index of a level for each control (discrete)."""
 
 
 class ModelEnvironment(gymnasium.Env[Any, Any]):
-    """An episode is one trial of ``task`` on one of ``members``, drawn anew for each episode.
+    """Environment whose episode is one trial of ``task`` on one of ``members``, drawn for each episode.
 
-    The observation is what the task shows a controller, the reward by how much its fitness grows, so that the rewards
-    of an episode and the fitness it begins with add up to the fitness. Where the task or a divergence ends the trial it
-    is terminated; at the task's horizon it is truncated. ``metadata`` holds names and units; ``info`` the fitness, the
-    state, and the member by name. ``seed`` is that of the first reset which is given none.
+    The observation is that of a controller. The reward is the increase of the fitness, so that the initial fitness plus
+    the rewards of an episode is the fitness. An episode is terminated if the task ends the trial or the model diverges,
+    and truncated at the task's horizon. ``metadata`` holds names and units; ``info`` holds the fitness, the state and
+    the name of the member. ``seed`` is used by the first reset without a seed.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class ModelEnvironment(gymnasium.Env[Any, Any]):
         self._first_seed = seed
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a trial; ``options`` may name the ``member`` that it is on."""
+        """Begin a trial; ``options`` may name its ``member``."""
         seed, self._first_seed = self._first_seed if seed is None else seed, None
         super().reset(seed=seed)
         number, trial = draw_episode(self.np_random, len(self.trials.members))
@@ -65,8 +65,8 @@ class ModelEnvironment(gymnasium.Env[Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         control = control_of(self.trials.system, self.action_space, action)
-        reward, over, late = self.trials.step(control[None])
-        return self._observation(), float(reward[0]), bool(over[0]), bool(late[0]), self._info()
+        reward, terminated, truncated = self.trials.step(control[None])
+        return self._observation(), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self._info()
 
     def _observation(self) -> Any:
         return self.trials.observe()[0].astype(np.float32)
@@ -81,15 +81,17 @@ class ModelEnvironment(gymnasium.Env[Any, Any]):
 
     def _number(self, member: str) -> int:
         if member not in self.trials.names:
-            raise InvalidArgument(f"environment: no member is called {member!r}: {', '.join(self.trials.names)}")
+            raise InvalidArgument(
+                f"environment: expected a member among {', '.join(self.trials.names)}, got {member!r}"
+            )
         return self.trials.names.index(member)
 
 
 class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
     """``num_envs`` copies of a `ModelEnvironment` that are stepped in one call of the dynamics.
 
-    Number i behaves as a single one that was reset with the seed of number i. One whose episode has ended begins
-    anew at its next step, whose action is not used.
+    Copy i behaves like a single environment that was reset with the seed of copy i. A copy whose episode has ended is
+    reset at its next step, whose action is ignored.
     """
 
     def __init__(
@@ -119,7 +121,7 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin all trials; from the number ``seed`` the copies get ``seed``, ``seed`` + 1, and so on."""
+        """Begin all trials; with a single ``seed`` the copies get ``seed``, ``seed`` + 1, and so on."""
         seed, self._first_seed = self._first_seed if seed is None else seed, None
         given = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
         if given is not None and len(given) != self.num_envs:
@@ -135,42 +137,43 @@ class ModelVectorEnvironment(VectorEnv[Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         restarting = self._ended
         controls = control_of(self.trials.system, self.single_action_space, actions, (self.num_envs,))
-        reward, over, late = self.trials.step(controls)
+        reward, terminated, truncated = self.trials.step(controls)
         if restarting.any():
             self.restart(restarting)
-            reward, over, late = (np.where(restarting, 0, values) for values in (reward, over, late))
-        over, late = over.astype(bool), late.astype(bool)
-        self._ended = over | late
-        return self.observations(), reward, over, late, self._info()
+            reward, terminated, truncated = (
+                np.where(restarting, 0, values) for values in (reward, terminated, truncated)
+            )
+        terminated, truncated = terminated.astype(bool), truncated.astype(bool)
+        self._ended = terminated | truncated
+        return self.observations(), reward, terminated, truncated, self._info()
 
     def restart(self, which: BoolArray) -> None:
-        """Begin a new episode in the copies ``which`` (num_envs,), before they would do so themselves."""
+        """Begin a new episode in the copies ``which`` (num_envs,) at once."""
         rows = np.flatnonzero(which)
         picks = [draw_episode(self._generators[row], len(self.trials.members)) for row in rows]
         self.trials.begin(rows, np.array([seed for _, seed in picks]), np.array([number for number, _ in picks]))
         self._ended = self._ended & ~which
 
     def observations(self) -> Any:
-        """Return what is to be seen in all copies now, (num_envs, n)."""
+        """Return the current observations of all copies, (num_envs, n)."""
         return self.trials.observe().astype(np.float32)
 
     def _info(self) -> dict[str, Any]:
-        everyone = np.ones(self.num_envs, dtype=bool)
-        return {"fitness": self.trials.fitness.copy(), "_fitness": everyone}
+        return {"fitness": self.trials.fitness.copy(), "_fitness": np.ones(self.num_envs, dtype=bool)}
 
 
 class EnvironmentTrials:
-    """``count`` trials of ``task``, side by side, each on one of the dynamics in ``members``.
+    """``count`` parallel trials of ``task``, each on one of the dynamics in ``members``.
 
-    The rules are those of a rollout: noise and draws depend on the trial's seed alone, a state beyond the envelope is
-    clipped, a trial that diverges is over and worth less than any that does not. Raises `InvalidArgument` without a
-    member, `IncompatibleSystem` for members of different systems, `IncompatibleTask`.
+    The rules are those of a rollout: noise and draws depend on the trial's seed alone, states are clipped to the state
+    bounds, and a trial that diverges ends with less fitness than any other. Raises `InvalidArgument` without a member,
+    `IncompatibleSystem` for members of different systems, `IncompatibleTask`.
     """
 
     def __init__(self, members: Mapping[str, Dynamics], task: Task, count: int) -> None:
         if not members or count < 1:
             raise InvalidArgument(
-                f"environment: expected one model or more, and one trial, got {len(members)}, {count}"
+                f"environment: expected at least one model and one trial, got {len(members)} and {count}"
             )
         self.names, self.members = tuple(members), tuple(members.values())
         self.system = self.members[0].system
@@ -189,7 +192,7 @@ class EnvironmentTrials:
         self._begun = False
 
     def begin(self, rows: IntArray, seeds: Seeds, members: IntArray) -> None:
-        """Let the trials ``rows`` (k,) begin anew, with these ``seeds`` (k,) on these members (k,), by number."""
+        """Begin the trials ``rows`` (k,) again, with ``seeds`` (k,) on the ``members`` (k,), given by number."""
         self._begun = True
         self.seeds[rows], self.member[rows], self.survived[rows] = seeds, members, 0
         fresh, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
@@ -207,20 +210,20 @@ class EnvironmentTrials:
     @property
     def state(self) -> Array:
         """The states (count, nx)."""
-        return self._taken([0] * len(self.members))
+        return self._carry_part([0] * len(self.members))
 
     def observe(self) -> Array:
-        """Return what a controller is shown, (count, n_observations)."""
-        return self.task.observe(self._task_state, self._taken([member.observed_at for member in self.members]))
+        """Return the observations of a controller, (count, n_observations)."""
+        return self.task.observe(self._task_state, self._carry_part([member.observed_at for member in self.members]))
 
     def step(self, control: Array) -> tuple[Array, BoolArray, BoolArray]:
-        """Go one step on under ``control`` (count, nu).
+        """Advance all trials by one step under ``control`` (count, nu).
 
-        Return by how much the fitness grew (count,), which trials are over, and which have reached the horizon.
-        Raises `gymnasium.error.ResetNeeded` before the first reset.
+        Return the increase of the fitness, whether a trial has ended, and whether it reached the horizon, each
+        (count,). Raises `gymnasium.error.ResetNeeded` before the first reset.
         """
         if not self._begun:
-            raise ResetNeeded("environment: no trial has begun; call reset() before step()")
+            raise ResetNeeded("environment: step() was called before reset(): call reset() first")
         nx, before = self.system.nx, self.state
         after, diverged = before.copy(), np.zeros(len(before), dtype=bool)
         with np.errstate(all="ignore"):
@@ -244,8 +247,8 @@ class EnvironmentTrials:
         growth, self.fitness = fitness - self.fitness, fitness
         return growth, diverged | ~self._task_state.alive, self.survived >= self.task.horizon
 
-    def _taken(self, places: list[int]) -> Array:
-        """Return nx numbers of each trial's carry, (count, nx): from ``places`` on, one for each member."""
+    def _carry_part(self, places: list[int]) -> Array:
+        """Return nx numbers of each trial's carry, (count, nx); ``places`` holds the first row for each member."""
         found = np.zeros((len(self.member), self.system.nx))
         for number, at in enumerate(places):
             rows = self.member == number
@@ -259,24 +262,26 @@ def draw_episode(rng: np.random.Generator, members: int) -> tuple[int, np.uint64
 
 
 def action_space(system: System, actions: Actions) -> spaces.Space[Any]:
-    """Return the space of the actions; "auto" is discrete where every control has levels.
+    """Return the space of the actions; "auto" is discrete if every control has levels.
 
     Continuous actions are a controller's outputs, a Box from -1 to 1, see `System.actuate`. Raises `InvalidArgument`.
     """
     if actions not in ("auto", "continuous", "discrete"):
-        raise InvalidArgument(f"environment: actions are auto, continuous or discrete, not {actions!r}")
+        raise InvalidArgument(f"environment: expected actions auto, continuous or discrete, got {actions!r}")
     levels = [len(channel.levels or ()) for channel in system.controls]
     if actions == "continuous" or (actions == "auto" and not all(levels)):
         system.actuate(np.zeros(system.nu))
         return spaces.Box(-1.0, 1.0, (system.nu,), dtype=np.float32)
     if not all(levels):
         free = next(channel.name for channel in system.controls if channel.levels is None)
-        raise InvalidArgument(f"environment: control {free!r} has no levels, so that actions cannot be discrete")
+        raise InvalidArgument(
+            f"environment: control {free!r} has no levels, so actions cannot be discrete: use actions='continuous'"
+        )
     return spaces.Discrete(levels[0]) if len(levels) == 1 else spaces.MultiDiscrete(levels)
 
 
 def control_of(system: System, space: spaces.Space[Any], action: Any, several: tuple[int, ...] = ()) -> Array:
-    """Return the controls (*several, nu) of one action, or of ``several`` side by side. Raises `InvalidArgument`."""
+    """Return the controls (*several, nu) of one action, or of an array of ``several``. Raises `InvalidArgument`."""
     given = np.asarray(action)
     expected = (*several, *(space.shape or ()))
     if given.shape != expected:
@@ -294,12 +299,12 @@ def control_of(system: System, space: spaces.Space[Any], action: Any, several: t
 
 
 def observation_space(task: Task) -> spaces.Box:
-    """Return the space of what ``task`` shows: without limits, which a simulation may exceed."""
+    """Return the space of the observations of ``task``, without limits, since a simulation may exceed them."""
     return spaces.Box(-np.inf, np.inf, (len(task.observations),), dtype=np.float32)
 
 
 def metadata_of(task: Task, space: spaces.Space[Any]) -> dict[str, Any]:
-    """Return names and units of observations, actions and rewards, and the time of a step in s."""
+    """Return names and units of observations, actions and rewards, and the time step in s."""
     outputs = isinstance(space, spaces.Box)
     return {
         "render_modes": [],
@@ -322,10 +327,10 @@ ACTIVATIONS = {"Tanh": "tanh", "ReLU": "relu"}
 def champion_from_policy(
     algorithm: Any, trials: EnvironmentTrials, *, name: str, task: str | Spec, seed: int = 0
 ) -> Champion:
-    """Return what a PPO or SAC ``algorithm`` of Stable-Baselines3 has learned in the environment of ``trials``.
+    """Return a champion with the policy that a PPO or SAC ``algorithm`` of Stable-Baselines3 learned on ``trials``.
 
-    Its policy must be a plain network (``MlpPolicy``) over the observations as they are, with continuous actions:
-    only its weights are read. ``task`` is the spec of the task. Raises `InvalidArgument` for another policy.
+    The policy must be a plain network (``MlpPolicy``) with unscaled observations and continuous actions; only its
+    weights are read. ``task`` is the spec of the task. Raises `InvalidArgument` for another policy.
     """
     policy = algorithm.policy
     if hasattr(policy, "mlp_extractor") and hasattr(policy, "action_net"):

@@ -1,4 +1,4 @@
-"""What an environment can be made of, and the environments that Gymnasium knows by name."""
+"""Functions that make environments, and the environments that are registered in Gymnasium."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sysid_evo.registry.registry import make_robot
 from sysid_evo.tasks.task import Task, make_task
 
 Source: TypeAlias = Dynamics | str | Path
-"""A model or an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
+"""A model, an emulated robot's dynamics, the file of a stored model, or the name of an emulated robot."""
 
 
 def make_env(
@@ -29,13 +29,13 @@ def make_env(
     seed: int | None = None,
     render_mode: None = None,
 ) -> ModelEnvironment:
-    """Return ``model`` at ``task`` as an environment of Gymnasium.
+    """Return a Gymnasium environment of ``task`` on ``model``.
 
-    ``model`` is a model, the path of one, the name of an emulated robot, or several: an ensemble, of which every
-    episode has another member. ``task`` is a spec or a task. ``actions`` see `Actions`; ``seed`` is that of the
-    first reset. Nothing is drawn: `InvalidArgument` for a ``render_mode``.
+    ``model`` is a model, the path of one, the name of an emulated robot, or several of these: an ensemble, whose member
+    is drawn for each episode. ``task`` is a spec or a task; see `Actions` for ``actions``; ``seed`` is used by the
+    first reset. Raises `InvalidArgument` for a ``render_mode``, since environments do not render.
     """
-    _drawn(render_mode)
+    _refuse_rendering(render_mode)
     return ModelEnvironment(load_members(model), _task(task), actions=actions, seed=seed)
 
 
@@ -48,19 +48,19 @@ def make_vector_env(
     seed: int | None = None,
     render_mode: None = None,
 ) -> ModelVectorEnvironment:
-    """Return ``num_envs`` copies of what `make_env` makes, stepped all at once.
+    """Return ``num_envs`` copies of the environment of `make_env`, which are stepped together.
 
-    Stable-Baselines3 takes them as `sysid_evo.environments.stable_baselines.StableBaselinesEnv`.
+    `sysid_evo.environments.stable_baselines.StableBaselinesEnv` wraps it for Stable-Baselines3.
     """
-    _drawn(render_mode)
+    _refuse_rendering(render_mode)
     return ModelVectorEnvironment(load_members(model), _task(task), num_envs, actions=actions, seed=seed)
 
 
-def _drawn(render_mode: str | None) -> None:
+def _refuse_rendering(render_mode: str | None) -> None:
     if render_mode is not None:
         raise InvalidArgument(
-            f"environment: expected no render_mode, as models draw nothing, got {render_mode!r}. The state is "
-            "in the info of every step. To watch a trained policy, store it as a controller (champion_of, "
+            f"environment: expected no render_mode, since environments do not render, got {render_mode!r}. The state "
+            "is in the info of every step. To watch a trained policy, store it as a controller (champion_from_policy, "
             "save_champion) and run `sysid-evo drive --controller FILE --watch`"
         )
 
@@ -70,10 +70,10 @@ def _task(task: str | Task) -> Task:
 
 
 def load_members(source: Source | Iterable[Source] | Mapping[str, Source]) -> dict[str, Dynamics]:
-    """Return the dynamics by name that ``source`` stands for; several are an ensemble.
+    """Return the dynamics of ``source`` by name; several are an ensemble.
 
-    A folder stands for all models in it, as the folder ``models`` of a run does. Raises `InvalidArgument`,
-    `ArtefactError`, and what the registry of robots raises.
+    A folder, such as ``models`` of a run, means all models in it. Raises `InvalidArgument`, `ArtefactError`, and the
+    errors of the registry of robots.
     """
     if isinstance(source, Mapping):
         return {name: _dynamics(one) for name, one in source.items()}
@@ -84,7 +84,8 @@ def load_members(source: Source | Iterable[Source] | Mapping[str, Source]) -> di
             files = sorted(folder.glob("*.json"))
             if not files or is_stored_dataset(folder):
                 raise InvalidArgument(
-                    f"environment: no model is stored in {folder}; in a run they stand in the folder models"
+                    f"environment: no model is stored in {folder}: give the folder 'models' of a run, or the file of "
+                    "a model"
                 )
             return {file.stem: _dynamics(file) for file in files}
         return {_name_of(source): _dynamics(source)}
@@ -100,8 +101,8 @@ def _dynamics(source: Source) -> Dynamics:
     dynamics: Dynamics | None = make_robot(str(source)).dynamics
     if dynamics is None:
         raise InvalidArgument(
-            f"environment: {str(source)!r} is no emulated robot: its equations are not known. "
-            "Name the file of a model, or a robot that exists as a program"
+            f"environment: {str(source)!r} is not an emulated robot, so it has no equations: give an emulated robot "
+            "or the file of a model"
         )
     return dynamics
 
@@ -118,7 +119,7 @@ ENVIRONMENTS: Mapping[str, tuple[str, str]] = {
     "sysid_evo/SetPoint-v0": ("thermal", "set_point"),
     "sysid_evo/TrackReference-v0": ("thermal", "track_reference"),
 }
-"""The emulated robot and the task behind each name; both can be given to `gymnasium.make` instead."""
+"""Emulated robot and task of each environment; `gymnasium.make` also accepts ``model`` and ``task``."""
 
 
 for _name, (_robot, _at) in ENVIRONMENTS.items():

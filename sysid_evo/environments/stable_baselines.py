@@ -16,19 +16,19 @@ except ModuleNotFoundError as error:
 
 
 class StableBaselinesEnv(VecEnv):
-    """The environment of `make_vector_env` for Stable-Baselines3: a copy that has ended is reset at once.
+    """The environment of `make_vector_env` for Stable-Baselines3; a copy whose episode ended is reset at once.
 
-    The last observation of an episode is in ``infos`` as ``terminal_observation``, its reward and length as
+    ``infos`` holds the last observation of an episode as ``terminal_observation``, its reward and length as
     ``episode``.
     """
 
     def __init__(self, env: ModelVectorEnvironment) -> None:
-        self.env, self.rewards = env, np.zeros(env.num_envs)  # the base asks it at once
+        self.env, self.rewards = env, np.zeros(env.num_envs)  # used by the constructor of the base
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self.lengths = np.zeros(env.num_envs, dtype=int)
 
     def reset(self) -> Any:
-        given, self._seeds = self._seeds, [None] * self.num_envs  # those that `seed` asked for
+        given, self._seeds = self._seeds, [None] * self.num_envs  # set by `seed`
         self.rewards[:], self.lengths[:] = 0.0, 0
         return self.env.reset(seed=None if None in given else given)[0]
 
@@ -36,15 +36,15 @@ class StableBaselinesEnv(VecEnv):
         self.actions = actions
 
     def step_wait(self) -> Any:
-        observation, reward, over, late, _ = self.env.step(self.actions)
-        ended = over | late
+        observation, reward, terminated, truncated, _ = self.env.step(self.actions)
+        ended = terminated | truncated
         self.rewards, self.lengths = self.rewards + reward, self.lengths + 1
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if ended.any():
             for i in np.flatnonzero(ended):
                 infos[i] = {
                     "terminal_observation": observation[i].copy(),
-                    "TimeLimit.truncated": bool(late[i] and not over[i]),
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                     "episode": {"r": self.rewards[i], "l": self.lengths[i], "t": 0.0},
                 }
             self.rewards[ended], self.lengths[ended] = 0.0, 0

@@ -1,4 +1,4 @@
-"""Controllers written out as files that need nothing of this package."""
+"""Export of controllers as files that do not depend on this package."""
 
 from sysid_evo.export.c_file import c_text
 from sysid_evo.export.exported_controller import ExportedController, Real, exported_controller

@@ -1,4 +1,4 @@
-"""A controller as a C99 file without allocation, for a microcontroller."""
+"""Export of a controller as a C99 file without allocation, for a microcontroller."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FUNCTIONS = {"tanh": "tanh", "abs": "fabs", "round": "rint", "sqrt": "sqrt", "si
 TEMPLATE = """\
 /* {origin}
  *
- * C99 in {real} precision; no allocation, no input or output, nothing but <math.h>.
+ * C99 in {real} precision; no allocation, no input or output, no library but <math.h>.
  *
  * Observations, in this order:
 {observations}
@@ -39,8 +39,8 @@ TEMPLATE = """\
  *     {name}_reset(&memory);                      before every run
  *     {name}_step(&memory, observation, control); every {dt:g} s
  *
- * Declare these in your program (they stand below). To check the file against the controller that it was
- * written from:  cc -std=c99 -DTEST_{upper} {file} -lm -o check && ./check
+ * Declare these in your program (declarations below). To check this file against the original controller:
+ *     cc -std=c99 -DTEST_{upper} {file} -lm -o check && ./check
  */
 
 #include <math.h>
@@ -51,7 +51,7 @@ typedef {real} {name}_real;
 enum {{ {upper}_OBSERVATIONS = {n}, {upper}_CONTROLS = {nu} }};
 #define {upper}_DT {dt!r} /* s */
 
-/* What it remembers from one sample to the next. */
+/* Memory of the controller from one sample to the next. */
 typedef struct {name}_memory {{
 {memory}
 }} {name}_memory;
@@ -60,13 +60,13 @@ void {name}_reset({name}_memory *memory);
 void {name}_step({name}_memory *memory, const {name}_real observation[{n}], {name}_real control[{nu}]);
 
 {tables}
-{dot}/* Forget what was seen so far. */
+{dot}/* Reset the memory before a run. */
 void {name}_reset({name}_memory *memory)
 {{
 {reset}
 }}
 
-/* Decide on the controls of this sample. */
+/* Compute the controls of this sample. */
 void {name}_step({name}_memory *memory, const {name}_real observation[{n}], {name}_real control[{nu}])
 {{
 {statements}
@@ -97,7 +97,7 @@ int main(void)
 #endif
 """
 DOT = """\
-/* The sum of products of a row of weights and a vector. */
+/* Dot product of a row of weights and a vector. */
 static {name}_real dot(const {name}_real *weights, const {name}_real *vector, size_t n)
 {{
     {name}_real total = {zero};
@@ -109,21 +109,21 @@ static {name}_real dot(const {name}_real *weights, const {name}_real *vector, si
 """
 
 
-def c_text(law: ExportedController, real: Real = "double", file: str = "") -> str:
-    """Return the text of the file, which will be called ``file``."""
-    return _CWriter(law, real).text(file or f"{law.name}.c")
+def c_text(controller: ExportedController, real: Real = "double", file: str = "") -> str:
+    """Return the text of the C file called ``file``."""
+    return _CWriter(controller, real).text(file or f"{controller.name}.c")
 
 
 class _CWriter:
-    """Writes one law in one precision."""
+    """Writer of one controller in one precision."""
 
-    def __init__(self, law: ExportedController, real: Real) -> None:
-        self.law, self.real = law, real
-        self.name, self.suffix = law.name, "f" if real == "float" else ""
+    def __init__(self, controller: ExportedController, real: Real) -> None:
+        self.controller, self.real = controller, real
+        self.name, self.suffix = controller.name, "f" if real == "float" else ""
 
     def text(self, file: str) -> str:
-        law, name = self.law, self.name
-        program, constants = law.program, law.program.constants()
+        controller, name = self.controller, self.name
+        program, constants = controller.program, controller.program.constants()
         sizes = {key: value.size for key, value in program.remembered.items()}
         statements = [line for statement in program.statements for line in self.statement(statement)]
         for key, value in program.remembered.items():
@@ -132,30 +132,33 @@ class _CWriter:
             statements.append("(void)memory;")
         if not any(OBSERVATION in line for line in statements):
             statements.append(f"(void){OBSERVATION};")
-        statements += [f"control[{i}] = {control.name};" for i, control in enumerate(law.controls)]
+        statements += [f"control[{i}] = {control.name};" for i, control in enumerate(controller.controls)]
         reset = [line for key, n in sizes.items() for line in self.each(n, f"memory->{key}[{{i}}] = {self.number(0)};")]
         wants_dot = any(
             isinstance(part, Dot) and part.of.size > 1 for s in program.statements for part in parts_of(s.expression)
         )
-        vectors = [self.table("TEST_OBSERVATIONS", law.seen), self.table("TEST_CONTROLS", law.decided)]
+        vectors = [
+            self.table("TEST_OBSERVATIONS", controller.test_observations),
+            self.table("TEST_CONTROLS", controller.test_controls),
+        ]
         return TEMPLATE.format(
-            origin="\n * ".join(law.origin),
+            origin="\n * ".join(controller.origin),
             real=self.real,
-            observations="\n".join(f" *     {row}" for row in law.rows(law.observations)),
-            controls="\n".join(f" *     {row}" for row in law.rows(law.system.controls)),
+            observations="\n".join(f" *     {row}" for row in controller.rows(controller.observations)),
+            controls="\n".join(f" *     {row}" for row in controller.rows(controller.system.controls)),
             name=name,
             upper=name.upper(),
             file=file,
-            dt=law.system.dt,
-            n=len(law.observations),
-            nu=law.system.nu,
+            dt=controller.system.dt,
+            n=len(controller.observations),
+            nu=controller.system.nu,
             memory="\n".join(f"    {name}_real {key}[{n}];" for key, n in sizes.items()) or "    char nothing;",
             tables="\n".join(self.table(key, values) for key, values in constants.items()),
             dot=DOT.format(name=name, zero=self.number(0)) if wants_dot else "",
             reset=_indented(reset or ["memory->nothing = 0;"]),
             statements=_indented(statements),
             vectors="\n".join(vectors),
-            samples=len(law.seen),
+            samples=len(controller.test_observations),
             fabs=f"fabs{self.suffix}",
             tolerance=self.number(1e-9 if self.real == "double" else 1e-3),
         )
@@ -180,7 +183,7 @@ class _CWriter:
         return f"static const {kind} {key}[{len(values)}][{values.shape[1]}] = {{\n{rows}}};\n"
 
     def each(self, n: int, line: str) -> list[str]:
-        """Return ``line`` for one element, or in a loop over n."""
+        """Return ``line`` for one element, or a loop over n elements."""
         if n == 1:
             return [line.replace("{i}", "0")]
         return [f"for (size_t i = 0; i < {n}; ++i)", f"    {line.replace('{i}', 'i')}"]
@@ -197,7 +200,7 @@ class _CWriter:
         return [*remark, declared, *self.each(n, f"{statement.name}[{{i}}] = {value};")]
 
     def element(self, e: Expression) -> str:
-        """Return element i of an expression, or the only one."""
+        """Return element i of an expression, or its only element."""
         match e:
             case Number():
                 return self.number(e.value) if e.value >= 0.0 else f"({self.number(e.value)})"
@@ -225,12 +228,12 @@ class _CWriter:
                 raise TypeError(f"export: expected an expression, got {type(e).__name__}")
 
     def inside(self, e: Expression) -> str:
-        """Return element i of a part of a sum or product."""
+        """Return element i of an operand of a sum or product, with brackets if needed."""
         plain = isinstance(e, Binary) and e.operator not in FUNCTIONS
         return f"({self.element(e)})" if plain else self.element(e)
 
     def at(self, e: Variable, place: str | None) -> str:
-        """Return an element of a variable; all of it without a place."""
+        """Return one element of a variable, or the variable itself without a ``place``."""
         array = e.remembered or e.name == OBSERVATION
         name = f"memory->{e.name}" if e.remembered else e.name
         if place is None:

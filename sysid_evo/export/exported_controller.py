@@ -1,4 +1,4 @@
-"""A champion as what is written into a file: its program down to legal controls, test vectors, what numbers mean."""
+"""Content of an exported file: the program from observations to legal controls, names, units, and test vectors."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from sysid_evo.types import Array
 Real: TypeAlias = Literal["float", "double"]
 
 VECTORS = 20
-"""Samples in the test vectors of a file."""
+"""Number of samples in the test vectors of a file."""
 ATTEMPTS = 50
 
 
 @dataclass(frozen=True)
 class ExportedController:
-    """A controller that was evolved, ready to be written.
+    """An evolved controller with all data of an exported file.
 
-    ``formulas`` say how observations are computed, where their names do not. ``program`` goes from the observations
-    to the ``controls`` (names of its statements, one for each control of ``system``). ``seen`` (T, n) and ``decided``
-    (T, nu) are its test vectors: one run from the memory's start.
+    ``formulas`` explain observations whose names do not. ``program`` computes the ``controls`` (variables, one for each
+    control of ``system``) from the observations. ``test_observations`` (T, n) and ``test_controls`` (T, nu) are the
+    test vectors: one run from the initial memory.
     """
 
     champion: Champion
@@ -39,30 +39,30 @@ class ExportedController:
     formulas: Mapping[str, str]
     program: Program
     controls: tuple[Variable, ...]
-    seen: Array
-    decided: Array
+    test_observations: Array
+    test_controls: Array
     called: str = ""
 
     @property
     def name(self) -> str:
-        """What it is ``called``, by default the champion's name, as an identifier."""
+        """The name ``called``, by default the champion's name, as an identifier."""
         name = _identifier(self.called or self.champion.name).strip("_").lower()
         return name if name[:1].isalpha() else f"controller_{name}".rstrip("_")
 
     @property
     def origin(self) -> tuple[str, ...]:
-        """Where it comes from, in a few lines."""
+        """Controller, task and models of its evolution, in a few lines."""
         champion = self.champion
         against = ", ".join(champion.against) or "nothing"
         lines = (
             f"controller {champion.name!r}: {champion.controller.text}",
             f"task {champion.task.text}, evolved against {against} ({champion.aggregate})",
-            f"Call it once every {self.system.dt:g} s.",
+            f"Call it every {self.system.dt:g} s.",
         )
         return tuple(_harmless(line) for line in lines)
 
     def rows(self, channels: tuple[Channel, ...]) -> list[str]:
-        """Return a line for each channel: its place, name, and its formula, or unit and legal values."""
+        """Return a line for each channel: index, name, and formula, or unit and legal values."""
         width = max((len(channel.name) for channel in channels), default=0)
         texts = [self.formulas.get(channel.name) or _legal(channel) for channel in channels]
         return [
@@ -72,40 +72,41 @@ class ExportedController:
 
 
 def exported_controller(champion: Champion) -> ExportedController:
-    """Return ``champion`` ready to be written. Raises `InvalidArgument` for one that cannot be."""
+    """Return the exported form of ``champion``. Raises `InvalidArgument` if it cannot be exported."""
     if champion.system is None:
-        raise InvalidArgument(f"export: {champion.name!r} is somebody who drives by hand, not a controller")
+        raise InvalidArgument(f"export: {champion.name!r} is a human driver; only controllers can be exported")
     system = champion.system
     task = make_task(champion.task).bind(system)
     controller = make_controller(champion.controller).bind_to(task)
     program = controller.program(champion.parameters)
     if program is None:
         raise InvalidArgument(
-            f"export: a controller {champion.controller.name!r} cannot be written as a file of its own: "
-            f"{controller.not_exportable}. The controllers recurrent, feed_forward, constant, linear, lqr, pid, policy "
-            "and pursuit can"
+            f"export: a controller {champion.controller.name!r} cannot be exported: {controller.not_exportable}. "
+            "Controllers that can: recurrent, feed_forward, constant, linear, lqr, pid, policy, pursuit"
         )
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))
     controls = tuple(statement.value for statement in actuated)
-    seen = _observations(whole, controls, task.observations)
-    decided = decided_by(controller, champion, task, seen)
-    return ExportedController(champion, system, task.observations, task.formulas(), whole, controls, seen, decided)
+    test_observations = _observations(whole, controls, task.observations)
+    test_controls = expected_controls(controller, champion, task, test_observations)
+    return ExportedController(
+        champion, system, task.observations, task.formulas(), whole, controls, test_observations, test_controls
+    )
 
 
-def decided_by(controller: Controller, champion: Champion, task: Task, seen: Array) -> Array:
-    """Return the controls (T, nu) of a bound controller on observations (T, n), one after the other."""
+def expected_controls(controller: Controller, champion: Champion, task: Task, test_observations: Array) -> Array:
+    """Return the controls (T, nu) of a bound controller for a sequence of observations (T, n)."""
     memory, controls = np.zeros((1, 1, controller.n_memory)), []
-    nobody = TaskState(np.empty((0, 0)), np.empty((0, 0)), np.empty(0, dtype=bool))
-    for row in seen:
-        view = View(row[None, None], np.zeros((1, 1, task.system.nx)), nobody)
+    empty = TaskState(np.empty((0, 0)), np.empty((0, 0)), np.empty(0, dtype=bool))
+    for row in test_observations:
+        view = View(row[None, None], np.zeros((1, 1, task.system.nx)), empty)
         raw, memory = controller.act(champion.parameters[None], memory, view)
         controls.append(task.system.actuate(raw[0, 0]))
     return np.array(controls)
 
 
 def _actuations(program: Program, system: System) -> list[Statement]:
-    """Return a statement for each control that does what `System.actuate` does."""
+    """Return a statement for each control that computes `System.actuate`."""
     system.actuate(np.zeros(system.nu))  # raises for a control that has neither limits nor levels
     made = []
     for i, channel in enumerate(system.controls):
@@ -123,7 +124,7 @@ def _actuations(program: Program, system: System) -> list[Statement]:
 
 
 def _observations(program: Program, controls: tuple[Variable, ...], channels: tuple[Channel, ...]) -> Array:
-    """Return observations (T, n) on which single and double precision decide alike."""
+    """Return observations (T, n) for which single and double precision give the same controls."""
     for seed in range(ATTEMPTS):
         rng = np.random.default_rng(seed)
         columns = [
@@ -134,25 +135,25 @@ def _observations(program: Program, controls: tuple[Variable, ...], channels: tu
             else channel.neutral + rng.standard_normal(VECTORS)
             for channel in channels
         ]
-        seen = np.round(np.stack(columns, axis=1), 3)
-        exact, single = (_run(program, controls, seen.astype(real)) for real in (np.float64, np.float32))
+        test_observations = np.round(np.stack(columns, axis=1), 3)
+        exact, single = (_run(program, controls, test_observations.astype(real)) for real in (np.float64, np.float32))
         if np.allclose(exact, single, rtol=1e-4, atol=1e-4):
             break
-    return seen
+    return test_observations
 
 
-def _run(program: Program, controls: tuple[Variable, ...], seen: Array) -> Array:
+def _run(program: Program, controls: tuple[Variable, ...], test_observations: Array) -> Array:
     only = [Program(program.statements, control, program.remembered) for control in controls]
-    memory, decided = program.begin(), []
-    for row in seen:
+    memory, test_controls = program.begin(), []
+    for row in test_observations:
         results = [one.run(row, memory) for one in only]
-        decided.append([float(value[0]) for value, _ in results])
+        test_controls.append([float(value[0]) for value, _ in results])
         memory = results[0][1]
-    return np.array(decided)
+    return np.array(test_controls)
 
 
 def _harmless(line: str) -> str:
-    """Return ``line`` so that it ends no comment and no text in any of the languages."""
+    """Return ``line`` without characters that would end a comment or a string in one of the languages."""
     line = "".join(character if character.isprintable() else " " for character in line)
     return line.replace("\\", "/").replace('"', "'").replace("*/", "* /").replace("/*", "/ *")
 

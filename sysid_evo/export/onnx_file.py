@@ -1,4 +1,4 @@
-"""A controller as an ONNX model, with the library ``onnx``."""
+"""Export of a controller as an ONNX model, with the library ``onnx``."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 
 
 OPSET, IR_VERSION = 17, 8
-"""Versions that runtimes have understood since 2022."""
+"""Versions that runtimes have supported since 2022."""
 OPERATORS = {
     "+": "Add", "-": "Sub", "*": "Mul", "/": "Div", "min": "Min", "max": "Max", ">": "Greater",
     ">=": "GreaterOrEqual", "tanh": "Tanh", "abs": "Abs", "round": "Round", "sqrt": "Sqrt", "sin": "Sin",
 }  # fmt: skip
 
 
-def onnx_bytes(law: ExportedController, real: Real = "double") -> bytes:
+def onnx_bytes(controller: ExportedController, real: Real = "double") -> bytes:
     """Return the content of the file. Raises `MissingExtra` without the library onnx.
 
-    Its inputs are ``observation`` (n,) and ``memory_NAME`` of each vector that is remembered, zeros at first; its
-    outputs are ``control`` (nu,) and ``next_NAME``, the memory for the next sample.
+    The inputs are ``observation`` (n,) and ``memory_NAME`` for each memory vector, zeros at first. The outputs are
+    ``control`` (nu,) and ``next_NAME``, the memory for the next sample.
     """
     try:
-        import onnx  # noqa: F401  # told here in one sentence, not from within
+        import onnx  # noqa: F401  # raises here, with a clear error
     except ModuleNotFoundError as error:
         raise missing_extra("export --to onnx", error.name) from error
-    return _Graph(real).model(law).SerializeToString()
+    return _Graph(real).model(controller).SerializeToString()
 
 
 class _Graph:
-    """Collects the nodes and tables of one law."""
+    """Nodes and tables of one controller."""
 
     def __init__(self, real: Real) -> None:
         from onnx import TensorProto
@@ -60,34 +60,34 @@ class _Graph:
         self.nodes: list[onnx.NodeProto] = []
         self.tables: dict[str, onnx.TensorProto] = {}
 
-    def model(self, law: ExportedController) -> onnx.ModelProto:
+    def model(self, controller: ExportedController) -> onnx.ModelProto:
         from onnx import checker, helper
 
-        program = law.program
+        program = controller.program
         for statement in program.statements:
             whole = np.zeros(statement.expression.size)
             self.node("Add", self.result(statement.expression), self.table("", whole), name=statement.name)
-        self.node("Concat", *(control.name for control in law.controls), name="control", axis=0)
-        inputs, outputs = [(OBSERVATION, len(law.observations))], [("control", law.system.nu)]
+        self.node("Concat", *(control.name for control in controller.controls), name="control", axis=0)
+        inputs, outputs = [(OBSERVATION, len(controller.observations))], [("control", controller.system.nu)]
         for name, value in program.remembered.items():
             self.node("Identity", value.name, name=f"next_{name}")
             inputs.append((f"memory_{name}", value.size))
             outputs.append((f"next_{name}", value.size))
         graph = helper.make_graph(
             self.nodes,
-            law.name,
+            controller.name,
             [helper.make_tensor_value_info(name, self.kind, [n]) for name, n in inputs],
             [helper.make_tensor_value_info(name, self.kind, [n]) for name, n in outputs],
             list(self.tables.values()),
-            doc_string="\n".join(law.origin),
+            doc_string="\n".join(controller.origin),
         )
         opset = [helper.make_opsetid("", OPSET)]
         model = helper.make_model(graph, opset_imports=opset, producer_name="sysid-evo")
         model.ir_version = IR_VERSION
         described = {
-            "dt": repr(law.system.dt),
-            "observations": json.dumps(law.rows(law.observations)),
-            "controls": json.dumps(law.rows(law.system.controls)),
+            "dt": repr(controller.system.dt),
+            "observations": json.dumps(controller.rows(controller.observations)),
+            "controls": json.dumps(controller.rows(controller.system.controls)),
         }
         helper.set_model_props(model, described)
         checker.check_model(model, full_check=True)

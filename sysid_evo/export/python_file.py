@@ -1,4 +1,4 @@
-"""A controller as a Python file that needs NumPy only."""
+"""Export of a controller as a Python file that needs NumPy only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sysid_evo.export.exported_controller import ExportedController
 from sysid_evo.types import Array
 
 SUM, PRODUCT, ATOM = 1, 2, 3
-"""How tightly an expression binds."""
+"""Precedence of expressions."""
 
 TEMPLATE = '''\
 """{origin}
@@ -34,7 +34,7 @@ Controls, in this order:
     control = controller.step(observation)  # every {dt:g} s
     controller.reset()                      # before another run
 
-Run this file to check it against the controller that it was written from.
+Run this file to check it against the original controller.
 """
 
 import numpy as np
@@ -47,13 +47,13 @@ CONTROLS = {control_names}
 
 
 class Controller:
-    """The control law; it needs NumPy only."""
+    """The controller; it needs NumPy only."""
 
     def __init__(self):
         self.reset()
 
     def reset(self):
-        """Forget what was seen so far."""
+        """Reset the memory before a run."""
 {reset}
 
     def step(self, observation):
@@ -76,9 +76,9 @@ if __name__ == "__main__":
 '''
 
 
-def python_text(law: ExportedController) -> str:
-    """Return the text of the file."""
-    program = law.program
+def python_text(controller: ExportedController) -> str:
+    """Return the text of the Python file."""
+    program = controller.program
     tables = "\n".join(f"{name} = {_table(values)}" for name, values in program.constants().items())
     reset = [f"self.{name} = np.zeros({value.size})" for name, value in program.remembered.items()]
     statements = []
@@ -91,20 +91,23 @@ def python_text(law: ExportedController) -> str:
         statements.append(f"{statement.name} = {text}{remark}")
     after = [f"self.{name} = {value.name}" for name, value in program.remembered.items()]
     return TEMPLATE.format(
-        origin="\n".join(law.origin),
-        observations=_indented(law.rows(law.observations), 4),
-        controls=_indented(law.rows(law.system.controls), 4),
-        dt=law.system.dt,
-        observation_names=tuple(channel.name for channel in law.observations),
-        control_names=law.system.control_names,
+        origin="\n".join(controller.origin),
+        observations=_indented(controller.rows(controller.observations), 4),
+        controls=_indented(controller.rows(controller.system.controls), 4),
+        dt=controller.system.dt,
+        observation_names=tuple(channel.name for channel in controller.observations),
+        control_names=controller.system.control_names,
         tables=tables,
         reset=_indented(reset or ["pass"], 8),
-        n=len(law.observations),
-        nu=law.system.nu,
+        n=len(controller.observations),
+        nu=controller.system.nu,
         statements=_indented(statements, 8),
         after=_indented(after, 8) + "\n" if after else "",
-        results=", ".join(control.name for control in law.controls),
-        vectors=f"TEST_OBSERVATIONS = {_table(law.seen)}\nTEST_CONTROLS = {_table(law.decided)}",
+        results=", ".join(control.name for control in controller.controls),
+        vectors=(
+            f"TEST_OBSERVATIONS = {_table(controller.test_observations)}\n"
+            f"TEST_CONTROLS = {_table(controller.test_controls)}"
+        ),
     )
 
 
@@ -120,7 +123,7 @@ def _table(values: Array) -> str:
 
 
 def _text(e: Expression) -> tuple[str, int]:
-    """Return an expression in Python, and how tightly it binds."""
+    """Return an expression in Python, and its precedence."""
     match e:
         case Number():
             return (repr(e.value), ATOM) if e.value >= 0.0 else (f"({e.value!r})", ATOM)
@@ -144,10 +147,10 @@ def _text(e: Expression) -> tuple[str, int]:
         case Binary() if e.operator in ("min", "max"):
             return f"np.{e.operator}imum({_text(e.left)[0]}, {_text(e.right)[0]})", ATOM
         case Binary():
-            binds = SUM if e.operator in "+-" else PRODUCT
-            (left, of_left), (right, of_right) = _text(e.left), _text(e.right)
-            left = f"({left})" if of_left < binds else left
-            loose = of_right < binds or (of_right == binds and (e.operator in "-/" or isinstance(e.right, Dot)))
-            return f"{left} {e.operator} {f'({right})' if loose else right}", binds
+            own = SUM if e.operator in "+-" else PRODUCT
+            (left, left_precedence), (right, right_precedence) = _text(e.left), _text(e.right)
+            left = f"({left})" if left_precedence < own else left
+            equal = right_precedence == own and (e.operator in "-/" or isinstance(e.right, Dot))
+            return f"{left} {e.operator} {f'({right})' if right_precedence < own or equal else right}", own
         case _:
             raise TypeError(f"export: expected an expression, got {type(e).__name__}")

@@ -154,7 +154,7 @@ def test_an_episode_of_an_ensemble_is_on_a_member_drawn_from_the_seed(envs, ense
     assert set(members) == {"linear", "neighbours"}
     assert members == [env.reset(seed=seed)[1]["member"] for seed in range(12)]
     assert env.reset(options={"member": "linear"})[1]["member"] == "linear"
-    with pytest.raises(InvalidArgument, match="no member is called 'x': linear, neighbours"):
+    with pytest.raises(InvalidArgument, match="expected a member among linear, neighbours, got 'x'"):
         env.reset(options={"member": "x"})
 
 
@@ -221,7 +221,7 @@ def test_models_are_found_by_path_by_folder_and_as_several(envs, ensemble, linea
     for folder in (tmp_path / "..", stored_data):
         with pytest.raises(InvalidArgument, match="no model is stored in"):
             envs.members_of(folder)
-    with pytest.raises(InvalidArgument, match="is no emulated robot"):
+    with pytest.raises(InvalidArgument, match="is not an emulated robot"):
         envs.members_of("serial")
     with pytest.raises(IncompatibleSystem, match="car and swing differ"):
         envs.make_env({"car": ExampleDynamics(switched_car()), "swing": ExampleDynamics(pendulum())}, TASK)

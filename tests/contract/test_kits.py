@@ -167,7 +167,7 @@ def test_a_task_that_no_system_fits_says_why(register):
 
 
 def test_a_reader_is_not_checked_without_a_file(tmp_path):
-    with pytest.raises(InvalidArgument, match="reader 'csv': expected a file of its kind at .*, found none"):
+    with pytest.raises(InvalidArgument, match=r"reader 'csv': expected a file of its kind at .*, found none"):
         check_reader("csv", tmp_path / "nothing.csv")
 
 

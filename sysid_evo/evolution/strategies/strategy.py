@@ -103,7 +103,7 @@ class EvolutionStrategy(ABC):
         fitness = check_shape("fitness", fitness, (len(population),))
         if np.isnan(fitness).any():
             raise InvalidArgument(
-                f"fitness: expected a number for every candidate, got nan for candidate {int(np.isnan(fitness).argmax())}"
+                f"expected a fitness for every candidate, got nan for candidate {int(np.isnan(fitness).argmax())}"
             )
         described = (len(population), len(self.behaviour_names))
         given = np.empty((len(population), 0)) if behaviour is None or not self.behaviour_names else behaviour
