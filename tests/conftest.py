@@ -109,7 +109,7 @@ def pytest_runtest_call(item):
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    """Say which unit tests take too long."""
+    """Report unit tests that take too long."""
     for report in terminalreporter.stats.get("passed", ()):
         seconds = dict(report.user_properties).get("processor seconds", 0.0)
         if report.when == "call" and seconds > UNIT_LIMIT:
@@ -174,7 +174,7 @@ def visitor(browser):
 
 @pytest.fixture(scope="session")
 def recordings():
-    """The folder with recordings of real cars, from SYSID_EVO_DATA or beside the project."""
+    """The folder with recordings of real cars, from SYSID_EVO_DATA or next to the project."""
     path = Path(os.environ.get("SYSID_EVO_DATA", TESTS.parents[1] / "shared" / "data"))
     if not path.is_dir():
         pytest.skip(f"no recordings at {path}: set SYSID_EVO_DATA to the folder that holds them")

@@ -1,6 +1,6 @@
 """What shape the four packages have: ``python -m tests.layout [--list]`` prints the measures that the tests keep.
 
-Imports are counted wherever they stand: at the top, in functions, and for type checking.
+All imports are counted: at the top, in functions, and for type checking.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def trees() -> dict[str, ast.Module]:
 
 @cache
 def import_statements(module: str) -> list[tuple[ast.Import | ast.ImportFrom, bool]]:
-    """Return every import in ``module`` and whether it stands in a function; expressions are not searched."""
+    """Return every import in ``module`` and whether it is in a function; expressions are not searched."""
     found, rest = [], [(statement, False) for statement in trees()[module].body]
     while rest:
         node, inside = rest.pop()
@@ -71,7 +71,7 @@ def lines_of(file: Path) -> int:
 
 
 def imports(module: str) -> Iterator[tuple[str, bool]]:
-    """Yield each module of the four packages that ``module`` imports, and whether the import stands at its top."""
+    """Yield each module of the four packages that ``module`` imports, and whether the import is at its top."""
     top = {id(node) for node in trees()[module].body}
     for node, _ in import_statements(module):
         names = names_in(node)

@@ -204,7 +204,7 @@ def drawn(changes: Iterable[Change], lines: int, seed: str) -> list[Change]:
 
 
 class Imports:
-    """What imports what in the tree ``root``, as the text says, and so which tests are near to a module."""
+    """The imports in the source tree ``root``, and from them the tests that are near to a module."""
 
     def __init__(self, root: Path) -> None:
         packages = [file.parent for file in root.glob("*/__init__.py")] + [root / "tests"]
@@ -222,7 +222,7 @@ class Imports:
 
     @staticmethod
     def _tree(file: Path) -> ast.Module:
-        stub = file.with_suffix(".pyi")  # what a package that loads lazily passes on stands there
+        stub = file.with_suffix(".pyi")  # lists the names of a package that loads lazily
         tree = ast.parse((stub if stub.is_file() else file).read_bytes())
         tree.body = [node for node in tree.body if not (isinstance(node, ast.If) and _unseen(node))]
         return tree
@@ -266,7 +266,7 @@ class Imports:
         return found | {"plugin " + re.split(r"\W", text)[0] for text in texts}
 
     def tests_of(self, file: str) -> list[str]:
-        """Return the modules of tests that import the module ``file``, those first between which few others stand.
+        """Return the modules of tests that import the module ``file``, those first that import it most directly.
 
         Last come those that run the commands, which import as they run.
         """
@@ -365,7 +365,7 @@ class Tree:
         return json.loads(answer.read_text()) if answer.is_file() else None
 
     def _enter(self, cache: str) -> None:
-        """Let this process, and those it starts, import from the copy and write beside it."""
+        """Let this process, and those it starts, import from the copy and write next to it."""
         os.dup2(os.open(self.folder.with_suffix(".txt"), os.O_CREAT | os.O_TRUNC | os.O_RDWR), 1)
         os.dup2(1, 2)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
@@ -459,7 +459,7 @@ def try_all(root: Path, changes: Sequence[Change], jobs: int) -> list[str]:
 
 
 def product(root: Path, named: Iterable[str]) -> list[str]:
-    """Return the modules with content at these files and folders; "." stands for all."""
+    """Return the modules with content at these files and folders; "." means all."""
     packages = {file.parent.name for file in root.glob("*/__init__.py")} - {"tests"}
     files = {file.relative_to(root) for name in named for file in [root / name, *(root / name).rglob("*.py")]}
     files = {file for file in files if file.suffix == ".py" and file.stem != "__init__" and file.parts[0] in packages}

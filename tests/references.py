@@ -129,7 +129,7 @@ def learned(family: str, robot: str) -> Found:
 
 
 def simulated(model: Any, dataset: Dataset) -> np.ndarray:
-    """Return free runs (B, WINDOW + 1, nx) from the first steps of the longer episodes."""
+    """Return simulations (B, WINDOW + 1, nx) from the first steps of the longer episodes."""
     lags = model.n_lags
     long = [one for one in dataset.episodes if len(one.controls) >= lags + WINDOW]
     return np.asarray(
@@ -226,7 +226,7 @@ def flat(where: str, value: Any) -> Found:
 
 
 def jobs() -> Iterator[tuple[Callable[..., Found], tuple[str, ...]]]:
-    """Yield every piece of work, the longest first."""
+    """Yield every job, the longest first."""
     yield report, ("",)
     yield from ((fitness, (robot,)) for robot in DRIVEN)
     yield from ((champion, (name,)) for name in CHAMPIONS)
@@ -235,7 +235,7 @@ def jobs() -> Iterator[tuple[Callable[..., Found], tuple[str, ...]]]:
 
 
 def measured(processes: int, only: str) -> Found:
-    """Do all the work whose name holds ``only``, side by side; what fails is a text that says so."""
+    """Run all jobs whose name contains ``only``, in parallel; the result of a failed job is its error text."""
     found: Found = {}
     progress = Console(stderr=True)
     work = [job for job in jobs() if only in "/".join((job[0].__name__, *job[1]))]
@@ -248,7 +248,7 @@ def measured(processes: int, only: str) -> Found:
 
 
 def guarded(job: Callable[..., Found], names: tuple[str, ...]) -> tuple[Found, str]:
-    """Do one piece of work; an error in it is what was found."""
+    """Run one job; an error is its result."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -279,13 +279,13 @@ def write(found: Found, folder: Path) -> None:
 
 
 def read(folder: Path, renames: Mapping[str, str]) -> Found:
-    """Return what is stored, under the names of today. Raises `SystemExit` if an array is not what its digest says."""
+    """Return the stored values under their current names. Raises `SystemExit` if an array differs from its digest."""
     entries = json.loads((folder / FOLDER_FILES[0]).read_text(encoding="utf-8"))
     arrays = load_file(folder / FOLDER_FILES[1])
     found: Found = {key: entry["text"] if "text" in entry else arrays[key] for key, entry in entries.items()}
     damaged = [key for key, value in found.items() if digest(value) != entries[key]["sha256"]]
     if damaged:
-        raise SystemExit(f"{folder}: {len(damaged)} entries are not what their digests say, {damaged[0]} first")
+        raise SystemExit(f"{folder}: {len(damaged)} entries differ from their digests, first {damaged[0]}")
     return {
         renamed(key, renames): renamed(value, renames) if isinstance(value, str) else value
         for key, value in found.items()

@@ -1,4 +1,4 @@
-"""Recordings of two real cars and of the emulated one, each with the part that no fit sees, and errors over seeds."""
+"""Recordings of two real cars and of the emulated car, each with held-out data, and errors over seeds."""
 
 from __future__ import annotations
 

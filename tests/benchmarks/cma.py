@@ -1,15 +1,15 @@
-"""The CMA-ES of this project beside the library ``cma``: ``python -m tests.benchmarks.cma functions|speed|resume``.
+"""CMA-ES of this project compared with the library ``cma``: ``python -m tests.benchmarks.cma functions|speed|resume``.
 
-``functions``: evaluations until a target is reached, or the best value after a budget where the target is out of its
-reach, on four functions in 10, 40 and 170 dimensions. Both begin at the same point with the same population and sigma;
-``cma`` is otherwise as it comes. Prints medians, their ratio, and the p-value of a two-sided rank test (Mann and
-Whitney). ``--json FILE`` keeps every run, and a run that stands there already is not made again.
+``functions``: evaluations until a target is reached, or the best value after a budget if the target is not reached, on
+four functions in 10, 40 and 170 dimensions. Both start at the same point with the same population and sigma; other
+settings of ``cma`` are its defaults. Prints medians, their ratio, and the p-value of a two-sided rank test (Mann and
+Whitney). ``--json FILE`` stores all runs; a stored run is not repeated.
 
-``speed``: milliseconds of processor time of asking and telling, the two in turn in blocks of generations.
+``speed``: processor time in ms of `ask` and `tell`, measured in alternating blocks of generations.
 
 ``resume``: searches by ``cma_es`` and by ``niches`` whose process is killed after a random generation. Another process
-goes on from the checkpoint. Candidates, fitness and state at the end must be the same bit by bit as in a search that
-was not interrupted; exits 1 if they are not.
+resumes from the checkpoint. The final candidates, fitness and state must be bit-identical to those of a search without
+interruption; exit code 1 if they are not.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def functions(seeds: int, file: Path | None) -> Table:
 
 
 def speed(n: int, population: int, blocks: int, generations: int) -> Table:
-    """Return milliseconds a generation, and their ratio in blocks beside each other."""
+    """Return milliseconds per generation, and their ratio in neighbouring blocks."""
     luck = np.random.default_rng(0)
     searches = {who: kind(n, population, 3.0, 0.0, 1) for who, kind in KINDS.items()}
     taken: dict[str, list[float]] = {who: [] for who in KINDS}
@@ -266,7 +266,7 @@ class Interrupted:
                 os.kill(os.getpid(), signal.SIGKILL)
 
     def result(self, file: Path, killed_after: int | None = None) -> bytes:
-        """Return the last checkpoint of a search whose process is killed once, and another one goes on."""
+        """Return the last checkpoint of a search whose process is killed once and that another process resumes."""
         for moment in [None] if killed_after is None else [killed_after, None]:
             process = multiprocessing.get_context("spawn").Process(target=self.go_on, args=(file, moment))
             process.start()
@@ -285,7 +285,7 @@ def interruptions(times: int) -> Iterator[tuple[Interrupted, int]]:
 
 
 def resume(times: int) -> tuple[Table, bool]:
-    """Return how many searches of each strategy went on to the same result, and whether all did."""
+    """Return how many searches of each strategy ended with the same result, and whether all did."""
     same: dict[str, list[bool]] = {}
     for search, killed_after in interruptions(times):
         with tempfile.TemporaryDirectory() as folder:

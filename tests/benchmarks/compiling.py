@@ -1,7 +1,7 @@
-"""Which kernels a command compiles: ``python -m tests.benchmarks.compiling sysid-evo compare --preset quick``.
+"""List the kernels that a command compiles: ``python -m tests.benchmarks.compiling sysid-evo compare --preset quick``.
 
-The command is run with an empty cache. For every kernel: seconds from its source file to its compiled one, its lines,
-its precision, and the functions it is made of. The last line holds the processor seconds of the whole command.
+The command is run with an empty cache. For each kernel it prints the seconds of compilation, lines, precision and
+functions. The last line is the processor time of the whole command in s.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""How often 90 % intervals hold the truth after 1, 10, 20 and 60 steps, on recordings that no fit has seen.
+"""Coverage of 90 % intervals after 1, 10, 20 and 60 steps, on held-out recordings.
 
     python -m tests.benchmarks.coverage [FAMILY ...] [--preset quick] [--seeds 1] [--logs slippery_20hz emulated_car]
     python -m tests.benchmarks.coverage [FAMILY ...] --conditions cars emulated
 
-Every family is fitted with ``stochastic``; the share of the test set's moving targets inside the central 90 % of 100
-samples is printed for each horizon, over all channels and of each, with N of the run without noise and what fitting
-took. By default the families that give a spread and fit in seconds. With ``--conditions``, groups of
-`tests.benchmarks.shift`, each is fitted in one condition and tested in that and in others, before and after it was
-adapted to 30 s there.
+Every family is fitted with ``stochastic``. For each horizon the share of moving test targets inside the central 90 % of
+100 samples is printed, over all channels and for each, with N of the simulation without noise and the time of the fit.
+By default all families are used that give a spread and fit in seconds. With ``--conditions`` (groups of
+`tests.benchmarks.shift`) each family is fitted in one condition and tested in this and in others, before and after
+adaptation to 30 s of data.
 """
 
 from __future__ import annotations

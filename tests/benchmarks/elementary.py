@@ -1,6 +1,6 @@
-"""The polynomials of float32 kernels, fitted anew: ``python -m tests.benchmarks.elementary``.
+"""Fit of the polynomials of float32 kernels: ``python -m tests.benchmarks.elementary``.
 
-Prints the minimax coefficients, lowest power first, beside their largest error before rounding.
+Prints the minimax coefficients, lowest power first, and their largest error before rounding.
 """
 
 from __future__ import annotations

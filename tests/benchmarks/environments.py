@@ -1,11 +1,10 @@
-"""From Gymnasium alone: ``python -m tests.benchmarks.environments --out FOLDER``.
+"""Comparisons on Gymnasium environments: ``python -m tests.benchmarks.environments --out FOLDER``.
 
-The default comparison is made for each of ``--ids``, in a folder of its own in ``FOLDER`` (what stands there is not
-done again): the environment is recorded, models are fitted, controllers evolved in them and run in the environment.
-Beside the recommended controller stand what *one search* on the environment's own equations reaches, with as many
-generations and trials, and the *floor*, controls at rest. All run in the environment in the same ``--trials`` fresh
-trials. Prints what they achieve, and what the comparison took:
-processor seconds of this process, and seconds on the clock.
+The default comparison is made for each of ``--ids``, each in its own folder in ``FOLDER`` (finished comparisons are not
+repeated): the environment is recorded, models are fitted, controllers are evolved in them and run in the environment.
+The recommended controller is compared with *one search* on the environment's own equations, with the same number of
+generations and trials, and with *rest*, controls at rest. All run in the same ``--trials`` fresh trials of the
+environment. Prints the achieved fitness, the processor seconds of this process and the wall time of the comparison.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ EQUATIONS: Mapping[str, Callable[..., tuple[float, ...]]] = {
 
 
 class Equations(Dynamics):
-    """The equations of a classic environment, as they stand in Gymnasium."""
+    """The equations of a classic environment, as in Gymnasium."""
 
     def __init__(self, name: str, system: System) -> None:
         self.function, self.system, self.n_carry = EQUATIONS[name], system, system.nx
@@ -134,7 +133,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--trials", type=int, default=100)
     add_markdown(parser)
     given = parser.parse_args(arguments)
-    heads = ("environment", "achieved", "one search", "floor", "proc. s", "clock s")
+    heads = ("environment", "achieved", "one search", "rest", "proc. s", "clock s")
     table = Table(*heads, title=f"default comparison, seed {given.seed}, {given.trials} trials", box=None)
     table.columns[0].no_wrap = True
     for name in given.ids.split(","):

@@ -2,9 +2,8 @@
 
     python -m tests.benchmarks.grey_box [--logs slippery_20hz free_20hz emulated_car] [--seeds 1] [--parameters]
 
-N is the mean over channels of RMSE / standard deviation after 1, 10, 20 and 60 steps. The peer is a bicycle with
-Pacejka tyres that others would fit by hand, as it was measured once on the real cars. Times are of the processor; the
-first fit of a law also compiles it.
+N is the mean over channels of RMSE / standard deviation after 1, 10, 20 and 60 steps. The peer is a bicycle model with
+Pacejka tyres, fitted manually to the real cars. Times are processor times; the first fit of a law includes compilation.
 """
 
 from __future__ import annotations

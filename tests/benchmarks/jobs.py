@@ -1,14 +1,14 @@
-"""A comparison with one job, with several, and on Dask: ``python -m tests.benchmarks.jobs [--preset quick]``.
+"""A comparison with one job, with several jobs, and on Dask: ``python -m tests.benchmarks.jobs [--preset quick]``.
 
-Wall time and processor time of the whole command, of all its processes, from its start to the report, ``--repeats``
-times in turn, each in a fresh folder; the least of each counts. ``--jobs 1 2`` are the processes, ``--workers 2``
-those of a local Dask cluster, which is there before. ``again`` is the same command once more in that folder.
-``--before FOLDER`` is a checkout of an earlier state that is measured beside it, with the options it has. Other work
-on the machine lengthens the wall time, and the processor time a little. ``report.json`` must be the same for any number
-of jobs, apart from ``timings``: exits 1 if it is not. Further options, behind ``--``, are handed to ``compare``.
+Measures wall time and processor time of the whole command with all its processes, ``--repeats`` times in turn, each in
+a new folder; the minimum counts. ``--jobs 1 2`` are the numbers of processes, ``--workers 2`` those of a local Dask
+cluster that is already running. ``again`` is a second run of the same command in the same folder. ``--before FOLDER``
+is a checkout of an earlier version, measured in addition. Other work on the machine increases the wall time, and the
+processor time a little. ``report.json`` must be the same for any number of jobs, except ``timings``: exit code 1 if it
+is not. Options after ``--`` are passed to ``compare``.
 
-Below stands what a cost model needs: seconds and bytes of each kind of cell, what is sent to the workers in all, and
-what handing out a cell costs, measured on ``--cells`` cells that do nothing: processor time of all processes here, and
+Also prints the inputs of a cost model: seconds and bytes of each kind of cell, the amount of data sent to the workers,
+and the cost of distributing a cell, measured on ``--cells`` empty cells: processor time of all local processes, and
 wall time on a cluster.
 """
 
@@ -95,7 +95,7 @@ class Kind:
 
 @contextmanager
 def dask(workers: int) -> Iterator[Processes | None]:
-    """Have a local cluster of so many workers; none for 0."""
+    """Run a local cluster of ``workers`` workers; none for 0."""
     if not workers:
         yield None
         return
@@ -131,7 +131,7 @@ execute(planned(folder / "diary", *cells), Store(folder), jobs=int(sys.argv[2]))
 
 
 def short_cells(checkout: Path, jobs: int, cells: int) -> float:
-    """Return the processor time, in s, that ``cells`` which do nothing take with so many jobs, with all starts."""
+    """Return the processor time in s of ``cells`` empty cells with this number of jobs, including process starts."""
     with tempfile.TemporaryDirectory(prefix="sysid-evo-cells-") as folder:
         before = _processor()
         command = [sys.executable, "-c", SHORT, folder, str(jobs), str(cells)]

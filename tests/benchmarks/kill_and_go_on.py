@@ -1,16 +1,15 @@
-"""What is killed goes on to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10] [--repeats 0]``.
+"""Killed commands resume to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10] [--repeats 0]``.
 
-A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a fresh folder at
-``--times`` seeded random moments, going on in that folder each time, and is run to its end; then the same
-with two processes at once in one folder, both killed. ``report.json`` must be the same apart from ``timings``.
-Then a local Dask cluster of two workers computes it, of which one is killed at each moment, another taking its place;
-then the scheduler is, and the command goes on with another one. No finished cell may be computed twice.
-A long evolution by the recommended procedure is killed likewise; it goes on within its generations, to the same
-controllers in every byte; and a fit by gradients, which goes on within its updates, to the same model. Prints a table
-and exits 1 if anything differs.
+A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a new folder at ``--times``
+seeded random moments, resumed in that folder each time, and run to its end; then the same with two processes in one
+folder, both killed. ``report.json`` must be the same, except ``timings``. Then a local Dask cluster of two workers
+computes the comparison; at each moment one worker is killed and replaced, later the scheduler, and the command
+continues with another one. No finished cell may be computed twice. A long evolution by the recommended procedure is
+killed in the same way; it resumes within its generations and must end with byte-identical controllers. So must a fit by
+gradients, which resumes within its updates. Prints a table; exit code 1 if anything differs.
 
-``--repeats 20`` does nothing but that: an evolution by ``niches`` and a polish, each as often from its beginning and
-killed three times (``--times``), beside ``--busy`` processes that count.
+``--repeats 20`` does only this: an evolution by ``niches`` and a polish, repeated this often from the beginning and
+killed three times (``--times``), while ``--busy`` other processes use the processors.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ LIMIT = 600.0  # s, for one command
 
 @dataclass(frozen=True)
 class Row:
-    """What was done: processes at once, kills, what stood there after kills, and how it came out."""
+    """Parallel processes, kills, files left after the kills, and the result of one test."""
 
     what: str
     kills: int
@@ -237,7 +236,7 @@ def busy(count: int) -> Iterator[None]:
 def killed(
     job: Job, together: int, times: int, rng: np.random.Generator, whole: float, expected: object, *, name: str = ""
 ) -> Row:
-    """Kill and go on ``times``; where the end comes before the kill, the next one strikes in a fresh folder."""
+    """Kill and resume ``times`` times; if the command ends before the kill, the next kill is in a new folder."""
     what = f"{name}{job.what}" if together == 1 else f"{job.what}, {together} processes"
     kills, kept, ends = 0, 0, 0
     same, began = True, time.perf_counter()

@@ -1,9 +1,8 @@
 """How long a user waits for the error after a mistake: ``python -m tests.benchmarks.mistakes``.
 
-Each command runs in a process of its own, ``--times`` times (3); the table shows the mistake, the exit
-code, the median of the seconds from typing to the end, and that of the processor time in it, which on a
-busy machine is the fairer number. Exit code 1 if one takes 3 s of processor time or more, ends with another code
-than 2, or writes, changes or removes a file.
+Each command runs in its own process, ``--times`` times (3). The table shows the mistake, the exit code, the median of
+the wall time and of the processor time in s; on a busy machine the processor time is the better measure. Exit code 1 if
+a command takes 3 s of processor time or more, has another exit code than 2, or writes, changes or removes a file.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ EXPECTED = 2
 def measured(mistake: Mistake, folder: Path, times: int) -> tuple[int, float, float]:
     """Return the exit code, and the medians of seconds and of processor seconds.
 
-    Raises `RuntimeError` if another error is told.
+    Raises `RuntimeError` for another error message.
     """
     seconds, busy = [], []
     for _ in range(times):
@@ -51,10 +50,12 @@ def content(folder: Path) -> dict[Path, bytes | None]:
 
 
 def main() -> int:
-    """Print the table; return 1 if one of the mistakes is not told as it should be."""
+    """Print the table; return 1 if one of the mistakes is not reported as it should be."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--times", type=int, default=3, help="runs of each command (3)")
-    parser.add_argument("--first", type=int, default=len(MISTAKES), help="only the first so many mistakes")
+    parser.add_argument(
+        "--first", type=int, default=len(MISTAKES), help="number of mistakes, from the first (default: all)"
+    )
     arguments = parser.parse_args()
     write, wrong = sys.stdout.write, 0
     with tempfile.TemporaryDirectory() as name:

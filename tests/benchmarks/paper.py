@@ -1,9 +1,9 @@
-"""What of the paper holds on the emulated car: ``python -m tests.benchmarks.paper --out FOLDER [--seeds 3]``.
+"""Reproduction of the paper's claims on the emulated car: ``python -m tests.benchmarks.paper --out FOLDER``.
 
 For each seed a comparison with the preset ``paper`` is made in ``FOLDER/seed-S``: the paper's four families, its two
-ensembles with the minimum, its evolution strategy and its number of generations. What is done stands there and is not
-done again. Every claim is then tried on each of them: it is *reproduced* if it holds with every seed, *not* with none,
-*partly* otherwise. Prints a row for each claim, with the numbers of each seed.
+ensembles with the minimum, its evolution strategy and its number of generations. Finished comparisons are not repeated.
+Then each claim is tested on each comparison: it is *reproduced* if it holds with every seed, *not* if with none,
+*partly* otherwise. Prints a row for each claim with the numbers of each seed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ BACKWARDS = 0.5
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of the paper, and what a comparison says to it: whether it holds, and the numbers."""
+    """A claim of the paper, and its test on a comparison: whether it holds, and the numbers."""
 
     sentence: str
     test: Callable[[ComparisonResults], tuple[bool, str]]
@@ -171,7 +171,7 @@ CLAIMS = (
     Claim("Multi-model controllers do better on the car than single-model ones on average", robust),
     Claim("The best on the car is nevertheless a single-model one", best_single),
     Claim("Most controllers drive backwards", drives_backwards),
-    Claim("The prediction error does not tell which model gives the best controller", error_tells_nothing),
+    Claim("The prediction error does not show which model gives the best controller", error_tells_nothing),
 )
 
 

@@ -1,15 +1,14 @@
-"""Faults planted into robots, and whether they are named and found: ``python -m tests.benchmarks.planted``.
+"""Detection of faults planted into models: ``python -m tests.benchmarks.planted``.
 
-Each fault of `tests.fixtures.faults` is planted into the toy car or the pendulum, and the robot as it is stands
-beside it. What drives there is looked at as a comparison does: random commands, the champion of an ordinary evolution,
-and the controller of the search for exploits. A fault is named where one of the probes that it is to trip fires, or a
-fact of the data is broken about one of the states it is to show in; else by behaviour where a state that it is to show
-in goes another way than on the robot. Then the equations of sound robots stand for
-models, ``--seeds`` (5) of each kind, and every recording of a real car for what was driven in one: whatever is named
-there is a false alarm.
+Each fault of `tests.fixtures.faults` is planted into the equations of the toy car or the pendulum; the equations
+without a fault are the robot. Both are examined like the models of a comparison, with random commands, the champion of
+an ordinary evolution, and the controller of the search for exploits. A fault is named if one of its plausibility checks
+fails, if an input-output slope of one of its states is wrong, or if one of its states behaves differently than on the
+robot. Then equations without faults are examined as models, ``--seeds`` (5) of each kind, and so is every recording of
+a real car: a fault that is named there is a false alarm.
 
-Ends with 1 if a fault that helps controllers is not found by the search and named, if one that does not is not named
-at all, or if there is a false alarm. ``--generations`` (200) of each evolution.
+Exit code 1 if a fault that helps controllers is not found by the search and named, if another fault is not named, or if
+there is a false alarm. ``--generations`` (200) is the length of each evolution.
 """
 
 from __future__ import annotations
@@ -139,7 +138,7 @@ def planted_row(fault: Fault, shown: Shown, generations: int) -> tuple[tuple[str
 
 
 def alarms(robot: str, generations: int) -> tuple[set[str], set[str]]:
-    """Return what is named of a sound robot that stands for a model: under random commands, and evolved in it."""
+    """Return the faults named in equations without faults: under random commands, and of a controller evolved there."""
     shown, sound = Shown.by(robot), equations(robot)
     champion = evolve_controller(
         MODEL, {MODEL: DynamicsRunner(sound)}, sound.system, settings(robot, generations), seed=0

@@ -1,10 +1,9 @@
-"""What planning with a model achieves beside evolving in it: ``python -m tests.benchmarks.predictive --out FOLDER``.
+"""Predictive control compared with evolution in the same model: ``python -m tests.benchmarks.predictive --out FOLDER``.
 
-The emulated car is recorded for ``--minutes`` and the ``--models`` are fitted in ``FOLDER`` (what stands there is not
-done again). Each model then drives the car itself in ``--trials`` fresh trials of `point_to_point`: inside the
-predictive controller, and by a recurrent network evolved in it for ``--generations`` (0: by none); pursuit, written by
-hand, drives beside them. Prints waypoints and, for a single trial, how many milliseconds of processor time a decision
-takes, imagined in NumPy and compiled.
+The emulated car is recorded for ``--minutes`` and the ``--models`` are fitted in ``FOLDER`` (finished steps are not
+repeated). Each model then controls the car in ``--trials`` fresh trials of `point_to_point`: inside the predictive
+controller, and by a recurrent network evolved in it for ``--generations`` (0: none). The baseline controller is
+pursuit. Prints waypoints and, for a single trial, the processor time of a decision in ms, in NumPy and compiled.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""Kills a recorder at random moments and counts what is lost; times its calls.
+"""Kills a recorder at random moments, counts lost records, and times its calls.
 
     python -m tests.benchmarks.recorder [--kills 50]
 
-A process of its own records frames and commands as fast as it can, after noting in shared memory the
-number of each record it begins. It is killed with SIGKILL; the journal must be readable and hold
-every record but, at most, the one it was writing.
+A separate process records frames and commands as fast as possible, and first writes the number of each record to shared
+memory. It is killed with SIGKILL; the journal must be readable and hold every record except, at most, the last one.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def write_forever(path: Path, counter: Path) -> None:
 
 
 def tell(recorder: Recorder, number: int) -> None:
-    """Tell the recorder of event ``number``: every tenth a command, the others frames."""
+    """Record event ``number``: every tenth event is a command, the others are frames."""
     if number % 10 == 0:
         recorder.on_command(Command(number, 0.0, 0.0, np.zeros(2)))
     else:

@@ -1,4 +1,4 @@
-"""Evolution, PPO and SAC on the same models of one robot: claimed, achieved, processor seconds and samples of each.
+"""Evolution, PPO and SAC on the same models of one robot: claimed and achieved fitness, processor seconds, samples.
 
 Run: python -m tests.benchmarks.reinforcement --robot 'gymnasium(id="Pendulum-v1")' --steps 50000
 """
@@ -37,7 +37,7 @@ SETTINGS: Mapping[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Entry:
-    """A champion, the seconds of processor time it took to learn, and the steps of models that it met."""
+    """A champion, the processor time of its training in s, and the number of model steps used."""
 
     champion: Champion
     seconds: float

@@ -1,7 +1,7 @@
-"""How many modules of the four packages three calls enter: what a reader has to open to follow them.
+"""Number of modules of the four packages that three calls use, which a reader has to open to follow them.
 
-``python -m tests.benchmarks.routes [--list]`` counts the modules of which a function was called (bodies of modules and
-classes do not count) while a CSV file is read, one model is compared by prediction, and a rollout is compiled.
+``python -m tests.benchmarks.routes [--list]`` counts the modules with a called function (bodies of modules and classes
+do not count) while a CSV file is read, one model is compared by prediction, and a rollout is compiled.
 """
 
 from __future__ import annotations

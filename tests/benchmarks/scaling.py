@@ -1,14 +1,13 @@
-"""What a finished run would take on N processes: ``python -m tests.benchmarks.scaling RUN [--processes 1 2 1000]``.
+"""Ideal time of a finished run on N processes: ``python -m tests.benchmarks.scaling RUN [--processes 1 2 1000]``.
 
-All comes from the records of the run, ``cells/*.json``: what each cell needs, the seconds that it took, its files.
-Cells are dealt out as `sysid_evo.plan` does it, those first on whose results most work waits, to N processes that do
-nothing else: the ideal time of exactly this plan. A measured run takes longer by the start of processes, making the
-plan and the report (``--around`` adds them), and by what processes take from each other's memory and caches.
+The input is the records of the run, ``cells/*.json``: needs, seconds and files of each cell. Cells are scheduled as in
+`sysid_evo.plan`, critical path first, on N processes that do nothing else: the ideal time of this plan. A measured run
+takes longer because of process starts, the making of plan and report (``--around`` adds them), and shared memory and
+caches.
 
-``--copies 200`` puts as many independent runs like this one beside each other, as the points of a study are.
-``--client 0.001`` lets one process hand out all cells, one after the other, with so many seconds each. ``RUN`` may be a
-store in which several comparisons stand, whose cells then count once where they share them; ``--point 3`` takes the
-third of them alone.
+``--copies 200`` simulates this number of independent runs, like the points of a study. ``--client 0.001`` simulates one
+process that distributes all cells one after the other, with this number of seconds each. ``RUN`` may be a store of
+several comparisons, whose shared cells count once; ``--point 3`` selects the third of them.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ LONGEST = 8
 
 @dataclass(frozen=True)
 class Recorded:
-    """A cell as its record tells it: its ``needs`` are digests of others of the run, ``seconds`` of one processor."""
+    """A cell of the records: ``needs`` holds the digests of needed cells, ``seconds`` is the time on one processor."""
 
     digest: str
     kind: str
@@ -116,10 +115,10 @@ def critical_path(cells: Sequence[Recorded]) -> list[Recorded]:
 
 
 def makespan(cells: Sequence[Recorded], processes: int, client: float = 0.0) -> float:
-    """Return the seconds until all cells are done on so many processes.
+    """Return the seconds until all cells are done on ``processes`` processes.
 
-    An idle process gets the ready cell with most work ahead. The ``client`` needs so many seconds to hand one out, and
-    hands out one at a time.
+    An idle process gets the ready cell with the longest critical path. ``client`` is the time in s to distribute one
+    cell; cells are distributed one at a time.
     """
     ahead = work_ahead(cells)
     by_digest = {cell.digest: cell for cell in cells}

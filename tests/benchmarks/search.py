@@ -1,11 +1,10 @@
-"""Which strategy finds what is possible: ``python -m tests.benchmarks.search [--cars 0,1] [--seeds 5]``.
+"""Comparison of evolution strategies: ``python -m tests.benchmarks.search [--cars 0,1] [--seeds 5]``.
 
-Controllers are evolved on emulated cars themselves, from random starts, by several strategies on the same number
-of rollouts (that of ``--generations`` generations of 100 candidates in 10 trials). What a run is worth is the mean
-fitness of its champion in 300 trials that it never met. The reference of a car is the best of all runs on it, or
-``--reference`` if that is higher. Prints a table: mean, best, share of runs that reach 95 % of the reference,
-processor seconds, and the share of these that asking and telling took. ``--json FILE`` keeps every run, and a run
-that stands there already is not made again.
+Controllers are evolved on emulated cars, from random starts, by several strategies with the same number of rollouts
+(that of ``--generations`` generations of 100 candidates in 10 trials). The score of a run is the mean fitness of its
+champion in 300 fresh trials. The reference of a car is the best of all runs on it, or ``--reference`` if that is
+higher. Prints a table: mean, best, share of runs that reach 95 % of the reference, processor seconds, and the share of
+`ask` and `tell` in them. ``--json FILE`` stores all runs; a stored run is not repeated.
 """
 
 from __future__ import annotations
@@ -102,7 +101,7 @@ def run(strategy: str, car: int, seed: int, generations: int) -> Run:
 def table(runs: list[Run], yardsticks: dict[int, float]) -> Table:
     """Return a row for each strategy on each car."""
     found = Table(title="achieved on the car itself, waypoints")
-    for name in ("strategy", "car", "runs", "mean", "best", "reference", "reached", "s a run", "ask, tell"):
+    for name in ("strategy", "car", "runs", "mean", "best", "reference", "reached", "s a run", "strategy share"):
         found.add_column(name, justify="left" if name == "strategy" else "right")
     for strategy in STRATEGIES:
         for car in sorted(yardsticks):

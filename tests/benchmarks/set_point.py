@@ -1,9 +1,9 @@
-"""Controllers of a set point, side by side: ``python -m tests.benchmarks.set_point --out FOLDER``.
+"""Comparison of set-point controllers: ``python -m tests.benchmarks.set_point --out FOLDER``.
 
-The emulated heater (``--robot``) is recorded and a linear model is identified in ``FOLDER`` (what stands there is not
-done again). LQR is computed from that model; a PID, linear feedback and networks are evolved in it for
-``--generations``, and on the robot itself: a PID evolved there is a tuned one. All do the same ``--trials`` fresh
-trials of `set_point` on the robot; prints score, share of trials that settle, settling time and overshoot.
+The emulated heater (``--robot``) is recorded and a linear model is identified in ``FOLDER`` (finished steps are not
+repeated). LQR is computed from that model. A PID, linear feedback and networks are evolved in the model for
+``--generations``, and on the robot itself (a PID evolved there is a tuned one). All run the same ``--trials`` fresh
+trials of `set_point` on the robot. Prints score, share of trials that settle, settling time and overshoot.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""How fast rollouts are at each task, on the same model: ``python -m tests.benchmarks.task_speed``.
+"""Speed of rollouts at each task, on the same model: ``python -m tests.benchmarks.task_speed``.
 
-A population is evolved for a few generations at each of ``--tasks`` on the `parametrised` family and on the emulated
-car, and is then rolled out on one thread by the compiled engine, all of them in turn and in one process. Prints
-million steps per second of processor time, and the share that each task reaches of the first one's speed.
+For each of ``--tasks`` a population is evolved for a few generations on the `parametrised` family and on the emulated
+car, and then rolled out on one thread by the compiled engine, all tasks in turn in one process. Prints million steps
+per second of processor time, and the speed of each task relative to the first.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""What a comparison's recommended controller achieves at a task: ``python -m tests.benchmarks.tasks --out DIR``.
+"""Fitness of the recommended controller of a comparison at each task: ``python -m tests.benchmarks.tasks --out DIR``.
 
-Each of ``--cases`` is a robot and a task. A comparison with its usual families, and nothing else given, records the
-emulated robot, evolves controllers in the models alone, and one on the robot itself, by one search. Prints what the
-recommended controller achieves on the robot beside it, and the processor time of all; a folder for each case and seed,
-in which what stands there is not done again.
+Each of ``--cases`` is a robot and a task. A comparison with default settings records the emulated robot, evolves
+controllers in the models, and one controller on the robot itself by one search. Prints the achieved fitness of the
+recommended controller and of the one evolved on the robot, and the total processor time. Each case and seed has its own
+folder, in which finished steps are not repeated.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def test_the_c_reference_steps_with_the_numbers_of_the_engine(
     assert [row["model"] for row in rows] == names
     for row in rows:
         assert row["engine_to_c"]["median"] > 0.0
-        # a waypoint more or less in 100 short trials, where rounding decides; another model would be far off
+        # a waypoint more or less in 100 short trials, where rounding decides; another model would differ much more
         assert abs(row["off_percent"]["c"]) < 10.0, row
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
 

@@ -1,4 +1,4 @@
-"""What the command says of a run that would be spread over processes, against what can be worked out by hand."""
+"""Predicted time of a run on several processes, compared with a manual calculation."""
 
 from __future__ import annotations
 

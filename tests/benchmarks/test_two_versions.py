@@ -1,4 +1,4 @@
-"""Two studies beside each other: fitness is paired by robot and seed."""
+"""Comparison of two studies: fitness is paired by robot and seed."""
 
 from __future__ import annotations
 

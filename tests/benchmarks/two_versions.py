@@ -4,8 +4,8 @@
     sysid-evo study docs/results/studies/search.toml --out build/new    # with the new one
     python -m tests.benchmarks.two_versions build/old build/new
 
-Prints for every controller the mean of each, the difference (new minus old, paired by robot and seed) with its 95 %
-interval over robots and seeds, and in how many pairs the new one is better.
+Prints, for every controller, both means, the difference (new minus old, paired by robot and seed) with its 95 %
+interval over robots and seeds, and the number of pairs in which the new version is better.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The rollout engine against hand-written C: one .c file a model, `export` writes its parameters."""
+"""The rollout engine compared with plain C: one .c file per model, `export` writes its parameters."""

@@ -1,10 +1,10 @@
-"""The rollout engine against hand-written C and plain JAX: ``python -m tests.benchmarks.c_reference``.
+"""The rollout engine compared with plain C and plain JAX: ``python -m tests.benchmarks.c_reference``.
 
-Every model is fitted (or found in ``--folder``) and its .c file compiled with the system's compiler. Then C, the
-float32 engine on one thread and, less often, JAX and the NumPy reference run a generation in turn, in one process and
-by processor time: 100 evolved controllers in 10 trials of 500 steps. C and JAX get noise and waypoints ready made. The
-table shows million steps a second (medians), the median of the paired ratios engine / C with its range, and
-how far the mean fitness of C is from that of the float64 reference.
+Every model is fitted (or loaded from ``--folder``) and its .c file is compiled with the system's compiler. Then C, the
+float32 engine on one thread and, less often, JAX and the NumPy reference run a generation in turn in one process, timed
+by processor time: 100 evolved controllers in 10 trials of 500 steps. C and JAX get precomputed noise and waypoints. The
+table shows million steps per second (medians), the median and range of the paired ratios engine / C, and the difference
+of the mean fitness between C and the float64 reference.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tests.benchmarks.c_reference.models import SEED, TRIALS, dynamics, populati
 LATER = 10_000  # a generation that evolution does not reach: fresh trials
 SHORTEST = 0.05  # s that a turn lasts at least
 EVERY = {"numpy": 5, "jax": 3}
-"""These run in every so many turns."""
+"""Forms that run only in every n-th round."""
 
 
 def in_turn(programs: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Array]:
@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--models", nargs="*", default=list(FORMS), choices=list(FORMS), metavar="MODEL")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="small populations and little data: does it run?")
-    parser.add_argument("--folder", type=Path, help="where fitted models are kept (default: anew, for this run alone)")
+    parser.add_argument("--folder", type=Path, help="folder of fitted models (default: fit for this run only)")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     chosen = parser.parse_args(arguments)
     console, compiler = Console(), shutil.which("cc") or shutil.which("gcc")

@@ -1,17 +1,16 @@
-"""Compares `auto` with the peers' best cells and with every candidate by itself, in hindsight.
+"""Compares `auto` with published results of peers and with every single candidate, in hindsight.
 
     python -m tests.benchmarks.choosing [RECORDING ...] [--preset standard] [--seeds 3] [--alone 1] [--keep FOLDER]
 
 RECORDING is one of the two real cars (slippery_20hz, free_20hz); a drive of a third on one of four floors (DS1, DS3,
-DS4, DS5), the last 30 % held back; a robot that is emulated here (emulated_car, pendulum, cart_pole, thermal); or a
-system of `tests.benchmarks.choosing.systems` (own_cart_pole, hover_channel). What is simulated is recorded for six
-minutes, and again for the test. N is RMSE / standard deviation, the mean over states, after 1, 10, 20 and 60 steps.
+DS4, DS5), the last 30 % held out; an emulated robot (emulated_car, pendulum, cart_pole, thermal); or a system of
+`tests.benchmarks.choosing.systems` (own_cart_pole, hover_channel). Simulated systems are recorded for six minutes, and
+again for the test. N is RMSE / standard deviation, averaged over states, after 1, 10, 20 and 60 steps.
 
-First come `auto` with its note, seed by seed, and what all its fits took of the processors. Then, for ``--alone``
-seeds (0: none), every candidate fitted alone to all that `auto` learned from; the best in hindsight is the one with the
-lowest N after 20 steps. A difference is marked where its 95 % interval (paired block bootstrap, pooled over the seeds)
-is without zero. With ``--keep`` fitted models are kept in a folder, and are not fitted again; ``--seeds 0`` fits the
-candidates only.
+The table begins with `auto` and its note for each seed, and the processor time of all its fits. Then follows, for
+``--alone`` seeds (0: none), every candidate fitted alone to the same data; the best in hindsight has the lowest N after
+20 steps. A difference is marked if its 95 % interval (paired block bootstrap, pooled over the seeds) excludes zero.
+With ``--keep`` fitted models are stored in a folder and reused; ``--seeds 0`` fits the candidates only.
 """
 
 from __future__ import annotations
@@ -83,7 +82,7 @@ class Fits:
 
 
 def processor_seconds() -> float:
-    """Return the processor time of this process and of those that it has started, whether they go on or not."""
+    """Return the processor time of this process and of all processes that it has started, running or ended."""
     own, ended = psutil.Process(), resource.getrusage(resource.RUSAGE_CHILDREN)
     every = [own.cpu_times(), *(child.cpu_times() for child in own.children(recursive=True))]
     return float(sum(times.user + times.system for times in every) + ended.ru_utime + ended.ru_stime)

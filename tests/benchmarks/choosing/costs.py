@@ -1,4 +1,4 @@
-"""How long the candidates of `auto` take, beside how long they are expected to.
+"""Measured and expected times of the candidates of `auto`.
 
     python -m tests.benchmarks.choosing.costs [RECORDING] [--steps STEPS] [--only WORD ...]
 

@@ -22,7 +22,7 @@ GRAVITY = 9.81
 
 
 class Simulated(ABC):
-    """A system whose ``n_hidden`` states beyond the measured ones nobody sees; ``noise`` (nx,) is what the sensors add.
+    """A system with ``n_hidden`` unmeasured states; ``noise`` (nx,) is the standard deviation of the sensor noise.
 
     All episodes are simulated side by side: ``x`` (episodes, nx + hidden), ``u`` (episodes, nu).
     """

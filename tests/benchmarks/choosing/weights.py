@@ -1,13 +1,13 @@
-"""What `auto` would be if it weighed classes of structure otherwise, with the same fits.
+"""The result of `auto` with other weights of structure classes, from the same fits.
 
     python -m tests.benchmarks.choosing.weights [RECORDING ...] [--preset standard] [--seeds 2]
 
-RECORDING is one of `tests.benchmarks.choosing`. Candidates are fitted once for each seed, in folds and to all data;
-which of them are kept and what they weigh is then decided for every rule, as the rule has a say in both: the gate is
-narrowed by errors of means. A class of n members weighs n to the power of 1 - P: with P = 0 members count alike
-whatever they are, with 1 classes do, and `auto` takes 1/2. With a gate of 1 the best candidate on what was held out is
-all that is kept. N is that of `tests.benchmarks.choosing` after 1, 10, 20 and 60 steps, the mean over the seeds; what
-follows is N / N with the rule that `auto` has.
+RECORDING is one of `tests.benchmarks.choosing`. Candidates are fitted once for each seed, in folds and to all data.
+Then each rule determines the accepted candidates and their weights (both depend on the rule, since the acceptance test
+uses errors of means). A class of n members has the weight n to the power of 1 - P: with P = 0 all members have equal
+weight, with 1 all classes, and `auto` uses 1/2. With an acceptance factor of 1 only the best candidate on the held-out
+data is accepted. N is that of `tests.benchmarks.choosing` after 1, 10, 20 and 60 steps, averaged over the seeds,
+followed by its ratio to N with the rule of `auto`.
 """
 
 from __future__ import annotations

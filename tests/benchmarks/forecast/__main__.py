@@ -1,16 +1,15 @@
-"""How well forecasts tell what controllers achieve on the robot: ``python -m tests.benchmarks.forecast RUN ...``.
+"""Accuracy of forecasts of the fitness on the robot: ``python -m tests.benchmarks.forecast RUN ...``.
 
     python -m tests.benchmarks.forecast RUN ... --out FOLDER
     python -m tests.benchmarks.forecast --study STUDY.toml --store FOLDER --out FOLDER
 
-Every RUN is the folder of a comparison of an emulated car, such as ``sysid-evo compare --seed 2`` makes; a study
-(``sysid-evo study``) has many of them in one store, of which the points with all models and controllers are taken;
-``--compute JOBS`` computes them, without the transfer matrices. All finalists, good and bad, are run on all models of
-their run and, in other trials, on the car; what is seen is kept in ``--out``. Further terms are looked at in single
-runs alone, where they take most of the time. Prints, within a run, the rank correlation with what is achieved (means
-over runs, 95 % intervals over cars), the error, and what is lost by choosing the best of ten; the share of 90 %
-intervals that hold, each car's calibrated on the others; whether a further term does better; and the constants of
-`evaluation.transfer.forecast.RULE`.
+Every RUN is the folder of a comparison on an emulated car, as made by ``sysid-evo compare --seed 2``. A study
+(``sysid-evo study``) has many of them in one store; its points with all models and controllers are used, and
+``--compute JOBS`` computes them without the transfer matrices. All finalists are run on all models of their run and, in
+other trials, on the car; results are stored in ``--out``. Further terms are tested in single runs only, where they take
+most of the time. Prints the rank correlation with the achieved fitness within a run (means over runs, 95 % intervals
+over cars), the error, and the loss from choosing the best of ten; the coverage of 90 % intervals, with each car
+calibrated on the others; the benefit of further terms; and the constants of `evaluation.transfer.forecast.RULE`.
 """
 
 from __future__ import annotations

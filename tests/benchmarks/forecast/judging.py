@@ -15,12 +15,12 @@ from tests.benchmarks.forecast.looking import Record
 
 TENS = 200
 RIDGE = 0.1
-"""Weight of the ridge beside that of the controllers, for terms in units of their standard deviation."""
+"""Weight of the ridge penalty relative to the controllers, for terms in units of their standard deviation."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One controller: what was achieved, its forecast without a calibrated interval, and what else could be told.
+    """One controller: achieved fitness, forecast without a calibrated interval, and further terms.
 
     ``unit`` is that of the interval, see `ForecastRule`. ``terms`` are in units of the fitness, none where they were
     not looked at.
@@ -48,7 +48,7 @@ def asked_only(records: Sequence[Record], labels: Collection[str]) -> list[Recor
 
 
 def seen(record: Record, car: int, run: str, rule: ForecastRule) -> Seen:
-    """Return what a record says; a controller against several models claims the lowest of theirs."""
+    """Return the case of a record; a controller evolved against several models claims their lowest fitness."""
     columns = record["columns"]
     fitness = {label: np.array(column["fitness"]) for label, column in columns.items()}
     against = [label for label in record["against"] if label in columns]

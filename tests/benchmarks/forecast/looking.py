@@ -67,7 +67,7 @@ class Material:
 
 
 def look(run: Path, out: Path) -> list[Record]:
-    """Return a record for each finalist of the comparison in ``run``; what was seen stands in ``out`` from then on.
+    """Return a record for each finalist of the comparison in ``run``; results are stored in ``out``.
 
     The trials on the car are other ones than those on the models.
     """
@@ -155,7 +155,7 @@ def _optimism(champion: Champion, own: str | None, material: Material) -> float:
 
 
 def _newest(folder: Path, name: str) -> Path:
-    """Return where the model of this name stands, without suffix."""
+    """Return the path of the model of this name, without suffix."""
     files = [file for file in folder.glob("*.json") if file.stem.rpartition("-")[0] == name]
     return max(files, key=lambda file: file.stat().st_mtime).with_suffix("")
 

@@ -42,7 +42,7 @@ def complete_points(study: Study, folder: Path) -> Iterator[tuple[Point, Compari
 
 
 def look_at(point: Point, comparison: Comparison, folder: Path, out: Path) -> list[Record]:
-    """Return a record for each finalist of a point; what was seen stands in ``out`` from then on.
+    """Return a record for each finalist of a point; results are stored in ``out``.
 
     Models, errors and controllers are those of the store in ``folder``, where nothing is written. Finalists are run on
     the models in the trials of the transfer matrix, on the car in other ones.

@@ -1,10 +1,9 @@
-"""How cost and memory grow: ``python -m tests.benchmarks.growth [--parts search,fits] [--out FOLDER]``.
+"""Growth of cost and memory with size: ``python -m tests.benchmarks.growth [--parts search,fits] [--out FOLDER]``.
 
-Each thing is done at growing sizes; processor time is the least of several rounds, in which all sizes take turns.
-The slope on log axes over the upper part of the range (sizes from a tenth of the largest on) says how it grows: 1 is
-linear. ``growth.svg``, ``growth.png`` and ``growth.json`` are written to ``--out``; the table is printed. What is
-worse than it could be is marked with an exclamation mark. Without ``--parts`` it takes about ten minutes on two
-idle cores.
+Each operation is run at increasing sizes; its processor time is the minimum of several rounds over all sizes. The slope
+on log axes over the upper part of the range (sizes from a tenth of the largest) measures the growth: 1 is linear.
+Prints a table and writes ``growth.svg``, ``growth.png`` and ``growth.json`` to ``--out``. A slope that is worse than
+possible is marked with an exclamation mark. Without ``--parts`` it takes about ten minutes on two idle cores.
 """
 
 from __future__ import annotations

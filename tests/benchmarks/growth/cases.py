@@ -93,12 +93,12 @@ def _generation(*, population: int, trials: int, models: int, hidden: int, horiz
 
 
 def _strategies(quick: bool) -> Iterator[Growth]:
-    """Asking and telling, without the rollouts."""
+    """`ask` and `tell` without rollouts."""
     sizes = doubled(64, 128 if quick else 2048)
     for name in ("mu_plus_lambda", "cma_es"):
         yield Growth(
             "strategies",
-            f"ask and tell, {name}",
+            f"`ask` and `tell`, {name}",
             "candidates",
             sizes,
             make=partial(_asking, name),
@@ -133,7 +133,7 @@ def _data(quick: bool) -> Iterator[Growth]:
         yield Growth("data", name, "steps", sizes, make=_on_steps(look))
     for name, look in {
         "inspect (advice)": looks["inspect (advice)"],
-        "hold back a quarter of the episodes": lambda data: _anew(data).split(list(data.names[::4])),
+        "hold out a quarter of the episodes": lambda data: _anew(data).split(list(data.names[::4])),
     }.items():
         yield Growth("data", name, "episodes of 100 steps", in_pieces, make=_on_episodes(look))
 
@@ -214,7 +214,7 @@ def _fitting(name: str) -> Callable[[int], Callable[[], object]]:
 
 
 def _steps(quick: bool) -> Iterator[Growth]:
-    """A thousand rollouts of ten steps in a model that was fitted to so many steps, compiled, on one thread."""
+    """A thousand compiled rollouts of ten steps on one thread, in a model fitted to a number of steps."""
     sizes = doubled(4_000, 8_000 if quick else 1_024_000, 4)
     for name, parameters in STEPPED.items():
         yield Growth(

@@ -30,11 +30,10 @@ LONG = 1.0
 
 @dataclass(frozen=True)
 class Growth:
-    """What grows along which axis: ``make(size)`` prepares a program, which is then timed.
+    """A measurement along one axis: ``make(size)`` prepares a program, which is then timed.
 
-    ``best`` is the slope that is possible, 1 unless something else is said. With ``command`` the program of a size is
-    run as a process of its own by these arguments, whose peak of resident memory counts; else what Python and NumPy
-    allocate at most counts.
+    ``best`` is the possible slope, by default 1. With ``command`` the program of a size runs as a separate process with
+    these arguments, and its peak resident memory is measured; otherwise the peak allocation of Python and NumPy.
     """
 
     part: str

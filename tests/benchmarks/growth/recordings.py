@@ -55,7 +55,7 @@ def driven(rows: int, seed: int = 0) -> tuple[Array, Array, Array]:
 
 
 def long_car(steps: int, *, episodes: int = 1) -> Dataset:
-    """Return so many steps of the drive in all, cut into ``episodes`` of equal length."""
+    """Return a drive of ``steps`` steps, divided into ``episodes`` of equal length."""
     states, controls, _ = driven(steps + 1)
     names = ("forward_speed", "m/s"), ("lateral_speed", "m/s"), ("yaw_rate", "rad/s")
     system = System(
@@ -71,7 +71,7 @@ def long_car(steps: int, *, episodes: int = 1) -> Dataset:
 
 
 def write_log(folder: Path, rows: int) -> tuple[Path, Path]:
-    """Write a CSV log of so many rows and its column map; return both paths."""
+    """Write a CSV log of ``rows`` rows and its column map; return both paths."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -87,7 +87,7 @@ def write_log(folder: Path, rows: int) -> tuple[Path, Path]:
 
 
 def _held(rng: np.random.Generator, rows: int, samples: float) -> Array:
-    """Return random levels, each held for so many samples on average."""
+    """Return random levels, each held for ``samples`` samples on average."""
     change = rng.random(rows) < 1.0 / samples
     number = np.cumsum(change)
     return rng.choice(LEVELS, number[-1] + 1)[number]

@@ -1,11 +1,11 @@
-"""Systems of which one output is measured: ``python -m tests.benchmarks.hidden --seeds 3``.
+"""Systems with a single measured output: ``python -m tests.benchmarks.hidden --seeds 3``.
 
-Every family learns from the recording of each system (`tests.benchmarks.hidden.systems`) and runs free through a whole
-test record, from sample 64 with the history that it wants. Printed is the error over the rest in deviations of the
-measured output, noise included, the mean over seeds (lowest to highest), and the processor time of a fit in seconds.
-``true structure`` is the system's own equations, their parameters fitted by least squares to the same recording from
-guesses that are off by a fifth; it knows that a record begins at rest. With ``--out`` a line is written as soon as it
-is known, and what stands there is not done again; take another file for other ``--steps`` or another ``--preset``.
+Every family is fitted to the recording of each system (`tests.benchmarks.hidden.systems`) and simulates a whole test
+record from sample 64, with the history that it needs. The error over the remaining samples is printed in standard
+deviations of the measured output (noise included) as the mean over seeds (lowest to highest), with the processor time
+of a fit in s. ``true structure`` is the system's own equations, with parameters fitted by least squares from first
+guesses that are off by 20 %; it uses the fact that a record begins at rest. With ``--out`` each line is written at
+once, and finished lines are not repeated; use another file for other ``--steps`` or another ``--preset``.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tests.benchmarks.hidden.systems import SYSTEMS, HiddenSystem
 from tests.benchmarks.markdown import add_markdown, print_tables
 
 BEGIN = 64
-"""Sample of the test record from which models run free."""
+"""Sample of the test record at which simulations begin."""
 TRUE = "true structure"
 FAMILIES = (
     "linear(state_lags=15, control_lags=15)",
@@ -86,7 +86,7 @@ def read(path: Path) -> dict[tuple[str, str, int], tuple[float, float]]:
 
 
 def measured(family: str, system: HiddenSystem, seed: int, preset: str | None = None) -> tuple[float, float]:
-    """Return the error of a free run through the test record, and the processor time of the fit in seconds."""
+    """Return the simulation error over the test record, and the processor time of the fit in s."""
     training, test = system.recordings(seed)
     began = time.process_time()
     if family == TRUE:
@@ -134,7 +134,7 @@ def tables(
     """Yield tables with a row for each system and columns for some families: errors, and the mean seconds of a fit."""
     for first in range(0, len(families), AT_ONCE):
         some = families[first : first + AT_ONCE]
-        shown = Table(title="Free-run error through a test record, in deviations")
+        shown = Table(title="Simulation error over a test record, in standard deviations")
         shown.add_column("system", no_wrap=True)
         for family in some:
             shown.add_column(family, justify="right", overflow="fold")

@@ -203,7 +203,7 @@ def parallel_branches(p, u):
 
 @njit
 def stage(p, u):
-    """A stage that a limited controller drives to where the control says, with dry friction; position measured, in mm.
+    """A stage with dry friction, driven by a limited position controller; the position is measured, in mm.
 
     p: stiffness and damping of the controller, lag of the current, push, friction, dry friction, how much more of it
     there is at rest, the speed at which that is over, limit of the current.

@@ -1,9 +1,9 @@
-"""What the robot accepts from a wire that damages bytes: ``python -m tests.benchmarks.link``.
+"""Commands that the robot accepts from a line that damages bytes: ``python -m tests.benchmarks.link``.
 
-The compiled firmware core gets commands whose bytes are replaced at random, delimiters too. A wrong
-command is an accepted one that differs in any field from every one that was sent. Beside what was
-counted stands the number of damaged frames that pass the checksum, which the other checks have to
-stop, and of intact frames after an intact delimiter that were not accepted.
+The compiled firmware core receives commands with randomly replaced bytes, including delimiters. A wrong command is an
+accepted command that differs in any field from all commands that were sent. The table also shows the number of damaged
+frames that pass the checksum, which other checks must reject, and of intact frames after an intact delimiter that were
+not accepted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What the robot's fail-safes do when things go wrong: ``python -m tests.benchmarks.robot NAME``.
+"""Tests of the robot's fail-safes under faults: ``python -m tests.benchmarks.robot NAME``.
 
-Each test runs an emulated car on a pseudo-terminal, with the firmware compiled from C, and a host with
-the control loop in a process of its own. It prints a table, writes JSON, and ends with 1 if a demand
-was not met. ``all`` runs every one but the long ones.
+Each test runs an emulated car on a pseudo-terminal, with the firmware compiled from C, and a host with the control loop
+in its own process. It prints a table and writes JSON; exit code 1 if a requirement is not fulfilled. ``all`` runs all
+tests except the long ones.
 """
 
 from __future__ import annotations

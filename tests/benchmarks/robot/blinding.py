@@ -63,7 +63,9 @@ def _short(folder: Path, kind: str, duration: float, *, repeats: int, seed: int)
     states = [m.state for t, m in messages(entries, "out") if isinstance(m, StatusMessage) and t > windows[0]]
     passed = repeats if ran and State.TRIPPED not in states else 0
     paused = sum(_neutral_after(entries, window) < window + REST for window in windows)
-    return Row(f"{kind} for {1000 * duration:.0f} ms", "the run goes on, no trip", passed, repeats, {"paused": paused})
+    return Row(
+        f"{kind} for {1000 * duration:.0f} ms", "the run continues, no trip", passed, repeats, {"paused": paused}
+    )
 
 
 def _long(folder: Path, kind: str, duration: float, *, repeats: int, seed: int, bound: float) -> Row:
@@ -124,7 +126,7 @@ def _last_pose(host: Host, window: float) -> float:
 
 
 def _fastest(host: Host) -> tuple[float, float]:
-    """Return the largest speed and yaw rate that the loop believed or that the recording holds once prepared."""
+    """Return the largest speed and yaw rate that the loop accepted or that the prepared recording holds."""
     seen = [np.array([entry.value["state"] for entry in host.entries() if entry.event == "decide"])]
     seen += [episode.states for episode in prepare(raw_log(read_journal(host.recording)), CAR).episodes]
     states = np.concatenate(seen)

@@ -1,7 +1,7 @@
-"""How late and how noisy the estimator is: ``python -m tests.benchmarks.robot.estimator``.
+"""Delay and noise of the estimator: ``python -m tests.benchmarks.robot.estimator``.
 
-The emulated car is driven by the control loop through the manoeuvres of a recording; the estimate
-that the pilot is given at every sample is compared with the true state, which the car tells.
+The control loop drives the emulated car through the manoeuvres of a recording; the estimate at every sample is compared
+with the true state of the car.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from rich.text import Text
 
 @dataclass(frozen=True)
 class Row:
-    """``passed`` of ``count`` repetitions of ``case`` met ``demand``; ``figures`` are what was measured."""
+    """``passed`` of ``count`` repetitions of ``case`` fulfilled ``demand``; ``figures`` holds the measurements."""
 
     case: str
     demand: str

@@ -1,4 +1,4 @@
-"""How punctual the control loop is over a long run, alone and beside busy processes."""
+"""Timing of the control loop over a long run, alone and with other busy processes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pace_idle(folder: Path, *, duration: float, seed: int) -> list[Row]:
 
 
 def pace_busy(folder: Path, *, duration: float, seed: int) -> list[Row]:
-    """Drive for ``duration`` s beside four processes that compute without a pause."""
+    """Drive for ``duration`` s while four processes compute without a pause."""
     spinners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(BUSY)]
     try:
         figures = _drive(folder, duration, seed)
@@ -55,7 +55,7 @@ WRITERS = 2
 
 
 def pace_disk(folder: Path, *, duration: float, seed: int) -> list[Row]:
-    """Drive beside four busy processes and two that write to the disk of the journal without a pause.
+    """Drive while four processes compute and two write to the disk of the journal without a pause.
 
     What the rig itself writes lies in memory, so that only the recorder of the run waits for the disk.
     """

@@ -1,4 +1,4 @@
-"""The host is told to end, or something in it fails: how soon is the car in neutral, and what does the host say?"""
+"""The host is stopped or fails: time until the car is in neutral, and the message of the host."""
 
 from __future__ import annotations
 

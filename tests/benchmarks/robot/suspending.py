@@ -1,4 +1,4 @@
-"""The host is stopped for a while (SIGSTOP) and goes on: are commands from before acted on?"""
+"""The host is suspended (SIGSTOP) and resumed: are old commands executed?"""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.benchmarks.robot.rig import TIME_TO_LIVE, Rig, messages
 from tests.system.rig.journal import Entry
 
 DURATIONS = (0.1, 1.0, 5.0)  # s
-WATCHED = 0.5  # s after it goes on
+WATCHED = 0.5  # s after it is resumed
 MOST = 1
 
 

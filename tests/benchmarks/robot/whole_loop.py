@@ -14,7 +14,7 @@ from tests.benchmarks.robot.outcome import Row
 ROBOT, TWIN = "terminal_car", "emulated_car"
 PLUGIN = "--plugin", Path(__file__).with_name("registered.py")
 FAMILY = "parametrised"
-ESTIMATOR_DELAY = 29  # ms, as `sysid-evo robots check terminal_car --plugin ...` tells
+ESTIMATOR_DELAY = 29  # ms, as reported by `sysid-evo robots check terminal_car --plugin ...`
 SPREAD = 2.0  # standard deviations of the trials on the in-process car
 
 
@@ -50,7 +50,7 @@ def whole_loop(folder: Path, *, repeats: int, seed: int, minutes: float = 3.0, p
 
 
 def _command(*words: object) -> float:
-    """Run ``sysid-evo`` and return how long it took in s. Raises `RuntimeError` with what it said if it fails."""
+    """Run ``sysid-evo`` and return its wall time in s. Raises `RuntimeError` with its output if it fails."""
     began = time.monotonic()
     done = subprocess.run(["sysid-evo", *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode != 0:

@@ -1,9 +1,8 @@
-"""How fast rollouts are: ``python -m tests.benchmarks.rollout``.
+"""Speed of rollouts: ``python -m tests.benchmarks.rollout``.
 
-For each model, a population of evolved controllers is rolled out by the fast engine on one and two
-threads, with `Disturbed` around the model and nothing that disturbs, and by the NumPy reference, in turn and in one
-process. Speeds and ratios are medians of
-processor time, which other processes disturb least; only the two threads are compared on the clock.
+For each model, a population of evolved controllers is rolled out in turn in one process: by the compiled engine on one
+and two threads, in the model within an empty `Disturbed`, and by the NumPy reference. Speeds and ratios are medians of
+the processor time, which other processes affect least; only the two threads are compared by wall time.
 """
 
 from __future__ import annotations

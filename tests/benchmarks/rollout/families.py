@@ -289,8 +289,7 @@ def hidden_units(weights: Array, z: Array) -> Array:
 def recording(episodes: int, steps: int) -> Dataset:
     """Return episodes of the made-up car without their first second.
 
-    All of them begin at exactly zero: equal points in a table, which a nearest neighbour may tell
-    apart either way.
+    All of them begin at exactly zero; a nearest neighbour may choose any of such equal points.
     """
     dataset = example_dataset(episodes=episodes, steps=steps)
     return dataset.with_episodes(

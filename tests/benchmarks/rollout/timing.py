@@ -1,4 +1,4 @@
-"""Several programs timed in turn in one process, so that a noisy machine treats them alike."""
+"""Several programs timed in turn in one process, so that a noisy machine affects all of them equally."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
-"""What adaptation is worth in another condition: ``python -m tests.benchmarks.shift [FAMILY ...] [--groups cars ...]``.
+"""Benefit of adaptation in another condition: ``python -m tests.benchmarks.shift [FAMILY ...] [--groups cars ...]``.
 
-Every family is fitted in one condition and tested in another: on the other of two real cars and on the same one
-again, on each of four floors after the other three, on emulated cars with half the grip, a low battery, of another
+Every family is fitted in one condition and tested in another: on the other of two real cars and on the same car, on
+each of four floors after a fit to the other three, on emulated cars with half the grip, a low battery, of another
 make, and unchanged. N (mean over channels of RMSE / standard deviation) after 1, 10, 20 and 60 steps is printed before
-adaptation, after 10 and 30 s of it, of a fit from scratch to the same 30 s, and of a fit in-domain; ``--ways`` names
-those that are wanted. The mean is over ``--seeds``; a star marks what differs from "before" at 20 steps by a paired
-bootstrap over blocks of three seconds (95 %). What was decided after 30 s stands below, and at the end how each family
-stands to what is demanded. With ``--keep`` fitted models are kept in a folder, and are not fitted again.
+adaptation, after adaptation to 10 and 30 s, for a fit from scratch to the same 30 s, and for a fit in-domain;
+``--ways`` selects among these. The mean is over ``--seeds``; a star marks a difference from "before" at 20 steps
+according to a paired bootstrap over blocks of three seconds (95 %). The decisions after 30 s are printed below, and at
+the end the comparison with the requirements. With ``--keep`` fitted models are stored in a folder and reused.
 
 ``--out`` writes a row for each case, family and seed as JSON; ``--read FILE ...`` measures nothing, but prints the
-tables of all such rows together, and writes them with ``--markdown``.
+tables of all these rows, and writes them with ``--markdown``.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def resampled(measured: MeasuredCases, predicted: Array) -> dict[int, Draws]:
 
 
 def simulated(model: DynamicsModel, measured: MeasuredCases) -> Array:
-    """Return free runs over the measured windows, a short history padded."""
+    """Return simulations of the measured windows, with a short history padded."""
     w = measured.windows
     missing = max(0, model.n_lags - w.past_controls.shape[1])
     states = np.concatenate([np.repeat(w.past_states[:, :1], missing, axis=1), w.past_states], axis=1)
