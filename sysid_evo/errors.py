@@ -111,6 +111,7 @@ class EvolutionWarning(UserWarning):
 
 RENAMED: Mapping[str, tuple[str, ...]] = {
     "apart": ("fold_results",),
+    "at_most": ("max_generations",),
     "base": ("exact_channels",),
     "by_hand": ("baselines",),
     "caution": ("penalty",),
@@ -127,6 +128,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "niche": ("behaviour_class",),
     "offered_lags": ("lag_options",),
     "only": ("stop_after", "parameters"),
+    "over": ("window",),
     "polish": ("polish_generations",),
     "recipe": ("procedure",),
     "reference": ("compare_with",),

@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sysid_evo.errors import InvalidArgument
+from sysid_evo.errors import InvalidArgument, did_you_mean
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, StrategyState
 from sysid_evo.processors import one_blas_thread
 from sysid_evo.registry.grammar import Spec, split_specs
@@ -114,9 +114,9 @@ class Stage:
     def _of(cls, spec: Spec) -> Stage:
         unknown = [name for name in spec.parameters if name not in cls.__dataclass_fields__]
         if spec.name != "stage" or unknown:
-            raise InvalidArgument(
-                f"schedule: expected stage({', '.join(f'{name}=...' for name in cls.__dataclass_fields__)}), got {spec}"
-            )
+            hints = (did_you_mean(name, cls.__dataclass_fields__) for name in unknown[:1])
+            expected = ", ".join(f"{name}=..." for name in cls.__dataclass_fields__)
+            raise InvalidArgument(f"schedule: expected stage({expected}), got {spec}.{''.join(hints)}")
         try:
             return cls(**spec.parameters)
         except (TypeError, AttributeError) as error:

@@ -45,7 +45,7 @@ def _strategy(name: str, **parameters: Any) -> tuple[StrategyExample]:
 
 
 def ask_gives_candidates(given: StrategyExample) -> None:
-    """`ask` returns finite candidates (population, n_parameters) in float64, also for one parameter"""
+    """ask returns finite candidates (population, n_parameters) in float64, also for one parameter"""
     for n in (1, N_PARAMETERS):
         strategy = given.make(n_parameters=n)
         for generation in range(3):
@@ -88,7 +88,7 @@ def the_elite_is_ordered_best_first(given: StrategyExample) -> None:
 
 
 def tell_leaves_its_arguments(given: StrategyExample) -> None:
-    """`tell` does not change its arguments and stores no reference to them"""
+    """A report of fitness does not change its arrays, and the strategy stores no reference to them"""
     strategy, other = given.make(), given.make()
     population = strategy.ask()
     before, score = population.copy(), fitness(population)
@@ -101,7 +101,7 @@ def tell_leaves_its_arguments(given: StrategyExample) -> None:
 
 
 def tell_refuses_an_invalid_fitness(given: StrategyExample) -> None:
-    """`tell` raises an error for nan and for a fitness that is not one number for each candidate"""
+    """A report of nan, or of a fitness that is not one number for each candidate, raises an error"""
     strategy = given.make()
     population = strategy.ask()
     missing = fitness(population)

@@ -215,14 +215,14 @@ def test_units_and_names_stand_in_the_metadata(envs):
 def test_models_are_found_by_path_by_folder_and_as_several(envs, ensemble, linear, stored_data, tmp_path):
     for name, model in ensemble.items():
         save_model(model, tmp_path / name)
-    assert set(envs.members_of(tmp_path)) == {"linear", "neighbours"}
-    assert set(envs.members_of(tmp_path / "linear.json")) == {"linear"}
-    assert set(envs.members_of([tmp_path / "linear.json", linear])) == {"linear-1", "Linear-2"}
+    assert set(envs.load_members(tmp_path)) == {"linear", "neighbours"}
+    assert set(envs.load_members(tmp_path / "linear.json")) == {"linear"}
+    assert set(envs.load_members([tmp_path / "linear.json", linear])) == {"linear-1", "Linear-2"}
     for folder in (tmp_path / "..", stored_data):
         with pytest.raises(InvalidArgument, match="no model is stored in"):
-            envs.members_of(folder)
+            envs.load_members(folder)
     with pytest.raises(InvalidArgument, match="is not an emulated robot"):
-        envs.members_of("serial")
+        envs.load_members("serial")
     with pytest.raises(IncompatibleSystem, match="car and swing differ"):
         envs.make_env({"car": ExampleDynamics(switched_car()), "swing": ExampleDynamics(pendulum())}, TASK)
 
@@ -248,7 +248,7 @@ def test_nothing_else_needs_gymnasium_and_without_it_it_is_said_what_is_missing(
 @pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
 def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm, envs, learned):
     model, env = learned(algorithm)
-    champion = envs.champion_of(model, env.trials, name="peer", task=TASK)
+    champion = envs.champion_from_policy(model, env.trials, name="peer", task=TASK)
     controller = make_controller(champion.controller).bind(5, 2)
     observation = np.random.default_rng(0).standard_normal((1, 30, 5)).astype(np.float32)
     view = View(observation.astype(np.float64), np.zeros((1, 30, 3)), None)
@@ -259,7 +259,7 @@ def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm, envs, lea
 def test_a_policy_stands_in_the_transfer_matrix_and_is_stored_without_pickle(envs, learned, tmp_path):
     model, env = learned("PPO", n_steps=32, batch_size=32)
     model.learn(32)
-    champion = envs.champion_of(model, env.trials, name="ppo", task=TASK)
+    champion = envs.champion_from_policy(model, env.trials, name="ppo", task=TASK)
     save_champion(champion, tmp_path / "ppo")
     again = load_champion(tmp_path / "ppo")
     runner = DynamicsRunner(ExampleDynamics(continuous_car()))
@@ -274,10 +274,10 @@ def test_what_is_no_plain_policy_with_continuous_actions_is_refused(envs):
 
     env = envs.make_env("emulated_car", TASK)
     with pytest.raises(InvalidArgument, match="make the environment with actions='continuous'"):
-        envs.champion_of(PPO("MlpPolicy", env, device="cpu"), env.trials, name="x", task=TASK)
+        envs.champion_from_policy(PPO("MlpPolicy", env, device="cpu"), env.trials, name="x", task=TASK)
     cart = envs.make_env("emulated_car", TASK, actions="continuous")
     with pytest.raises(InvalidArgument, match="expected the MlpPolicy of PPO or SAC"):
-        envs.champion_of(type("Odd", (), {"policy": DQN})(), cart.trials, name="x", task=TASK)
+        envs.champion_from_policy(type("Odd", (), {"policy": DQN})(), cart.trials, name="x", task=TASK)
 
 
 def test_a_vector_environment_is_to_stable_baselines_what_single_ones_are(envs):
@@ -310,4 +310,4 @@ def test_an_algorithm_learns_in_a_vector_environment(envs):
     learner = PPO("MlpPolicy", many, n_steps=32, batch_size=32, seed=0, device="cpu").learn(128)
     assert learner.num_timesteps == 128
     assert len(learner.ep_info_buffer) > 0
-    assert envs.champion_of(learner, many.env.trials, name="ppo", task=SHORT).against == ("made_up",)
+    assert envs.champion_from_policy(learner, many.env.trials, name="ppo", task=SHORT).against == ("made_up",)

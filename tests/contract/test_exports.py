@@ -322,7 +322,7 @@ def test_what_has_no_program_is_refused_with_what_to_do_instead(register, car_da
     with pytest.raises(InvalidArgument, match=r"'bare' cannot be exported: .* feed_forward, constant"):
         exported_controller(champion_of("bare"))
     file = save_model(make_model("linear").fit(car_data), tmp_path / "body")
-    with pytest.raises(InvalidArgument, match=r"'predictive' cannot be written .* Evolve a network in that model"):
+    with pytest.raises(InvalidArgument, match=r"'predictive' cannot be exported: .* Evolve a network in that model"):
         exported_controller(champion_of(f"predictive(model={str(file)!r}, horizon=3)"))
     with pytest.raises(InvalidArgument, match="is a human driver; only controllers can be exported"):
         exported_controller(replace(champion_of("recurrent"), system=None))

@@ -83,7 +83,7 @@ def test_where_nobody_answers_the_error_says_what_to_do(monkeypatch):
     with pytest.raises(SchedulerLost) as lost, connected("tcp://127.0.0.1:9"):
         pass
     assert "no scheduler answers at tcp://127.0.0.1:9 (timed out): start one with 'dask scheduler'" in str(lost.value)
-    assert "the same command goes on from there" in str(lost.value)
+    assert "rerun the same command to resume" in str(lost.value)
     assert logging.getLogger("distributed.client").level != logging.CRITICAL
 
 
@@ -168,7 +168,7 @@ class Here:
         self.cluster = DaskExecutor(self.store, self.plan.cells, self.client, self.told.append)
 
     def look(self):
-        self.cluster._looked = 0.0
+        self.cluster._last_look = 0.0
         return self.cluster.n_idle()
 
     def answered(self, cell, answer):
@@ -215,7 +215,7 @@ def test_what_is_lost_is_sent_again_but_not_for_ever(here):
     here.look()
     for _ in range(LOST):
         assert here.answered(TOP, CancelledError()).status == "busy"
-    assert here.cluster._looked == 0.0  # it is seen at once who is there
+    assert here.cluster._last_look == 0.0  # it is seen at once who is there
     assert here.answered(TOP, CancelledError()).status == "failed"
     assert here.store.find(TOP.digest).reason == f"the cell or its inputs were lost in the cluster {LOST} times"
 
@@ -224,7 +224,7 @@ def test_a_result_is_stored_if_it_is_that_of_the_cell_and_whole(here, tmp_path):
     bundle = elsewhere(tmp_path / "there", TOP)
     assert here.answered(TOP, (CellEnd("done", 2.0), bundle, "a")).status == "done"
     assert here.store.load(TOP) == 3
-    with pytest.raises(CellLost, match="is not the whole result of this cell"):
+    with pytest.raises(CellLost, match="the received files are not the complete result"):
         here.answered(AFTER, (CellEnd("done", 2.0), bundle, "a"))
     with here.store.claim(AFTER) as ours:
         assert ours

@@ -172,6 +172,7 @@ def test_stages_are_written_in_the_grammar_of_everything_that_has_a_name():
         ("stage(task=point_to_point)", "expected until=FITNESS, max_generations=NUMBER or both"),
         ("stage(until=inf)", "finite"),
         ("stage(max_generations=0)", ">= 1"),
+        ("stage(at_most=3)", r"got stage\(at_most=3\)\. It is called 'max_generations' now"),
         (
             "step(until=3)",
             r"expected stage\(task=..., models=..., until=..., max_generations=..., window=...\), got step",

@@ -57,7 +57,7 @@ def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     )
     store = Store(tmp_path / "other")
     for forged, sent in ((further, (*files, (name, 0, b"x"))), (other, ((name, 0, b"x"),))):
-        with pytest.raises(ArtefactError, match="is not the whole result of this cell"):
+        with pytest.raises(ArtefactError, match="the received files are not the complete result of this cell"):
             store.receive(ONE, ((record_name, 0, forged.model_dump_json().encode()), *sent))
     assert not store.path.exists()
 

@@ -32,7 +32,7 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
     assert number_of_jobs(2, cells) == (2, "")
     monkeypatch.setattr(executors, "available_memory", lambda: 3 * 2**30 + 5)
     assert number_of_jobs(2, cells) == (2, "")
-    few = "3 instead of 5 cells are computed at the same time: 3.0 GiB of memory are free, and each may need 1"
+    few = "3 instead of 5 cells are computed at the same time: 3.0 GiB of memory are free, and each may need 1 GiB"
     assert number_of_jobs(5, cells) == (3, few)
     monkeypatch.setattr(executors, "available_memory", lambda: 0)
     assert number_of_jobs(5, cells)[0] == 1
