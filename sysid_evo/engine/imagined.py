@@ -21,9 +21,8 @@ from sysid_evo.types import Array, BoolArray
 class ImaginedTrials:
     """Simulation of trials of a bound ``task`` in ``dynamics``, from their current state, without noise.
 
-    ``engine`` is "float32" or "float64" (both kernels compiled) or "reference" (NumPy). "auto" selects the lowest
-    precision that the model allows if there are kernels, unless `SYSID_EVO_ENGINE` selects the reference. The scores
-    agree to rounding.
+    ``engine`` is "float32" or "float64" (both kernels compiled), "reference" (NumPy), or "auto": the lowest precision
+    that the model allows if there are kernels, unless `SYSID_EVO_ENGINE` selects the reference.
     """
 
     def __init__(self, dynamics: Dynamics, task: Task, *, engine: Engine = "auto") -> None:
@@ -44,9 +43,8 @@ class ImaginedTrials:
         if self.compiled is None or steps > task.horizon:  # a task's data are as long as its trials
             reached, state, diverged = self._run(carry, legal, task_state)
         else:
-            reached, state, diverged = self.compiled.run(
-                carry, legal, task_state, nx=dynamics.system.nx, n_noise=dynamics.n_noise
-            )
+            sizes = {"nx": dynamics.system.nx, "n_noise": dynamics.n_noise}
+            reached, state, diverged = self.compiled.run(carry, legal, task_state, **sizes)
         scores = task.fitness(reached) + task.potential(reached, state)
         return np.where(diverged, task.worst - 1.0, scores).reshape(count, trials)
 
@@ -56,17 +54,12 @@ class ImaginedTrials:
         engine = resolve(self.engine)
         if engine == "reference":
             return None
-        dynamics_kernel, task_kernel, state_bounds = (
-            self.dynamics.kernel(),
-            self.task.kernel(),
-            self.dynamics.state_bounds,
-        )
+        dynamics_kernel, task_kernel = self.dynamics.kernel(), self.task.kernel()
+        state_bounds, nx = self.dynamics.state_bounds, self.dynamics.system.nx
         if dynamics_kernel is None or task_kernel is None:
             return None
         precision = enough(dynamics_kernel.precision, state_bounds) if engine == "auto" else engine
-        return CompiledImagined(
-            dynamics_kernel, task_kernel, bounds_table(state_bounds, self.dynamics.system.nx, precision), precision
-        )
+        return CompiledImagined(dynamics_kernel, task_kernel, bounds_table(state_bounds, nx, precision), precision)
 
     def _run(self, carry: Array, legal: Array, task_state: TaskState) -> tuple[TaskState, Array, BoolArray]:
         """Return the results of `CompiledImagined.run`, in NumPy."""

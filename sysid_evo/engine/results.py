@@ -22,12 +22,10 @@ class Rollouts:
     - ``fitness`` (P, E): never nan. A trial that diverged has ``task.worst - 1 + survived / horizon``, less than any
       trial that did not diverge.
     - ``survived`` (P, E): number of steps; ``clipped`` (P, E): steps whose state was clipped to the state bounds.
-    - ``task_state``: the last state of the task, (P E) trials.
-    - ``engine``: the form that ran.
+    - ``task_state``: the last state of the task, (P E) trials; ``engine``: the form that ran.
     - ``behaviour`` (P, E, d): descriptors, see `behaviour_names`; d is 0 if they were not counted.
     - ``penalty`` (P, E): penalty in steps, as counted by the dynamics (`Dynamics`); empty if the runner has none.
-    - ``trajectories``: candidate first, trial second; only if recorded.
-    - ``missing``: one reason for each trial that a robot skipped; these trials are not among the E.
+    - ``trajectories``: if recorded, candidate first, trial second; ``missing``: reasons for skipped trials of a robot.
     """
 
     fitness: Array

@@ -49,14 +49,11 @@ class Champion(Displayed):
     """One evolved parameter vector (n,) of a registered ``controller`` for a registered ``task``.
 
     - ``against``: labels of the models of its evolution; ``aggregate``: the rule that combined their fitness.
-    - ``history`` (G, 3): best, mean and worst fitness of each generation during evolution, with an observation delay
-      of ``estimator_delay`` s, ``noise`` and ``penalty`` (specs, empty for none).
-    - ``finalists``: the candidates among which the champion was chosen, by their score on the ``scoring_models``, or
-      by fitness without such models.
+    - ``history`` (G, 3): best, mean and worst fitness of each generation, with ``estimator_delay`` (s), ``noise`` and
+      ``penalty`` (specs, empty for none); ``population`` (P, n): the last candidates, best first.
+    - ``finalists``: the candidates among which it was chosen, by their score on the ``scoring_models`` or by fitness.
     - ``seed_fitness``: fitness of the best finalist of each run (one evolution seed each), on the same fresh trials.
-    - ``system``: the system it was evolved for; None for a human driver.
-    - ``polished``: True if it was refined on several models, see `polish`.
-    - ``population`` (P, n): the last candidates of its run, best first.
+    - ``system``: None for a human driver; ``polished``: True if it was refined on several models, see `polish`.
     """
 
     name: str

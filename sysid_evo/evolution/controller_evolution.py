@@ -110,10 +110,7 @@ class ControllerEvolution:
         return penalties.make(self.penalty) if self.penalty else None
 
     def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
-        """Return the strategy for ``n_parameters`` parameters.
-
-        Raises `InvalidArgument` if two candidates, or the state of the strategy, do not fit into memory.
-        """
+        """Return the strategy. Raises `InvalidArgument` if two candidates or its state do not fit into memory."""
         import psutil
 
         size, memory = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
@@ -217,10 +214,7 @@ def selection_seeds(seed: int, trials: int) -> Seeds:
 
 
 def disturbed_runners(runners: Mapping[str, Runner], settings: ControllerEvolution) -> dict[str, Runner]:
-    """Return ``runners`` with the noise, delay and penalty of ``settings``.
-
-    Raises `InvalidArgument` for a runner that is not a model, if something has to be added to it.
-    """
+    """Return ``runners`` with the noise, delay and penalty of ``settings``. Raises `InvalidArgument` for no model."""
     noise, penalty, delay = settings.make_noise(), settings.make_penalty(), settings.estimator_delay
     if noise is None and penalty is None and delay == 0.0:
         return dict(runners)

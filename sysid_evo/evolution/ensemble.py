@@ -51,10 +51,7 @@ class EnsembleObjective:
         return self.on_trials(population, trial_seeds(self.seed, self.trials, generation=generation))
 
     def on_trials(self, population: Array, seeds: Seeds) -> Scores:
-        """Return the scores of ``population`` (P, n) in the trials of ``seeds``; behaviour is the mean over models.
-
-        Raises `ShapeError` if a runner skips trials.
-        """
+        """Return the scores of ``population`` (P, n) in these trials. Raises `ShapeError` if a runner skips trials."""
         shape = len(population), len(seeds)
         runs = [run(population, seeds) for run in self.bound]
         fitness = np.stack([check_shape("fitness in every trial", run.fitness, shape) for run in runs])

@@ -64,8 +64,7 @@ def evolve(
 
 
 MAX_SHARE, MAX_GENERATIONS = 0.5, 20
-"""A schedule has converged when at least this share of the candidates had the maximum fitness in each of this number
-of generations."""
+"""A schedule has converged if this share of the candidates had the maximum fitness in this number of generations."""
 
 
 def _checked(task: Spec | str | None) -> Spec | None:
@@ -80,11 +79,9 @@ def _labels(models: Sequence[str] | str) -> tuple[str, ...]:
 class Stage:
     """An easier stage of an evolution that precedes the final task.
 
-    - ``task``: task of the stage, a spec or its text; the final task by default.
-    - ``models``: labels of its models, a list or ``a+b``; all models by default.
-    - ``until``: the stage ends when the median fitness of the better half, as the median over the last ``window``
-      generations, reaches this value.
-    - ``max_generations``: the stage ends after this number of generations at the latest.
+    ``task`` is a spec or its text, by default the final task; ``models`` are labels, a list or ``a+b``, by default all.
+    The stage ends when the median fitness of the better half, as the median over the last ``window`` generations,
+    reaches ``until``, or after ``max_generations``.
     """
 
     task: Converted[Spec | str | None, Spec | None] = Converted(_checked, None)
@@ -97,9 +94,8 @@ class Stage:
         if self.until is None and self.max_generations is None:
             raise InvalidArgument("stage: expected until=FITNESS, max_generations=NUMBER or both: a stage must end")
         if self.window < 1 or (self.max_generations is not None and self.max_generations < 1):
-            raise InvalidArgument(
-                f"stage: expected window and max_generations >= 1, got {self.window} and {self.max_generations}"
-            )
+            given = f"{self.window} and {self.max_generations}"
+            raise InvalidArgument(f"stage: expected window and max_generations >= 1, got {given}")
         if self.until is not None and not np.isfinite(self.until):
             raise InvalidArgument(f"stage: expected a finite fitness, got until={self.until}")
 

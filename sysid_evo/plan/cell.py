@@ -58,10 +58,8 @@ class Cell(Generic[S]):
     - ``name``: file name, not necessarily unique; ``title``: text for users, the kind of work and its object.
     - ``group``: label of many short cells that share one log line; empty for a line per cell.
     - ``labels``: fields of the result that hold names, see `labelled`.
-    - ``expected_seconds``: expected time on one processor.
-    - ``resumable``: True if it resumes after an interruption.
-    - ``local``: True if the process that made the plan computes it (it holds recordings, reads a file or drives a
-      robot).
+    - ``expected_seconds``: expected time on one processor; ``resumable``: True if it resumes after an interruption.
+    - ``local``: True if the process that made the plan computes it; it may hold recordings or drive a robot.
     - ``local_only``: True if it, and all cells that need it, are computed where the run folder is.
     - ``known_digest``: digest of a cell that is known by its record only (`stored`).
     """

@@ -25,10 +25,7 @@ class Plan:
 
     @classmethod
     def of(cls, wanted: Iterable[Cell], *, remarks: Iterable[str] = ()) -> Plan:
-        """Return the plan of the ``wanted`` cells and all cells that they need.
-
-        Raises `InvalidArgument` if the sum of `Cell.expected_seconds` exceeds the limit.
-        """
+        """Return the plan of the ``wanted`` cells with their needs. Raises `InvalidArgument` for years of work."""
         placed: dict[str, Cell] = {}
 
         def place(cell: Cell) -> None:

@@ -1,7 +1,4 @@
-"""Worker processes on this machine, which share the run folder.
-
-Each has its own executor, so that a worker that crashes or is killed affects its own cell only.
-"""
+"""Worker processes on this machine, each with its own executor: a worker that crashes affects its own cell only."""
 
 from __future__ import annotations
 
@@ -83,10 +80,7 @@ class Slot:
 
 
 class Processes:
-    """Up to ``jobs`` worker processes for the ``cells`` of a plan.
-
-    With fewer cells than processors, the engine in each worker uses the idle processors.
-    """
+    """Up to ``jobs`` worker processes for the ``cells`` of a plan; their engines share the processors."""
 
     def __init__(self, store: Store, cells: Sequence[Cell], jobs: int) -> None:
         self._store, self._jobs = store, jobs

@@ -65,10 +65,7 @@ class CellRecord(BaseModel):
 
 @dataclass(frozen=True)
 class CellOutcome:
-    """Result of a cell: a value, or None and the reason; and the seconds of its computation.
-
-    ``error`` is the exception, if it was raised in this execution.
-    """
+    """Result of a cell: value, or None and the reason; seconds of computation; ``error`` of this execution, if any."""
 
     value: Any
     reason: str | None
@@ -184,10 +181,7 @@ class Store:
         return self.new_path(cell) if record is None or record.status != "done" else self.path / record.artefact
 
     def save(self, cell: Cell, value: Any, *, seconds: float, without: Iterable[str] = ()) -> CellRecord:
-        """Write the result of ``cell``, then its record; ``without`` holds the digests of failed needs.
-
-        Raises OSError if the disk is full.
-        """
+        """Write the result of ``cell``, then its record; ``without`` holds the digests of failed needs."""
         files = cell.result.save(value, self.new_path(cell), cell)
         record = self._of(
             cell,
@@ -362,10 +356,7 @@ Bundle: TypeAlias = tuple[tuple[str, int, bytes], ...]
 
 
 def unpack(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write the files of ``bundle`` below ``folder``, and return them.
-
-    Raises `ArtefactError` for a path outside ``folder``, also through a link.
-    """
+    """Write the files of ``bundle`` below ``folder`` and return them. Raises `ArtefactError` for a path outside it."""
     written = []
     for name, changed, content in bundle:
         if not is_inside(name) or not (folder / name).parent.resolve().is_relative_to(folder.resolve()):

@@ -70,10 +70,7 @@ class ControllerExample:
 
 
 def check_controller(name: str, *, at: Task | None = None, **parameters: Any) -> None:
-    """Raise `ContractViolation` with all rules that the registered controller ``name`` breaks.
-
-    ``at`` is a bound task, by default `PointToPoint` on a made-up car.
-    """
+    """Raise `ContractViolation` with all rules that the controller ``name`` breaks ``at`` a bound task."""
     CONTROLLER.check(name, at=at, **parameters)
 
 

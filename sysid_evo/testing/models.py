@@ -1,7 +1,4 @@
-"""The contract of a model family, and checks of any `Dynamics`.
-
-Each check is a function of a fitted model and its training data.
-"""
+"""The contract of a model family: checks of a fitted model with its training data, and of any `Dynamics`."""
 
 from __future__ import annotations
 

@@ -134,10 +134,7 @@ class LoopData:
         }
 
     def run(self, loop_trials: LoopTrials, *, record: bool, threads: int = 1) -> tuple[LoopResults, Array]:
-        """Return the results of all candidates in all trials, and the rows of the task at the end, (rows, P E).
-
-        The results do not depend on ``threads``.
-        """
+        """Return the results, which do not depend on ``threads``, and the final rows of the task, (rows, P E)."""
         real, (trials, horizon, n_noise) = np.dtype(self.precision), loop_trials.noise.shape
         (candidates, n_theta), n_carry, n_task = (
             loop_trials.theta.shape,

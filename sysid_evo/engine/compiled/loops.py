@@ -81,24 +81,13 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
             if ended == -1:
                 break
             observe(work.task, view(work.carry, sizes.observed_at * LANES), work.observation, shared.task_parameters)
-            controller(
-                work.theta,
-                work.memory,
-                work.observation,
-                work.raw,
-                shared.controller_parameters,
-                work.controller_scratch,
-            )
+            scratch = work.controller_scratch
+            controller(work.theta, work.memory, work.observation, work.raw, shared.controller_parameters, scratch)
             actuate(work.raw, work.control, shared.actuation, nu)
             if k % SAMPLE_EVERY == 0:
                 count_sides(work.carry, view(work.task, LANES), view(shared.centre, 0), nx, work.sign_counts)
-                count_sides(
-                    work.control,
-                    view(work.task, LANES),
-                    view(shared.centre, nx),
-                    nu,
-                    view(work.sign_counts, 2 * nx * LANES),
-                )
+                counts = view(work.sign_counts, 2 * nx * LANES)
+                count_sides(work.control, view(work.task, LANES), view(shared.centre, nx), nu, counts)
             draw(shared.noise_of, k * n_noise, n_noise, n_trials, in_order, work.trial_index, work.noise)
             copy_rows(work.carry, work.before, nx)
             if ended != 0:
@@ -107,13 +96,11 @@ def closed_loop(dynamics, controller, observe, advance, sizes, shared, work, tri
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
             suspicious = needs_care(work.carry, shared.state_bounds, n_carry, nx)
             if suspicious != 0:
-                diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
-                newly_diverged, clipping = diverging & ~ended, suspicious & ~diverging & ~ended
+                faulty = not_finite(work.carry, shared.state_bounds, n_carry, nx)
+                newly_diverged, clipping = faulty & ~ended, suspicious & ~faulty & ~ended
                 ended |= newly_diverged
                 diverged |= newly_diverged
-                clear_diverged(
-                    work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, diverging & diverged
-                )
+                clear_diverged(work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, faulty & diverged)
                 while newly_diverged != 0:
                     lane = first_lane(newly_diverged)
                     newly_diverged &= newly_diverged - 1
@@ -204,13 +191,11 @@ def imagine(dynamics, advance, sizes, shared, work, trials, final_state, final_t
             dynamics(work.carry, work.control, work.noise, shared.dynamics_parameters, work.scratch)
             suspicious = needs_care(work.carry, shared.state_bounds, n_carry, nx)
             if suspicious != 0:
-                diverging = not_finite(work.carry, shared.state_bounds, n_carry, nx)
-                newly_diverged = diverging & ~ended
+                faulty = not_finite(work.carry, shared.state_bounds, n_carry, nx)
+                newly_diverged = faulty & ~ended
                 ended |= newly_diverged
                 diverged |= newly_diverged
-                clear_diverged(
-                    work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, diverging & diverged
-                )
+                clear_diverged(work.carry, work.snapshot, n_carry, work.task, n_task, newly_diverged, faulty & diverged)
                 clip(work.carry, shared.state_bounds, nx)
             advance(work.task, work.before, work.carry, work.control, trials, shared.trial_data, shared.task_parameters)
             if ended != 0:

@@ -40,8 +40,7 @@ LAST_SHARE = 0.2
 class Island:
     """One search, restricted to one side of one channel: ``side`` is +1 above, -1 below, 0 for no restriction.
 
-    ``best`` holds the best candidates of its last generation, best first, ``scores`` their scores. ``behaviour_class``
-    is the number of the first island with the same restriction.
+    ``best``, ``scores``: best candidates of the last generation; ``behaviour_class``: number of the first such island.
     """
 
     name: str
@@ -132,9 +131,7 @@ class Niches(EvolutionStrategy):
     @property
     def active(self) -> list[Island]:
         """The islands that give finalists: all islands of the chosen behaviour classes."""
-        if not self._chosen:
-            return self.islands
-        return [island for island in self.islands if island.behaviour_class in self._chosen]
+        return [one for one in self.islands if not self._chosen or one.behaviour_class in self._chosen]
 
     @property
     def elite(self) -> Array:
@@ -196,9 +193,7 @@ class Niches(EvolutionStrategy):
                 f"niches: expected behaviour classes that begin with 0 to {initial - 1}, got {classes}"
             )
         if any(not 0 <= i < len(classes) for i in (*running, *chosen)):
-            raise InvalidArgument(
-                f"niches: expected running and chosen below {len(classes)} islands, got {running} and {chosen}"
-            )
+            raise InvalidArgument(f"niches: expected running, chosen below {len(classes)}, got {running}, {chosen}")
         for behaviour_class in classes[initial:]:
             self._restart(behaviour_class)
         for number, island in enumerate(self.islands):
@@ -271,18 +266,12 @@ class Niches(EvolutionStrategy):
 
     def _next_restart(self) -> int:
         """Return the behaviour class of the next restart: fewest islands, then highest peak; converged classes last."""
-        members = {
-            chosen: [island for island in self.islands if island.behaviour_class == chosen] for chosen in self._chosen
+        members = {chosen: [one for one in self.islands if one.behaviour_class == chosen] for chosen in self._chosen}
+        stagnated = {
+            key: [one.peak for one in found if one.stagnated(self._patience)] for key, found in members.items()
         }
-        not_converged = [
-            chosen
-            for chosen in self._chosen
-            if not _converged([one.peak for one in members[chosen] if one.stagnated(self._patience)])
-        ]
-        return min(
-            not_converged or self._chosen,
-            key=lambda chosen: (len(members[chosen]), -max(island.peak for island in members[chosen])),
-        )
+        not_converged = [chosen for chosen in self._chosen if not _converged(stagnated[chosen])]
+        return min(not_converged or self._chosen, key=lambda i: (len(members[i]), -max(one.peak for one in members[i])))
 
     def _off(self, island: Island, behaviour: Array) -> Array:
         """Return the distance of candidates from the niche (P,), as a share of the time; 0 inside."""
@@ -291,15 +280,14 @@ class Niches(EvolutionStrategy):
         above, below = (behaviour[:, self.behaviour_names.index(f"{island.channel} {side}")] for side in (ABOVE, BELOW))
         return np.maximum(0.0, -island.side * (above - below))
 
-    def _island(self, number: int, channel: str, side: int, behaviour_class: int | None = None) -> Island:
+    def _island(self, number: int, channel: str, side: int, first: int | None = None) -> Island:
         strategy = make_strategy(self.spec, n_parameters=self.n_parameters, seed=derived_seed(self.seed, number))
         niche = ANYTHING if side == 0 else f"{channel} {ABOVE if side > 0 else BELOW}"
         earlier = sum(island.channel == channel and island.side == side for island in self._made)
         name = f"{niche} #{earlier + 1}" if earlier else niche
         elite = strategy.elite
         best, scores = elite.copy(), np.full(len(elite), -np.inf)
-        own_class = number if behaviour_class is None else behaviour_class
-        return Island(name, channel, side, strategy, best, scores, own_class)
+        return Island(name, channel, side, strategy, best, scores, number if first is None else first)
 
     def _sides(self) -> list[tuple[str, int]]:
         """Return the channel and side of each island of the initial phase, at least one for each slot."""
@@ -307,17 +295,14 @@ class Niches(EvolutionStrategy):
         counted = [channel for channel in channels if f"{channel} {ABOVE}" in self.behaviour_names]
         if self.channels and len(counted) < len(channels):
             known = dict.fromkeys(name.rpartition(" ")[0] for name in self.behaviour_names)
-            raise InvalidArgument(
-                f"niches: expected channels among {', '.join(known) or '(none are counted)'}, got {self.channels!r}"
-            )
+            raise InvalidArgument(f"niches: expected channels among {', '.join(known) or '-'}, got {self.channels!r}")
         sides = [(channel, side) for channel in counted for side in (1, -1)] or [("", 0)]
         return sides * -(-self.slots // len(sides))
 
     def _choose(self) -> list[int]:
         """Return ``slots`` islands of the initial phase: both sides of the channels that separate behaviour most.
 
-        The separation of a channel is the bias of its upper island minus that of its lower island. Example: throttle
-        islands at +0.8 and -0.6 (separation 1.4) go before steering islands at +0.3 and -0.2 (0.5).
+        Example: throttle islands with biases +0.8 and -0.6 (1.4 apart) precede steering with +0.3 and -0.2 (0.5 apart).
         """
         sides = range(len(self._sides()))
         separation: dict[str, float] = dict.fromkeys((self.islands[i].channel for i in sides), 0.0)

@@ -61,10 +61,7 @@ class EvolutionStrategy(ABC):
 
     @property
     def finals(self) -> Mapping[str, Array]:
-        """Candidates (any, n_parameters) by behaviour class; each class gives one finalist.
-
-        By default the `elite` is the only class, with an empty name.
-        """
+        """Candidates (any, n_parameters) by behaviour class, each giving one finalist; by default the `elite`."""
         return {"": self.elite}
 
     def forget_fitness(self) -> None:  # noqa: B027  # most strategies store no fitness
@@ -81,10 +78,7 @@ class EvolutionStrategy(ABC):
     @property
     @abstractmethod
     def state(self) -> StrategyState:
-        """Copies of all variables that `tell` changes.
-
-        Variables that `ask` changes are not part of it: a state taken after `ask` leads to the same search.
-        """
+        """Copies of all variables that `tell` changes; a state taken after `ask` leads to the same search."""
 
     @abstractmethod
     def restore(self, state: StrategyState) -> None:

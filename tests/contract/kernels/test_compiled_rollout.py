@@ -218,7 +218,7 @@ def test_a_form_that_cannot_run_says_what_is_missing(ladder):
         attempt(Climber(ladder), Constant(), compiled[2], engine="float32")
     with pytest.raises(InvalidArgument, match=r"none of the task:"):
         attempt(*compiled[:2], Ladder(), engine="float64")
-    with pytest.raises(InvalidArgument, match="not 'float16'"):
+    with pytest.raises(InvalidArgument, match="got 'float16'"):
         attempt(*compiled, engine="float16")
     with pytest.raises(InvalidArgument, match="at least one thread, got 0"):
         attempt(*compiled, threads=0)

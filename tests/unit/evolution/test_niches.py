@@ -168,7 +168,7 @@ def test_a_state_of_another_plan_is_refused():
         prepared().restore({"generation": 3})
     with pytest.raises(InvalidArgument, match="expected behaviour classes that begin with 0 to 1, got"):
         prepared(channels="speed").restore(state)
-    with pytest.raises(InvalidArgument, match="expected running and chosen below 4 islands"):
+    with pytest.raises(InvalidArgument, match="expected running, chosen below 4"):
         prepared().restore({**state, "running": np.array([9.0])})
 
 
