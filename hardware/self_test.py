@@ -235,9 +235,9 @@ def sensors_finding(
     return SelfTestFinding("sensors", bool(np.isfinite(readings).all()), sentence)
 
 
-def _rest(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
+def _rest(dynamics: Dynamics, stop: StopRequest) -> SelfTestFinding:
     """Return the behaviour of the equations without a command."""
-    path = constant_control_response(dynamics, dynamics.system.neutral_control, stops)
+    path = constant_control_response(dynamics, dynamics.system.neutral_control, stop)
     finite = bool(np.isfinite(path).all())
     moved = f"covers {_ranges(dynamics.system, path)}" if np.ptp(path, axis=0).any() else "does not move"
     sentence = (
@@ -246,7 +246,7 @@ def _rest(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
     return SelfTestFinding("rest", finite, sentence)
 
 
-def _answer(dynamics: Dynamics, place: int, stops: StopRequest) -> SelfTestFinding:
+def _answer(dynamics: Dynamics, place: int, stop: StopRequest) -> SelfTestFinding:
     """Return the effect of one control at its two ends: with the others neutral, or full if it has none then."""
     system, channel = dynamics.system, dynamics.system.controls[place]
     if not all(control.bounded for control in system.controls):
@@ -256,7 +256,7 @@ def _answer(dynamics: Dynamics, place: int, stops: StopRequest) -> SelfTestFindi
     for others, how in ((system.neutral_control, ""), (full_controls(system), " with the other controls full")):
         here = np.arange(system.nu) == place
         paths = {
-            end: constant_control_response(dynamics, np.where(here, end, others), stops)
+            end: constant_control_response(dynamics, np.where(here, end, others), stop)
             for end in (channel.low, channel.high)
         }
         low, high = paths.values()
@@ -281,14 +281,14 @@ def _effect(dynamics: Dynamics, channel: Channel, end: float, path: Array) -> st
     return f"{at}: {_ranges(dynamics.system, path)}{_clipped(dynamics, path)}"
 
 
-def constant_control_response(dynamics: Dynamics, control: Array, stops: StopRequest) -> Array:
+def constant_control_response(dynamics: Dynamics, control: Array, stop: StopRequest) -> Array:
     """Return the states (STEPS + 1, nx) from rest under a constant ``control`` (nu,), without noise."""
     system = dynamics.system
     carry = started(dynamics, system.neutral_state[None])
     states = [carry[0, : system.nx].copy()]
     with np.errstate(all="ignore"):
-        for _ in range(STEPS if stops.reason is None else 0):
-            with stops.answer("the robot's equations"):
+        for _ in range(STEPS if stop.reason is None else 0):
+            with stop.answer("the robot's equations"):
                 carry = dynamics.step(carry, control[None], np.zeros((1, dynamics.n_noise)))
             if not np.isfinite(carry[0, : system.nx]).all():
                 states.append(carry[0, : system.nx].copy())
@@ -335,17 +335,17 @@ def _lost(system: System, path: Array) -> str:
     )
 
 
-def _speed(dynamics: Dynamics, stops: StopRequest) -> SelfTestFinding:
+def _speed(dynamics: Dynamics, stop: StopRequest) -> SelfTestFinding:
     """Return the speed of rollouts."""
     system = dynamics.system
     carry = started(dynamics, np.tile(system.neutral_state, (BATCH, 1)))
     control, noise = np.tile(system.neutral_control, (BATCH, 1)), np.zeros((BATCH, dynamics.n_noise))
     began, steps = time.perf_counter(), 0
     for _ in range(STEPS):
-        with stops.answer("the robot's equations"):
+        with stop.answer("the robot's equations"):
             dynamics.step(carry, control, noise)
         steps += 1
-        if stops.reason is not None or time.perf_counter() - began > LONG:
+        if stop.reason is not None or time.perf_counter() - began > LONG:
             break
     seconds = (time.perf_counter() - began) * STEPS / steps
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"

@@ -33,11 +33,11 @@ LAST_LOOK = 0.3
 
 @contextmanager
 def shown_live(
-    robot: Robot, task: Task, name: str, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
+    robot: Robot, task: Task, name: str, address: PageAddress, *, stop: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[Callable[[TrialSeries], None]]:
     """Serve the page of the controller ``name`` at ``task``; yields a function to call after every decision."""
     panel = ControllerPanel(robot.name, task.bind(robot.system), name)
-    with watched(panel, address, stops=stops, announce=announce):
+    with watched(panel, address, stop=stop, announce=announce):
         yield lambda series: panel.show(*shown_of(series))
 
 
@@ -53,21 +53,21 @@ def play_back(
     """Play back simulated trials on the page, in real time or faster; return the reason of a stop, if any."""
     task = make_task(champion.task).bind(robot.system)
     panel = ControllerPanel(robot.name, task, champion.name, playback_speed=playback_speed(task))
-    with StopRequest() as stops, watched(panel, address, stops=stops, announce=announce):
-        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stop=stops)
-    return stops.reason
+    with StopRequest() as stop, watched(panel, address, stop=stop, announce=announce):
+        play(panel, task, seeds, rollouts.trajectories, rollouts.fitness[0], stop=stop)
+    return stop.reason
 
 
 @contextmanager
 def watched(
-    panel: ControllerPanel, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
+    panel: ControllerPanel, address: PageAddress, *, stop: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[None]:
     """Serve ``panel`` and wait until the page has been opened, or for a stop from outside."""
-    with served(panel, Keyboard(life=1.0), address, stops=stops, announce=announce) as page:
-        while page.seats.driver is None and stops.reason is None:
+    with served(panel, Keyboard(life=1.0), address, stop=stop, announce=announce) as page:
+        while page.seats.driver is None and stop.reason is None:
             time.sleep(POLL)
         yield
-        if stops.reason is None:
+        if stop.reason is None:
             time.sleep(LAST_LOOK)
 
 

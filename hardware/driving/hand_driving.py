@@ -76,7 +76,7 @@ class HandDriving:
         self._keyboard = keyboard
         self._instruments = instruments
         self._seed_of = seed_of
-        self._stops = stop
+        self._stop = stop
         self._recorder = recorder
         self._origin = origin
 
@@ -101,7 +101,7 @@ class HandDriving:
                 if self._recorder is not None:
                     listeners.append(PreTriggerBuffer(pilot, partial(self._recorder, name, connection.gate_limits)))
                 self._instruments.begin(pilot, index + 1)
-                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stop=self._stops)
+                loop = ControlLoop(connection, self._robot.system, listeners=listeners, stop=self._stop)
                 report, limits = loop.run(pilot), connection.gate_limits
         finally:
             pilot.end()
@@ -112,7 +112,7 @@ class HandDriving:
 
     def _wanted(self) -> bool:
         """Wait until the person asks for a new trial; return False if the session is stopped instead."""
-        while self._stops.reason is None:
+        while self._stop.reason is None:
             if self._keyboard.take_new_trial():
                 return True
             time.sleep(POLL)
@@ -143,7 +143,7 @@ def driven_by_hand(
     address: PageAddress,
     *,
     seed_of: Callable[[int], int],
-    stops: StopRequest,
+    stop: StopRequest,
     announce: Callable[[str], None],
     recorder: Callable[[str, GateLimits], Listener] | None = None,
     origin: Array | None = None,
@@ -152,9 +152,9 @@ def driven_by_hand(
     keyboard = Keyboard(life=key_validity(robot.system))
     instruments = HandPanel(robot, task, keyboard)
     driving = HandDriving(
-        robot, task, keyboard, instruments, seed_of=seed_of, stop=stops, recorder=recorder, origin=origin
+        robot, task, keyboard, instruments, seed_of=seed_of, stop=stop, recorder=recorder, origin=origin
     )
-    with served(instruments, keyboard, address, stops=stops, announce=announce):
+    with served(instruments, keyboard, address, stop=stop, announce=announce):
         yield driving.trials()
 
 

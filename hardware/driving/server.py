@@ -74,11 +74,11 @@ def check_page() -> None:
 
 @contextmanager
 def served(
-    panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stops: StopRequest, announce: Callable[[str], None]
+    panel: DrivePanel, keyboard: Keyboard, address: PageAddress, *, stop: StopRequest, announce: Callable[[str], None]
 ) -> Iterator[PageServer]:
     """Serve the page during the ``with`` block, which is stopped if the server dies; ``announce`` gets the URL."""
 
-    died = partial(stops.request, StopReason.THREAD_DIED)
+    died = partial(stop.request, StopReason.THREAD_DIED)
     with PageServer(panel, keyboard, host=address.host, port=address.port, on_server_end=died) as page:
         announce(page.url)
         if address.opened:

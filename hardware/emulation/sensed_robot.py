@@ -160,15 +160,15 @@ class SensedRobot(SimulatedRobot):
         total = sum(len(manoeuvre.controls) for manoeuvre in manoeuvres)
         logs: list[RawLog] = []
         done, reason, detail = 0, StopReason.PILOT, ""
-        stops = job.stops
+        stop = job.stop
         for number, manoeuvre in enumerate(manoeuvres):
             try:
-                log = self._driven(manoeuvre, np.random.SeedSequence(job.seed, spawn_key=(number,)), stops)
+                log = self._driven(manoeuvre, np.random.SeedSequence(job.seed, spawn_key=(number,)), stop)
             except LinkLost as error:
-                reason, detail = stops.reason or StopReason.LINK_LOST, str(error)
+                reason, detail = stop.reason or StopReason.LINK_LOST, str(error)
                 break
-            if stops.reason is not None:
-                reason, detail = stops.reason, stops.detail
+            if stop.reason is not None:
+                reason, detail = stop.reason, stop.detail
                 break
             logs.append(log)
             done += len(manoeuvre.controls)
@@ -179,7 +179,7 @@ class SensedRobot(SimulatedRobot):
             raise LinkLost(f"{self.name}: {report.sentence}; nothing was recorded")
         return RecordingResult(tuple(logs), prepare_logs(logs, self.system), report)
 
-    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stops: StopRequest) -> RawLog:
+    def _driven(self, manoeuvre: Manoeuvre, seeds: np.random.SeedSequence, stop: StopRequest) -> RawLog:
         """Return the sensor readings during a manoeuvre, up to a stop, and the rates estimated from them."""
         release, session = seeds.spawn(2)
         state = self.physics.release_state(np.random.default_rng(release))
@@ -193,9 +193,9 @@ class SensedRobot(SimulatedRobot):
                 for _ in range(self.dynamics.repeats):
                     readings.append(connection.reading)
                     controls.append(control)
-                    with stops.answer(self.name):
+                    with stop.answer(self.name):
                         connection.measure(period)
-                if stops.reason is not None:
+                if stop.reason is not None:
                     break
         measured = dict(zip(self.physics.measured_sensors, np.array(readings).T, strict=True))
         rates = {

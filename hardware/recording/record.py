@@ -48,7 +48,7 @@ class RecordingJob:
 
     seed: int
     folder: Path | None = None
-    stops: StopRequest = field(default_factory=StopRequest)
+    stop: StopRequest = field(default_factory=StopRequest)
     progress: Progress | None = None
 
 
@@ -60,7 +60,7 @@ def record_through_loop(robot: Connectable, manoeuvres: Sequence[Manoeuvre], job
     check_loop(robot.system)
     with tempfile.TemporaryDirectory() as temporary:
         place = Path(temporary) if job.folder is None else job.folder
-        report = record_journals(robot, manoeuvres, place, seed=job.seed, stop=job.stops, progress=job.progress)
+        report = record_journals(robot, manoeuvres, place, seed=job.seed, stop=job.stop, progress=job.progress)
         logs = read_logs(place, [manoeuvre.name for manoeuvre in manoeuvres])
     try:
         return RecordingResult(tuple(logs), prepare_logs(logs, robot.system), report)

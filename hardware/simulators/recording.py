@@ -36,7 +36,7 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
     gives the same recording. Raises `InvalidArgument` if it is too short, `InvalidData` if the simulator returns
     numbers that are not finite or ends every episode at once.
     """
-    system, stops = simulator.system, job.stops
+    system, stop = simulator.system, job.stop
     each = samples_each(simulator, duration)
     rng = np.random.default_rng(job.seed)
     episodes: list[Trajectory] = []
@@ -47,16 +47,16 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
             for number, name in enumerate(SCRIPTS):
                 script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
                 counted = _counter(job.progress, number * each, len(SCRIPTS) * each)
-                made = enumerate(_episodes(session, simulator, script, each, rng, counted, stops), start=1)
+                made = enumerate(_episodes(session, simulator, script, each, rng, counted, stop), start=1)
                 for count, (states, controls) in made:
                     if len(controls) >= SHORTEST:
                         of = f"{name}-{count}"
                         episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of))
-                if stops.reason is not None:
-                    reason = stops.reason
+                if stop.reason is not None:
+                    reason = stop.reason
                     break
     except LinkLost as error:
-        reason, detail = stops.reason or StopReason.LINK_LOST, str(error)
+        reason, detail = stop.reason or StopReason.LINK_LOST, str(error)
     report = LoopReport(reason, detail, np.zeros(0), np.zeros(0))
     if reason.is_fault and not episodes:
         raise LinkLost(f"{simulator.name}: {report.sentence}; nothing was recorded")
@@ -103,18 +103,18 @@ def _episodes(
     steps: int,
     rng: np.random.Generator,
     counted: Callable[[int], None],
-    stops: StopRequest,
+    stop: StopRequest,
 ) -> Iterator[tuple[list[Array], list[Array]]]:
     """Yield states and controls of one episode after the other, ``steps`` in all, fewer if it is stopped."""
     system, done, lasted = simulator.system, 0, 0
-    while done < steps and stops.reason is None:
-        with stops.answer(simulator.name):
+    while done < steps and stop.reason is None:
+        with stop.answer(simulator.name):
             states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
         script.begin(lasted)
         ended = False
-        while done < steps and not ended and stops.reason is None:
+        while done < steps and not ended and stop.reason is None:
             control = system.actuate(script.next(states[-1]))
-            with stops.answer(simulator.name):
+            with stop.answer(simulator.name):
                 state, _, over, late = session.step(control)
             states.append(state)
             controls.append(control)

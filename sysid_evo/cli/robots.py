@@ -283,7 +283,7 @@ def _loop(
         bars, stops = stack.enter_context(PlanProgress()), stack.enter_context(hardware.StopRequest())
         told = None
         if page is not None:
-            shown = hardware.shown_live(robot, task, champion.name, page, stops=stops, announce=_watch_at)
+            shown = hardware.shown_live(robot, task, champion.name, page, stop=stops, announce=_watch_at)
             told = stack.enter_context(shown)
         runner = hardware.RobotRunner(
             robot,
@@ -418,7 +418,7 @@ def drive_by_hand(
             task,
             page,
             seed_of=lambda index: int(evaluation.transfer_seeds(first, index + 1)[index]),
-            stops=stops,
+            stop=stops,
             announce=lambda url: say(f"Drive {robot.name} at {url}"),
             recorder=None if folder is None else recorder,
             origin=np.zeros(robot.system.n_pose) if tracker_origin else None,

@@ -111,7 +111,7 @@ def test_every_controller_of_a_run_is_run_on_every_model_with_intervals(there):
     assert all(len(cell["interval"]) == 2 for cell in told["transfer"]["cells"])
     first, second = told["controllers"]["controllers"]
     assert first["against"] == ["linear"]
-    assert set(first["scoring_models"]) == {"nearest_neighbour", "k_neighbours"}
+    assert set(first["other_family_models"]) == {"nearest_neighbour", "k_neighbours"}
     assert first["claimed"]["value"] is not None
     assert [len(one["seed_fitness"]) for one in (first, second)] == [2, 1]
 

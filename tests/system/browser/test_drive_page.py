@@ -54,7 +54,7 @@ class Session(Listener):
         self.stops = StopRequest()
         instruments = HandPanel(self.robot, task, keyboard)
         self.page = PageServer(instruments, keyboard, host="127.0.0.1", port=0, on_server_end=lambda _: None)
-        options = {"seed_of": lambda index: index, "stops": self.stops, "recorder": lambda *_: self}
+        options = {"seed_of": lambda index: index, "stop": self.stops, "recorder": lambda *_: self}
         self._driving = HandDriving(self.robot, task, keyboard, instruments, **options)
         self._thread = threading.Thread(target=self._drive)
         self._thread.start()
