@@ -147,7 +147,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
 
 
 def renamed(name: str, known: Iterable[str]) -> str:
-    """Return the present name among ``known`` of what was once called ``name``, else ""."""
+    """Return the name in ``known`` that has replaced the old ``name``, else ""."""
     names = set(known)
     return next((new for new in RENAMED.get(name, ()) if new in names), "")
 

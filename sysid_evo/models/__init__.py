@@ -1,4 +1,4 @@
-"""What steps; a model family needs scikit-learn, which takes long to import, an emulated robot does not."""
+"""Models and other dynamics; families need scikit-learn, which takes long to import, emulated robots do not."""
 
 import lazy_loader
 

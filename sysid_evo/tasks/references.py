@@ -141,11 +141,17 @@ class Upright(TrackingTask):
     """
 
     def __init__(
-        self, channel: str, target: float | None, tolerance: float, still: float, spread: float, **others: Any
+        self,
+        channel: str,
+        target: float | None,
+        tolerance: float,
+        rate_tolerance: float,
+        start_spread: float,
+        **others: Any,
     ) -> None:
         super().__init__(**others)
         self.channel, self.target = channel, target
-        self.tolerance, self.still, self.spread = tolerance, still, spread
+        self.tolerance, self.rate_tolerance, self.start_spread = tolerance, rate_tolerance, start_spread
 
     abort_error = math.inf
 
@@ -161,7 +167,11 @@ class Upright(TrackingTask):
         state = system.states[place]
         usual = state.neutral + 0.5 * (state.period or 0.0)
         target = usual if self.target is None else self.target
-        return (Goal(state, place, target, target, self.tolerance, self.still, self.spread, self.abort_error),)
+        return (
+            Goal(
+                state, place, target, target, self.tolerance, self.rate_tolerance, self.start_spread, self.abort_error
+            ),
+        )
 
     def references(self, rng: np.random.Generator) -> Array:
         return np.array([[goal.low for goal in self.goals]])

@@ -101,12 +101,12 @@ class TrackingTask(Task):
             if not (
                 min(goal.tolerance, goal.rate_tolerance, goal.abort_error) > 0.0
                 and goal.low <= goal.high
-                and goal.spread >= 0.0
+                and goal.start_spread >= 0.0
             ):
                 raise InvalidArgument(
                     f"{self.name}: {goal.channel.name}: expected low <= high, tolerance, rate_tolerance and "
                     f"abort_error > 0, start_spread >= 0, got {goal.low:g}, {goal.high:g}; {goal.tolerance:g}, "
-                    f"{goal.rate_tolerance:g}, {goal.abort_error:g}; {goal.spread:g}"
+                    f"{goal.rate_tolerance:g}, {goal.abort_error:g}; {goal.start_spread:g}"
                 )
 
     def bind(self, system: System) -> Self:
@@ -131,7 +131,7 @@ class TrackingTask(Task):
 
     def begin(self, seeds: Seeds) -> TrackingState:
         trials, system, goals = len(seeds), self.system, self.goals
-        spread = np.array([goal.spread for goal in goals])
+        spread = np.array([goal.start_spread for goal in goals])
         generators = [generator(seed, TASK_STREAM) for seed in seeds]
         off = np.array([spread * rng.uniform(-1.0, 1.0, len(spread)) for rng in generators])
         reference = np.array([self.references(rng) for rng in generators])
@@ -297,8 +297,8 @@ class Goal:
     """The goal of one state: its ``channel`` and its index ``place`` among the states of the system.
 
     All in the channel's unit: targets lie between ``low`` and ``high``; an error of one ``tolerance``, or a change of
-    ``rate_tolerance`` per second, costs half of the score; a trial begins within ``spread`` of its start, and is over
-    once the error exceeds ``abort_error``.
+    ``rate_tolerance`` per second, costs half of the score; a trial begins within ``start_spread`` of its start, and is
+    over once the error exceeds ``abort_error``.
     """
 
     channel: Channel
@@ -307,7 +307,7 @@ class Goal:
     high: float
     tolerance: float
     rate_tolerance: float = math.inf
-    spread: float = 0.0
+    start_spread: float = 0.0
     abort_error: float = math.inf
 
     @property
@@ -332,14 +332,14 @@ def goals_of(
     found = places(task, listed(channels) or system.state_names[:1], system)
     states, count = [system.states[place] for place in found], len(found)
     middle = [middle_half(channel) for channel in states]
-    lows = numbers(f"{task}: low", low, count, [ends[0] for ends in middle])
-    highs = numbers(f"{task}: high", high, count, [ends[1] for ends in middle])
-    widths = [b - a if b > a else ends[1] - ends[0] for a, b, ends in zip(lows, highs, middle, strict=True)]
+    lows = numbers(f"{task}: low", low, count, [limits[0] for limits in middle])
+    highs = numbers(f"{task}: high", high, count, [limits[1] for limits in middle])
+    widths = [b - a if b > a else limits[1] - limits[0] for a, b, limits in zip(lows, highs, middle, strict=True)]
     tolerances = numbers(f"{task}: tolerance", tolerance, count, [width / TOLERANCES for width in widths])
-    stills = numbers(f"{task}: rate_tolerance", rate_tolerance, count, [math.inf] * count)
-    spreads = numbers(f"{task}: start_spread", start_spread, count, [0.0] * count)
-    ends = numbers(f"{task}: abort_error", abort_error, count, [math.inf] * count)
-    chosen = zip(states, found, lows, highs, tolerances, stills, spreads, ends, strict=True)
+    rate_tolerances = numbers(f"{task}: rate_tolerance", rate_tolerance, count, [math.inf] * count)
+    start_spreads = numbers(f"{task}: start_spread", start_spread, count, [0.0] * count)
+    abort_errors = numbers(f"{task}: abort_error", abort_error, count, [math.inf] * count)
+    chosen = zip(states, found, lows, highs, tolerances, rate_tolerances, start_spreads, abort_errors, strict=True)
     return tuple(Goal(*values) for values in chosen)
 
 
@@ -383,13 +383,13 @@ def middle_half(channel: Channel) -> tuple[float, float]:
     return channel.neutral - reach, channel.neutral + reach
 
 
-ROWS = Layout("score", "alive", "step", "squared", "late", "reached", "beyond", "pose")
+ROWS = Layout("score", "alive", "step", "squared_error", "last_violation", "reached", "overshoot", "pose")
 """The pose is followed by the present target of each channel, and its first error."""
 HEAD = Layout(
     "nx", "nu", "goals", "dt", "n_pose", "gain", "effort", "stride", "n_data", "of_goals", "of_nu", "of_motion"
 )
 STATE = Layout("turn", "centre", "scale")
-GOAL = Layout("place", "period", "per_tolerance", "per_still", "turn", "scale", "end")
+GOAL = Layout("place", "period", "per_tolerance", "per_rate", "turn", "scale", "abort_error")
 CONTROL = Layout("neutral", "full")
 NEVER = 1e30
 
@@ -437,10 +437,10 @@ def _of_goal(goal: Goal) -> Array:
         place=goal.place,
         period=goal.period,
         per_tolerance=1.0 / goal.tolerance,
-        per_still=1.0 / goal.rate_tolerance,
+        per_rate=1.0 / goal.rate_tolerance,
         turn=TURN / goal.period if goal.period else 0.0,
         scale=1.0 / (OBSERVED_TOLERANCES * goal.tolerance),
-        end=min(goal.abort_error, NEVER),
+        abort_error=min(goal.abort_error, NEVER),
     )
 
 
@@ -456,10 +456,10 @@ def _state(here: TrackingState, rows: Array) -> TaskState:
         score=rows[ROWS.score],
         alive=rows[ROWS.alive] > 0,
         step=rows[ROWS.step].astype(np.int64),
-        squared_error=rows[ROWS.squared],
-        last_violation=rows[ROWS.late].astype(np.int64),
+        squared_error=rows[ROWS.squared_error],
+        last_violation=rows[ROWS.last_violation].astype(np.int64),
         reached=rows[ROWS.reached] > 0,
-        overshoot=rows[ROWS.beyond],
+        overshoot=rows[ROWS.overshoot],
         pose=rows[ROWS.pose : ROWS.pose + here.pose.shape[1]].T.copy(),
     )
 
@@ -520,12 +520,12 @@ def follow(task, before, after, control, parameters):
         p = view(parameters, int(parameters[HEAD.of_goals]) + i * GOAL.size)
         place, first = int(p[GOAL.place]), task[targets + goals + i]
         error = nearest_way(task[targets + i] - after[place], p[GOAL.period])
-        rate = nearest_way(after[place] - before[place], p[GOAL.period]) * per_dt * p[GOAL.per_still]
+        rate = nearest_way(after[place] - before[place], p[GOAL.period]) * per_dt * p[GOAL.per_rate]
         moving += rate * rate
         share = error * p[GOAL.per_tolerance]
         squares += share * share
         off = 1.0 if abs(share) > 1.0 else off
-        over = 1.0 if abs(error) > p[GOAL.end] else over
+        over = 1.0 if abs(error) > p[GOAL.abort_error] else over
         way = (1.0 if first > 0.0 else 0.0) - (1.0 if first < 0.0 else 0.0)
         past = max(past, -way * share / max(abs(first) * p[GOAL.per_tolerance], 1.0))
     for j in range(nu):
@@ -535,12 +535,12 @@ def follow(task, before, after, control, parameters):
     effort = parameters[HEAD.effort] * (1.0 - power / max(float(nu), 1.0))
     task[ROWS.score] += parameters[HEAD.gain] * (1.0 / (1.0 + squares + moving) + effort)
     task[ROWS.alive] = 0.0 if over > 0.0 else task[ROWS.alive]
-    task[ROWS.squared] += squares
-    task[ROWS.late] = task[ROWS.step] if off > 0.0 else task[ROWS.late]
+    task[ROWS.squared_error] += squares
+    task[ROWS.last_violation] = task[ROWS.step] if off > 0.0 else task[ROWS.last_violation]
     reached = task[ROWS.reached] if off > 0.0 else 1.0
-    beyond = task[ROWS.beyond]
+    overshoot = task[ROWS.overshoot]
     task[ROWS.reached] = reached
-    task[ROWS.beyond] = max(beyond, past) if reached > 0.0 else beyond
+    task[ROWS.overshoot] = max(overshoot, past) if reached > 0.0 else overshoot
 
 
 SHORTEST = 1e-6

@@ -156,7 +156,7 @@ class ConditionFold:
     def get_n_splits(
         self, X: Dataset | Sequence[Dataset] | None = None, y: object = None, groups: object = None
     ) -> int:
-        """Return the number of conditions, as scikit-learn asks for it."""
+        """Return the number of conditions (interface of scikit-learn)."""
         return 0 if X is None else len(as_dataset(X, "ConditionFold").conditions)
 
     def split(

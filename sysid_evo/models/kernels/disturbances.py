@@ -47,7 +47,7 @@ def disturbed_kernel(
 
 
 def disturbed(carry, control, noise, parameters, scratch):
-    """Choose the command that acts, step the inner dynamics with it, move the state, and write what is observed."""
+    """Choose the command that acts, step the inner dynamics with it, disturb the state, and write the observation."""
     nx, nu = int(parameters[HEAD.nx]), int(parameters[HEAD.nu])
     moved, seen, limits = parameters[HEAD.moved_at], parameters[HEAD.observed_at], view(parameters, HEAD.size)
     rows, size, before, acts = nx * LANES, nu * LANES, scratch, control
