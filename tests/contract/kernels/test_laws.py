@@ -120,7 +120,7 @@ def cosine(theta, memory, observation, raw, parameters, scratch):
             whole_rows,
             r"law whole_rows, line 2 of it: 'observation' cannot be compiled for lanes; write observation\[i\]",
         ),
-        (branches, r"law branches, line 2 of it: 'if observation\[0\] > theta\[0\]' has .*; write a if test else b"),
+        (branches, r"law branches, line 2 of it: 'if observation\[0\] > theta\[0\]' cannot .*; write a if test else b"),
     ],
 )
 def test_what_has_no_form_for_lanes_is_refused_with_its_line_and_what_to_write(law, said):
