@@ -26,6 +26,7 @@ from .run_evolution import (
     plan_exploit,
 )
 from .run_folder import (
+    CHOSEN,
     check_run_folder,
     latest_run_folder,
     run_of_controller,
@@ -57,6 +58,7 @@ from .transfer.matrix import (
 from .transfer.summary import TransferSummary, summarise
 
 __all__ = [
+    "CHOSEN",
     "FORMATS",
     "PERSISTENCE",
     "STUDY_FILE",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypedDict
 
@@ -12,26 +12,27 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sysid_evo.errors import InvalidArgument, Meaningless, UnknownName, did_you_mean, meaningless, refuse_meaningless
 from sysid_evo.files import parsed_toml, write_atomically
 from sysid_evo.registry import Spec, make_robot
+from sysid_evo.settings import Seconds, setting
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
 USUAL_TASK = "point_to_point"
 """The task if neither the user nor the robot names one."""
 NONE = "none"
-"""Value of ``noise`` for none, also if the task has a default."""
+"""As noise: none, even if the task has a default."""
 
 Positive = Annotated[int, Field(ge=1)]
 
 
 Procedure: TypeAlias = Literal["recommended", "plain"]
-"""Search procedure: searched in single models, scored by others and polished on all, or evolved on all at once."""
+"""How controllers are evolved: on each model, then selected on others and polished on all; or on all at once."""
 
 
 class Budget(BaseModel):
-    """Settings and duration of controller evolution; see `ControllerEvolution`.
+    """Controller, strategy and length of evolution; see `ControllerEvolution`.
 
-    With the ``procedure`` "recommended" controllers are chosen by models of other families, and the best of all are
-    polished by ``polish_generations`` generations against all models at once.
+    The ``procedure`` "recommended" selects controllers on models of other families and evolves the best one further
+    on all models, for ``polish_generations`` generations.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -52,78 +53,97 @@ BUDGETS: dict[str, Budget] = {
         generations=300, trials=10, repeats=2, controller="recurrent", strategy="mu_plus_lambda", procedure="plain"
     ),
 }
-"""Budgets of controller evolution by preset; families define their own as `DynamicsModel.presets`."""
+"""Budgets of controller evolution by preset; families state their own as `DynamicsModel.presets`."""
 
 
 class Experiment(BaseModel):
-    """Settings of a comparison: models, data, controllers, robot, duration and seed.
+    """Settings of a comparison: models, data, controllers, robot, budget and seed; each field describes itself.
 
-    Names are texts in the grammar of `Spec`. None means that the value is derived from the other settings.
-
-    - ``data``: logs, or a folder with a data set; without it the ``robot`` is recorded for ``minutes``.
-    - ``test``: names of the held-out episodes; by default the last ``held_out`` share of each is held out.
-    - ``leave_out``: also fit every family without each condition of the recordings (`Dataset.label_conditions`) in
-      turn, and test it there.
-    - ``models``, ``ensembles``: models to fit, and ensembles of them, labels joined by ``+``; every model is also an
-      ensemble of one. None leaves the choice to `plan_comparison`.
-    - ``stop_after``: stop after the models ("fit") or after their prediction errors ("prediction").
-    - ``task``: None is the robot's own (`Robot.usual_task`), else `USUAL_TASK`.
-    - ``controller``, ``strategy``, ``procedure``, ``generations``, ``trials``, ``repeats``, ``polish_generations``:
-      None is the value of the ``preset``, see `Budget`.
-    - ``schedule``: easier stages before the task, see `Stage`.
-    - ``noise``, ``penalty``: `DomainRandomisation` and `UncertaintyPenalty` during evolution; neither counts in claimed
-      fitness, and "none" switches one off. None is `Task.default_noise`, which applies to models only.
-    - ``estimator_delay``: age of the state that controllers get, in s.
-    - ``reference``: also evolve a controller on the robot itself, if it is simulated, by one search no longer than
-      those in models. It is a reference, not an upper limit. None: only if this run records an emulated robot and
-      follows the recommended procedure.
-    - ``baselines``: controllers that need no evolution (`Champion.baseline`), each a row of the matrix.
-    - ``data_digest``: written by the program: the cell of the data, by which a run finds its own data again.
+    Names are texts in the grammar of `Spec`. None leaves a choice to `plan_comparison`; for the settings of `Budget` it
+    means that of the ``preset``, for ``noise`` `Task.default_noise`, which applies to models only. Noise and penalty do
+    not count in claimed fitness. The search on the robot that ``reference`` adds is no longer than those on models: it
+    is a reference, no upper limit. Settings without a panel are set in ``experiment.toml`` only.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    title: str | None = None
-    data: tuple[str, ...] | None = None
-    columns: str | None = None
-    test: tuple[str, ...] | None = None
-    leave_out: Literal["condition"] | None = None
-    held_out: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.25
-    robot: str | None = None
-    minutes: Annotated[float, Field(ge=0.1)] = 6.0
-    models: tuple[str, ...] | None = None
-    ensembles: tuple[str, ...] | None = None
-    preset: Literal["quick", "standard", "paper"] = "quick"
-    stop_after: Literal["fit", "prediction"] | None = None
-    task: str | None = None
-    controller: str | None = None
-    baselines: tuple[str, ...] = ()
-    strategy: str | None = None
-    procedure: Procedure | None = None
-    aggregate: str = "min"
-    noise: str | None = None
-    penalty: str = ""
-    schedule: str = ""
-    generations: Positive | None = None
-    trials: Positive | None = None
-    repeats: Positive | None = None
-    polish_generations: Positive | None = None
-    selection_trials: Positive = 100
-    estimator_delay: Annotated[float, Field(ge=0.0)] = 0.0
-    transfer_trials: Positive = 100
-    traces: Annotated[int, Field(ge=0)] = 10
-    reference: bool | None = None
-    seed: Annotated[int, Field(ge=0)] = 0
-    plugins: tuple[str, ...] = ()
-    data_digest: str | None = None
+    title: str | None = setting(None, "Title of the report")
+    data: tuple[str, ...] | None = setting(
+        None, "Log files, folders of logs or a data set; repeatable. Without it the robot is recorded",
+        "Data and models", "PATH",
+    )  # fmt: skip
+    columns: str | None = setting(None, "TOML file: which log column is which channel", "Data and models", "FILE")
+    test: tuple[str, ...] | None = setting(None, "Episode held out for testing; repeatable", "Data and models", "NAME")
+    leave_out: Literal["condition"] | None = setting(
+        None, "condition: also refit without each condition and test on the one left out", "Data and models", "NAME"
+    )
+    held_out: float = setting(0.25, "Share of each episode held out for testing, at its end", ge=0.0, lt=1.0)
+    models: tuple[str, ...] | None = setting(
+        None, "Model families, comma-separated [LABEL=]SPEC, or all", "Data and models", "LIST", kind="model"
+    )
+    ensembles: tuple[str, ...] | None = setting(
+        None, "Ensembles of these models, such as a+b,a+c", "Data and models", "LIST"
+    )
+    robot: str | None = setting(
+        None, "Robot to record and to test on", "Data and models", "SPEC", kind="robot", shown=DEFAULT_ROBOT
+    )
+    minutes: float = setting(6.0, "Minutes to record", "Data and models", "N", ge=0.1)
+    task: str | None = setting(None, "Task of the controllers", "Controllers", "SPEC", kind="task", shown=USUAL_TASK)
+    controller: str | None = setting(
+        None, "Controller to evolve", "Controllers", "SPEC", kind="controller", shown="set by --preset"
+    )
+    strategy: str | None = setting(
+        None, "Evolution strategy", "Controllers", "SPEC", kind="strategy", shown="set by --preset"
+    )
+    procedure: Procedure | None = setting(
+        None, "recommended (search on each model, select on other models, polish on all) or plain (evolve on all)",
+        "Controllers", "NAME",
+    )  # fmt: skip
+    aggregate: str = setting("min", "Combines the fitness on several models", "Controllers", "SPEC", kind="aggregate")
+    schedule: str = setting("", "Easier stages first: stage(task=SPEC, until=FITNESS)", "Controllers", "LIST")
+    baselines: tuple[str, ...] = setting(
+        (), "Baseline controllers, such as pursuit", "Controllers", "LIST", kind="controller"
+    )
+    reference: bool | None = setting(
+        None, "Also evolve on the emulated robot itself, for the best known fitness", "Controllers", "yes|no"
+    )
+    noise: str | None = setting(
+        None, "Disturbances during evolution, such as domain_randomisation(latency=2), or none (those of the task)",
+        "Robustness", "SPEC", kind="noise",
+    )  # fmt: skip
+    penalty: str = setting(
+        "", "Fitness penalty where models extrapolate or disagree, such as uncertainty(outside=5)", "Robustness",
+        "SPEC", kind="penalty",
+    )  # fmt: skip
+    estimator_delay: Seconds = setting(
+        0.0, "State-estimate latency, such as 50ms, simulated in evolution and scoring", "Robustness", "TIME", ge=0.0
+    )
+    preset: Literal["quick", "standard", "paper"] = setting(
+        "quick", "Budget: quick, standard or paper", "Budget", "NAME"
+    )
+    generations: Positive | None = setting(None, "Generations of each evolution", "Budget", "N")
+    trials: Positive | None = setting(None, "Trials per candidate and generation", "Budget", "N")
+    repeats: Positive | None = setting(None, "Independent evolutions; the best one is kept", "Budget", "N")
+    polish_generations: Positive | None = setting(
+        None, "Generations of the evolution on all models that ends the search"
+    )
+    selection_trials: Positive = setting(100, "Trials by which other models select controllers")
+    transfer_trials: Positive = setting(100, "Trials of each controller on each model and robot")
+    traces: int = setting(10, "Trials whose trajectories are stored for the plots", ge=0)
+    stop_after: Literal["fit", "prediction"] | None = setting(
+        None, "fit or prediction (no controllers are evolved)", "Budget", "NAME"
+    )
+    seed: int = setting(0, "Seed of all random numbers", "Run", "N", ge=0)
+    plugins: tuple[str, ...] = setting((), "Python file with plugins; repeatable", "Run", "FILE", option="--plugin")
+    data_digest: str | None = setting(None, "Written by the program: identifies the data of a run")
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any]) -> Experiment:
-        """Return the experiment with these settings. Raises `InvalidArgument` that names the wrong one."""
+    def of(cls, settings: Mapping[str, Any], named: Callable[[str], str] = str) -> Experiment:
+        """Return the experiment with these settings. Raises `InvalidArgument` that names the wrong one by ``named``."""
         try:
             return cls.model_validate(dict(settings))
         except ValidationError as error:
-            raise InvalidArgument("; ".join(map(_sentence, error.errors()))) from error
+            raise InvalidArgument("; ".join(_sentence(one, named) for one in error.errors())) from error
 
     @classmethod
     def read(cls, path: str | Path) -> dict[str, Any]:
@@ -133,7 +153,7 @@ class Experiment(BaseModel):
         settings = read_toml(file, "an experiment")
         try:
             cls.of(settings)
-            if "data_digest" not in settings:  # the program writes all settings, a user only the relevant ones
+            if "data_digest" not in settings:  # the program writes all settings, a user only those to change
                 refuse_meaningless(MEANINGLESS, settings, settings)
         except InvalidArgument as error:
             raise InvalidArgument(f"{file}: {error}") from error
@@ -145,7 +165,7 @@ class Experiment(BaseModel):
 
     @property
     def budget(self) -> Budget:
-        """The budget of the preset with the given changes; a polish is no longer than the search before it."""
+        """The budget of the preset with the settings that were given; a polish is no longer than the search."""
         if self.preset not in BUDGETS:
             raise UnknownName(f"no preset is called {self.preset!r}; there are {', '.join(BUDGETS)}")
         given = {name: getattr(self, name) for name in Budget.model_fields if getattr(self, name) is not None}
@@ -155,41 +175,17 @@ class Experiment(BaseModel):
         return found
 
 
-class Settings(TypedDict, total=False):
-    """Settings of an `Experiment` as keyword arguments, for type checkers."""
-
-    title: str | None
-    columns: str | Path | None
-    test: Sequence[str] | None
-    leave_out: Literal["condition"] | None
-    held_out: float
-    robot: str | None
-    minutes: float
-    models: Sequence[str] | None
-    ensembles: Sequence[str] | None
-    preset: Literal["quick", "standard", "paper"]
-    stop_after: Literal["fit", "prediction"] | None
-    task: str | None
-    controller: str | None
-    baselines: Sequence[str]
-    strategy: str | None
-    procedure: Procedure | None
-    aggregate: str
-    noise: str | None
-    penalty: str
-    schedule: str
-    generations: int | None
-    trials: int | None
-    repeats: int | None
-    polish_generations: int | None
-    selection_trials: int
-    estimator_delay: float
-    transfer_trials: int
-    traces: int
-    reference: bool | None
-    seed: int
-    plugins: Sequence[str | Path]
-
+Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
+    "title": str | None, "columns": str | Path | None, "test": Sequence[str] | None,
+    "leave_out": Literal["condition"] | None, "held_out": float, "robot": str | None, "minutes": float,
+    "models": Sequence[str] | None, "ensembles": Sequence[str] | None, "preset": Literal["quick", "standard", "paper"],
+    "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
+    "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
+    "noise": str | None, "penalty": str, "schedule": str, "generations": int | None, "trials": int | None,
+    "repeats": int | None, "polish_generations": int | None, "selection_trials": int, "estimator_delay": float,
+    "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int, "plugins": Sequence[str | Path],
+}, total=False)  # fmt: skip
+"""The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
     "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "schedule",
@@ -208,20 +204,20 @@ MEANINGLESS = (
     Meaningless(("columns",), "no logs are read", unless=("data",)),
     Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
 )
-"""Settings that others make meaningless; giving both is an error."""
+"""Settings that others make meaningless: giving both is refused."""
 
 
 def meaningful(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return ``settings`` updated with those ``given``, without those that have no effect next to these."""
+    """Return ``settings`` updated with those ``given``, without any that have no effect next to these."""
     whole = {**settings, **given}
     idle = meaningless(MEANINGLESS, settings, whole)
     return {name: value for name, value in whole.items() if name in given or name not in idle}
 
 
 def check_settings(experiment: Experiment, *, has_data: bool) -> None:
-    """Raise `InvalidArgument` if a given setting has no effect; an experiment written by the program has all settings.
+    """Raise `InvalidArgument` if a setting that was given has no effect; a stored experiment has all settings.
 
-    ``has_data`` is true if there are recordings, also those that the experiment does not name.
+    ``has_data``: there are recordings, also ones that the experiment does not name.
     """
     if experiment.data_digest is None:
         asked = {name: getattr(experiment, name) for name in experiment.model_fields_set}
@@ -229,7 +225,7 @@ def check_settings(experiment: Experiment, *, has_data: bool) -> None:
 
 
 def usual_task(robots: Iterable[Spec | None]) -> str:
-    """Return the task of the first of ``robots`` that has one of its own, else `USUAL_TASK`."""
+    """Return the task of the first robot that has its own, else `USUAL_TASK`."""
     own = (str(getattr(make_robot(robot), "usual_task", "")) for robot in robots if robot is not None)
     return next(filter(None, own), USUAL_TASK)
 
@@ -239,22 +235,35 @@ def with_task(experiment: Experiment, robots: Iterable[Spec | None]) -> Experime
     return experiment.model_copy(update={"task": experiment.task or usual_task(robots)})
 
 
-def _sentence(error: Any) -> str:
-    """Return one finding of pydantic as a sentence: setting, expectation, value."""
-    where = ".".join(map(str, error["loc"]))
+EXPECTED = {
+    **dict.fromkeys(("int_parsing", "int_type", "int_from_float"), "an integer"),
+    **dict.fromkeys(("float_parsing", "float_type", "finite_number"), "a number"),
+    **dict.fromkeys(("bool_parsing", "bool_type"), "yes or no"),
+    "greater_than_equal": "a number >= {ge:g}", "less_than": "a number < {lt:g}",
+    "string_type": "a text", "tuple_type": "a list",
+}  # fmt: skip
+"""The values that a setting accepts, by the type of pydantic's error."""
+
+
+def _sentence(error: Any, named: Callable[[str], str] = str) -> str:
+    """Return one error of pydantic as: name, accepted values, value."""
+    first, *rest = map(str, error["loc"])
+    where = ".".join((named(first), *rest))
     if error["type"] == "extra_forbidden":
-        return f"{where} {no_setting(where)}"
-    message = error["msg"].replace("Input should be", "expected").replace("Value error, ", "")
-    return f"{where}: {message}, got {error['input']!r}"
+        return f"{where} {no_setting(first)}"
+    message = str(error["msg"]).replace("Input should be", "expected").removeprefix("Value error, ")
+    if error["type"] in EXPECTED:
+        message = "expected " + EXPECTED[error["type"]].format(**error.get("ctx", {}))
+    return f"{where}: {message}" + ("" if error["type"] == "value_error" else f", got {error['input']!r}")
 
 
 def no_setting(name: str) -> str:
-    """Return that ``name`` is no setting of an experiment, with a hint if one is similar or has replaced it."""
+    """Return a message that ``name`` is no setting, with a hint if one is similar or has replaced it."""
     return f"is no setting of an experiment.{did_you_mean(name, Experiment.model_fields)}".rstrip(".")
 
 
 def read_toml(file: Path, what: str) -> dict[str, Any]:
-    """Return the content of a TOML file; ``what`` is the expected content in words. Raises `InvalidArgument`."""
+    """Return the content of a TOML file; ``what`` names it in messages. Raises `InvalidArgument`."""
     try:
         return parsed_toml(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:

@@ -13,7 +13,7 @@ from evaluation.experiment import FILE, usual_task
 from evaluation.planning import comparison_of
 from evaluation.run_folder import is_run, latest_run_folder, run_of_controller
 from evaluation.transfer.matrix import TransferMatrix, transfer_seeds, try_controller
-from sysid_evo.artefacts import is_stored_dataset, stored_file
+from sysid_evo.artefacts import is_stored_artefact, stored_file
 from sysid_evo.controllers.controller import make_controller
 from sysid_evo.engine import DynamicsRunner, Runner
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
@@ -94,7 +94,7 @@ def contenders(
     for name in names:
         if Path(name).is_dir() and is_run(Path(name)):
             found += [StoredController(champion, Path(name)) for champion in _of_run(Path(name))]
-        elif is_stored_dataset(name, "controller"):
+        elif is_stored_artefact(name, "controller"):
             found.append(StoredController(load_champion(name), run_of_controller(Path(name))))
         else:
             written.append(name)
@@ -225,12 +225,12 @@ def is_robot(name: str) -> bool:
 
 def is_model_of_a_run(name: str) -> bool:
     """Whether ``name`` can only be a model in a run folder."""
-    return not is_stored_dataset(name, "model") and not is_robot(name)
+    return not is_stored_artefact(name, "model") and not is_robot(name)
 
 
 def find_column(store: Store, name: str) -> Plant:
     """Return the model or emulated robot called ``name``. Raises `InvalidArgument`, `ArtefactError`."""
-    if is_stored_dataset(name, "model"):
+    if is_stored_artefact(name, "model"):
         file = stored_file(name, "model")
         own = record_of_file(store, file)
         if own is not None:

@@ -267,7 +267,7 @@ def _has_reference(experiment: Experiment, robot: Plant | None, remarks: list[st
     if about > LONGEST_REFERENCE:
         remarks.append(
             f"no controller is evolved on {robot.label} itself: a step of it takes {1e3 * robot.timed:.2g} ms, "
-            f"so this would take about {about / 3600.0:.1f} hours. Use --reference to do it anyway"
+            f"so this would take about {about / 3600.0:.1f} hours. Use --reference yes to do it anyway"
         )
     return usual and about <= LONGEST_REFERENCE
 

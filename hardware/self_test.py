@@ -142,7 +142,7 @@ class NeutralObserver(Listener):
         estimator = max(delay.seconds for delay in delays)
         sentence = (
             f"Poses are {1e3 * age:.1f} ms old when a control is decided and the estimator adds "
-            f"{1e3 * estimator:.1f} ms: evolve with --estimator-delay {1e3 * (age + estimator):.0f}."
+            f"{1e3 * estimator:.1f} ms: evolve with --estimator-delay {1e3 * (age + estimator):.0f}ms."
         )
         return (
             SelfTestFinding("estimate", True, sentence, {"age": age, "estimator": estimator, "delay": age + estimator}),

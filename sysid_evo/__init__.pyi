@@ -1,4 +1,4 @@
-from .artefacts import CheckpointFile
+from .artefacts import CheckpointFile, is_stored_artefact, read_artefact
 from .controllers.controller import Controller, View, make_controller
 from .controllers.networks import RecurrentNetwork
 from .data.dataset import Dataset, Transitions
@@ -38,6 +38,7 @@ from .system import Channel, System
 from .tasks.point_to_point import PointToPoint
 from .tasks.reward import register_reward
 from .tasks.task import Task, TaskState, make_task
+from .tuning import Tuning
 from .validation.folds import ConditionFold, EpisodeFold
 from .version import __version__
 
@@ -74,10 +75,12 @@ __all__ = [
     "TaskState",
     "Trajectory",
     "Transitions",
+    "Tuning",
     "View",
     "Windows",
     "evolve",
     "evolve_controller",
+    "is_stored_artefact",
     "load_champion",
     "load_model",
     "load_plugin",
@@ -89,6 +92,7 @@ __all__ = [
     "make_strategy",
     "make_task",
     "make_vector_env",
+    "read_artefact",
     "register_aggregate",
     "register_controller",
     "register_model",

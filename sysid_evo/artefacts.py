@@ -111,7 +111,7 @@ def stored_file(path: str | Path, kind: Literal["model", "controller"]) -> Path:
     return found[0] if found else named
 
 
-def is_stored_dataset(name: str, kind: Literal["model", "controller"]) -> bool:
+def is_stored_artefact(name: str, kind: Literal["model", "controller"]) -> bool:
     """Whether ``name`` is the path of a stored artefact rather than a registered name."""
     return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
 

@@ -7,9 +7,6 @@ from collections.abc import Iterable
 from importlib.metadata import Distribution, PackageNotFoundError, requires
 from importlib.util import find_spec
 
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
-
 from sysid_evo.errors import MissingExtra
 
 DISTRIBUTION = "sysid-evo"
@@ -24,6 +21,9 @@ def extra_of(module: str, distribution: str | Distribution = DISTRIBUTION) -> st
     Of several extras it is the one with the fewest packages, so never the one with all of them. ``module``
     may be a submodule. The metadata of ``distribution`` (or its name) are read; only that must be installed.
     """
+    from packaging.requirements import Requirement  # help pages do without it
+    from packaging.utils import canonicalize_name
+
     top = module.partition(".")[0]
     package = canonicalize_name(PACKAGES.get(top, top))
     try:

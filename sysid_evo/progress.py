@@ -6,10 +6,12 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from sysid_evo.errors import printable
-from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    from sysid_evo.types import Array
 
 
 class Progress(Protocol):
@@ -110,7 +112,7 @@ def _lines(title: str) -> Progress:
     return update
 
 
-CheckpointState: TypeAlias = Mapping[str, Array | int | float | str]
+CheckpointState: TypeAlias = "Mapping[str, Array | int | float | str]"
 """The state from which work resumes, by name: float64 arrays, numbers and text."""
 
 

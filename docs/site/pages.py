@@ -95,7 +95,7 @@ def forward(old: str, new: str) -> str:
 
 
 def commands() -> str:
-    """Return the page of the command line: what ``--help`` says of every command, as Markdown."""
+    """Return the page of the command line: the help of every command, and the settings of a file, as Markdown."""
     from sysid_evo.cli.app import loaded
 
     command = loaded()
@@ -103,7 +103,22 @@ def commands() -> str:
     written = get_docs_for_click(obj=command, ctx=context, name="sysid-evo", title="Command line")
     for part in _all_of(command):
         written = written.replace(f"`: {part.get_short_help_str()}\n", f"`: {part.get_short_help_str(LONG)}\n")
-    return re.sub(r"(?m)^\* `--(install|show)-completion`.*\n", "", written)
+    return re.sub(r"(?m)^\* `--(install|show)-completion`.*\n", "", written) + settings()
+
+
+def settings() -> str:
+    """Return the table of the settings of an experiment, as Markdown."""
+    from evaluation.experiment import FILE, Experiment
+    from sysid_evo.settings import option_of
+
+    rows = ["| setting | option | default | description |", "|---|---|---|---|"]
+    for name, field in Experiment.model_fields.items():
+        info = option_of(Experiment, name)
+        option = f"`{info.option or '--' + name.replace('_', '-')}`" if info.panel else ""
+        default = "" if field.default in (None, "", ()) else f"`{field.default}`"
+        rows.append(f"| `{name}` | {option} | {default} | {field.description} |")
+    head = f"\n## Settings of `{FILE}`\n\nThe same settings are the keywords of `evaluation.compare`.\n\n"
+    return head + "\n".join(rows) + "\n"
 
 
 def contracts() -> str:

@@ -146,11 +146,12 @@ def driven_by_hand(
     stop: StopRequest,
     announce: Callable[[str], None],
     recorder: Callable[[str, GateLimits], Listener] | None = None,
-    origin: Array | None = None,
+    tracker_origin: bool = False,
 ) -> Iterator[Iterator[HandTrial]]:
     """Serve the page for driving ``robot`` at ``task`` by hand; yields the trials as they end, see `HandDriving`."""
     keyboard = Keyboard(life=key_validity(robot.system))
     instruments = HandPanel(robot, task, keyboard)
+    origin = np.zeros(robot.system.n_pose) if tracker_origin else None
     driving = HandDriving(
         robot, task, keyboard, instruments, seed_of=seed_of, stop=stop, recorder=recorder, origin=origin
     )

@@ -10,8 +10,7 @@ import signal
 import traceback
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
@@ -19,6 +18,9 @@ from rich.table import Table
 from rich.text import Text
 
 from sysid_evo.errors import printable
+
+if TYPE_CHECKING:
+    from sysid_evo.plan import Store
 
 WRONG_INPUT = 2
 SOME_FAILED = 3
@@ -28,16 +30,16 @@ INTERRUPTED = 128 + signal.SIGINT
 """Exit code of a command that was stopped with Ctrl-C."""
 
 EXIT_CODES = (
-    "Exit codes: 0 done; 2 wrong usage or input; 3 some parts failed (the rest is done, reasons are told); "
+    "Exit codes: 0 success; 2 wrong usage or input; 3 some steps failed (the others finished; reasons are listed); "
     "4 robot, link or scheduler; 130 interrupted."
 )
 
 INTERRUPTING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE)
-"""What stops a work that was going on: no space, no quota, a failing disk, too many open files."""
+"""Errors that interrupt work: no space, no quota, a failing disk, too many open files."""
 
 
 class Printer(Console):
-    """A console for text with names from anybody's files: they neither command the terminal nor count as markup."""
+    """A console for text with names from files: they can neither control the terminal nor act as markup."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(markup=False, emoji=False, **settings)
@@ -53,40 +55,30 @@ err = Printer(stderr=True)
 problems = Printer(stderr=True)
 
 
-class RunLog(Protocol):
-    """A run folder with a log: a `sysid_evo.plan.store.Store`."""
-
-    path: Path
-
-    def log(self, **event: Any) -> None:
-        """Append one line to the log."""
-        ...
-
-
 @dataclass
 class CommandState:
-    """What this command was asked: to show tracebacks, and the run in which it logs errors."""
+    """State of this command: whether it shows tracebacks, and the run in which it logs errors."""
 
     debug: bool = False
-    run: RunLog | None = None
+    run: Store | None = None
 
 
 session = CommandState()
 
 
-def say(text: str) -> None:
-    """Print a line on standard output as it is: without colours, and in one piece however long it is."""
+def print_line(text: str) -> None:
+    """Print a line on standard output, without colours and without wrapping."""
     out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-def tell(text: str, *, label: str = "", style: str = "") -> None:
-    """Print a sentence on standard error, behind a coloured label."""
+def print_status(text: str, *, label: str = "", style: str = "") -> None:
+    """Print a sentence on standard error, after a coloured label."""
     err.print(Text.assemble((label, style), text), soft_wrap=True)
 
 
 def note(text: str) -> None:
     """Print a remark on standard error."""
-    tell(text, label="note: ", style="dim")
+    print_status(text, label="note: ", style="dim")
 
 
 def table_of(*headings: str, numbers: Collection[str] = (), whole: Collection[str] = ()) -> Table:
@@ -105,7 +97,7 @@ def as_option(name: str, value: Any = None) -> str:
 
 
 def print_error(error: BaseException) -> None:
-    """Print an error on standard error, with its traceback if asked for; the run's log always holds it."""
+    """Print an error on standard error, with --debug also its traceback; the log of the run holds both."""
     text = "".join(traceback.format_exception(error))
     if session.debug:
         problems.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -118,10 +110,10 @@ def print_error(error: BaseException) -> None:
 
 
 def error_sentence(error: BaseException) -> str:
-    """Return what an error says; one of the operating system names its file."""
+    """Return the message of an error; one of the operating system names its file."""
     if isinstance(error, OSError) and error.strerror:
         where = f"{error.filename}: " if error.filename else ""
-        kept = ". What was finished until then is kept; the same command goes on from there"
+        kept = ". Finished results are kept; repeat the command to continue"
         return f"{where}{error.strerror}{kept if error.errno in INTERRUPTING else ''}"
     return str(error) or type(error).__name__
 

@@ -3,59 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.text import Text
 
 import evaluation
+import sysid_evo.plan
 from evaluation.experiment import Experiment
 from sysid_evo.cli import options
-from sysid_evo.cli.console import SOME_FAILED, note, out, say, session
-from sysid_evo.cli.options import listed, load_plugins, settings_of
+from sysid_evo.cli.console import SOME_FAILED, as_option, note, out, print_line, session
+from sysid_evo.cli.options import argument, fitted_models, listed, load_plugins, names_of, number, option, with_settings
 from sysid_evo.cli.progress import PlanProgress, run_plan
 from sysid_evo.cli.recordings import print_remarks
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.store import Store
 
 
+def systems() -> list[str]:
+    """Return the models of the newest run and the robots, to run controllers on."""
+    return [*fitted_models(), *names_of("robot")()]
+
+
+EVOLUTION = (
+    "task", "controller", "strategy", "procedure", "aggregate", "schedule", "noise", "penalty", "estimator_delay",
+    "preset", "generations", "trials", "repeats", "seed", "plugins",
+)  # fmt: skip
+"""The settings of a comparison that one evolution has, too."""
+
+
+@with_settings(Experiment, *EVOLUTION)
 def evolve(
-    against: Annotated[str, typer.Option(help="Fitted models or robots, separated by commas.")],
-    aggregate: options.Aggregate = None,
-    noise: options.Noise = None,
-    penalty: options.Penalty = None,
-    task: options.Task = None,
-    controller: options.Controller = None,
-    strategy: options.Strategy = None,
-    procedure: options.Procedure = None,
-    run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    preset: options.Preset = None,
-    generations: options.Generations = None,
-    trials: options.Trials = None,
-    repeats: options.Repeats = None,
-    estimator_delay: options.EstimatorDelay = None,
-    schedule: options.Schedule = None,
-    seed: options.Seed = None,
-    plugin: options.Plugins = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    dry_run: options.DryRun = False,
-    as_json: options.Json = False,
-) -> None:
-    """Evolve a controller against one model or against an ensemble of them at once.
+    *,
+    against: Annotated[str, option("Models of the run, model files, robots; comma-separated", "LIST", panel="Models",
+        values=systems)],
+    run: options.Run = None, settings: dict[str, Any], jobs: options.Jobs = None, scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False, as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Evolve a controller on one model or on an ensemble of models.
 
-    A model is named as it was when it was fitted in the run folder, by the path of its file, or by the
-    name of an emulated robot. Against robots and files alone, the controller is stored in a new run
-    folder unless --run names one. For a real robot give the delay that `sysid-evo robots check` tells,
-    so that controllers meet it in the models.
+    The controller is stored in the run folder, or in a new one if --against names only robots and files. For a physical
+    robot, set --estimator-delay to the value that `sysid-evo robots check` reports. Defaults are in parentheses.
     """
-    load_plugins(plugin)
-    experiment = Experiment.of(settings_of(locals(), Experiment.model_fields))
+    load_plugins(settings.get("plugins"))
+    experiment = Experiment.of(settings, as_option)
     members = _members(against)
     alone = run is None and not any(evaluation.is_model_of_a_run(member) for member in members)
-    store = Store(evaluation.check_run_folder(None) if alone else evaluation.latest_run_folder(run))
+    store = sysid_evo.plan.Store(evaluation.check_run_folder(None) if alone else evaluation.latest_run_folder(run))
     planned = evaluation.plan_evolution(experiment, store, members)
     for remark in planned.remarks:
         note(remark)
@@ -77,23 +70,18 @@ def _members(text: str) -> tuple[str, ...]:
     return members
 
 
-def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: bool) -> None:
-    """Print what a controller claims, what is expected on the robot, what to record next, and where it is."""
+def _print_evolved(planned: evaluation.EvolutionPlan, store: sysid_evo.plan.Store, *, as_json: bool) -> None:
+    """Print claims, forecast and file of a controller, and recommended recordings."""
     name, file = planned.champion.name, f"{store.result_path(planned.champion)}.json"
     result = evaluation.evolution_result(planned, store)
     if as_json:
-        claims = {
-            label: {"mean": claim.mean, "std": claim.std, "trials": claim.trials}
-            for label, claim in result.claims.items()
-        }
         document = {
-            "controller": name,
-            "file": file,
-            "claims": claims,
+            "controller": name, "file": file, "unit": result.unit,
+            "claims": {label: {"mean": claim.mean, "std": claim.std, "trials": claim.trials}
+                       for label, claim in result.claims.items()},
             "forecast": None if result.forecast is None else asdict(result.forecast),
-            "unit": result.unit,
             "remarks": [asdict(remark) for remark in result.remarks],
-        }
+        }  # fmt: skip
         out.print_json(data=document)
         return
     for label, claim in result.claims.items():
@@ -105,39 +93,35 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: Store, *, as_json: 
         out.print(result.forecast_sentence, highlight=False, markup=False)
     if result.remarks:
         print_remarks(result.remarks)
-    say(f"stored as {file}")
+    print_line(f"stored as {file}")
 
 
 GENERATIONS = 200
-"""Of a search for an exploit, unless told otherwise."""
+"""Generations of the search for an exploiting controller."""
 
 
+@with_settings(
+    Experiment, "task", "controller", "strategy", "preset", "generations", "trials", "seed", "plugins",
+    generations=GENERATIONS,
+)  # fmt: skip
 def exploit(
-    model: Annotated[str, typer.Argument(help="A fitted model of the run, by its name or its file.")],
-    run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    robot: Annotated[str | None, typer.Option(help="Emulated robot to show what it is worth there.")] = None,
-    task: options.Task = None,
-    controller: options.Controller = None,
-    strategy: options.Strategy = None,
-    preset: options.Preset = None,
-    generations: options.Generations = None,
-    trials: options.Trials = None,
-    seed: options.Seed = None,
-    plugin: options.Plugins = None,
-    dry_run: options.DryRun = False,
-    as_json: options.Json = False,
-) -> None:
-    """Search the controller that gains most in one model and in no other, and say how it cheats.
+    *,
+    model: Annotated[str, argument("Fitted model of the run, by its name or its file", "MODEL", values=fitted_models)],
+    run: options.Run = None,
+    robot: Annotated[str | None, option("Emulated robot on which to score it, too", "SPEC", panel="Models",
+        values=names_of("robot"))] = None,
+    settings: dict[str, Any], dry_run: options.DryRun = False, as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Search the controller that exploits one model most.
 
-    The other models of the run that are of other families and predict well are compared with: evolution climbs the
-    fitness in MODEL less the median of theirs.
+    The objective is the fitness on MODEL minus the median of the fitness on the other models of the run that belong to
+    other families and predict well. Defaults are in parentheses.
     """
-    load_plugins(plugin)
-    settings = settings_of({**locals(), "robot": None}, Experiment.model_fields)
-    experiment = Experiment.of({"generations": GENERATIONS, **settings})
-    store = Store(evaluation.latest_run_folder(run))
+    load_plugins(settings.get("plugins"))
+    experiment = Experiment.of(settings, as_option)
+    store = sysid_evo.plan.Store(evaluation.latest_run_folder(run))
     planned = evaluation.plan_exploit(experiment, store, model)
-    outcomes = run_plan(Plan.of([planned.cell]), store, dry_run=dry_run, as_json=as_json)
+    outcomes = run_plan(sysid_evo.plan.Plan.of([planned.cell]), store, dry_run=dry_run, as_json=as_json)
     if outcomes is None:
         return
     if outcomes[planned.cell.digest].failed:
@@ -149,13 +133,9 @@ def exploit(
     file = f"{store.result_path(planned.cell)}.json"
     if as_json:
         document = {
-            "model": planned.target.label,
-            "fitness": {column: cell.mean for column, cell in cells.items()},
-            "unit": matrix.unit,
-            "file": file,
-            "card": list(card),
-            "exploitability": evaluation.plain(found),
-        }
+            "model": planned.target.label, "fitness": {column: cell.mean for column, cell in cells.items()},
+            "unit": matrix.unit, "file": file, "card": list(card), "exploitability": evaluation.plain(found),
+        }  # fmt: skip
         out.print_json(data=document)
         return
     (target, here), *others = (
@@ -165,31 +145,32 @@ def exploit(
     out.print(Text(f"{name}: {here} {matrix.unit} in {target}; {elsewhere}"))
     for sentence in card[1:]:
         out.print(Text(f"  {sentence}"))
-    say(f"stored as {file}")
+    print_line(f"stored as {file}")
 
 
 TRIALS = 100
-"""Fresh trials of every controller on every system."""
+"""Trials of each controller on each system."""
 
 
 def transfer(
-    controllers: Annotated[
-        list[str], typer.Argument(help="Files of controllers, run folders, or NAME(...) of one written by hand.")
-    ],
-    on: Annotated[str, typer.Option(help="Fitted models, their files, run folders, robots; separated by commas.")],
-    run: Annotated[Path | None, typer.Option(help="Run folder with the models (default: the newest).")] = None,
-    task: options.Task = None,
-    trials: Annotated[int, typer.Option(min=1, help="Fresh trials, the same for all.")] = TRIALS,
-    seed: options.Seed = None,
-    plugin: options.Plugins = None,
-    as_json: options.Json = False,
-) -> None:
-    """Run stored controllers on models and robots, and tell what each claims, achieves, has at worst and costs.
+    controllers: Annotated[list[str], argument("Controller files, run folders, or SPEC of a baseline controller",
+        "CONTROLLERS")],
+    on: Annotated[str, option("Models, model files, run folders, robots; comma-separated", "LIST", panel="Models",
+        values=systems)],
+    run: options.Run = None,
+    task: Annotated[str | None, option("Task of the controllers", "SPEC", panel="Controllers",
+        values=names_of("task"))] = None,
+    trials: Annotated[int, option("Trials, the same for all", "N", panel="Budget", shown=str(TRIALS),
+        parser=number(1))] = TRIALS,
+    seed: options.Seed = None, plugin: options.Plugins = None, as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Run stored controllers on models and robots; report their fitness.
 
-    A run folder stands for all its controllers, behind --on for all its models. Nothing is evolved, fitted or stored.
+    Reports predicted and measured fitness, worst trial and run time. A run folder means all its controllers, after --on
+    all its models. Nothing is evolved, fitted or stored.
     """
     load_plugins(plugin)
-    session.run = None if run is None else Store(run)
+    session.run = None if run is None else sysid_evo.plan.Store(run)
     systems = evaluation.transfer_targets(listed("--on", on) or (), run)
     robots = [place.column.robot for place in systems]
     drivers = evaluation.contenders(controllers, systems[0].system, task, robots=robots)

@@ -12,146 +12,85 @@ import typer
 from rich.text import Text
 
 import evaluation
+import sysid_evo.plan
 from evaluation.experiment import FILE, MEANINGLESS, Experiment, meaningful
-from sysid_evo.cli import options
-from sysid_evo.cli.console import SOME_FAILED, as_option, err, note, out, print_error, say, session, table_of, tell
-from sysid_evo.cli.options import load_plugins, resolved, settings_of
+from sysid_evo.cli import console, options
+from sysid_evo.cli.console import SOME_FAILED, as_option, note, out, print_line, print_status, session, table_of
+from sysid_evo.cli.options import argument, load_plugins, option, resolved, run_folders, with_settings
 from sysid_evo.cli.progress import PlanProgress, duration, print_plan
-from sysid_evo.errors import InvalidArgument, InvalidData, PluginError, refuse_meaningless
-from sysid_evo.plan.executors import execute
-from sysid_evo.plan.store import CellOutcome, Store
+from sysid_evo.cli.runs import report_again
+from sysid_evo.errors import InvalidArgument, InvalidData, refuse_meaningless
 from sysid_evo.registry.plugins import load_named_plugins
 from sysid_evo.registry.registry import models as families
+from sysid_evo.settings import option_of
+
+COMPARED = tuple(name for name in Experiment.model_fields if option_of(Experiment, name).panel)
 
 
+@with_settings(Experiment, *COMPARED)
 def compare(
-    data: Annotated[
-        list[Path] | None, typer.Option(help="Recordings of a robot (default: record an emulated one); repeatable.")
-    ] = None,
-    test: options.Test = None,
-    leave_out: Annotated[
-        str | None,
-        typer.Option(help="'condition': fit every family also without each condition of the data, and test it there."),
-    ] = None,
-    models: Annotated[
-        str | None, typer.Option(help="Families, LABEL=NAME(parameter=value, ...), separated by commas, or 'all'.")
-    ] = None,
-    ensembles: Annotated[str | None, typer.Option(help="Labels joined by +, ensembles separated by commas.")] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Robot for the last column (default without --data: emulated_car).")
-    ] = None,
-    minutes: Annotated[float | None, typer.Option(min=0.1, help="Length of the recording of a robot (6).")] = None,
-    preset: options.Preset = None,
-    stop_after: Annotated[
-        str | None, typer.Option(help="'prediction' leaves the controllers out, 'fit' prediction errors, too.")
-    ] = None,
-    task: options.Task = None,
-    controller: options.Controller = None,
-    baselines: Annotated[
-        str | None,
-        typer.Option(help="Controllers that need no evolution, such as pursuit, separated by commas: further rows."),
-    ] = None,
-    strategy: options.Strategy = None,
-    procedure: options.Procedure = None,
-    aggregate: options.Aggregate = None,
-    noise: options.Noise = None,
-    penalty: options.Penalty = None,
-    generations: options.Generations = None,
-    trials: options.Trials = None,
-    repeats: options.Repeats = None,
-    schedule: options.Schedule = None,
-    estimator_delay: options.EstimatorDelay = None,
-    reference: Annotated[
-        bool | None,
-        typer.Option(
-            "--reference/--no-reference",
-            help="Also search on the emulated robot itself, once, as long as in a model.",
-        ),
-    ] = None,
-    seed: options.Seed = None,
-    folder: options.Out = None,
-    columns: options.Columns = None,
-    plugin: options.Plugins = None,
-    config: Annotated[
-        Path | None, typer.Option(help="experiment.toml, or a run folder with one; other options win over it.")
-    ] = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    dry_run: options.DryRun = False,
-    as_json: options.Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
-) -> None:
-    """Fit models, evolve controllers in them, and compare both: which predict, which transfer.
+    *, settings: dict[str, Any],
+    config: Annotated[Path | None, option("experiment.toml or run folder with the settings; other options win over it",
+        "PATH")] = None,
+    folder: options.Out = None, jobs: options.Jobs = None, scheduler: options.Scheduler = None,
+    dry_run: options.DryRun = False, as_json: options.Json = False, verbose: options.Verbose = False,
+) -> None:  # fmt: skip
+    """Fit models, evolve controllers, report prediction and transfer.
 
-    With no options, all on an emulated toy car. Interrupted, it goes on with the same --out.
+    Without options everything runs on an emulated toy car. SPEC is NAME or NAME(parameter=value, ...); `sysid-evo
+    names` lists them. Defaults are in parentheses. To resume an interrupted run, repeat the command with the same
+    --out.
     """
-    load_plugins(plugin)
-    settings = Experiment.read(config) if config is not None else {}
-    if settings.pop("data_digest", None) and not (data or robot or "data" in settings or "robot" in settings):
+    load_plugins(settings.get("plugins"))
+    stored = Experiment.read(config) if config is not None else {}
+    if stored.pop("data_digest", None) and not {"data", "robot"} & {*stored, *settings}:
         raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
-    named = () if config is None else load_named_plugins(settings.get("plugins", ()), config)
-    if preset is not None and settings:
-        settings = evaluation.unsettled(settings)
-    asked = settings_of(locals(), Experiment.model_fields)
-    asked |= {"plugins": tuple(dict.fromkeys((*named, *asked.get("plugins", ()))))}
-    refuse_meaningless(MEANINGLESS, asked, {**settings, **asked}, as_option)
-    try:
-        experiment = Experiment.of(meaningful(settings, asked))
-    except InvalidArgument as error:
-        raise InvalidArgument(f"{'' if config is None else f'{config}, or an option: '}{error}") from error
+    named = () if config is None else load_named_plugins(stored.get("plugins", ()), config)
+    if "preset" in settings and stored:
+        stored = evaluation.unsettled(stored)
+    asked = settings | {"plugins": tuple(dict.fromkeys((*named, *settings.get("plugins", ()))))}
+    refuse_meaningless(MEANINGLESS, asked, {**stored, **asked}, as_option)
+    experiment = Experiment.of(
+        meaningful(stored, asked), lambda name: as_option(name) if name in asked else f"{config}: {name}"
+    )
     run_experiment(
         experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=verbose
     )
 
 
 DEFAULT = "auto"
-"""What is fitted where no family is named: who knows none yet has a choice made by the data."""
+"""The family that is fitted if none is named: the data choose."""
 
 
+@with_settings(Experiment, "columns", "test", "models", "preset", "seed", "plugins", models=(DEFAULT,))
 def fit(
-    data: Annotated[list[Path], typer.Argument(help="Logs, folders of logs, or a folder written by import.")],
-    models: Annotated[
-        str,
-        typer.Option(
-            help="Families, LABEL=NAME(parameter=value, ...), separated by commas. 'auto' tries the zoo on recordings "
-            "held out and becomes the mean of what runs free best there."
-        ),
-    ] = DEFAULT,
-    test: options.Test = None,
-    preset: options.Preset = None,
-    seed: options.Seed = None,
-    folder: options.Out = None,
-    columns: options.Columns = None,
-    plugin: options.Plugins = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    dry_run: options.DryRun = False,
-    as_json: options.Json = False,
-) -> None:
-    """Fit model families to recordings and store them in a run folder; without --models the best of the zoo (auto)."""
-    load_plugins(plugin)
+    *,
+    data: Annotated[list[Path], argument("Logs, folders of logs, or a data set", "DATA")],
+    settings: dict[str, Any], folder: options.Out = None, jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None, dry_run: options.DryRun = False, as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Fit model families to recordings.
+
+    The models are stored in a run folder. The default family, auto, fits the families of the zoo and averages those
+    with the lowest simulation error on held-out data. Defaults are in parentheses.
+    """
+    load_plugins(settings.get("plugins"))
     for path in data:
         if str(path) in families.names() and not path.exists():
+            models = ",".join(settings["models"])
             raise InvalidArgument(f"{path} is a model and no recording; did you mean --models {models},{path}?")
-    settings = settings_of(locals(), Experiment.model_fields)
-    experiment = Experiment.of({**settings, "stop_after": "fit"})
+    experiment = Experiment.of({**settings, "data": resolved(data), "stop_after": "fit"}, as_option)
     run_experiment(experiment, folder, jobs=jobs, scheduler=scheduler, dry_run=dry_run, as_json=as_json, verbose=False)
 
 
 def run_experiment(
-    experiment: Experiment,
-    folder: Path | None,
-    *,
-    jobs: int | None,
-    scheduler: str | None,
-    dry_run: bool,
-    as_json: bool,
-    verbose: bool,
-) -> None:
-    """Plan an experiment, run what is not done yet, and print what it found."""
+    experiment: Experiment, folder: Path | None, *, jobs: int | None, scheduler: str | None, dry_run: bool,
+    as_json: bool, verbose: bool,
+) -> None:  # fmt: skip
+    """Plan an experiment, compute its missing cells, and print the results."""
     path = evaluation.check_run_folder(folder)
     comparison, remarks = evaluation.plan_run(experiment, path)
-    store = Store(path)
+    store = sysid_evo.plan.Store(path)
     for remark in remarks:
         note(remark)
     if dry_run:
@@ -161,9 +100,9 @@ def run_experiment(
     store_experiment(comparison, path)
     go_on = f"--out {shlex.quote(str(path))}"
     with PlanProgress(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
-        outcomes = execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+        outcomes = sysid_evo.plan.execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     failed = [cell for cell in comparison.plan if outcomes[cell.digest].failed]
-    count = sum(store.find(cell.digest) is not None for cell in failed)  # the others only need one of these
+    count = sum(store.find(cell.digest) is not None for cell in failed)  # the others depend on these
     stopped = outcomes[comparison.data.digest].error
     if isinstance(stopped, ConnectionError):  # no robot, no data, no report
         raise stopped
@@ -178,65 +117,61 @@ def run_experiment(
     except InvalidData as error:
         if not failed:
             raise
-        print_error(error)
+        console.print_error(error)
     if failed:
-        tell(f"{count} {'part' if count == 1 else 'parts'}; see {path / 'log.jsonl'}", label="failed: ")
+        print_status(f"{count} {'step' if count == 1 else 'steps'}; see {path / 'log.jsonl'}", label="failed: ")
     if failed or empty:
         raise typer.Exit(SOME_FAILED)
 
 
 def store_experiment(comparison: evaluation.Comparison, path: Path) -> None:
-    """Write ``experiment.toml``; if another one stood there, say in what it differs."""
+    """Write ``experiment.toml``; report the settings that differ from an earlier one."""
     file = path / FILE
     wanted = comparison.experiment.model_dump(mode="json", exclude_none=True)
     if file.is_file():
         found = Experiment.of(Experiment.read(file)).model_dump(mode="json", exclude_none=True)
-        tell_differences(file, found, wanted)
+        print_differences(file, found, wanted)
     comparison.experiment.write(file)
 
 
-def tell_differences(file: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """Say in which settings the ``file`` that is replaced differs."""
+def print_differences(file: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Report the settings in which the replaced ``file`` differs."""
     differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
     if differing:
-        note(f"{file} had other {', '.join(differing)}; what both need is kept")
+        note(f"{file} had other {', '.join(differing)}; results that both need are kept")
 
 
 def print_report(
     report: evaluation.ComparisonResults, path: Path, *, as_json: bool, verbose: bool, written: bool = True
 ) -> None:
-    """Print the verdict, the short table, and where the report is."""
+    """Print the answers, the short table, and the path of the report."""
     if as_json:
         out.print_json(data=evaluation.to_json(report))
         return
     for part in evaluation.tables(report) if verbose else evaluation.brief(report, folder=path):
         out.print(part, crop=False)
-    err.print(where_time_went(report.timings), highlight=False)
+    console.err.print(where_time_went(report.timings), highlight=False)
     if written:
-        say(f"Report: {path / 'report.html'}")
+        print_line(f"Report: {path / 'report.html'}")
 
 
 def print_fits(
-    comparison: evaluation.Comparison, store: Store, outcomes: Mapping[str, CellOutcome], *, as_json: bool
-) -> None:
-    """Print how good each fitted model is, where it is, why one is not; then what limits the best of them."""
+    comparison: evaluation.Comparison, store: sysid_evo.plan.Store, outcomes: Mapping[str, sysid_evo.plan.CellOutcome],
+    *, as_json: bool,
+) -> None:  # fmt: skip
+    """Print error, file or reason of failure of each model, and the advice on the best one."""
     advice = store.outcome(comparison.advice).value
     rows: list[dict[str, Any]] = []
     for label, cell in comparison.fits.items():
         outcome, score = outcomes[cell.digest], store.outcome(comparison.judged[label]).value
-        rows.append(
-            {
-                "model": label,
-                "error": None if score is None else score.n,
-                "steps": None if score is None else score.steps,
-                "evaluated_on": None if score is None else score.evaluated_on,
-                "seconds": round(outcome.seconds, 1),
-                "file": None if outcome.failed else f"{store.result_path(cell)}.json",
-                "reason": outcome.reason,
-                "advice": evaluation.plain(advice) if advice is not None and advice.model == label else None,
-                "note": "" if outcome.failed else store.load(cell).fit_note,
-            }
-        )
+        rows.append({
+            "model": label, "error": None if score is None else score.n,
+            "steps": None if score is None else score.steps,
+            "evaluated_on": None if score is None else score.evaluated_on, "seconds": round(outcome.seconds, 1),
+            "file": None if outcome.failed else f"{store.result_path(cell)}.json", "reason": outcome.reason,
+            "advice": evaluation.plain(advice) if advice is not None and advice.model == label else None,
+            "note": "" if outcome.failed else store.load(cell).fit_note,
+        })  # fmt: skip
     if as_json:
         out.print_json(data=rows)
         return
@@ -254,11 +189,11 @@ def print_fits(
     labels = ",".join(str(row["model"]) for row in rows if row["file"])
     if labels:
         command = shlex.join(["sysid-evo", "evolve", "--run", str(store.path), "--against", labels])
-        tell(f"evolve against them with: {command}")
+        print_status(f"evolve controllers on them with: {command}")
 
 
-def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
-    """Print the errors of fitted models, the data they were measured on, and whether these suffice for a comparison."""
+def print_judged(comparison: evaluation.Comparison, store: sysid_evo.plan.Store) -> None:
+    """Print the data on which the errors were measured, and whether they suffice to compare models."""
     found = {label: score for label, cell in comparison.judged.items() if (score := store.outcome(cell).value)}
     grouped: dict[tuple[int | None, str], list[str]] = {}
     for label, score in found.items():
@@ -267,37 +202,34 @@ def print_judged(comparison: evaluation.Comparison, store: Store) -> None:
     for (steps, evaluated_on), labels in grouped.items():
         which = f" ({', '.join(labels)})" if len(grouped) > 1 else ""
         if steps is None:
-            out.print(Text(f"no error of {', '.join(labels)} can be measured: {evaluated_on}"))
+            out.print(Text(f"the error of {', '.join(labels)} cannot be measured: {evaluated_on}"))
             continue
         over = "after" if found[labels[0]].blocks is not None else "over the first"
-        said = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {evaluated_on}, in standard deviations"
-        out.print(Text(f"error N{which}: {said}; from 1 on a model is of no use"))
+        sentence = f"mean error {over} {evaluation.horizon_name(steps, dt)} on {evaluated_on}, in standard deviations"
+        out.print(Text(f"error N{which}: {sentence}; a model with N of 1 or more is useless"))
     blocks = [score.blocks for score in found.values() if score.blocks is not None]
     if blocks and not evaluation.enough_blocks(min(blocks)):
-        note(f"blocks of test data: {min(blocks)}, too few to compare models; record more")
+        note(f"only {min(blocks)} blocks of test data, too few to compare models; record more")
 
 
 def where_time_went(timings: Mapping[str, float]) -> str:
-    """Return the seconds that each kind of cell took, whenever that was, the longest first."""
+    """Return the computing time of each kind of cell, the longest first."""
     kinds: dict[str, float] = {}
     for cell, taken in timings.items():
         kind = cell.split(" ", 1)[0]
         kinds[kind] = kinds.get(kind, 0.0) + taken
     parts = [f"{kind} {taken:.1f} s" for kind, taken in sorted(kinds.items(), key=lambda item: -item[1])]
-    return f"Computing took {sum(kinds.values()):.1f} s in all: {', '.join(parts)}"
+    return f"Computing time {sum(kinds.values()):.1f} s: {', '.join(parts)}"
 
 
 def report(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
-    as_json: options.Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table of the report.")] = False,
-    formats: Annotated[
-        list[str] | None,
-        typer.Option("--format", help="Write it as markdown or svg (figures), too; repeatable."),
-    ] = None,
+    run: Annotated[Path, argument("Run folder", "RUN", values=run_folders)],
+    as_json: options.Json = False, verbose: options.Verbose = False,
+    formats: Annotated[list[str] | None, option("Also write markdown or svg (figures); repeatable", "NAME", "--format",
+        values=lambda: evaluation.FORMATS)] = None,
     plugin: options.Plugins = None,
-) -> None:
-    """Make the report of a run again, of what is there: nothing is fitted, evolved or driven."""
+) -> None:  # fmt: skip
+    """Rebuild the report of a run; nothing is computed again."""
     for name in formats or ():
         if name not in evaluation.FORMATS:
             raise InvalidArgument(f"--format: expected one of {', '.join(evaluation.FORMATS)}, got {name!r}")
@@ -309,62 +241,30 @@ def report(
         if error.errno not in (errno.EROFS, errno.EACCES, errno.EPERM):
             raise
         written, made = False, report_again(run, written=False)
-        note(f"{run} cannot be written, so the report is printed only: {error.strerror}")
+        note(f"{run} cannot be written, so the report is only printed: {error.strerror}")
     if made is None:
-        raise InvalidData(f"{run} holds no fitted model yet, so there is nothing to report: go on with it first")
+        raise InvalidData(f"{run} has no fitted model yet, so there is nothing to report; resume it first")
     print_report(made, run, as_json=as_json, verbose=verbose, written=written)
     for name in formats or ():
         if files := evaluation.write_format(
             evaluation.story_of(made), name, run
         ):  # one without figures has none as svg
-            tell(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
-
-
-def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
-    """Store a cell of a robot, or of a person on anything, in a run, and make its report again if it has one."""
-    evaluation.save_measured(folder, measured)
-    try:
-        made = report_again(folder) if (folder / FILE).is_file() else None
-    except PluginError as error:  # what was driven is kept all the same
-        tell(f"stored in {folder}; its report is not updated: {error}")
-        return
-    if made is not None:
-        say(f"Report: {folder / 'report.html'}")
-    else:
-        tell(f"stored in {folder}, which has no report (compare makes one)")
-
-
-def report_again(run: Path, *, written: bool = True) -> evaluation.ComparisonResults | None:
-    """Write the report of a run again, with the cells measured since; None if the run has no model yet.
-
-    Raises `InvalidArgument` if ``run`` is no comparison's run.
-    """
-    comparison, remarks = evaluation.comparison_of(run)
-    store = session.run = Store(run)
-    for remark in remarks if written else ():  # else they were printed at the first attempt
-        note(remark)
-    return evaluation.report_again(comparison, store, written=written)
+            print_status(str(files[0].parent if name == "svg" else files[0]), label=f"{name}: ", style="dim")
 
 
 def study(
-    file: Annotated[Path, typer.Argument(help="The study, STUDY.toml, or the folder of one.")],
-    folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the study (default runs/NAME of the file).")
-    ] = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    dry_run: options.DryRun = False,
-    render: Annotated[
-        bool, typer.Option("--render", help="Compute nothing: show what is there, and say what is missing.")
-    ] = False,
-    plugin: options.Plugins = None,
-    as_json: options.Json = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every table.")] = False,
-) -> None:
-    """Compare over a grid of robots, seeds and settings: tables with intervals, Parquet, a page.
+    file: Annotated[Path, argument("File of the study, or the folder of one", "STUDY")],
+    folder: Annotated[Path | None, option("Folder of the study", "DIR", "--out", shown="runs/NAME of the file",
+        values=run_folders)] = None,
+    jobs: options.Jobs = None, scheduler: options.Scheduler = None, dry_run: options.DryRun = False,
+    render: Annotated[bool, option("Compute nothing: show the results so far and list the missing ones", "",
+        "--render")] = False,
+    plugin: options.Plugins = None, as_json: options.Json = False, verbose: options.Verbose = False,
+) -> None:  # fmt: skip
+    """Run a grid of comparisons over robots, seeds and settings.
 
-    What two points share is computed once. Interrupted, it goes on with the same command; a point that is added later
-    computes only what is new.
+    Prints tables with intervals; writes Markdown, Parquet and a page. Results that several points share are computed
+    once. To resume an interrupted study or to add points, repeat the command.
     """
     load_plugins(plugin)
     found = evaluation.Study.read(file)
@@ -377,7 +277,7 @@ def study(
     if render and not path.is_dir():
         raise InvalidArgument(f"--render: expected the folder of a study, found none at {path}")
     planned = evaluation.plan_study(found)
-    store = Store(path)
+    store = sysid_evo.plan.Store(path)
     for remark in planned.plan.remarks:
         note(remark)
     if dry_run:
@@ -387,31 +287,33 @@ def study(
     if not render:
         there = path / evaluation.STUDY_FILE
         if there.is_file():
-            tell_differences(there, evaluation.Study.read(there).settings, planned.study.settings)
+            print_differences(there, evaluation.Study.read(there).settings, planned.study.settings)
         planned.study.write(there)
         go_on, elsewhere = f"--out {shlex.quote(str(path))}", scheduler is not None
         with PlanProgress(go_on, cells=planned.plan, where=planned.where, elsewhere=elsewhere) as bars:
-            execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+            sysid_evo.plan.execute(planned.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
     results = evaluation.write_study(planned, path)
     print_study(results, path, as_json=as_json, verbose=verbose)
     if results.failures:
-        tell(f"{len(results.failures)} of {len(planned.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: ")
+        print_status(
+            f"{len(results.failures)} of {len(planned.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: "
+        )
         raise typer.Exit(SOME_FAILED)
 
 
 def print_study(results: evaluation.StudyResults, path: Path, *, as_json: bool, verbose: bool) -> None:
-    """Print the answers, the short table, and where the rest is."""
+    """Print the answers, the short table, and the paths of the others."""
     if as_json:
         out.print_json(data=evaluation.study_document(results))
         return
     for part in evaluation.study_brief(results, verbose=verbose):
         out.print(part)
-    say(f"Tables: {path / 'study.md'}")
-    say(f"Page: {path / 'study.html'}")
+    print_line(f"Tables: {path / 'study.md'}")
+    print_line(f"Page: {path / 'study.html'}")
 
 
-def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: bool) -> None:
-    """Print the points, how many cells of each are done, and about how long the others take on one processor."""
+def print_points(planned: evaluation.PlannedStudy, store: sysid_evo.plan.Store, *, as_json: bool) -> None:
+    """Print the points, how many of their cells are done, and the expected time of the others on one processor."""
     records = {cell.digest: store.find(cell.digest) for cell in planned.plan}
     about = evaluation.seconds_about(planned, records)
     done = {digest for digest, record in records.items() if record is not None and record.status == "done"}
@@ -421,14 +323,8 @@ def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: boo
         own = [cell.digest for cell in comparison.plan]
         new = [digest for digest in own if digest not in seen and digest not in done]
         seen |= set(own)
-        rows.append(
-            {
-                "point": point.name,
-                "cells": len(own),
-                "kept": sum(digest in done for digest in own),
-                "seconds": round(sum(about[digest] for digest in new), 1),
-            }
-        )
+        kept, seconds = sum(digest in done for digest in own), round(sum(about[digest] for digest in new), 1)
+        rows.append({"point": point.name, "cells": len(own), "kept": kept, "seconds": seconds})
     total = sum(about[digest] for digest in about if digest not in done)
     if as_json:
         document = {"points": rows, "cells": len(records), "kept": len(done), "seconds": round(total, 1)}
@@ -438,5 +334,5 @@ def print_points(planned: evaluation.PlannedStudy, store: Store, *, as_json: boo
     for row in rows:
         table.add_row(row["point"], str(row["cells"]), str(row["kept"]), duration(row["seconds"]))
     out.print(table)
-    sentence = f"{len(rows)} points, {len(records)} cells, {len(done)} kept, about {duration(total)} of one processor"
+    sentence = f"{len(rows)} points, {len(records)} cells, {len(done)} kept, about {duration(total)} on one processor"
     out.print(sentence, highlight=False)

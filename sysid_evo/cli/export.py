@@ -1,4 +1,4 @@
-"""Export: a controller as one file. The other commands on controllers do not load what writes it."""
+"""Export: a controller as one file."""
 
 from __future__ import annotations
 
@@ -6,17 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from evaluation.run_folder import CHOSEN
-from sysid_evo.cli.console import say
-from sysid_evo.cli.options import Plugins, load_plugins
+import evaluation
+import sysid_evo.export
+from sysid_evo.cli.console import print_line
+from sysid_evo.cli.options import Plugins, argument, load_plugins, option
 from sysid_evo.errors import InvalidArgument
-from sysid_evo.evolution.champion import load_champion
-from sysid_evo.export.c_file import c_text
-from sysid_evo.export.exported_controller import ExportedController, Real, exported_controller
-from sysid_evo.export.onnx_file import onnx_bytes
-from sysid_evo.export.python_file import python_text
 from sysid_evo.files import write_atomically
 
 SUFFIXES = {"python": ".py", "c": ".c", "onnx": ".onnx"}
@@ -24,39 +18,49 @@ REALS = ("double", "float")
 
 
 def export(
-    controller: Annotated[Path, typer.Argument(help="File of an evolved controller, as RUN/controllers/NAME.")],
-    to: Annotated[str, typer.Option(help="python (NumPy only), c (C99 without allocation) or onnx.")],
-    file: Annotated[Path | None, typer.Option("--out", help="New file (default: NAME with its suffix, here).")] = None,
-    name: Annotated[str | None, typer.Option(help="What it is called in the file (default: its own name).")] = None,
-    real: Annotated[str, typer.Option(help="Precision of C and ONNX: double or float.")] = "double",
+    controller: Annotated[Path, argument("File of an evolved controller: RUN/controllers/NAME", "CONTROLLER")],
+    to: Annotated[str, option("python (NumPy only), c (C99 without allocation) or onnx", "NAME", panel="File",
+        values=lambda: SUFFIXES)],
+    file: Annotated[Path | None, option("File to write", "FILE", "--out", panel="File",
+        shown="NAME with its suffix")] = None,
+    name: Annotated[str | None, option("Name of the controller in the file", "NAME", panel="File",
+        shown="its own name")] = None,
+    real: Annotated[str, option("Precision of C and ONNX: double or float", "NAME", panel="File", shown="double",
+        values=lambda: REALS)] = "double",
     plugin: Plugins = None,
-) -> None:
-    """Write an evolved controller as one file: from its observations, in order, to legal controls.
+) -> None:  # fmt: skip
+    """Write a controller as a Python, C or ONNX file.
 
-    The file says what it expects, in which units, how often it is to be called, and how to use and check it.
+    The file computes controls from observations. Its head states inputs, outputs, units and sampling time, and how to
+    use and check it.
     """
     load_plugins(plugin)
     if to not in SUFFIXES:
         raise InvalidArgument(f"--to: expected {', '.join(SUFFIXES)}, got {to!r}")
     if real not in REALS:
         raise InvalidArgument(f"--real: expected {' or '.join(REALS)}, got {real!r}")
-    chosen = CHOSEN if controller.stem == CHOSEN else ""  # a copy of another file, to be used under this name
-    law = replace(exported_controller(load_champion(controller)), called=name or chosen)
+    chosen = (
+        evaluation.CHOSEN if controller.stem == evaluation.CHOSEN else ""
+    )  # a copy of another file, to be used under this name
+    law = replace(sysid_evo.export.exported_controller(sysid_evo.load_champion(controller)), called=name or chosen)
     path = file or Path(f"{law.name}{SUFFIXES[to]}")
     if path.exists():
         raise InvalidArgument(f"--out: {path} exists already; remove it, or name another file")
-    precision: Real = "float" if real == "float" else "double"
+    precision: sysid_evo.export.Real = "float" if real == "float" else "double"
     if to == "onnx":
-        content = onnx_bytes(law, precision)
+        content = sysid_evo.export.onnx_bytes(law, precision)
     else:
-        content = (python_text(law) if to == "python" else c_text(law, precision, path.name)).encode()
+        text = (
+            sysid_evo.export.python_text(law) if to == "python" else sysid_evo.export.c_text(law, precision, path.name)
+        )
+        content = text.encode()
     write_atomically(path, lambda temporary: temporary.write_bytes(content))
     for line in (f"{law.champion.name} written to {path}", *how_to_use(law, to, path)):
-        say(line)
+        print_line(line)
 
 
-def how_to_use(law: ExportedController, to: str, path: Path) -> tuple[str, ...]:
-    """Return in a few lines what the file takes and gives, and how to call it."""
+def how_to_use(law: sysid_evo.export.ExportedController, to: str, path: Path) -> tuple[str, ...]:
+    """Return the inputs and outputs of the file and how to call it, in a few lines."""
     seen = ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in law.observations)
     every = f"every {law.system.dt:g} s, from {seen} to {', '.join(law.system.control_names)}"
     if to == "python":

@@ -3,39 +3,38 @@
 from __future__ import annotations
 
 import inspect
-import re
+import random
 import time
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.table import Table
 from rich.text import Text
 
 import evaluation
 import sysid_evo
-from sysid_evo.artefacts import is_stored_dataset, read_artefact
-from sysid_evo.cli.console import INTERRUPTED, note, out, say, table_of, tell
-from sysid_evo.cli.options import Columns, Json, Out, Plugins, Seed, column_map, listed, load_plugins
+from sysid_evo.cli import options
+from sysid_evo.cli.console import INTERRUPTED, note, out, print_line, print_status, table_of
+from sysid_evo.cli.options import argument, column_map, listed, load_plugins, names_of, number, option, time_of
 from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import models
-from sysid_evo.tuning import Tuning
 
 
 def show_model(
-    name: Annotated[str, typer.Argument(help="A family, or the file of a fitted model.")],
-    plugin: Plugins = None,
-    speed: Annotated[
-        bool,
-        typer.Option("--speed", help="Measure how fast a fitted model steps; compiling it may take half a minute."),
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Show the card of a model family, or of a fitted model with its size, lags, training time and perhaps speed."""
+    name: Annotated[str, argument("Model family, or file of a fitted model", "NAME", values=names_of("model"))],
+    plugin: options.Plugins = None,
+    speed: Annotated[bool, option("Measure the speed of a fitted model; compiling may take half a minute", "",
+        "--speed")] = False,
+    as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Show a model family, or a fitted model.
+
+    A family shows its assumptions and parameters; a fitted model its size, lags, equations and training time.
+    """
     load_plugins(plugin)
-    stored = name not in models.names() and is_stored_dataset(name, "model")
+    stored = name not in models.names() and sysid_evo.is_stored_artefact(name, "model")
     if speed and not stored:
         raise InvalidArgument(f"--speed: expected the file of a fitted model, got the family {name!r}")
     card = model_card(Path(name), measured=speed) if stored else family_card(name)
@@ -51,7 +50,7 @@ SPEED_STEPS = 100
 
 
 def family_card(name: str) -> dict[str, Any]:
-    """Return what there is to say of a family: what it assumes, its hyper-parameters and their presets."""
+    """Return the card of a family: assumptions, hyperparameters and their presets."""
     family: Any = models.get(name)
     signature = inspect.signature(family.__init__)
     hyper_parameters = [
@@ -73,44 +72,38 @@ def family_card(name: str) -> dict[str, Any]:
 
 
 def model_card(path: Path, *, measured: bool = False) -> dict[str, Any]:
-    """Return the card of a stored model: its family, size, lags, training, and, if ``measured``, its speed.
+    """Return the card of a stored model: family, size, lags, training and, if ``measured``, its speed.
 
-    Measuring compiles the model, and with it every member of one that is a mean of others.
+    Measuring the speed compiles the model and all its members.
     """
-    manifest, tensors = read_artefact(path, "model")
+    manifest, tensors = sysid_evo.read_artefact(path, "model")
     model = sysid_evo.load_model(path)
     state_lags, control_lags = model.lags
     return {
-        "family": manifest.name,
-        "knowledge": model.knowledge,
-        "hyper_parameters": manifest.parameters,
+        "family": manifest.name, "knowledge": model.knowledge, "hyper_parameters": manifest.parameters,
         "numbers": int(sum(tensor.size for name, tensor in tensors.items() if name != "training_sample_")),
-        "state_lags": state_lags,
-        "control_lags": control_lags,
+        "state_lags": state_lags, "control_lags": control_lags,
         "states": [f"{c.name} ({c.unit})" for c in model.system.states],
         "controls": [f"{c.name} ({c.unit})" if c.unit else c.name for c in model.system.controls],
-        "dt": model.system.dt,
-        "seed": manifest.seed,
-        "data": manifest.data,
+        "dt": model.system.dt, "seed": manifest.seed, "data": manifest.data,
         **({"note": model.fit_note} if model.fit_note else {}),
-        "versions": manifest.versions,
-        "equations": model.equations(),
-        "candidates": model.candidate_ranking(),
+        "versions": manifest.versions, "equations": model.equations(), "candidates": model.candidate_ranking(),
         **({"parameters": rows} if (rows := model.parameters_table()) else {}),
         "timings": {**manifest.timings, **(speed(model) if measured else {})},
-        **({} if measured else {"speed": "not measured, --speed does"}),
-    }
+        **({} if measured else {"speed": "not measured; use --speed"}),
+    }  # fmt: skip
 
 
 def speed(model: sysid_evo.DynamicsModel) -> dict[str, Any]:
-    """Return million steps a second under random controllers, and the form of the engine that ran them."""
+    """Return million steps per second under random controllers, and the engine that ran them."""
     task, controller = sysid_evo.PointToPoint(horizon=SPEED_STEPS), sysid_evo.RecurrentNetwork()
     try:
         bound = task.bind(model.system)
     except IncompatibleTask:
         return {}
     n = controller.bind_to(bound).n_parameters
-    candidates = np.random.default_rng(0).standard_normal((SPEED_ROLLOUTS // 10, n))
+    drawn = random.Random(0)
+    candidates: Any = [[drawn.gauss() for _ in range(n)] for _ in range(SPEED_ROLLOUTS // 10)]
     seeds = sysid_evo.trial_seeds(0, 10)
     sysid_evo.rollout(model, controller, candidates, task, seeds, threads=1)
     began = time.perf_counter()
@@ -137,7 +130,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
             value = f"{value:g} s"
         table.add_row(key, Text(str(value)))
     parts.append(table)
-    if card.get("description"):  # the lines of a paragraph are joined, for the terminal to wrap; not of equations
+    if card.get("description"):  # lines of a paragraph are joined so that the terminal wraps them; equations are not
         paragraphs = card["description"].split("\n\n")
         texts = [text if text.startswith(" ") else " ".join(text.split()) for text in paragraphs]
         parts += [Text(""), Text("\n\n".join(texts))]
@@ -152,7 +145,7 @@ def card_table(card: dict[str, Any]) -> list[Any]:
 
 
 def _candidates(rows: list[dict[str, str]]) -> Table:
-    """Return what a model was chosen from, a row for each candidate."""
+    """Return a table of the candidates that a model was selected from."""
     table = table_of(*rows[0], whole=("error", "weight"))
     for row in rows:
         table.add_row(*map(Text, row.values()))
@@ -160,7 +153,7 @@ def _candidates(rows: list[dict[str, str]]) -> Table:
 
 
 def _parameters(rows: list[dict[str, Any]]) -> Table:
-    """Return the physical parameters as a table: value, standard error and unit, and what is not determined."""
+    """Return the physical parameters as a table: value, standard error, unit, and a mark if not determined."""
     table = table_of("parameter", "value", "standard error", "unit", "", numbers=("value", "standard error"))
     for row in rows:
         remark = "" if row["determined"] else "not determined"
@@ -181,36 +174,34 @@ def _hyper_parameters(values: Any) -> Table:
 JOURNAL = "tune.journal"
 
 TRIALS_SHOWN = 8
-"""Trials of a search that are printed, the best ones."""
-
-UNITS = {"": 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
+"""The number of best trials that are printed."""
 
 
 def tune(
-    family: Annotated[str, typer.Argument(help="NAME(parameter=value, ...); what stands there is kept as it is.")],
-    data: Annotated[list[Path], typer.Option(help="Logs, folders of logs, or a folder written by import; repeatable.")],
-    budget: Annotated[str, typer.Option(help="How long to search, such as 90s, 5m or 1h.")] = "5m",
-    trials: Annotated[int | None, typer.Option(min=1, help="How many to try, instead of a budget of time.")] = None,
-    horizon: Annotated[
-        list[int] | None,
-        typer.Option(min=1, help="Steps of a free run after which it counts (one second); repeatable."),
-    ] = None,
-    parameters: Annotated[str | None, typer.Option(help="The parameters to search, separated by commas.")] = None,
-    seed: Seed = None,
-    folder: Out = None,
-    columns: Columns = None,
-    plugin: Plugins = None,
-    as_json: Json = False,
-) -> None:
-    """Search for the parameters with which a family runs free best on recordings held out.
+    family: Annotated[str, argument("SPEC of the family; parameters given there are not searched", "SPEC",
+        values=names_of("model"))],
+    data: Annotated[list[Path], option("Logs, folders of logs, or a data set; repeatable", "PATH",
+        panel="Data and models")],
+    columns: options.Columns = None,
+    parameters: Annotated[str | None, option("Parameters to search, comma-separated", "LIST", panel="Data and models",
+        shown="all")] = None,
+    horizon: Annotated[list[int] | None, option("Steps of simulation after which the error is measured; repeatable",
+        "N", panel="Data and models", shown="those of 1 s", parser=number(1))] = None,
+    budget: Annotated[str, option("Time to search, such as 90s, 5m or 1h", "TIME", panel="Budget", shown="5m")] = "5m",
+    trials: Annotated[int | None, option("Trials, instead of a time", "N", panel="Budget", parser=number(1))] = None,
+    seed: options.Seed = None, folder: options.Out = None, plugin: options.Plugins = None,
+    as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Search the hyperparameters of a family by simulation error.
 
-    Every trial is kept in the run folder; the same command with the same --out goes on.
+    The error is measured on held-out recordings. All trials are kept in the run folder: repeat the command with the
+    same --out to continue.
     """
     load_plugins(plugin)
-    seconds = None if trials is not None else seconds_of(budget)
+    seconds = None if trials is not None else time_of("--budget", budget)
     dataset = sysid_evo.Dataset.read(data, columns=column_map(columns))
     path = folder if folder is not None and (folder / JOURNAL).is_file() else evaluation.check_run_folder(folder)
-    search = Tuning(
+    search = sysid_evo.Tuning(
         family,
         dataset,
         horizons=horizon,
@@ -227,7 +218,7 @@ def tune(
         except KeyboardInterrupt:
             interrupted = True
     if interrupted:
-        tell(f"interrupted: the trials that had ended are kept; go on with --out {path}")
+        print_status(f"interrupted: the finished trials are kept; continue with --out {path}")
     if as_json:
         out.print_json(data=search_to_json(search))
     else:
@@ -236,16 +227,8 @@ def tune(
         raise typer.Exit(INTERRUPTED)
 
 
-def seconds_of(text: str) -> float:
-    """Return a time such as ``5m`` in seconds. Raises `InvalidArgument`."""
-    found = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh]?)", text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise InvalidArgument(f"--budget: expected a time such as 90s, 5m or 1h, got {text!r}")
-    return float(found[1]) * UNITS[found[2]]
-
-
-def search_to_json(search: Tuning) -> dict[str, Any]:
-    """Return what was found as strict JSON."""
+def search_to_json(search: sysid_evo.Tuning) -> dict[str, Any]:
+    """Return the results of a search as strict JSON."""
     return {
         "best": search.best.spec.text,
         "error": search.best.error,
@@ -258,8 +241,8 @@ def search_to_json(search: Tuning) -> dict[str, Any]:
     }
 
 
-def print_search(search: Tuning) -> None:
-    """Print the best trials, what decides, and the line to use."""
+def print_search(search: sysid_evo.Tuning) -> None:
+    """Print the best trials, the importance of the parameters, and the SPEC to use."""
     best, tried = search.best, search.trials
     table = table_of("error", "seconds", "parameters", numbers=("error", "seconds"))
     for one in tried[:TRIALS_SHOWN]:
@@ -268,46 +251,41 @@ def print_search(search: Tuning) -> None:
             table.add_row(f"{one.error:.4f}", f"{one.seconds:.1f}", Text(settings))
     out.print(table)
     steps = ", ".join(map(str, search.horizons))
-    out.print(Text(f"{len(tried)} trials; error of free runs after {steps} steps on what was held out"))
+    out.print(Text(f"{len(tried)} trials; simulation error after {steps} steps on held-out data"))
     if search.importance:
         shares = ", ".join(f"{key} {100.0 * share:.0f} %" for key, share in search.importance.items())
-        out.print(Text(f"What decides: {shares}"))
+        out.print(Text(f"Importance: {shares}"))
     for reason in dict.fromkeys(one.reason for one in tried if one.error is None and one.reason != "stopped early"):
         note(f"a trial failed: {reason}")
-    say(best.spec.text)
+    print_line(best.spec.text)
 
 
-WAYS_SHOWN = 12
-"""Ways to adapt that are printed, the best ones."""
+CORRECTIONS_SHOWN = 12
+"""The number of best corrections that are printed."""
 
 
 def adapt(
-    model: Annotated[Path, typer.Argument(help="File of a fitted model, as RUN/models/NAME.", show_default=False)],
-    data: Annotated[
-        list[Path], typer.Option(help="Recordings of the new condition, 10 to 30 s of driving; repeatable.")
-    ],
-    file: Annotated[Path, typer.Option("--out", help="File for the adapted model.", show_default=False)],
-    train: Annotated[
-        list[Path] | None,
-        typer.Option(help="Recordings that the model learned from: a refit with both is tried as well; repeatable."),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(min=1.0, help="Learn from the first so many seconds of each episode only.")
-    ] = None,
-    seed: Seed = None,
-    columns: Columns = None,
-    plugin: Plugins = None,
-    as_json: Json = False,
-) -> None:
-    """Correct a model for another day, floor or battery, if a gate finds that the correction helps.
+    model: Annotated[Path, argument("File of a fitted model: RUN/models/NAME", "MODEL")],
+    data: Annotated[list[Path], option("Recordings of the new condition, 10 to 30 s of driving; repeatable", "PATH",
+        panel="Data and models")],
+    file: Annotated[Path, option("File for the adapted model", "FILE", "--out")],
+    train: Annotated[list[Path] | None, option("Training data of the model: also try a refit to both; repeatable",
+        "PATH", panel="Data and models")] = None,
+    seconds: Annotated[float | None, option("Use only the first seconds of each episode", "N", panel="Data and models",
+        parser=number(1.0, float))] = None,
+    columns: options.Columns = None, seed: options.Seed = None, plugin: options.Plugins = None,
+    as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Adapt a fitted model to a new operating condition.
 
-    Prints what the gate saw and decided: errors of free runs over blocks that were not learned from.
+    The condition may be another floor, battery or load. An acceptance test on blocks that were not fitted decides
+    whether a correction, fine-tuning or a refit replaces the model; it is printed.
     """
     load_plugins(plugin)
     stem = str(file).removesuffix(".json").removesuffix(".safetensors")
-    for standing in (Path(f"{stem}{suffix}") for suffix in (".json", ".safetensors")):
-        if standing.exists():
-            raise InvalidArgument(f"--out: {standing} exists already; remove it, or name another file")
+    for existing in (Path(f"{stem}{suffix}") for suffix in (".json", ".safetensors")):
+        if existing.exists():
+            raise InvalidArgument(f"--out: {existing} exists already; remove it, or name another file")
     base = sysid_evo.load_model(model)
     new = sysid_evo.Dataset.read(data, columns=columns)
     if seconds is not None:
@@ -318,21 +296,21 @@ def adapt(
         adapted: Any = base.adapt(new, training=training, rng=seed, progress=bars.advance)
         bars.end("adapt", None)
     path = sysid_evo.save_model(adapted, file, seed=seed, data=new.fingerprint)
-    rows = tried_ways(adapted)
+    rows = tried_corrections(adapted)
     if as_json:
         found = {"decision": adapted.decision_, "candidates": rows, "corrected": adapted.corrects, "file": str(path)}
         out.print_json(data=found)
         return
-    print_gate(new, rows, adapted.decision_)
-    say(f"stored as {path}")
+    print_acceptance_test(new, rows, adapted.decision_)
+    print_line(f"stored as {path}")
     if not adapted.corrects and adapted.chosen_ == "none":
-        note("the stored model predicts what its base predicts")
+        note("the stored model makes the same predictions as its base")
 
 
-def tried_ways(adapted: Any) -> list[dict[str, Any]]:
-    """Return what was tried: its error as a share of that without a correction, over all blocks and in each.
+def tried_corrections(adapted: Any) -> list[dict[str, Any]]:
+    """Return each candidate with its error relative to no correction, over all blocks and in each block.
 
-    They are fewer blocks where it was given up after one that showed it to be no good.
+    A candidate that was dropped after a bad block has fewer blocks.
     """
     return [
         {"correction": name, "error": round(shares[0], 4), "blocks": [round(share, 4) for share in shares[1:]]}
@@ -340,20 +318,22 @@ def tried_ways(adapted: Any) -> list[dict[str, Any]]:
     ]
 
 
-def print_gate(new: sysid_evo.Dataset, rows: list[dict[str, Any]], decision: str) -> None:
-    """Print the table of what was tried, the best first, and the decision."""
-    table = table_of("way", "all", "in each block", numbers=("all", "in each block"), whole=("way",))
+def print_acceptance_test(new: sysid_evo.Dataset, rows: list[dict[str, Any]], decision: str) -> None:
+    """Print the table of the candidates, the best first, and the decision."""
+    table = table_of("correction", "all", "in each block", numbers=("all", "in each block"), whole=("correction",))
     count = max((len(row["blocks"]) for row in rows), default=0)
-    for row in sorted(rows, key=lambda row: float(row["error"]))[:WAYS_SHOWN]:
+    for row in sorted(rows, key=lambda row: float(row["error"]))[:CORRECTIONS_SHOWN]:
         shares = [f"{share:.2f}" for share in row["blocks"]] + ["   -"] * (count - len(row["blocks"]))
         table.add_row(row["correction"], f"{row['error']:.2f}", "  ".join(shares))
     if rows:
         out.print(
-            f"Free runs over {count} blocks, {new.duration:.0f} s in all, each by what was learned from the others; "
-            "errors as a share of that of the model as it was (-: given up before):",
+            f"Simulation over {count} blocks, {new.duration:.0f} s in all, each held out in turn; "
+            "errors relative to the unchanged model (-: dropped before):",
             highlight=False,
         )
         out.print(table)
-        if len(rows) > WAYS_SHOWN:
-            out.print(f"and {len(rows) - WAYS_SHOWN} that were worse (--json has them)", highlight=False, style="dim")
+        if len(rows) > CORRECTIONS_SHOWN:
+            out.print(
+                f"and {len(rows) - CORRECTIONS_SHOWN} worse ones (listed by --json)", highlight=False, style="dim"
+            )
     out.print(decision, highlight=False, markup=False)

@@ -1,4 +1,4 @@
-"""Names, models list, plugin new, plugin check: what has a name, and the contracts of one's own things."""
+"""Names, models list, plugin new, plugin check: registered names, and the contracts of plugins."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from rich.text import Text
 import hardware
 import model_zoo
 import sysid_evo
-from sysid_evo.cli.console import err, out, say, table_of, tell
-from sysid_evo.cli.options import Json, Plugins, load_plugins
+from sysid_evo.cli.console import err, out, print_line, print_status, table_of
+from sysid_evo.cli.options import Json, Plugins, argument, load_plugins, option
 from sysid_evo.errors import InvalidArgument, UnknownName, did_you_mean
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import KINDS, models
@@ -24,25 +24,17 @@ from sysid_evo.testing.template import PLUGINS, write_plugin
 if TYPE_CHECKING:
     from sysid_evo.testing.contract import CheckResult
 
-app = typer.Typer(
-    help="Models, tasks, controllers, strategies, robots and readers of your own.",
-    no_args_is_help=True,
-)
 
-
-@app.command("new")
 def new(
-    name: Annotated[str, typer.Argument(help="Its name, such as my_model.")],
-    kind: Annotated[
-        str,
-        typer.Option(help="model, task, controller, strategy, robot or reader."),
-    ] = "model",
-    folder: Annotated[Path | None, typer.Option("--out", help="Folder (default: one of that name).")] = None,
-) -> None:
-    """Write a working package: one file, one entry-point line, one test."""
+    name: Annotated[str, argument("Name of the plugin, such as my_model", "NAME")],
+    kind: Annotated[str, option("model, task, controller, strategy, robot or reader", "NAME", panel="Plugin",
+        shown="model", values=lambda: PLUGINS)] = "model",
+    folder: Annotated[Path | None, option("Folder of the package", "DIR", "--out", shown="NAME")] = None,
+) -> None:  # fmt: skip
+    """Write a plugin package: one file, one entry point, one test."""
     where = folder or Path(name)
     for path in write_plugin(name, where, kind):
-        say(str(path))
+        print_line(str(path))
     options = PLUGINS[kind].check.replace("tests/", f"{shlex.quote(str(where))}/tests/")
     err.print(
         f"check it with: sysid-evo plugin check {name} --plugin {shlex.quote(str(where / name) + '.py')}{options}",
@@ -51,17 +43,18 @@ def new(
     )
 
 
-@app.command("check")
 def check(
-    name: Annotated[str, typer.Argument(help="Its registered name, or NAME(parameter=value, ...).")],
-    kind: Annotated[str | None, typer.Option(help="model, task, ... (default: the kind that has the name).")] = None,
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Recordings for a model or a task (default: made-up systems); an example file of a reader."),
-    ] = None,
+    name: Annotated[str, argument("Registered name, or NAME(parameter=value, ...)", "SPEC")],
+    kind: Annotated[str | None, option("Kind of the plugin, if several kinds have the name", "NAME", panel="Plugin",
+        values=lambda: PLUGINS)] = None,
+    data: Annotated[Path | None, option("Recordings for a model or a task (example systems); example file of a reader",
+        "PATH", panel="Plugin")] = None,
     plugin: Plugins = None,
-) -> None:
-    """Run the contract of a thing's kind and print every sentence with its verdict."""
+) -> None:  # fmt: skip
+    """Check a plugin against the contract of its kind.
+
+    Prints each sentence of the contract with ok or BROKEN; exit code 1 if one is broken.
+    """
     load_plugins(plugin)
     spec = Spec.parse(name)
     kind = kind or _kind_of(spec.name)
@@ -82,22 +75,22 @@ def check(
 
 
 def _kind_of(name: str) -> str:
-    """Return the kind of which one is called ``name``. Raises `UnknownName`, or `InvalidArgument` if several are."""
+    """Return the kind that ``name`` belongs to. Raises `UnknownName`, or `InvalidArgument` if there are several."""
     found = [kind for kind in PLUGINS if name in KINDS[kind].names()]
     if not found:
         raise UnknownName(f"no {', '.join(list(PLUGINS)[:-1])} or {list(PLUGINS)[-1]} is called {name!r}")
     if len(found) > 1:
-        raise InvalidArgument(f"{name!r} is a {' and a '.join(found)}: say which with --kind")
+        raise InvalidArgument(f"{name!r} is a {' and a '.join(found)}: choose one with --kind")
     return found[0]
 
 
 def _results(kind: str, spec: Spec, data: Path | None) -> Iterator[CheckResult]:
-    """Yield the verdicts of the contract of ``kind``. Raises `InvalidArgument` for a kind or data that do not fit."""
+    """Yield the results of the contract of ``kind``. Raises `InvalidArgument` for a wrong kind or wrong data."""
     if kind not in PLUGINS:
         raise InvalidArgument(f"plugin: expected a kind among {', '.join(PLUGINS)}, got {kind!r}")
     run = hardware.CONTRACTS[kind].run
     if kind == "reader" and data is None:
-        raise InvalidArgument("a reader is checked on a file of its kind: name one with --data")
+        raise InvalidArgument("a reader is checked on an example file: name one with --data")
     if data is None:
         return run(spec.name, **spec.parameters)
     if kind not in FROM_DATA:
@@ -110,15 +103,16 @@ FROM_DATA: Mapping[str, Callable[[Path], Any]] = {
     "task": lambda path: sysid_evo.Dataset.read(path).system,
     "reader": lambda path: path,
 }
-"""What a contract takes besides the name, made of the path that was given."""
+"""The further argument of a contract, made from a path."""
 
 
 def list_models(
     plugin: Plugins = None,
-    form: Annotated[str, typer.Option("--format", help="table or markdown.")] = "table",
+    form: Annotated[str, option("table or markdown", "NAME", "--format", shown="table",
+        values=lambda: ("table", "markdown"))] = "table",
     as_json: Json = False,
-) -> None:
-    """List every model family that can be loaded, with what it assumes."""
+) -> None:  # fmt: skip
+    """List the model families and the physics they assume."""
     load_plugins(plugin)
     if form not in ("table", "markdown"):
         raise InvalidArgument(f"--format: expected table or markdown, got {form!r}")
@@ -133,7 +127,7 @@ def list_models(
     if as_json:
         out.print_json(data=rows)
         return
-    table = table_of("family", "assumes", "what it is", whole=("family", "assumes"))
+    table = table_of("family", "assumes", "description", whole=("family", "assumes"))
     for row in rows:
         table.add_row(row["name"], row["knowledge"], Text(row["summary"] or ""))
         if row["lacking"]:
@@ -163,29 +157,32 @@ def families_as_markdown() -> str:
 
 
 def list_names(
-    kind: Annotated[str | None, typer.Argument(help="model, task, controller, ... (default: the kinds).")] = None,
-    plugin: Plugins = None,
-    as_json: Json = False,
-) -> None:
-    """List what can be named, NAME(parameter=value, ...); of one kind also the parameters and their defaults."""
+    kind: Annotated[str | None, argument("model, task, controller, ...; without it the kinds are listed", "KIND",
+        values=lambda: KINDS)] = None,
+    plugin: Plugins = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """List the names that a SPEC may use, with their parameters.
+
+    A SPEC is NAME or NAME(parameter=value, ...). The defaults of the parameters are listed, too.
+    """
     load_plugins(plugin)
     plurals = {registry.group.rpartition(".")[2]: name for name, registry in KINDS.items()}
     kind = plurals.get(kind or "", kind)
     if kind is not None and kind not in KINDS:
         meant = did_you_mean(kind, [*KINDS, *plurals])
-        raise UnknownName(f"no kind of thing is called {kind!r}.{meant} There are {', '.join(KINDS)}")
+        raise UnknownName(f"there is no kind {kind!r}.{meant} The kinds are {', '.join(KINDS)}")
     if kind is None and not as_json:
         kinds = table_of("kind", "names")
         for name, registry in KINDS.items():
             kinds.add_row(name, ", ".join(registry.names()))
         out.print(kinds)
-        tell("sysid-evo names KIND says what each is, and which parameters it has")
+        print_status("sysid-evo names KIND lists descriptions and parameters")
         return
     rows = [row for name, registry in KINDS.items() if kind in (None, name) for row in names_of(registry)]
     if as_json:
         out.print_json(data=rows)
         return
-    table = table_of("kind", "name", "what it is", whole=("kind", "name"))
+    table = table_of("kind", "name", "description", whole=("kind", "name"))
     for row in rows:
         table.add_row(row["kind"], row["name"], Text(row["summary"]))
         if row["parameters"]:

@@ -1,4 +1,4 @@
-"""Carrying out or listing a plan on a terminal: bars, rates, time left."""
+"""Execution and listing of a plan on a terminal: bars, rates, time left."""
 
 from __future__ import annotations
 
@@ -8,46 +8,46 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from sysid_evo.cli.console import err, note, out, problems, session, table_of, tell
-from sysid_evo.plan.cell import Cell
-from sysid_evo.plan.executors import execute
-from sysid_evo.plan.plan import Plan
-from sysid_evo.plan.run_cell import Observer
-from sysid_evo.plan.store import CellOutcome, Store
+import sysid_evo.plan
+from sysid_evo.cli.console import err, note, out, print_status, problems, session, table_of
+from sysid_evo.plan.observer import Observer
+
+if TYPE_CHECKING:
+    from sysid_evo.plan import Cell, Plan, Store
 
 REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 SHORTEST = 20  # characters of a title
 SHOWN = 10
 """Cells that have a bar of their own at the same time: a cluster may run hundreds."""
 TOO_EARLY = 0.1
-"""Share of the work before the time left is shown: the first steps compile kernels, or are quick."""
+"""Share of the work after which the time left is shown: the first steps compile kernels, or are quick."""
 NAMED = 4
 """Cells that an interruption names."""
 
 
 def run_plan(
     plan: Plan, store: Store, *, dry_run: bool, as_json: bool, jobs: int | None = None, scheduler: str | None = None
-) -> Mapping[str, CellOutcome] | None:
-    """Compute what is missing of ``plan`` and return the outcome of every cell by its digest.
+) -> Mapping[str, sysid_evo.plan.CellOutcome] | None:
+    """Compute the missing cells of a plan and return the outcome of each cell by its digest.
 
-    With ``dry_run`` print what would be computed instead, and return None.
+    With ``dry_run`` print the plan instead and return None.
     """
     if dry_run:
         print_plan(plan, store, as_json=as_json)
         return None
     session.run = store
     with PlanProgress(f"--run {shlex.quote(str(store.path))}", cells=plan, elsewhere=scheduler is not None) as bars:
-        return execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+        return sysid_evo.plan.execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
 
 
 def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
-    """Print the cells, about how long they take, and which are done."""
+    """Print the cells, their expected duration, and which are done."""
     done = {cell.digest for cell in plan if store.done(cell)}
     rows = [(cell.title, 0.0 if cell.digest in done else cell.expected_seconds, cell.digest in done) for cell in plan]
     total = sum(seconds for _, seconds, _ in rows)
@@ -64,21 +64,17 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
 
 
 class PlanProgress(Observer):
-    """An `Observer` of an execution that draws a bar for all and one for each cell, or plain lines without a terminal.
+    """An `Observer` that draws one bar for all cells and one for each, or prints lines without a terminal.
 
-    ``go_on`` are the options that resume an interrupted command, if it can be resumed. ``where`` is a prefix that
-    distinguishes cells of the same title. ``elsewhere``: cells are computed on workers that keep no checkpoints.
-    ``cells`` are those to be computed; they show when the last cell of a group ends.
+    ``go_on`` are the options that resume an interrupted command, if it can be resumed. ``where`` returns a prefix that
+    distinguishes cells with the same title. ``elsewhere``: the cells are computed on workers that keep no checkpoints.
+    ``cells`` are the cells of the plan; a group of cells gets one line when its last cell ends.
     """
 
     def __init__(
-        self,
-        go_on: str | None = None,
-        *,
-        cells: Iterable[Cell] = (),
-        where: Callable[[Cell], str] | None = None,
+        self, go_on: str | None = None, *, cells: Iterable[Cell] = (), where: Callable[[Cell], str] | None = None,
         elsewhere: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._go_on, self._where, self._elsewhere = go_on, where, elsewhere
         self._bars = _Bars(
             TextColumn("{task.description}", markup=False),
@@ -95,7 +91,7 @@ class PlanProgress(Observer):
         self._expected: dict[str, float] = {}
         self._awaited = Counter(self._group(cell) for cell in cells)
         self._grouped: dict[str, list[float]] = {}
-        self._left = self._foreseen = 0.0
+        self._left = self._expected_done = 0.0
         self._began = time.monotonic()
 
     def __enter__(self) -> Self:
@@ -107,37 +103,37 @@ class PlanProgress(Observer):
     ) -> None:
         self._bars.stop()
         for group, seconds in self._grouped.items():
-            self._tell_group(group, len(seconds), sum(seconds))
+            self._print_group(group, len(seconds), sum(seconds))
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             titles = [one.title for one in self._current.values()]
             further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
             what = ", ".join(titles[:NAMED]) + further or "between two cells"
-            kept = "Nothing unfinished is kept"
+            kept = "Unfinished work is not kept"
             resumable = [one for one in self._current.values() if one.resumable and one.done and not self._elsewhere]
             if len(self._current) > 1 and resumable:
-                kept = f"What is done of {', '.join(one.title for one in resumable)} is kept"
+                kept = f"The finished generations of {', '.join(one.title for one in resumable)} are kept"
             elif resumable:
-                kept = f"The {resumable[0].done} of {resumable[0].total} generations that are done are kept"
-            on = "" if self._go_on is None else f"; go on with {self._go_on}"
-            tell(f"interrupted: {what}. {kept}{on}")
+                kept = f"The {resumable[0].done} of {resumable[0].total} finished generations are kept"
+            on = "" if self._go_on is None else f"; continue with {self._go_on}"
+            print_status(f"interrupted: {what}. {kept}{on}")
 
     def plan(self, cells: int, kept: int, seconds: float) -> None:
         self._cells, self._left = cells, seconds
         if kept:
-            tell(f"{kept} of {cells} cells are done already", label="kept: ", style="dim")
+            print_status(f"{kept} of {cells} cells are done already", label="kept: ", style="dim")
         self._all = self._bars.add_task("all", total=cells, completed=0, note="")
 
     def start(self, cell: Cell) -> None:
         self._begin(cell.digest, self._title(cell), resumable=cell.resumable)
         self._expected[cell.digest] = cell.expected_seconds
-        self._tell_all()
+        self._show_all()
 
     def begin(self, title: str) -> None:
-        """A piece of work that is no cell of a plan begins."""
+        """Work outside a plan begins."""
         self._begin(title, title, resumable=False)
 
     def _begin(self, key: str, title: str, *, resumable: bool) -> None:
-        self._remove(key)  # it was begun elsewhere
+        self._remove(key)  # it was begun on another worker
         bar = self._bars.add_task(_short(title), total=None, note="", visible=len(self._current) < SHOWN)
         self._current[key] = _Current(title, bar, resumable)
 
@@ -146,7 +142,7 @@ class PlanProgress(Observer):
             self._advance(self._current[cell.digest], done, total, note)
 
     def advance(self, done: int, total: int, note: str = "") -> None:
-        """The one present piece of work has done so many of its steps; ``note`` is what else there is to say."""
+        """The running work has done ``done`` of ``total`` steps; ``note`` is a further remark."""
         for current in self._current.values():
             self._advance(current, done, total, note)
 
@@ -156,40 +152,40 @@ class PlanProgress(Observer):
         self._bars.remarks[current.bar] = current.title, note
         self._bars.update(current.bar, completed=done, total=total, note=pace)
         now = time.monotonic()
-        if not err.is_terminal and now - current.told > REPORT_EVERY:
-            current.told = now
-            told = ", ".join(filter(None, (f"{done}/{total}", pace)))
-            tell("; ".join(filter(None, (f"{self._count()}{current.title}: {told}", note))))
+        if not err.is_terminal and now - current.reported > REPORT_EVERY:
+            current.reported = now
+            done_so_far = ", ".join(filter(None, (f"{done}/{total}", pace)))
+            print_status("; ".join(filter(None, (f"{self._count()}{current.title}: {done_so_far}", note))))
 
     def finish(self, cell: Cell, *, cached: bool, reason: str | None) -> None:
         self._ended += 1
         self._failed += reason is not None
         if cell.digest in self._expected:
             expected = self._expected.pop(cell.digest)
-            self._foreseen += expected
+            self._expected_done += expected
             self._left = max(0.0, self._left - expected)
         if not cached or reason is not None:
             self._end(cell.digest, self._title(cell), reason, self._group(cell))
         self._end_of_group(self._group(cell))
-        self._tell_all()
+        self._show_all()
 
-    def _tell_all(self) -> None:
-        """Say in the bar for all how many cells are done, run and failed, and when the last will be done."""
+    def _show_all(self) -> None:
+        """Show in the bar for all cells how many are done, running and failed, and the time left."""
         if self._all is None:
             return
-        pace = (time.monotonic() - self._began) / self._foreseen if self._foreseen else 1.0
+        pace = (time.monotonic() - self._began) / self._expected_done if self._expected_done else 1.0
         running = f", {len(self._current)} running" if len(self._current) > 1 else ""
         failed = f", {self._failed} failed" if self._failed else ""
-        begun = self._foreseen >= TOO_EARLY * (self._foreseen + self._left)
+        begun = self._expected_done >= TOO_EARLY * (self._expected_done + self._left)
         note = f"{self._ended} of {self._cells}{f', {duration(self._left * pace)} left' if begun else ''}"
         self._bars.update(self._all, description=f"all{running}{failed}", completed=self._ended, note=note)
 
     def end(self, title: str, reason: str | None) -> None:
-        """A piece of work that is no cell is done, or failed for ``reason``."""
+        """Work outside a plan is done, or failed for a ``reason``."""
         self._end(title, title, reason)
 
     def _remove(self, key: str) -> float:
-        """Take away the bar of a piece of work, show one that had no place; return how long it took."""
+        """Remove the bar of finished work, show a hidden one instead; return the duration of the work."""
         current = self._current.pop(key, None)
         if current is None:
             return 0.0
@@ -200,7 +196,7 @@ class PlanProgress(Observer):
         return time.monotonic() - current.began
 
     def _end(self, key: str, title: str, reason: str | None, group: str = "") -> None:
-        """Say that work is over; without a terminal all cells of one ``group`` have one line, with the last of them."""
+        """Report that work has ended; without a terminal the cells of a ``group`` share one line."""
         seconds = self._remove(key)
         if reason is not None:
             problems.print(Text.assemble(("failed", "red"), f" {title}: {reason}"))
@@ -209,17 +205,17 @@ class PlanProgress(Observer):
         elif group:
             self._grouped.setdefault(group, []).append(seconds)
         else:
-            tell(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
+            print_status(f"{self._count()}{title}, {seconds:.1f} s", label="done ", style="green")
 
     def _end_of_group(self, group: str) -> None:
         self._awaited[group] -= 1
         if self._awaited[group] <= 0 and group in self._grouped:
             seconds = self._grouped.pop(group)
-            self._tell_group(group, len(seconds), sum(seconds))
+            self._print_group(group, len(seconds), sum(seconds))
 
-    def _tell_group(self, group: str, count: int, seconds: float) -> None:
+    def _print_group(self, group: str, count: int, seconds: float) -> None:
         cells = f"{group}, {count} {'cell' if count == 1 else 'cells'}, {seconds:.1f} s"
-        tell(f"{self._count()}{cells}", label="done ", style="green")
+        print_status(f"{self._count()}{cells}", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
         note(sentence)
@@ -236,7 +232,7 @@ class PlanProgress(Observer):
 
 
 class _Bars(Progress):
-    """Bars, and below them ``remarks`` on the present pieces of work: all of one, the first part of several."""
+    """Bars, and below them ``remarks`` on the running work: in full for one, shortened for several."""
 
     def __init__(self, *columns: ProgressColumn, console: Console, transient: bool, disable: bool) -> None:
         self.remarks: dict[TaskID, tuple[str, str]] = {}
@@ -244,25 +240,25 @@ class _Bars(Progress):
 
     def get_renderables(self) -> Iterable[RenderableType]:
         yield from super().get_renderables()
-        told = [pair for pair in self.remarks.values() if pair[1]][:SHOWN]
-        if not told:
+        noted = [pair for pair in self.remarks.values() if pair[1]][:SHOWN]
+        if not noted:
             return
         width = self.console.width - 2
-        lines = [f"  {_short(title)}: {remark.partition('; ')[0]}"[:width] for title, remark in told]
-        for _, remark in told if len(told) == 1 else ():
+        lines = [f"  {_short(title)}: {remark.partition('; ')[0]}"[:width] for title, remark in noted]
+        for _, remark in noted if len(noted) == 1 else ():
             lines = packed(remark, width)
         yield Text("\n".join(lines), style="dim")
 
 
 @dataclass
 class _Current:
-    """A piece of work that goes on: its bar, when it began, and how far it is."""
+    """Running work: its bar, its start and its progress."""
 
     title: str
     bar: TaskID
     resumable: bool = False
     began: float = field(default_factory=lambda: time.monotonic())
-    told: float = field(default_factory=lambda: time.monotonic())
+    reported: float = field(default_factory=lambda: time.monotonic())
     done: int = 0
     total: int = 0
     _first: tuple[int, float] | None = None
@@ -272,7 +268,7 @@ class _Current:
         self._first = self._first or (done, time.monotonic())
 
     def pace(self) -> str:
-        """Return rate and time left, as they are since the first step that was told; what was resumed was quick."""
+        """Return rate and time left, measured from the first reported step, so that resumed steps do not count."""
         done, since = self._first or (0, self.began)
         steps, seconds = self.done - done, time.monotonic() - since
         if steps < 1 or seconds <= 0.0:
@@ -284,7 +280,7 @@ class _Current:
 
 
 def packed(remark: str, width: int) -> list[str]:
-    """Return ``remark`` in lines that break at its semicolons where that is possible."""
+    """Return ``remark`` in lines, which break at semicolons if possible."""
     lines = [""]
     for part in remark.split("; "):
         if lines[-1] and len(lines[-1]) + 2 + len(part) <= width:
@@ -295,7 +291,7 @@ def packed(remark: str, width: int) -> list[str]:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in the unit that fits."""
+    """Return a time in seconds, minutes or hours."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,80 +1,73 @@
-"""Import, inspect: log files become data sets; tables of what these are good for."""
+"""Import, inspect: log files become data sets; tables of their quality."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 import evaluation
-from sysid_evo.cli.console import out, say, tell
-from sysid_evo.cli.options import Columns, Json, Plugins, check_new_folder, load_plugins
-from sysid_evo.data.dataset import Dataset
-from sysid_evo.data.frames import HEADER, SAMPLES, is_stored_dataset
-from sysid_evo.data.preparation import RawLog
-from sysid_evo.data.quality import RecordingQuality, recording_quality
-from sysid_evo.data.reading import read_recording
+import sysid_evo.data
+from sysid_evo.cli.console import out, print_line, print_status
+from sysid_evo.cli.options import Columns, Json, Plugins, argument, check_new_folder, load_plugins, option
 from sysid_evo.data.units import spelled
 from sysid_evo.errors import InvalidArgument
 
-Logs: TypeAlias = Annotated[list[Path], typer.Argument(help="Log files, or folders of them.", show_default=False)]
+if TYPE_CHECKING:
+    from sysid_evo.data import Dataset, RawLog, RecordingQuality
 
 
 def import_(
-    logs: Logs,
-    folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
+    logs: Annotated[list[Path], argument("Log files, or folders of them", "LOGS")],
+    folder: Annotated[Path, option("Folder for the data set", "DIR", "--out")],
     columns: Columns = None,
-    condition: Annotated[
-        list[str] | None,
-        typer.Option(help="NAME=PATTERN: logs whose names fit were recorded in this condition, as wet='rain_*'."),
-    ] = None,
-    condition_column: Annotated[
-        str | None,
-        typer.Option(help="Column of the logs that names the condition of each row; a change of it splits a log."),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the data set that --out holds.")] = False,
+    condition: Annotated[list[str] | None,
+        option("NAME=PATTERN: condition of the logs whose names match, such as wet='rain_*'; repeatable", "NAME",
+        panel="Data and models")] = None,
+    condition_column: Annotated[str | None,
+        option("Column that names the condition of each row; a change splits the log", "NAME",
+        panel="Data and models")] = None,
+    overwrite: Annotated[bool, option("Replace the data set in --out", "", "--overwrite")] = False,
     plugin: Plugins = None,
-) -> None:
-    """Turn log files into a data set: check, prepare, store.
+) -> None:  # fmt: skip
+    """Convert log files to a data set: check, prepare, store.
 
-    Logs of poses, three times as fast as the control rate or faster, are differentiated and filtered;
-    logs that carry velocities at the control rate are taken row by row.
+    Logs of poses at three times the control rate or faster are differentiated and filtered. Logs of velocities at the
+    control rate are used row by row.
     """
     load_plugins(plugin)
-    check_new_folder(folder, overwrite=overwrite, replaced=(HEADER, SAMPLES))
+    check_new_folder(folder, overwrite=overwrite, replaced=(sysid_evo.data.HEADER, sysid_evo.data.SAMPLES))
     patterns = patterns_of(condition or ())
-    recording = read_recording(logs, columns=columns, condition_column=condition_column)
-    dataset = Dataset.of_recording(recording).label_conditions(patterns)
+    recording = sysid_evo.data.read_recording(logs, columns=columns, condition_column=condition_column)
+    dataset = sysid_evo.data.Dataset.of_recording(recording).label_conditions(patterns)
     dataset.save(folder)
-    tell_notes(dataset.notes, recording.remarks)
+    print_notes(dataset.notes, recording.remarks)
     out.print(episode_table(dataset))
-    say(f"data set stored in {folder}")
+    print_line(f"data set stored in {folder}")
 
 
 def inspect(
-    logs: Annotated[
-        list[Path], typer.Argument(help="A data set's folder, or log files or folders of them.", show_default=False)
-    ],
+    logs: Annotated[list[Path], argument("Data set, log files, or folders of logs", "DATA")],
     columns: Columns = None,
-    controller: Annotated[
-        Path | None,
-        typer.Option(help="Controller of a run: also say where it drives that the recording does not cover."),
-    ] = None,
-    as_json: Json = False,
-    plugin: Plugins = None,
-) -> None:
-    """Say what a recording is good for: excitation, coverage, sampling, delays, what to record next."""
+    controller: Annotated[Path | None,
+        option("Controller file: also report the states it visits that the recording lacks", "FILE",
+        panel="Data and models")] = None,
+    as_json: Json = False, plugin: Plugins = None,
+) -> None:  # fmt: skip
+    """Report excitation, coverage, sampling and delays of a recording.
+
+    Then recommends recordings that are still missing.
+    """
     load_plugins(plugin)
     dataset, raw, warned = _open(logs, columns)
-    tell_notes(dataset.notes, warned)
-    quality = recording_quality(dataset, raw)
+    print_notes(dataset.notes, warned)
+    quality = sysid_evo.data.recording_quality(dataset, raw)
     visited = () if controller is None else evaluation.driven_by(controller, dataset.system)
     remarks = evaluation.advise_recording(dataset, quality, visited=visited)
     if as_json:
@@ -98,26 +91,26 @@ def patterns_of(conditions: Sequence[str]) -> dict[str, str]:
 
 
 def _open(paths: list[Path], columns: Path | None) -> tuple[Dataset, tuple[RawLog, ...], tuple[str, ...]]:
-    """Return a data set, the logs it was made of (none if it was stored), and what looks wrong in them."""
-    if len(paths) == 1 and is_stored_dataset(paths[0]):
-        return Dataset.read(paths[0], columns=columns), (), ()
-    recording = read_recording(paths, columns=columns)
-    return Dataset.of_recording(recording), recording.logs, recording.remarks
+    """Return a data set, its logs (none if it was stored), and warnings about them."""
+    if len(paths) == 1 and sysid_evo.data.is_stored_dataset(paths[0]):
+        return sysid_evo.data.Dataset.read(paths[0], columns=columns), (), ()
+    recording = sysid_evo.data.read_recording(paths, columns=columns)
+    return sysid_evo.data.Dataset.of_recording(recording), recording.logs, recording.remarks
 
 
-def tell_notes(notes: Iterable[str], remarks: Iterable[str] = ()) -> None:
-    """Print notes on standard error, and what looks wrong as a warning."""
+def print_notes(notes: Iterable[str], remarks: Iterable[str] = ()) -> None:
+    """Print notes on standard error; those among the remarks are warnings."""
     remarked = set(remarks)
     for note in notes:
         label, style = ("warning: ", "yellow") if note in remarked else ("note: ", "dim")
-        tell(note, label=label, style=style)
+        print_status(note, label=label, style=style)
 
 
 MOST_ROWS = 24
 
 
 def episode_table(dataset: Dataset) -> RenderableType:
-    """Return one row for each episode (of very many: the first), and the sum."""
+    """Return a table with a row for each episode, the first ones of many, and the total."""
     rows = [
         (episode.name, f"{len(episode) + 1}", f"{episode.duration:.1f}", f"{moving.mean():.0%}")
         for episode, moving in zip(dataset, dataset.moving, strict=True)
@@ -129,7 +122,7 @@ def episode_table(dataset: Dataset) -> RenderableType:
 
 
 def quality_tables(dataset: Dataset, quality: RecordingQuality) -> RenderableType:
-    """Return what a recording holds, as tables."""
+    """Return the quality of a recording as tables."""
     controls = [
         (
             _unit(use.name, use.unit),
@@ -186,7 +179,7 @@ def quality_tables(dataset: Dataset, quality: RecordingQuality) -> RenderableTyp
 
 
 def quality_as_json(dataset: Dataset, quality: RecordingQuality) -> dict[str, Any]:
-    """Return what a recording holds, the system, the episodes and the notes as strict JSON."""
+    """Return quality, system, episodes and notes of a recording as strict JSON."""
     episodes = [{"name": episode.name, "steps": len(episode)} for episode in dataset]
     return {
         "system": dataset.system.to_dict(),
@@ -208,7 +201,7 @@ def _unit(name: str, unit: str) -> str:
 
 
 def _cut(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the rows, of more than `MOST_ROWS` the first ones and the last."""
+    """Return at most `MOST_ROWS` rows: the first ones and the last."""
     if len(rows) <= MOST_ROWS:
         return list(rows)
     return [*rows[: MOST_ROWS - 2], (f"... {len(rows) - MOST_ROWS + 1} more", *[""] * (len(rows[0]) - 1)), rows[-1]]
@@ -225,9 +218,9 @@ def _table(title: str, head: Sequence[str], rows: Sequence[tuple[str, ...]], *, 
 
 
 def print_remarks(remarks: Sequence[evaluation.Remark]) -> None:
-    """Print what to record next, the most important first."""
+    """Print recommended recordings, the most important first."""
     if not remarks:
-        out.print("Nothing stands out that should be recorded next.")
+        out.print("No further recordings are recommended.")
         return
     for part in evaluation.remark_lines("What to record next?", remarks):
         out.print(part)

@@ -1,4 +1,4 @@
-"""Robots list, robots check, record, drive: anything that drives a robot."""
+"""Robots list, robots check, record, drive: commands that drive a robot."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.table import Table
 from rich.text import Text
@@ -18,48 +17,48 @@ from rich.text import Text
 import evaluation
 import hardware
 import sysid_evo
-from evaluation.formatting import by_error
-from sysid_evo.artefacts import is_stored_dataset
-from sysid_evo.cli.console import ROBOT, err, out, say, table_of, tell
-from sysid_evo.cli.experiments import add_measured
-from sysid_evo.cli.options import Json, Plugins, Seed, Task, check_new_folder, load_plugins
+import sysid_evo.data
+import sysid_evo.plan
+from sysid_evo.cli import options
+from sysid_evo.cli.console import ROBOT, err, out, print_line, print_status, table_of
+from sysid_evo.cli.options import argument, check_new_folder, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
-from sysid_evo.cli.recordings import episode_table, tell_notes
-from sysid_evo.data.response import manoeuvre_results
+from sysid_evo.cli.recordings import episode_table, print_notes
+from sysid_evo.cli.runs import add_measured
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
-from sysid_evo.plan.store import Store
 from sysid_evo.registry.registry import robots
-from sysid_evo.system import System
-from sysid_evo.types import Seeds
 
-app = typer.Typer(help="Robots, physical and emulated.", no_args_is_help=True)
+if TYPE_CHECKING:
+    from sysid_evo.system import System
+    from sysid_evo.types import Seeds
 
 
-@app.command("list")
-def list_robots(plugin: Plugins = None, as_json: Json = False) -> None:
-    """List every robot driver that can be loaded; a TOML file with `driver = "NAME"` describes a robot of your own."""
+def list_robots(plugin: options.Plugins = None, as_json: options.Json = False) -> None:
+    """List the robot drivers.
+
+    A TOML file with `driver = "NAME"` and the parameters of the driver describes your own robot.
+    """
     load_plugins(plugin)
     rows = [{"name": name, "summary": robots.summary(name)} for name, _ in robots.load_all()]
     if as_json:
         out.print_json(data=rows)
         return
-    table = table_of("robot", "what it is", whole=("robot",))
+    table = table_of("robot", "description", whole=("robot",))
     for row in rows:
         table.add_row(row["name"], row["summary"])
     out.print(table)
 
 
-@app.command("check")
 def check_robot(
-    robot: Annotated[str, typer.Argument(help="Robot, NAME(parameter=value, ...), or a TOML file.")],
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long to look.")] = 3.0,
-    plugin: Plugins = None,
-    as_json: Json = False,
-) -> None:
-    """Connect to a robot and look at link, tracker and loop, without moving it.
+    robot: Annotated[str, argument("SPEC or TOML file of the robot", "ROBOT", values=names_of("robot"))],
+    seconds: Annotated[float, option("Seconds to observe", "N", panel="Robot", shown="3",
+        parser=number(0.5, float))] = 3.0,
+    plugin: options.Plugins = None, as_json: options.Json = False,
+) -> None:  # fmt: skip
+    """Check link, tracker and loop of a robot without moving it.
 
-    Of one that has no pose, such as equations of your own or an environment, sensors and answers are looked at.
-    Exit code 4 if something is not as it should be.
+    A robot without a pose, such as your own equations or an environment, has its sensors and responses checked. The
+    exit code is 4 if a check fails.
     """
     load_plugins(plugin)
     machine = hardware.find_robot(robot)
@@ -80,33 +79,30 @@ def check_robot(
 
 @contextmanager
 def _ended_by(stops: hardware.StopRequest) -> Iterator[None]:
-    """End the command with the exit code of the signal after which the robot did not answer any more."""
+    """End the command with the exit code of the signal after which the robot stopped answering."""
     try:
         yield
     except LinkLost as error:
         if stops.reason is None:
             raise
-        tell(str(error))
+        print_status(str(error))
         raise typer.Exit(stops.reason.exit_code) from error
 
 
 def record(
-    folder: Annotated[Path, typer.Option("--out", help="Folder for the data set.", show_default=False)],
-    robot: Annotated[
-        str, typer.Option(help="Registered robot, NAME(parameter=value, ...), or a TOML file.")
-    ] = "emulated_car",
-    seed: Seed = None,
-    minutes: Annotated[float, typer.Option(min=0.1, help="Length of the excitation.")] = 6.0,
-    manoeuvre: Annotated[
-        str | None, typer.Option(help="Instead, one that measures: step, coast_down or circle.")
-    ] = None,
-    plugin: Plugins = None,
-) -> None:
-    """Drive a robot through manoeuvres; store the journals of the runs (`journal/`), what the tracker saw
-    (`raw/`) and the data set made of it.
+    folder: Annotated[Path, option("Folder for the data set", "DIR", "--out")],
+    robot: Annotated[str, option("Robot, or its TOML file", "SPEC", panel="Robot", shown="emulated_car",
+        values=names_of("robot"))] = "emulated_car",
+    minutes: Annotated[float, option("Minutes of excitation", "N", panel="Robot", shown="6",
+        parser=number(0.1, float))] = 6.0,
+    manoeuvre: Annotated[str | None, option("Measuring manoeuvre instead: step, coast_down or circle", "NAME",
+        panel="Robot", values=lambda: ("step", "coast_down", "circle"))] = None,
+    seed: options.Seed = None, plugin: options.Plugins = None,
+) -> None:  # fmt: skip
+    """Drive a robot through excitation manoeuvres and record it.
 
-    Every frame and command is in the journal as soon as it happens; Ctrl-C, a lost tracker or a lost
-    link end the recording in neutral, and what was recorded until then is kept and prepared.
+    Stores journals (`journal/`), tracker logs (`raw/`) and the data set. Ctrl-C, a lost tracker or a lost link end the
+    recording in neutral; the part until then is kept.
     """
     load_plugins(plugin)
     check_new_folder(folder)
@@ -129,13 +125,13 @@ def record(
     for log in recorded.logs:
         hardware.save_raw_log(log, dataset.system, folder / "raw" / f"{log.name}.csv")
     dataset.save(folder)
-    tell_notes(dataset.notes)
+    print_notes(dataset.notes)
     out.print(episode_table(dataset))
-    for one in manoeuvre_results(dataset):
-        say(str(one))
-    say(f"data set stored in {folder}")
+    for one in sysid_evo.data.manoeuvre_results(dataset):
+        print_line(str(one))
+    print_line(f"data set stored in {folder}")
     if ended is not None:
-        tell(f"the recording was cut short: {ended}")
+        print_status(f"the recording was cut short: {ended}")
         raise typer.Exit(recorded.report.reason.exit_code)
 
 
@@ -148,46 +144,45 @@ CONTROLLED = "trials"
 """Name of the journal of a controller's trials."""
 
 TRACES = 10
-"""Trials whose trajectories are kept for the plots."""
+"""Trials whose trajectories are stored for the plots."""
 
 
 def drive(
-    robot: Annotated[
-        str | None, typer.Option(help="Robot, NAME(parameter=value, ...), or a TOML file (default: emulated_car).")
-    ] = None,
-    model: Annotated[str | None, typer.Option(help="Instead: a fitted model, its family in --run or its file.")] = None,
-    controller: Annotated[
-        str | None,
-        typer.Option(help="To drive instead: the file of an evolved controller, or one written by hand, NAME(...)."),
-    ] = None,
-    task: Task = None,
-    run: Annotated[Path | None, typer.Option(help="Run folder whose transfer matrix gets the scores.")] = None,
-    name: Annotated[str | None, typer.Option(help="Row of the matrix for who drives by hand, such as human.")] = None,
-    trials: Annotated[
-        int | None, typer.Option(min=1, help="Trials driven to their end (by hand: until Ctrl-C; controllers: 10).")
-    ] = None,
-    folder: Annotated[Path | None, typer.Option("--out", help="New folder for the recording and its data set.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the trials (default: the run's, else 0).")] = None,
-    tracker_origin: Annotated[
-        bool, typer.Option("--tracker-origin", help="The arena lies around the tracker's origin, not around the start.")
-    ] = False,
-    host: Annotated[str, typer.Option(help="Serve the page at this address.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page (0: a free one).")] = 0,
-    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser, too.")] = False,
-    watch: Annotated[
-        bool, typer.Option("--watch", help="With --controller: show on the page how it drives, in real time.")
-    ] = False,
-    plugin: Plugins = None,
-) -> None:
-    """Drive a robot or a model, by hand on a local web page or with --controller, at the task of the matrix.
+    robot: Annotated[str | None, option("Robot, or its TOML file", "SPEC", panel="Robot", shown="emulated_car",
+        values=names_of("robot"))] = None,
+    model: Annotated[str | None, option("Fitted model to drive instead: its name in --run or its file", "NAME",
+        panel="Robot", values=options.fitted_models)] = None,
+    controller: Annotated[str | None, option("Controller that drives: its file, or SPEC of a baseline controller",
+        "SPEC", panel="Robot", values=names_of("controller"))] = None,
+    task: Annotated[str | None, option("Task of trials by hand and of baseline controllers", "SPEC", panel="Robot",
+        shown="that of the robot", values=names_of("task"))] = None,
+    trials: Annotated[int | None, option("Completed trials", "N", panel="Robot", shown="10; by hand until Ctrl-C",
+        parser=number(1))] = None,
+    tracker_origin: Annotated[bool, option("Centre the arena on the tracker origin, not on the start", "",
+        "--tracker-origin", panel="Robot")] = False,
+    host: Annotated[str, option("Address at which the page is served", "ADDR", panel="Page",
+        shown="127.0.0.1")] = "127.0.0.1",
+    port: Annotated[int, option("Port of the page", "N", panel="Page", shown="a free one",
+        parser=number(0, high=65535))] = 0,
+    open_page: Annotated[bool, option("Open the page in the browser", "", "--open", panel="Page")] = False,
+    watch: Annotated[bool, option("Show on the page how --controller drives, in real time", "", "--watch",
+        panel="Page")] = False,
+    run: Annotated[Path | None, option("Run folder whose transfer matrix gets the fitness", "DIR",
+        values=options.run_folders)] = None,
+    name: Annotated[str | None, option("Row of the transfer matrix for driving by hand, such as human", "NAME")] = None,
+    folder: Annotated[Path | None, option("New folder for the recording and its data set", "DIR", "--out")] = None,
+    seed: Annotated[int | None, option("Seed of the trials", "N", shown="that of the run, or 0",
+        parser=number(0))] = None,
+    plugin: options.Plugins = None,
+) -> None:  # fmt: skip
+    """Drive a robot or model by hand, or run a controller on it.
 
-    By hand: prints the address of the page; whoever knows it may drive. Keys that are released or lost
-    mean neutral. --out makes a data set of what is driven; --name adds the trials that are driven to
-    their end to the run's transfer matrix. --controller adds what it achieves on the robot; with --watch
-    the page shows it.
+    By hand: the command prints the address of a local web page; everyone who knows it can drive. Released keys mean
+    neutral. --out stores a data set; --name adds completed trials to the transfer matrix of the run. --controller adds
+    the measured fitness of a controller.
 
-    The exit code is 0 when driving ended as it should, 4 when link, tracker or robot ended it (a sentence
-    says which and why), and 129, 130, 143 for SIGHUP, SIGINT, SIGTERM while a trial was driven.
+    Exit codes: 0 driving ended normally; 4 link, tracker or robot ended it (the reason is printed); 129, 130 and 143
+    for SIGHUP, SIGINT and SIGTERM during a trial.
     """
     load_plugins(plugin)
     page = hardware.PageAddress(host, port, open_page)
@@ -205,9 +200,9 @@ def drive(
         words = ["sysid-evo", "transfer", controller, "--on", model, *(["--run", str(run)] if run else [])]
         raise InvalidArgument(f"drive: --controller drives a robot. To run it on a model: {shlex.join(words)}")
     if name is not None:
-        raise InvalidArgument("drive: --name is for driving by hand; a controller has a row of its own. Leave it out")
-    if task is not None and is_stored_dataset(controller, "controller"):
-        raise InvalidArgument(f"drive: {controller} was evolved for a task and drives that one; leave --task out")
+        raise InvalidArgument("drive: --name is for driving by hand; a controller has its own row. Leave --name out")
+    if task is not None and sysid_evo.is_stored_artefact(controller, "controller"):
+        raise InvalidArgument(f"drive: {controller} was evolved for a task, which is used; leave --task out")
     code = drive_controller(
         controller,
         hardware.find_robot(robot or DEFAULT_ROBOT),
@@ -223,26 +218,18 @@ def drive(
 
 
 def drive_controller(
-    controller: str,
-    robot: hardware.Robot,
-    *,
-    task: str | None,
-    trials: int,
-    run: Path | None,
-    seed: int | None,
-    tracker_origin: bool,
-    folder: Path | None,
-    page: hardware.PageAddress | None,
-) -> int:
-    """Run ``controller``, the file of an evolved one or the spec of one written by hand, and return the exit code.
+    controller: str, robot: hardware.Robot, *, task: str | None, trials: int, run: Path | None, seed: int | None,
+    tracker_origin: bool, folder: Path | None, page: hardware.PageAddress | None,
+) -> int:  # fmt: skip
+    """Run ``controller``, a file or the SPEC of a baseline controller, and return the exit code.
 
-    An evolved one has its own task, one written by hand does ``task``. The trials are those of the transfer matrix,
-    from the first on. The result becomes a cell of ``run``, or of the run that the file belongs to, whose report is
-    then made again. ``folder`` is for the data set of the trials, ``page`` where they are shown.
+    An evolved controller has its own task; a baseline controller gets ``task``. The trials are the first ones of the
+    transfer matrix. The result becomes a cell of ``run``, by default of the run that the file belongs to, and its
+    report is rebuilt. The data set of the trials is stored in ``folder``; ``page`` shows them.
     """
     if page is not None:
-        hardware.check_page()  # what it lacks is said before anything runs
-    if is_stored_dataset(controller, "controller"):
+        hardware.check_page()  # missing packages are reported before anything runs
+    if sysid_evo.is_stored_artefact(controller, "controller"):
         champion = sysid_evo.load_champion(controller)
         run = run or evaluation.run_of_controller(Path(controller))
     else:
@@ -264,15 +251,9 @@ def drive_controller(
 
 
 def _loop(
-    champion: sysid_evo.Champion,
-    robot: hardware.Robot,
-    seeds: Seeds,
-    seed: int,
-    run: Path | None,
-    tracker_origin: bool,
-    recorder: hardware.Recorder | None,
-    page: hardware.PageAddress | None,
-) -> int:
+    champion: sysid_evo.Champion, robot: hardware.Robot, seeds: Seeds, seed: int, run: Path | None,
+    tracker_origin: bool, recorder: hardware.Recorder | None, page: hardware.PageAddress | None,
+) -> int:  # fmt: skip
     """Run a controller on a robot in the control loop, and return the exit code."""
     if page is not None:
         robot = hardware.in_real_time(robot)
@@ -281,10 +262,10 @@ def _loop(
     hardware.check_driving(robot, task, law, champion.parameters[None])
     with ExitStack() as stack:
         bars, stops = stack.enter_context(PlanProgress()), stack.enter_context(hardware.StopRequest())
-        told = None
+        on_decision = None
         if page is not None:
             shown = hardware.shown_live(robot, task, champion.name, page, stop=stops, announce=_watch_at)
-            told = stack.enter_context(shown)
+            on_decision = stack.enter_context(shown)
         runner = hardware.RobotRunner(
             robot,
             tracker_frame=tracker_origin,
@@ -292,7 +273,7 @@ def _loop(
             listeners=() if recorder is None else (recorder,),
             stop=stops,
             progress=bars.advance,
-            on_decision=told,
+            on_decision=on_decision,
         )
         bars.begin(title)
         try:
@@ -311,16 +292,12 @@ def _loop(
 
 
 def _step(
-    champion: sysid_evo.Champion,
-    robot: hardware.Robot,
-    seeds: Seeds,
-    run: Path | None,
-    folder: Path | None,
+    champion: sysid_evo.Champion, robot: hardware.Robot, seeds: Seeds, run: Path | None, folder: Path | None,
     page: hardware.PageAddress | None,
-) -> int:
-    """Run a controller on a robot that steps when it is told to, as an environment, and return the exit code.
+) -> int:  # fmt: skip
+    """Run a controller on a robot that steps on demand, such as an environment, and return the exit code.
 
-    With a ``page`` the trials are then played back there.
+    With a ``page`` the trials are then played back on it.
     """
     runner, task = robot.runner(), sysid_evo.make_task(champion.task)
     assert runner is not None
@@ -334,7 +311,7 @@ def _step(
     if folder is not None:
         named = [replace(one, name=f"trial-{number}") for number, one in enumerate(rollouts.trajectories, 1)]
         sysid_evo.Dataset(robot.system, tuple(named)).save(folder)
-        say(f"data set stored in {folder}")
+        print_line(f"data set stored in {folder}")
     if page is None:
         return 0
     stopped = hardware.play_back(champion, robot, seeds, rollouts, page, announce=_watch_at)
@@ -342,11 +319,11 @@ def _step(
 
 
 def _watch_at(url: str) -> None:
-    say(f"Watch it at {url}")
+    print_line(f"Watch it at {url}")
 
 
 def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
-    """Return the fitness of each trial, mean and standard deviation, and what is missing."""
+    """Return a table of trials: fitness and steps of each, mean and standard deviation, missing trials."""
     headings = "trial", cell.unit or "fitness", "steps"
     table = table_of(*headings, numbers=headings)
     for trial, (fitness, steps) in enumerate(zip(cell.fitness, rollouts.survived[0], strict=False)):
@@ -354,15 +331,15 @@ def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
     for trial, why in enumerate(cell.missing, cell.trials + 1):
         table.add_row(str(trial), "missing", why)
     if cell.trials:
-        table.add_row("mean", by_error(cell.mean, cell.standard_error), "", style="bold")
+        table.add_row("mean", evaluation.by_error(cell.mean, cell.standard_error), "", style="bold")
     if cell.trials > 1:
-        table.add_row("standard deviation", by_error(cell.std, cell.standard_error), "")
+        table.add_row("standard deviation", evaluation.by_error(cell.std, cell.standard_error), "")
     return table
 
 
 @dataclass(frozen=True)
 class DriveTarget:
-    """What somebody drives, in which column of the matrix of which run."""
+    """A robot or model that is driven by hand, and its column in the transfer matrix of a run."""
 
     robot: hardware.Robot
     column: str
@@ -379,26 +356,22 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
         machine = hardware.find_robot(robot or DEFAULT_ROBOT)
         task = task or machine.usual_task or DEFAULT_TASK
         return DriveTarget(hardware.in_real_time(machine), matrix_column(machine), where, on_robot=True, task=task)
-    store = Store(where or Path())
+    store = sysid_evo.plan.Store(where or Path())
     column = evaluation.find_column(store, model)
     modelled = hardware.ModelRobot(column.label, evaluation.dynamics_of(store, column))
     return DriveTarget(hardware.in_real_time(modelled), column.label, where, on_robot=False, task=task or DEFAULT_TASK)
 
 
 def matrix_column(robot: hardware.Robot) -> str:
-    """Return the name of a driven robot's column: an emulated one may have one of its own from `compare`."""
+    """Return the column of a driven robot; that of an emulated robot differs from the column that `compare` fills."""
     return robot.name if robot.dynamics is None else f"{robot.name} driven"
 
 
 def drive_by_hand(
-    driven: DriveTarget,
-    page: hardware.PageAddress,
-    trials: int | None,
-    folder: Path | None,
-    seed: int | None,
+    driven: DriveTarget, page: hardware.PageAddress, trials: int | None, folder: Path | None, seed: int | None,
     tracker_origin: bool,
-) -> tuple[list[hardware.HandTrial], int]:
-    """Let somebody drive the trials that controllers get, too; return what was driven and the exit code."""
+) -> tuple[list[hardware.HandTrial], int]:  # fmt: skip
+    """Serve the page for driving by hand on the trials of controllers; return the trials and the exit code."""
     robot, first = driven.robot, seed if seed is not None else evaluation.seed_of_run(driven.run)
     task = sysid_evo.make_task(driven.task)
     hardware.check_driving_by_hand(robot, task)
@@ -419,42 +392,42 @@ def drive_by_hand(
             page,
             seed_of=lambda index: int(evaluation.transfer_seeds(first, index + 1)[index]),
             stop=stops,
-            announce=lambda url: say(f"Drive {robot.name} at {url}"),
+            announce=lambda url: print_line(f"Drive {robot.name} at {url}"),
             recorder=None if folder is None else recorder,
-            origin=np.zeros(robot.system.n_pose) if tracker_origin else None,
+            tracker_origin=tracker_origin,
         ) as offered,
     ):
         try:
             for trial in offered:
                 ended.append(trial)
-                _tell(trial, task.fitness_unit)
+                _print_trial(trial, task.fitness_unit)
                 if sum(each.fitness is not None for each in ended) == trials:
                     stops.request(hardware.StopReason.SAMPLES)
         except LinkLost as error:
-            tell(f"{robot.name}: {error}")
+            print_status(f"{robot.name}: {error}")
             stops.request(hardware.StopReason.LINK_LOST)
     for made in recorders:
         if made.problem is not None:
-            tell(f"{made.lost} records are lost: {made.problem}")
+            print_status(f"{made.lost} records were lost: {made.problem}")
     reason = stops.reason or hardware.StopReason.PILOT
     under_way = bool(ended) and ended[-1].report.reason.is_fault and ended[-1].trajectory is not None
     return ended, 0 if reason is hardware.StopReason.SIGINT and not under_way else reason.exit_code
 
 
-def _tell(trial: hardware.HandTrial, unit: str) -> None:
+def _print_trial(trial: hardware.HandTrial, unit: str) -> None:
     if trial.fitness is not None:
         out.print(f"trial {trial.number}: {trial.fitness:g} {unit}", highlight=False)
     elif trial.report.reason.is_fault:
-        tell(f"trial {trial.number}: {trial.report.sentence}")
+        print_status(f"trial {trial.number}: {trial.report.sentence}")
     elif trial.trajectory is not None:
-        err.print(f"trial {trial.number}: given up after {trial.trajectory.duration:.1f} s", highlight=False)
+        err.print(f"trial {trial.number}: stopped after {trial.trajectory.duration:.1f} s", highlight=False)
 
 
 def add_row(driven: DriveTarget, run: Path, name: str, trials: Sequence[hardware.HandTrial]) -> None:
-    """Add the trials that were driven to their end to the run's matrix, as the row ``name``."""
+    """Add the completed trials to the transfer matrix of the run, as the row ``name``."""
     whole = [(one.fitness, one.trajectory, one.task_state) for one in trials if one.fitness is not None]
     if not whole:
-        err.print(f"no trial was driven to its end, so {name} gets no row", highlight=False, markup=False)
+        err.print(f"no trial was completed, so {name} gets no row", highlight=False, markup=False)
         return
     measured = evaluation.measured_by_person(
         name,
@@ -470,16 +443,16 @@ def add_row(driven: DriveTarget, run: Path, name: str, trials: Sequence[hardware
 
 
 def _store(folder: Path, runs: Sequence[tuple[str, hardware.GateLimits | None]], system: System) -> None:
-    """Make a data set of the journals in ``folder``, as `sysid-evo record` does."""
+    """Convert the journals in ``folder`` to a data set, as `sysid-evo record` does."""
     try:
         dataset = hardware.store_journals(folder, runs, system)
     except InvalidData as error:
-        tell(str(error))
+        print_status(str(error))
         return
     if dataset is None:
         err.print(f"nothing was driven, so there is no data set in {folder}", highlight=False, markup=False)
         return
     for note in dataset.notes:
-        tell(f"note: {note}")
+        print_status(f"note: {note}")
     out.print(episode_table(dataset))
-    say(f"data set stored in {folder}")
+    print_line(f"data set stored in {folder}")

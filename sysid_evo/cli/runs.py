@@ -1,4 +1,4 @@
-"""Runs list, runs show, runs diff, runs clean: run folders."""
+"""Runs list, runs show, runs diff, runs clean: run folders, and the reports in them."""
 
 from __future__ import annotations
 
@@ -7,30 +7,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
 from rich.text import Text
 
 import evaluation
-from sysid_evo.cli.console import note, out, say, table_of, tell
-from sysid_evo.cli.options import Json
-from sysid_evo.errors import ArtefactError
+import sysid_evo.plan
+from sysid_evo.cli.console import note, out, print_line, print_status, session, table_of
+from sysid_evo.cli.options import RUNS, Json, argument, option, run_folders
+from sysid_evo.errors import ArtefactError, PluginError
 
-app = typer.Typer(help="Run folders and what they hold.", no_args_is_help=True)
-
-RUNS = Path("runs")
+Folder = Annotated[Path, argument("Run folder", "RUN", values=run_folders)]
 
 
-@app.command("list")
 def list_runs(
-    folder: Annotated[Path, typer.Argument(help="Folder of run folders.")] = RUNS, as_json: Json = False
-) -> None:
+    folder: Annotated[Path, argument("Folder of run folders", "FOLDER", shown=str(RUNS))] = RUNS,
+    as_json: Json = False,
+) -> None:  # fmt: skip
     """List the runs in a folder, the oldest first."""
     rows = [evaluation.summary_of_run(run) for run in evaluation.runs_in(folder)]
     if as_json:
         out.print_json(data=rows)
         return
     if not rows:
-        tell(f"no runs in {folder}")
+        print_status(f"no runs in {folder}")
         return
     table = table_of("run", "done", "failed", "s", "models", numbers=("done", "failed", "s"))
     for row in rows:
@@ -39,9 +37,8 @@ def list_runs(
     out.print(table)
 
 
-@app.command("show")
-def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json = False) -> None:
-    """Show the cells of a run: how each ended, how long it took, where its result is."""
+def show(run: Folder, as_json: Json = False) -> None:
+    """Show the cells of a run: result, time and file of each."""
     store = evaluation.store_of_run(run)
     records = store.records()
     if as_json:
@@ -56,26 +53,28 @@ def show(run: Annotated[Path, typer.Argument(help="Run folder.")], as_json: Json
         note(remark)
 
 
-@app.command("diff")
 def diff(
-    first: Annotated[Path, typer.Argument(help="Run folder.")],
-    second: Annotated[Path, typer.Argument(help="Run folder.")],
+    first: Annotated[Path, argument("Run folder", "FIRST", values=run_folders)],
+    second: Annotated[Path, argument("Run folder", "SECOND", values=run_folders)],
     as_json: Json = False,
-) -> None:
-    """Show the settings that differ between two runs and the main figures of both; --json also names the cells."""
+) -> None:  # fmt: skip
+    """Show the settings and main results that differ between two runs.
+
+    With --json also the cells that only one of them has.
+    """
     settings, figures = zip(*((evaluation.settings_of_run(run), _figures(run)) for run in (first, second)), strict=True)
     stores = [evaluation.store_of_run(run) for run in (first, second)]
     cells = [{record.digest: record.title for record in store.records()} for store in stores]
-    changed = _beside(settings, only_changed=True)
+    changed = _paired(settings, only_changed=True)
     alone = [[title for digest, title in here.items() if digest not in there] for here, there in (cells, cells[::-1])]
-    known = _beside(figures)
+    known = _paired(figures)
     if as_json:
         document = {"settings": changed, "only_first": alone[0], "only_second": alone[1], "figures": known}
         out.print_json(data=document)
         return
     for run, found in zip((first, second), figures, strict=True):
         if not found:
-            note(f"{run} has no report yet, so it has no figures")
+            note(f"{run} has no report yet, so it has no results to compare")
     if not changed and not any(alone) and figures[0] == figures[1]:
         out.print("no difference")
         return
@@ -84,36 +83,61 @@ def diff(
         table.add_row(key, *("-" if value is None else str(value) for value in values))
     for key, values in known.items():
         table.add_row(key, *("-" if value is None else f"{value:.4g}" for value in values))
-    table.add_row("cells only this run has", *(str(len(titles)) for titles in alone))
+    table.add_row("cells of this run only", *(str(len(titles)) for titles in alone))
     out.print(table)
 
 
-@app.command("clean")
 def clean(
-    run: Annotated[Path, typer.Argument(help="Run folder.")],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would go.")] = False,
-) -> None:
-    """Remove what no finished cell needs: failed cells, damaged records, files that nobody names any more."""
+    run: Folder,
+    dry_run: Annotated[bool, option("List the files without removing them", "", "--dry-run")] = False,
+) -> None:  # fmt: skip
+    """Remove failed cells, damaged records and unused files."""
     unneeded = evaluation.unneeded_files(run)
     size = sum(file.stat().st_size for file in unneeded)
     for file in unneeded:
         if dry_run:
-            say(str(file.relative_to(run)))
+            print_line(str(file.relative_to(run)))
         else:
             file.unlink(missing_ok=True)
-    verb = "would go" if dry_run else "removed"
+    verb = "would be removed" if dry_run else "removed"
     out.print(f"{len(unneeded)} files {verb}, {size / 2**20:.1f} MiB", highlight=False)
 
 
+def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
+    """Store the fitness of a driven robot or model in a run, and rebuild the report if the run has one."""
+    evaluation.save_measured(folder, measured)
+    try:
+        made = report_again(folder) if (folder / "experiment.toml").is_file() else None
+    except PluginError as error:  # the measurement is stored nevertheless
+        print_status(f"stored in {folder}; its report is not updated: {error}")
+        return
+    if made is not None:
+        print_line(f"Report: {folder / 'report.html'}")
+    else:
+        print_status(f"stored in {folder}, which has no report (compare makes one)")
+
+
+def report_again(run: Path, *, written: bool = True) -> evaluation.ComparisonResults | None:
+    """Rebuild the report of a run with the fitness measured since; None if the run has no model yet.
+
+    Raises `InvalidArgument` if ``run`` is not the run of a comparison.
+    """
+    comparison, remarks = evaluation.comparison_of(run)
+    store = session.run = sysid_evo.plan.Store(run)
+    for remark in remarks if written else ():  # otherwise the first attempt printed them
+        note(remark)
+    return evaluation.report_again(comparison, store, written=written)
+
+
 def _figures(run: Path) -> dict[str, float | None]:
-    """Return the error N of every model, and what every controller claims and achieves, from a run's report."""
+    """Return the error N of each model and the fitness of each controller, claimed and achieved, from a report."""
     file = run / "report.json"
     if not file.is_file():
         return {}
     try:
         return _figures_in(json.loads(file.read_text(encoding="utf-8")))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ArtefactError(f"{file}: not a readable report: make it again with sysid-evo report {run}") from error
+        raise ArtefactError(f"{file}: not a readable report; rebuild it with sysid-evo report {run}") from error
 
 
 def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
@@ -131,7 +155,7 @@ def _figures_in(report: dict[str, Any]) -> dict[str, float | None]:
     return found
 
 
-def _beside(sides: Sequence[dict[str, Any]], *, only_changed: bool = False) -> dict[str, list[Any]]:
-    """Return what two runs have under each name, None where one of them has nothing."""
+def _paired(sides: Sequence[dict[str, Any]], *, only_changed: bool = False) -> dict[str, list[Any]]:
+    """Return the values of two runs by name, None where one has none."""
     both = {key: [side.get(key) for side in sides] for key in sorted({*sides[0], *sides[1]})}
     return {key: values for key, values in both.items() if not only_changed or values[0] != values[1]}

@@ -1,13 +1,16 @@
 from .columns import ColumnMap, load_columns
 from .dataset import Dataset, Transitions, check_usable
+from .frames import HEADER, SAMPLES, is_stored_dataset
 from .preparation import PreparedLog, RawLog, prepare, rows_as_episodes
 from .quality import RecordingQuality, recording_quality
 from .readers import Reader, Table
 from .reading import Recording, read_recording
-from .response import Delay, find_delays
+from .response import Delay, find_delays, manoeuvre_results
 from .trajectory import Trajectory, Windows
 
 __all__ = [
+    "HEADER",
+    "SAMPLES",
     "ColumnMap",
     "Dataset",
     "Delay",
@@ -22,7 +25,9 @@ __all__ = [
     "Windows",
     "check_usable",
     "find_delays",
+    "is_stored_dataset",
     "load_columns",
+    "manoeuvre_results",
     "prepare",
     "read_recording",
     "recording_quality",

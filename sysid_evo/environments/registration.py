@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import gymnasium
 
-from sysid_evo.artefacts import is_stored_dataset as is_stored
+from sysid_evo.artefacts import is_stored_artefact as is_stored
 from sysid_evo.data.frames import is_stored_dataset
 from sysid_evo.environments.environments import Actions, ModelEnvironment, ModelVectorEnvironment
 from sysid_evo.errors import InvalidArgument

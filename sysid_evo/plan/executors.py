@@ -16,9 +16,10 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
 from sysid_evo.plan.cell import Cell
 from sysid_evo.plan.dask_executor import DaskExecutor, Scheduler
+from sysid_evo.plan.observer import Observer
 from sysid_evo.plan.plan import Plan, critical_path, local_cells
 from sysid_evo.plan.processes import Processes
-from sysid_evo.plan.run_cell import CellEnd, CellLost, Observer, Unsendable, run_cell
+from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, run_cell
 from sysid_evo.plan.store import CellOutcome, Store, blocked_reason
 from sysid_evo.processors import usable_processors
 

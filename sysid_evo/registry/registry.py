@@ -362,7 +362,7 @@ def make_robot(spec: str | Spec) -> Any:
         raise InvalidArgument(
             f"robot {found.name!r}: expected a robot, got the dynamics {kind}. Register a function that returns "
             f"SensedRobot({found.name!r}, {kind}()) of hardware.emulation.sensed_robot, or with a pose "
-            f"ModelledRobot({found.name!r}, {kind}()) of hardware.emulation.tracked_robots"
+            f"ModelRobot({found.name!r}, {kind}()) of hardware.emulation.tracked_robots"
         )
     return made
 

@@ -8,7 +8,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from sysid_evo.cli.plugins import app
+from sysid_evo.cli.app import app
 from sysid_evo.errors import InvalidArgument, SysidEvoError
 from sysid_evo.registry import KINDS
 from sysid_evo.testing.template import PLUGINS, write_plugin
@@ -112,23 +112,23 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path):
         (("new", "random", "--kind", "task"), "a module called 'random' already exists"),
         (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, robot, reader,"),
         (("check", "linnear"), "no model, task, controller, strategy, robot or reader is called 'linnear'"),
-        (("check", "linear"), "'linear' is a model and a controller: say which with --kind"),
+        (("check", "linear"), "'linear' is a model and a controller: choose one with --kind"),
         (("check", "linear", "--kind", "task"), "no task is called 'linear'"),
         (("check", "linear", "--kind", "modle"), "plugin: expected a kind among model, task, controller, strategy"),
-        (("check", "csv"), "a reader is checked on a file of its kind: name one with --data"),
+        (("check", "csv"), "a reader is checked on an example file: name one with --data"),
         (("check", "niches", "--data", "logs"), "kind strategy is checked without recordings: leave --data out"),
     ],
 )
 def test_a_mistake_is_told_before_anything_is_written(arguments, reason, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app, list(arguments))
+    done = CliRunner().invoke(app, ["plugin", *arguments])
     assert isinstance(done.exception, SysidEvoError)
     assert reason in str(done.exception)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_shipped_thing_is_checked_by_its_name_alone_with_parameters():
-    done = CliRunner().invoke(app, ["check", "mu_plus_lambda(parents=5, children=5)"])
+    done = CliRunner().invoke(app, ["plugin", "check", "mu_plus_lambda(parents=5, children=5)"])
     assert done.exit_code == 0, done.output
     assert "ok     Fitness is maximised: the elite approaches the optimum of a quadratic" in done.output
 

@@ -154,7 +154,7 @@ def test_models_show_gives_the_card_of_a_family_and_of_a_fitted_model(call, fini
     assert measured["timings"]["engine"]
     shown = call("models", "show", stored)
     assert "speed" in shown.stdout
-    assert "not measured, --speed does" in shown.stdout
+    assert "not measured; use --speed" in shown.stdout
     assert max(map(len, shown.stdout.splitlines())) <= 80
 
 
@@ -177,9 +177,9 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     done = call.works(*command)
     assert "products, ridge" in done.stdout
     assert "lower on 3 blocks it was not fitted to" in " ".join(done.stdout.split())
-    assert "Free runs over 3 blocks, 15 s in all, each by what was learned" in " ".join(done.stdout.split())
+    assert "Simulation over 3 blocks, 15 s in all, each held out in turn" in " ".join(done.stdout.split())
     lines = done.stdout.splitlines()
-    (more,) = [line for line in lines if "that were worse (--json has them)" in line]
+    (more,) = [line for line in lines if "worse ones (listed by --json)" in line]
     assert int(more.split()[1]) == 14 - 12
     table = [line for line in lines if re.search(", ridge|^fit to the|updates", line) and "lower on" not in line]
     assert len(table) == 12
@@ -198,7 +198,7 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
     assert told["decision"].startswith("not adapted: the best candidate")
     assert not told["corrected"]
     assert "refit" in [row["correction"] for row in told["candidates"]]
-    blocks = {row["correction"]: len(row["blocks"]) for row in told["tried"]}
+    blocks = {row["correction"]: len(row["blocks"]) for row in told["candidates"]}
     assert all(count == 3 for name, count in blocks.items() if name.count("ridge") == 1 and " and " not in name)
     assert blocks["fit to the new data"] < 3  # it is no better in the first
 

@@ -39,7 +39,7 @@ def test_a_controller_evolves_on_the_emulated_car_without_any_model(call):
 
 
 def test_the_yardstick_of_a_comparison_is_a_row_of_its_matrix(call, stored_data):
-    robot = ("--robot", "emulated_car", "--reference", *SMALL, "--procedure", "plain")
+    robot = ("--robot", "emulated_car", "--reference", "yes", *SMALL, "--procedure", "plain")
     done = call.works("compare", "--data", stored_data, "--models", "linear", *robot, "--out", "out")
     assert "evolve emulated_car" in done.stderr
     report = json.loads((call.folder / "out" / "report.json").read_text())

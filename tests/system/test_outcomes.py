@@ -64,7 +64,7 @@ def test_options_on_the_line_win_over_the_experiment(call, run_copy):
 
 
 def test_another_preset_on_the_line_brings_its_own_budget(call, stored_data):
-    budget = 'preset = "quick"\ngenerations = 900\ntrials = 5\nruns = 1\n'
+    budget = 'preset = "quick"\ngenerations = 900\ntrials = 5\nrepeats = 1\n'
     (call.folder / "quick.toml").write_text(f'data = ["{stored_data}"]\nmodels = ["linear"]\n{budget}')
 
     def seconds(*options):
@@ -160,12 +160,12 @@ def test_runs_are_listed_shown_and_compared(call, run_copy, stored_data):
     ended = call("runs", "diff", "out", "second")
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith("N at 1 s, k_neighbours")]
     assert line.split()[-2:] == ["-", f"{in_second[1]:.4g}"]
-    (line,) = [line for line in ended.stdout.splitlines() if line.startswith("cells only")]
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith("cells of this")]
     assert line.split()[-2:] == [str(len(difference["only_first"])), "3"]
     assert "no difference" in call("runs", "diff", "out", "out").stdout
     (call.folder / "second" / "report.json").unlink()
     ended = call("runs", "diff", "out", "second")
-    assert ended.says("second has no report yet, so it has no figures")
+    assert ended.says("second has no report yet, so it has no results to compare")
     assert "linear: claimed" in ended.stdout
 
 
@@ -196,7 +196,7 @@ def test_the_report_of_a_run_that_cannot_be_written_is_printed(finished_run, cap
         with unprivileged(out):
             printed = call("report", "out")
         assert printed.code == 0, printed.stderr
-        assert printed.says("out cannot be written, so the report is printed only: Permission denied")
+        assert printed.says("out cannot be written, so the report is only printed: Permission denied")
         assert printed.stdout + "Report: out/report.html\n" == written.stdout
         assert before == {path: path.stat().st_mtime_ns for path in out.rglob("*")}
 
@@ -205,7 +205,7 @@ def test_another_experiment_in_a_folder_is_remarked_and_what_both_need_is_kept(c
     ended = call.works(*AGAIN, "--models", "near=linear(ridge=0.5),mine=linear", *PREDICTION)
     assert ended.says("out/experiment.toml had other ")
     assert ended.says("models, ")
-    assert ended.says("what both need is kept")
+    assert ended.says("results that both need are kept")
     records = {record.title: record for record in Store(run_copy).records()}
     assert "fit near" in records
     assert "fit mine" not in records  # it is "fit linear"
@@ -221,7 +221,7 @@ def test_clean_removes_what_no_finished_cell_needs_and_nothing_else(call, run_co
     (run_copy / "cells" / "broken.json").write_text("{")
     (run_copy / "results" / ".left.json.17.tmp").write_text("half")
     (run_copy / "mine.txt").write_text("not the run's")
-    assert "3 files would go" in call("runs", "clean", "out", "--dry-run").stdout
+    assert "3 files would be removed" in call("runs", "clean", "out", "--dry-run").stdout
     assert (run_copy / "cells" / "broken.json").exists()
     store = Store(run_copy)
     with store.claim(stored(store.records()[0])) as ours:
@@ -246,7 +246,7 @@ def test_a_comparison_of_a_data_set_given_in_python_is_reported_in_other_forms_a
 def test_a_family_that_fails_is_exit_code_3_with_a_report_its_reason_and_a_traceback_in_the_log(failed_run):
     said = " ".join((failed_run.parent / "stderr").read_text().split())
     assert f"fit never_fits: {REASON}" in said
-    assert said.endswith("failed: 6 parts; see out/log.jsonl")
+    assert said.endswith("failed: 6 steps; see out/log.jsonl")
     assert "absent is a physical robot: its column is filled by sysid-evo drive --controller" in said
     printed = " ".join((failed_run.parent / "stdout").read_text().split())
     assert "What failed? 6 parts; the reasons are listed below." in printed
@@ -273,7 +273,7 @@ def test_nothing_that_could_be_fitted_is_exit_code_3_too_and_a_quiet_command_say
     assert rows["linear"]["advice"]["model"] == "linear"
     assert rows["never_fits"]["advice"] is None
     assert rows["never_fits"]["reason"] == REASON
-    assert " ".join(fitted.stderr.split()).endswith("failed: 1 part; see none/log.jsonl")
+    assert " ".join(fitted.stderr.split()).endswith("failed: 1 step; see none/log.jsonl")
     quiet = call(*command, "--quiet")
     assert quiet.code == 3
     assert " ".join(quiet.stderr.split()).startswith(f"failed fit never_fits: {REASON} failed")

@@ -89,7 +89,7 @@ def evolved(tmp_path_factory):
     (folder / "unseen.py").write_text(UNSEEN)
     (folder / "mine").mkdir()
     done = run_here(
-        "evolve", "--against", "emulated_car", *SMALL, "--estimator-delay", "20", "--run", "mine", cwd=folder
+        "evolve", "--against", "emulated_car", *SMALL, "--estimator-delay", "20ms", "--run", "mine", cwd=folder
     )
     assert done.returncode == 0, done.stderr
     return folder
@@ -134,7 +134,7 @@ def test_a_controller_written_by_hand_drives_without_a_file(call):
     [
         (("--model", "linear", "--run", "my run"), "sysid-evo transfer FILE --on linear --run 'my run'"),
         (("--name", "human"), "--name is for driving by hand"),
-        (("--task", "point_to_point"), "was evolved for a task and drives that one; leave --task out"),
+        (("--task", "point_to_point"), "was evolved for a task, which is used; leave --task out"),
     ],
 )
 def test_what_a_controller_cannot_be_combined_with_is_refused_with_what_to_do(options, told, there):

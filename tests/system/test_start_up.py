@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from evaluation.experiment import Experiment
-from sysid_evo.cli.app import COMMANDS, load, summary
+from sysid_evo.cli.app import COMMANDS, load
 from sysid_evo.registry import models
 from sysid_evo.registry.plugins import declared
+from sysid_evo.settings import option_of
 
-HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "pandas", "pyarrow", "pysindy"}
+HEAVY = {"torch", "sklearn", "scipy", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "pysindy", "packaging"}
 MOST_MODULES = 450
 """Modules that help may import, so that it is there in half a second; the time on a busy machine says nothing."""
 
@@ -21,6 +23,8 @@ ASKED = """
 import contextlib, io, json, os, sys
 from sysid_evo.__main__ import main
 from sysid_evo.cli.app import COMMANDS
+
+os.environ["COLUMNS"] = "80"
 
 def ask(*arguments, **environment):
     os.environ.pop("OMP_NUM_THREADS", None)
@@ -35,7 +39,14 @@ def ask(*arguments, **environment):
     return [code, out.getvalue(), wrong.getvalue(), sorted(sys.modules), os.environ["OMP_NUM_THREADS"]]
 
 listed = ask("models", "list", "--json", OMP_NUM_THREADS="4")
-helped = {command: ask(*command.split(), "--help") for command in ("", *sorted(COMMANDS))}
+
+def commands(table, before=""):
+    for name, entry in table.items():
+        yield f"{before}{name}"
+        if not isinstance(entry.target, str):
+            yield from commands(entry.target, f"{before}{name} ")
+
+helped = {command: ask(*command.split(), "--help") for command in ("", *sorted(commands(COMMANDS)))}
 print(json.dumps([listed, helped, ask("compare", "--models", "linaer")]))
 """
 """Answers of one process; what it imports for one is there for the next, so they are in the order of what they may."""
@@ -122,7 +133,7 @@ def asked(tmp_path_factory):
 
 
 def test_help_imports_nothing_heavy(asked):
-    assert {"", "compare", "evolve", "fit", "models"} <= set(asked[1])
+    assert {"", "compare", "evolve", "fit", "models", "models show"} <= set(asked[1])
     for command, (code, out, _, imported, _) in asked[1].items():
         assert code == 0, command
         assert out.count("Usage: sysid-evo") == 1
@@ -130,15 +141,54 @@ def test_help_imports_nothing_heavy(asked):
         assert "typer" in imported
 
 
-def test_the_short_help_of_a_command_is_the_first_paragraph_of_its_own():
-    for name in COMMANDS:
-        first, *_ = load(name).help.split("\n\n")
-        assert summary(name, COMMANDS) == " ".join(first.split()), name
+LONGEST_PAGE = 70
+METAVARS = {"PATH", "FILE", "DIR", "SPEC", "LIST", "NAME", "N", "TIME", "ADDR", "yes|no", ""}
+
+
+def every_command():
+    """Yield every command that is no group, by its name, with its entry."""
+    for name, entry in COMMANDS.items():
+        if isinstance(entry.target, str):
+            yield name, entry, load(name)
+        else:
+            yield from ((f"{name} {part}", entry.target[part], load(part, entry.target)) for part in entry.target)
+
+
+def test_every_help_page_has_at_most_seventy_lines_of_eighty_characters(asked):
+    assert asked[1].keys() >= {name for name, *_ in every_command()}
+    for command, (_, out, *_) in asked[1].items():
+        lines = out.rstrip().splitlines()
+        assert len(lines) <= LONGEST_PAGE, command
+        assert max(map(len, lines)) <= 80, command
+    panels = re.findall(r"^╭─ ([A-Z][a-z ]+) ─", asked[1]["compare"][1], re.MULTILINE)
+    assert panels == ["Data and models", "Controllers", "Robustness", "Budget", "Run"]
+
+
+def test_an_option_has_a_short_metavar_and_a_description_that_ends_with_one_full_stop():
+    for command, _, loaded in every_command():
+        for option in loaded.params:
+            assert re.search(r"[^.,;]\.$", option.help), f"{command} {option.name}"
+            assert "default" not in option.help, f"{command} {option.name}"
+            if option.param_type_name == "option":
+                assert (option.metavar or "") in METAVARS, f"{command} {option.name}"
+
+
+def test_every_setting_is_described_and_those_of_the_command_line_are_options_of_compare():
+    options = {option.name for option in load("compare").params}
+    for name, field in Experiment.model_fields.items():
+        assert re.search(r"[^.]$", field.description or ""), name
+        assert (name in options) == bool(option_of(Experiment, name).panel), name
+
+
+def test_the_line_of_a_command_is_the_first_paragraph_of_its_own_help():
+    for name, entry, command in every_command():
+        first, *_ = command.help.split("\n\n")
+        assert entry.line == " ".join(first.split()), name
 
 
 def test_families_are_listed_as_they_are_without_importing_one(asked):
     _, out, _, imported, threads = asked[0]
-    assert not (HEAVY | {"numpy"}) & set(imported)
+    assert not HEAVY - {"packaging"} & set(imported)
     assert threads == "4"
     rows = {row["name"]: row for row in json.loads(out)}
     assert set(rows) == set(models.names())
@@ -156,7 +206,7 @@ def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_
     assert set(presets) == {"compare", "fit", "evolve", "exploit"}
     for option in presets.values():
         assert option.default is None
-        assert f"{named} (default)" in option.help
+        assert f"({named})" in option.help
     assert f"`compare` with the default preset, `{named}`" in (Path(__file__).parents[2] / "README.md").read_text()
 
 
@@ -186,7 +236,7 @@ def stages(tmp_path_factory, stored_data):
 
 def test_the_package_is_imported_lazily_and_every_public_name_is_there(stages):
     early, *_, names = stages
-    assert not (HEAVY | {"numpy"}) & set(early)
+    assert not HEAVY & set(early)
     assert {"Dataset", "System", "evolve_controller", "make_model", "rollout"} <= set(names)
 
 
@@ -200,7 +250,7 @@ COSTLY = {"sklearn", "scipy.stats", "scipy.signal", "scipy.optimize", "torch", "
         (
             1,
             {"sysid_evo.plan.processes"},
-            {*HEAVY - {"scipy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"},
+            {*HEAVY - {"scipy", "numpy"}, "scipy.stats", "scipy.signal", "rich.progress", "typer"},
         ),
         (2, {"tests.system.rig.__main__"}, {"sklearn", "pandas", "scipy.stats", "numba", "torch", "matplotlib"}),
         (3, {"model_zoo.linear", "sysid_evo.engine.rollout"}, COSTLY),

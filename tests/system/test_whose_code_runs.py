@@ -10,7 +10,7 @@ import pytest
 from evaluation import Cell, Experiment, MeasuredResult, Study, comparison_of, load_measured, plan_study, run_study
 from evaluation.transfer.matrix import human_driver
 from sysid_evo import load_plugin
-from sysid_evo.cli.experiments import add_measured
+from sysid_evo.cli.runs import add_measured
 from sysid_evo.errors import PluginError
 from tests.fixtures.commands import SMALL, Caller, forgetting, run_here
 

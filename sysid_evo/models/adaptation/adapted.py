@@ -10,7 +10,7 @@ from typing import Self
 
 import numpy as np
 
-from sysid_evo.artefacts import is_stored_dataset
+from sysid_evo.artefacts import is_stored_artefact
 from sysid_evo.data.dataset import Dataset
 from sysid_evo.data.support import KEPT_PAIRS
 from sysid_evo.data.trajectory import evenly_spaced
@@ -62,7 +62,7 @@ class Adapted(DynamicsModel):
         return self
 
     def check_system(self, system: System) -> None:
-        if self.base is not None and not is_stored_dataset(self.base, "model"):
+        if self.base is not None and not is_stored_artefact(self.base, "model"):
             make_model(self.base).check_system(system)
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
@@ -70,7 +70,7 @@ class Adapted(DynamicsModel):
         if self.base is not None:
             self.base_ = (
                 load_model(Path(self.base))
-                if is_stored_dataset(self.base, "model")
+                if is_stored_artefact(self.base, "model")
                 else make_model(self.base).fit(dataset, rng=rng)
             )
         elif not hasattr(self, "base_"):

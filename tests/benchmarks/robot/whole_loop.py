@@ -14,7 +14,7 @@ from tests.benchmarks.robot.outcome import Row
 ROBOT, TWIN = "terminal_car", "emulated_car"
 PLUGIN = "--plugin", Path(__file__).with_name("registered.py")
 FAMILY = "parametrised"
-ESTIMATOR_DELAY = 29  # ms, as reported by `sysid-evo robots check terminal_car --plugin ...`
+ESTIMATOR_DELAY = "29ms"  # as reported by `sysid-evo robots check terminal_car --plugin ...`
 SPREAD = 2.0  # standard deviations of the trials on the in-process car
 
 

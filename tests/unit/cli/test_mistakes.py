@@ -33,5 +33,5 @@ def test_a_traceback_is_shown_where_it_is_asked_for(call):
 
 def test_only_what_stops_a_work_in_its_midst_is_told_to_go_on():
     full, nowhere = OSError(errno.ENOSPC, "No space left", "run"), OSError(errno.ENOENT, "No such file", "/proc/x")
-    assert error_sentence(full).startswith("run: No space left. What was finished until then is kept")
+    assert error_sentence(full).startswith("run: No space left. Finished results are kept")
     assert error_sentence(nowhere) == "/proc/x: No such file"

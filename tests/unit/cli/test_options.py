@@ -1,15 +1,20 @@
 """Which options of a command are refused together, over all pairs; what a command may replace."""
 
+import inspect
 import itertools
 from functools import cache
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from evaluation import compare
 from evaluation.experiment import MEANINGLESS, Experiment
-from sysid_evo.cli.app import COMMANDS, REFUSED, CheckedCommand, load, typed
+from sysid_evo.cli.app import COMMANDS, REFUSED, CheckedCommand, app, load, typed
 from sysid_evo.cli.console import as_option
+from sysid_evo.cli.options import with_settings
 from sysid_evo.errors import InvalidArgument, refuse_meaningless
+from sysid_evo.settings import seconds
 from sysid_evo.testing import example_dataset
 
 ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": ["logs"], "adapt": ["m"],
@@ -18,7 +23,7 @@ ARGUMENTS = {"fit": ["car"], "study": ["s.toml"], "inspect": ["car"], "import": 
 NEEDED = {"tune": ["--data", "car"], "import": ["--out", "new"], "adapt": ["--data", "car", "--out", "new"],
           "record": ["--out", "new"], "evolve": ["--against", "linear"], "transfer": ["--on", "linear"],
           "export": ["--to", "c"]}  # fmt: skip
-VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python"}
+VALUES = {"stop-after": "prediction", "procedure": "plain", "to": "python", "seconds": "5"}
 
 OF_CONTROLLERS = ("aggregate", "baselines", "penalty", "controller", "ensembles", "estimator-delay", "generations",
                   "noise", "procedure", "repeats", "schedule", "strategy", "task", "trials", "reference")  # fmt: skip
@@ -126,6 +131,67 @@ def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call,
     assert call("compare", "--config", "both.toml").says(
         "both.toml: repeats has no effect with stop_after = 'prediction'"
     )
+
+
+def test_options_of_a_settings_class_are_texts_that_the_class_converts():
+    given = {}
+
+    @with_settings(Experiment, "models", "data", "estimator_delay", "generations", "plugins", "preset", preset="paper")
+    def command(*, settings, jobs: int = 1):
+        given.update(settings)
+
+    assert list(inspect.signature(command).parameters)[-1] == "jobs"
+    values = dict.fromkeys(inspect.signature(command).parameters) | {"jobs": 2}
+    command(**values)
+    assert given == {"preset": "paper"}
+    command(**values | {"models": "narx(lags=[1,2]),linear", "data": ["log.csv"], "estimator_delay": "50ms"})
+    assert given["models"] == ("narx(lags=[1,2])", "linear")
+    assert given["data"] == (str(Path("log.csv").resolve()),)
+    assert Experiment.of(given).estimator_delay == 0.05
+    with pytest.raises(InvalidArgument, match="--estimator-delay: expected a time with a unit"):
+        command(**values | {"estimator_delay": "50"})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("50ms", 0.05), ("0.05s", 0.05), (" 2 s ", 2.0), ("5m", 300.0), ("1.5min", 90.0), ("1h", 3600.0)],
+)
+def test_a_time_has_a_unit(text, expected):
+    assert seconds(text) == pytest.approx(expected)
+    assert Experiment.of({"estimator_delay": text}).estimator_delay == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("text", ["", "s", "-5s", "5 days", "soon", "nan", "1e3s"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(InvalidArgument, match="expected a time"):
+        seconds(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("sysid-evo comp", {"compare"}),
+        ("sysid-evo models ", {"list", "show"}),
+        ("sysid-evo compare --models lin", {"linear", "linear_state_space"}),
+        ("sysid-evo compare --models narx,sindy_", {"narx,sindy_discrete"}),
+        ("sysid-evo compare --models narx(lags=[1,sin", set()),
+        ("sysid-evo compare --task point", {"point_to_point"}),
+        ("sysid-evo compare --robot emu", {"emulated_car"}),
+        ("sysid-evo fit logs --preset ", {"quick", "standard", "paper"}),
+        ("sysid-evo evolve --run r", {"runs/old", "runs/new"}),
+        ("sysid-evo report ", {"runs/old", "runs/new"}),
+        ("sysid-evo evolve --against emulated_car,my", {"emulated_car,my_model"}),
+        ("sysid-evo export c --to ", {"python", "c", "onnx"}),
+    ],
+)
+def test_the_shell_completes_commands_and_values(words, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("old", "new"):
+        (tmp_path / "runs" / name / "models").mkdir(parents=True)
+        (tmp_path / "runs" / name / "models" / "my_model.json").touch()
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1), "_SYSID_EVO_COMPLETE": "complete_bash"}
+    ended = CliRunner(env=asked).invoke(app, [], prog_name="sysid-evo")
+    assert set(ended.stdout.split("\n")) - {""} == expected
 
 
 LOG = "time,angle,torque\n" + "".join(f"{0.05 * k:.2f},{(k % 7) / 7:.3f},{(k % 3) - 1}\n" for k in range(80))

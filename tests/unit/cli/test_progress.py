@@ -104,7 +104,9 @@ def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown):
         finish(bars, cells[2])
         bars.__exit__(KeyboardInterrupt, None, None)
     line = written.getvalue().splitlines()[-1]
-    assert line == "interrupted: count a, count b. What is done of count a is kept; go on with --out here"
+    assert (
+        line == "interrupted: count a, count b. The finished generations of count a are kept; continue with --out here"
+    )
 
 
 def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(shown):
@@ -115,7 +117,8 @@ def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(sho
             bars.progress(resumable(i, label=str(i)), 3, 9)
         bars.__exit__(KeyboardInterrupt, None, None)
     assert written.getvalue().splitlines()[-1] == (
-        "interrupted: count 0, count 1, count 2, count 3 and 2 more. Nothing unfinished is kept; go on with --out here"
+        "interrupted: count 0, count 1, count 2, count 3 and 2 more. "
+        "Unfinished work is not kept; continue with --out here"
     )
 
 

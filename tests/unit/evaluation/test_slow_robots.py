@@ -92,7 +92,7 @@ def test_no_controller_is_evolved_on_a_slow_robot_unless_it_is_asked_for():
     assert on_itself(slow) == []
     (remark,) = (text for text in slow.plan.remarks if "itself" in text)
     assert "no controller is evolved on slow_cart itself: a step of it takes 2" in remark
-    assert "hours. Use --reference to do it anyway" in remark
+    assert "hours. Use --reference yes to do it anyway" in remark
     assert slow.experiment.reference is False, "a busier machine that plans it again decides the same"
     assert seconds_on(slow, "slow_cart") >= 100 * 500 * EACH
     assert slow.data.expected_seconds >= 2 * 60 / SYSTEM.dt * EACH

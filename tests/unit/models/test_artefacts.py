@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sysid_evo.artefacts import is_stored_dataset
+from sysid_evo.artefacts import is_stored_artefact
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, NotFitted
 from sysid_evo.evolution import Champion
@@ -246,8 +246,8 @@ def test_a_model_of_a_run_is_found_without_the_digest_too(stored):
     for suffix in (".json", ".safetensors"):
         stored.with_suffix(suffix).rename(stored.with_name(f"model-0123abcd{suffix}"))
     assert type(load_model(stored)) is type(load_model(stored.with_name("model-0123abcd")))
-    assert is_stored_dataset(str(stored), "model")
-    assert not is_stored_dataset("linear", "model")
+    assert is_stored_artefact(str(stored), "model")
+    assert not is_stored_artefact("linear", "model")
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])

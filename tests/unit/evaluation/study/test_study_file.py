@@ -62,7 +62,7 @@ def test_several_grids_are_united_and_what_both_hold_is_one_point():
         ({"grid": {"seed": [0, 0]}}, "'0' occurs twice"),
         ({"grid": {"seed": "4..0"}}, "from the lower to the higher"),
         ({"grid": {"seed": 3}}, "expected a list of values"),
-        ({"grid": {"seed": [-1]}}, "grid.seed: expected greater than or equal to 0, got -1"),
+        ({"grid": {"seed": [-1]}}, "grid.seed: expected a number >= 0, got -1"),
         ({"grid": {"seed": ["a"]}}, "grid.seed"),
         ({"grid": {"title": ["a"]}}, "cannot be an axis"),
         ({"grid": {"plugins": [["a.py"]]}}, "name it under [experiment]"),
