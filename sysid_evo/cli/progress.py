@@ -16,7 +16,7 @@ from rich.text import Text
 
 import sysid_evo.plan
 from sysid_evo.cli.console import err, note, out, print_status, problems, session, table_of
-from sysid_evo.plan.observer import Observer
+from sysid_evo.plan.cell import Observer
 
 if TYPE_CHECKING:
     from sysid_evo.plan import Cell, Plan, Store

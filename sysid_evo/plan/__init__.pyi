@@ -1,7 +1,6 @@
-from .cell import CELL_KINDS, CONTRACT, Cell, CellContext, CellKind, CellSettings, ResultType
+from .cell import CELL_KINDS, CONTRACT, Cell, CellContext, CellKind, CellSettings, Observer, ResultType
 from .dask_executor import Scheduler
 from .executors import execute, number_of_jobs
-from .observer import Observer
 from .plan import Plan, cell_seed
 from .store import CHECKPOINT, CellOutcome, CellRecord, Store, blocked_reason, stored
 

@@ -14,9 +14,8 @@ from typing import Any, Protocol
 
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.extras import check_installed
-from sysid_evo.plan.cell import Cell
+from sysid_evo.plan.cell import Cell, Observer
 from sysid_evo.plan.dask_executor import DaskExecutor, Scheduler
-from sysid_evo.plan.observer import Observer
 from sysid_evo.plan.plan import Plan, critical_path, local_cells
 from sysid_evo.plan.processes import Processes
 from sysid_evo.plan.run_cell import CellEnd, CellLost, Unsendable, run_cell

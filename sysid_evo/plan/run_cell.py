@@ -19,8 +19,7 @@ from typing import Any, Literal
 import cloudpickle  # type: ignore[import-untyped]  # it has no types
 
 from sysid_evo.errors import ArtefactError, Blocked, InvalidArgument, LinkLost, SysidEvoError, described
-from sysid_evo.plan.cell import Cell, CellContext
-from sysid_evo.plan.observer import Observer
+from sysid_evo.plan.cell import Cell, CellContext, Observer
 from sysid_evo.plan.store import Store, stored
 from sysid_evo.processors import one_blas_thread
 
