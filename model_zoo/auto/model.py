@@ -127,7 +127,7 @@ class Auto(MeanModel):
         return {
             "errors_": Numbers("candidates", "horizons", infinite=True, optional=True),
             "shares_": Numbers("candidates", optional=True),
-            "means_": Numbers("gates", 2, infinite=True, optional=True),
+            "means_": Numbers("cutoffs", 2, infinite=True, optional=True),
         }
 
     def candidate_ranking(self) -> list[dict[str, str]]:
@@ -146,7 +146,7 @@ class CandidateRanking:
     """The candidates that were scored, the best first, in a form that a stored model can hold.
 
     ``errors`` (n, H) at each of the ``horizons``, ``shares`` (n,) of the mean (0 if not kept), and a remark each.
-    ``failed`` lists the others with the reason. ``gate`` is the cutoff chosen from those in ``means`` (g, 2), each with
+    ``failed`` lists the others with the reason. ``cutoff`` was chosen from those in ``means`` (g, 2), each with
     the error of the mean within it. ``ahead`` is the 95 % interval by which the second best is worse than the best
     (empty with one candidate).
     """
@@ -157,7 +157,7 @@ class CandidateRanking:
     remarks: list[str]
     failed: list[str]
     horizons: list[int]
-    gate: float
+    cutoff: float
     means: Array
     ahead: list[float]
     evaluated_on: str
@@ -178,7 +178,7 @@ class CandidateRanking:
         order = sorted(known, key=lambda number: known[number].mean)
         share = dict(zip(choice.kept, weights.tolist(), strict=True))
         kind = {n: structure_of(own[0]) for n, own in zip(choice.kept, choice.models, strict=True)}
-        above = f"above {choice.passed.gate:.2f} x the lowest error"
+        above = f"above {choice.passed.cutoff:.2f} x the lowest error"
         usable = [number for number in order if not choice.reasons[number]]
         ahead = known[usable[1]].above(known[usable[0]]).interval if len(usable) > 1 else ()
         failed = [
@@ -191,7 +191,7 @@ class CandidateRanking:
             remarks=[choice.reasons[number] or kind.get(number, above) for number in order],
             failed=[*failed, *left_out],
             horizons=list(horizons),
-            gate=choice.passed.gate,
+            cutoff=choice.passed.cutoff,
             means=np.array(choice.passed.compared),
             ahead=[float(value) for value in ahead],
             evaluated_on=held_out_in_words(pairs),
@@ -230,8 +230,8 @@ class CandidateRanking:
         text = (
             f"mean of {len(kept)} of {len(self.candidates)} candidates: {', '.join(kept)}; error of simulations "
             f"over {', '.join(map(str, self.horizons))} steps on {self.evaluated_on}; cutoff "
-            f"{self.gate:.2f} x the lowest error; error of the mean by cutoff: "
-            + ", ".join(f"{gate:.2f} x {error:.3f}" for gate, error in self.means)
+            f"{self.cutoff:.2f} x the lowest error; error of the mean by cutoff: "
+            + ", ".join(f"{cutoff:.2f} x {error:.3f}" for cutoff, error in self.means)
         )
         if self.ahead:
             low, high = self.ahead

@@ -66,10 +66,10 @@ class CandidateSelection:
     budget: float
     work: FitWork
 
-    def choice(self, gate: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
-        """Return the candidates within the cutoff ``gate`` (`InvalidData` if none); ``mean`` averages models."""
+    def choice(self, cutoff: float, mean: Callable[[list[DynamicsModel]], DynamicsModel]) -> CandidateChoice:
+        """Return the candidates within the ``cutoff`` (`InvalidData` if none); ``mean`` averages models."""
         folds = range(len(self.pairs))
-        outcomes, errors, reasons = self._first_fold(DROP_FACTOR * gate)
+        outcomes, errors, reasons = self._first_fold(DROP_FACTOR * cutoff)
         remaining = [number for number, reason in enumerate(reasons) if not reason]
         outcomes |= self._fits(remaining, folds[1:])
         rough = {number: [outcomes[number, fold] for fold in folds] for number in remaining}
@@ -94,7 +94,7 @@ class CandidateSelection:
         numbers = list(usable)
         best = min(usable.values(), key=lambda error: error.mean)
         ties = [i for i, number in enumerate(numbers) if not usable[number].above(best).low > 0.0]
-        group, passed = chosen([usable[number].mean for number in numbers], gate, mean_error, ties)
+        group, passed = chosen([usable[number].mean for number in numbers], cutoff, mean_error, ties)
         final = self.work.outcomes([self._task(numbers[i], len(self.pairs)) for i in group])
         kept: dict[int, list[DynamicsModel]] = {}
         for (number, _), outcome in sorted(final.items()):
@@ -102,7 +102,7 @@ class CandidateSelection:
                 reasons[number] = outcome.reason
             else:
                 others = models(number) if self.candidates[number].keep_fold_models else []
-                kept[number] = self._committee([outcome.model, *others], gate) if others else [outcome.model]
+                kept[number] = self._committee([outcome.model, *others], cutoff) if others else [outcome.model]
         self._expect(len(kept) > 0, reasons)
         return CandidateChoice(
             errors, reasons, list(kept), passed, list(kept.values()), [models(number) for number in kept]
@@ -111,16 +111,16 @@ class CandidateSelection:
     def _fits(self, numbers: Iterable[int], folds: Iterable[int]) -> dict[tuple[int, int], FitOutcome]:
         return self.work.outcomes([self._task(number, fold) for number, fold in product(numbers, folds)])
 
-    def _committee(self, models: Sequence[DynamicsModel], gate: float) -> list[DynamicsModel]:
+    def _committee(self, models: Sequence[DynamicsModel], cutoff: float) -> list[DynamicsModel]:
         """Return the first of these models, and those of the others that are within the cutoff over all folds.
 
         The first was fitted to all folds and each of the others to all but one, so hard folds affect all equally.
         """
         self.work.report_alive()
         errors = [self.judge.errors([trial.run(one) for trial in self.judge.trials]).mean for one in models]
-        return [models[0], *(models[i] for i in inside(errors, gate) if i > 0)]
+        return [models[0], *(models[i] for i in inside(errors, cutoff) if i > 0)]
 
-    def _first_fold(self, gate: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
+    def _first_fold(self, cutoff: float) -> tuple[dict[tuple[int, int], FitOutcome], list[Errors | None], list[str]]:
         """Try candidates in the first fold, as many as can be fitted in all folds and to all data for the budget.
 
         The time saved by candidates that are dropped (`_screened`) is spent on the next ones. A refinement waits until
@@ -136,7 +136,7 @@ class CandidateSelection:
         while batch:
             outcomes |= self._fits(batch, [0])
             tried = [number for number, _ in sorted(outcomes)]
-            found = self._screened([outcomes[number, 0] for number in tried], gate)
+            found = self._screened([outcomes[number, 0] for number in tried], cutoff)
             for number, error, reason in zip(tried, *found, strict=True):
                 errors[number], reasons[number] = error, reason
             spent = sum(self._task(n, 0).cost if reasons[n] else costs[n] for n in tried)
@@ -159,10 +159,10 @@ class CandidateSelection:
         found = errors[self._refined[number]]
         return found is not None and found.mean <= REFINE_FACTOR * min(one.mean for one in errors if one is not None)
 
-    def _screened(self, outcomes: Sequence[FitOutcome], gate: float) -> tuple[list[Errors | None], list[str]]:
+    def _screened(self, outcomes: Sequence[FitOutcome], cutoff: float) -> tuple[list[Errors | None], list[str]]:
         """Return the errors in the first fold, and why a candidate is dropped; empty if it is not.
 
-        It is dropped if its error is above ``gate`` times the lowest and significantly so (paired bootstrap).
+        It is dropped if its error is above ``cutoff`` times the lowest and significantly so (paired bootstrap).
         """
         errors, reasons = judged([[one] for one in outcomes], replace(self.judge, trials=self.judge.trials[:1]))
         usable = [error for error, reason in zip(errors, reasons, strict=True) if error is not None and not reason]
@@ -170,7 +170,7 @@ class CandidateSelection:
         for number, error in enumerate(errors):
             if best is None or error is None or len(self.pairs) == 1:
                 continue
-            if error.mean > gate * best.mean and error.above(best).low > 0.0:
+            if error.mean > cutoff * best.mean and error.above(best).low > 0.0:
                 times = f"{error.mean / best.mean:.1f} x the lowest error in the first of {len(self.pairs)} folds"
                 reasons[number] = reasons[number] or times
         return errors, reasons
@@ -229,9 +229,9 @@ AS_GOOD = 0.01
 
 @dataclass(frozen=True)
 class CutoffComparison:
-    """The cutoff ``gate`` that was chosen, and the error of the mean of all candidates within each one compared."""
+    """The ``cutoff`` that was chosen, and the error of the mean of all candidates within each one compared."""
 
-    gate: float
+    cutoff: float
     compared: tuple[tuple[float, float], ...]
 
 
@@ -248,16 +248,16 @@ def weights_of(structures: Sequence[str]) -> Array:
 
 
 def chosen(
-    errors: Sequence[float], gate: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
+    errors: Sequence[float], cutoff: float, mean_error: Callable[[list[int]], float], ties: Collection[int] = ()
 ) -> tuple[list[int], CutoffComparison]:
     """Return the numbers of the candidates that are kept, and the comparison of the cutoffs.
 
     The cutoff is the widest whose mean has an error (``mean_error``) within 1 % of the lowest. ``ties``, candidates not
     significantly worse than the best, are kept within the widest cutoff.
     """
-    gates = [1.0 + share * (gate - 1.0) for share in NARROWER]
-    widest = inside(errors, gate)
-    groups = {one: [number for number in widest if number in ties or number in inside(errors, one)] for one in gates}
+    cutoffs = [1.0 + share * (cutoff - 1.0) for share in NARROWER]
+    widest = inside(errors, cutoff)
+    groups = {one: [number for number in widest if number in ties or number in inside(errors, one)] for one in cutoffs}
     found: dict[tuple[int, ...], float] = {}
     for group in groups.values():
         if tuple(group) not in found:

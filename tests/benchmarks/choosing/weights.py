@@ -55,7 +55,7 @@ def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
         with patch("model_zoo.auto.model.FitWork", Remembering), patch("model_zoo.auto.model.weights_of", weights):
             return model.fit(fits.training, rng=np.random.default_rng(seed))
 
-    return {**{f"{power:g}": become(power) for power in POWERS}, ALONE: become(POWERS[0], gate=1.0)}
+    return {**{f"{power:g}": become(power) for power in POWERS}, ALONE: become(POWERS[0], cutoff=1.0)}
 
 
 def benchmark(name: str, preset: str, seeds: int) -> None:

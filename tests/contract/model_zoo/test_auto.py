@@ -154,8 +154,8 @@ def test_candidates_far_worse_than_the_best_or_diverging_are_dropped_with_the_re
 
 def test_a_candidate_far_behind_in_the_first_fold_is_fitted_once_and_otherwise_in_every_fold():
     """With a wide cutoff the same candidate is judged in all folds."""
-    for gate, remark in ((1.25, "5.2 x the lowest error in the first of 3 folds"), (5.0, "above")):
-        model = make_model("auto", candidates=FEW, cutoff=gate)
+    for cutoff, remark in ((1.25, "5.2 x the lowest error in the first of 3 folds"), (5.0, "above")):
+        model = make_model("auto", candidates=FEW, cutoff=cutoff)
         model.fit(DATA, rng=0)
         row = next(row for row in model.candidate_ranking() if row["candidate"] == "linear(state_lags=0)")
         assert row["remark"].startswith(remark)
@@ -200,19 +200,19 @@ def test_if_no_candidate_can_describe_the_system_the_reasons_are_given():
 
 def test_the_cutoff_is_reduced_if_the_mean_of_more_candidates_is_worse():
     errors = [0.30, 0.20, 0.24, 0.9]
-    for mean_error, kept, gate in (
+    for mean_error, kept, cutoff in (
         ((0.20, 0.20), [0, 1, 2], 1.5),
         ((0.21, 0.19), [1, 2], 1.25),
         ((0.25, 0.25), [1], 1.125),
     ):
         group, passed = chosen(errors, 1.5, lambda group, e=mean_error: e[0 if len(group) == 3 else 1])
-        assert (group, passed.gate) == (kept, gate)
+        assert (group, passed.cutoff) == (kept, cutoff)
         assert dict(passed.compared) == {1.5: mean_error[0], 1.25: mean_error[1], 1.125: 0.20, 1.0: 0.20}
 
 
 def test_candidates_not_significantly_worse_than_the_best_are_kept_within_the_widest_cutoff():
     group, _ = chosen([0.30, 0.20, 0.24, 0.9], 1.5, lambda group: 0.1 * len(group), ties=[1, 2, 3])
-    assert group == [1, 2], "the last is outside the widest gate"
+    assert group == [1, 2], "the last is outside the widest cutoff"
 
 
 def test_a_plugin_that_declares_a_model_class_is_a_candidate(register, data):
