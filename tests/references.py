@@ -60,7 +60,7 @@ CONTROLLERS = ("constant", "feed_forward", "linear", "lqr", "pid", "predictive",
 WITH_MODEL: dict[str, dict[str, Any]] = {"lqr": {}, "predictive": {"horizon": 8, "samples": 8}}
 """Controllers that plan with a model; it is ``linear``, fitted to the recording."""
 NETWORK = {"hidden": [8], "one_step_updates": 60, "updates": 30, "horizon": 5}
-HIDDEN = {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 60}
+HIDDEN = {"members": 2, "order": 3, "screening_iterations": 3, "iterations": 3, "hidden": 4, "horizon": 60}
 SMALL: dict[str, dict[str, Any]] = {
     "auto": {"candidates": ["linear(state_lags=1, control_lags=2)", "narx(state_lags=1, terms=8)"], "gate": 9.0},
     "backprop27": {"epochs": 40},

@@ -32,7 +32,14 @@ LONG = {
     "k_neighbours": {},
     "sindy": {},
     "sindy_discrete": {},
-    "nonlinear_state_space": {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100},
+    "nonlinear_state_space": {
+        "members": 2,
+        "order": 3,
+        "screening_iterations": 3,
+        "iterations": 3,
+        "hidden": 4,
+        "horizon": 100,
+    },
     "single_track": {"starts": 1, "windows": 15},
 }
 """What works with matrices of the same kinds as one of the others, and takes seconds."""

@@ -33,7 +33,7 @@ FORMS = pytest.mark.parametrize("engine", ["auto", pytest.param("float64", marks
 TOLERANCE = {"compiled float32": 2e-3, "compiled float64": 1e-6}
 """Of the largest in a state, after 40 steps."""
 NETWORK = {"hidden": [4], "one_step_updates": 4, "updates": 2, "horizon": 3, "control_lags": 1, "state_lags": 0}
-STATE_SPACE = {"members": 2, "order": 3, "trial": 3, "iterations": 3, "hidden": 4, "horizon": 100}
+STATE_SPACE = {"members": 2, "order": 3, "screening_iterations": 3, "iterations": 3, "hidden": 4, "horizon": 100}
 FAMILIES = {
     **{name: {} for name in models.names() if name not in ("adapted", "auto")},
     "linear": {"ridge": 200.0},
@@ -326,7 +326,10 @@ def spinning(angular_speed):
 @pytest.fixture(autouse=True)
 def rewards():
     """Two rewards by the names of states and controls."""
-    for name, function, options in (("upright", upright, {"ended": spinning, "start": WHERE}), ("braked", braked, {})):
+    for name, function, options in (
+        ("upright", upright, {"terminated": spinning, "start": WHERE}),
+        ("braked", braked, {}),
+    ):
         register_reward(name, min_reward=-2.0, horizon=40, **options)(function)
     yield
     for name in ("upright", "braked"):
