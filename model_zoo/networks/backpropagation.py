@@ -104,12 +104,12 @@ class DifferentiableSimulation(ABC):
     def pull_back(self, step: int, gradient: Array32) -> Array32:
         """Return the gradient by the state before ``step``, from that by the state after it (M, B, nx)."""
 
-    def called(self, step: int, call: int, state: Array32) -> Array32:
+    def network_output(self, step: int, call: int, state: Array32) -> Array32:
         """Return the network outputs (M, B, nx) in one of the calls of ``step``, for this present state."""
         self.inputs[step, call, ..., : self._n_seen] = self._seen(state)
         return self.layers.forward(step * self.calls + call)
 
-    def pulled_through(self, step: int, call: int, state: Array32, gradient: Array32) -> Array32:
+    def backpropagated(self, step: int, call: int, state: Array32, gradient: Array32) -> Array32:
         """Return the gradient by the present state of a call, from that by the network outputs (M, B, nx)."""
         seen, lags = self._n_seen, self.layout.state_lags
         if step == call == 0:  # the state is measured
@@ -169,7 +169,7 @@ class DifferentiableSimulation(ABC):
         weights[0] = weights[0][:, :known]
         return Network(weights, biases).folded(self.centre, self.scale, self.rates)
 
-    def begin_with(self, network: Network) -> None:
+    def start_from(self, network: Network) -> None:
         """Undo `network`: start from networks that do not use the ``further`` input."""
         scaled = network.unfolded(self.centre, self.scale, self.rates)
         more = self.layers.sizes[0] - len(self.centre)
@@ -177,7 +177,7 @@ class DifferentiableSimulation(ABC):
         flat = self.layers.flat(Network([first, *scaled.weights[1:]], scaled.biases))
         self.parameters = np.concatenate([flat, self.parameters[:, self.layers.size :]], axis=1)
 
-    def learn_further(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
+    def fine_tune(self, dataset: Dataset, plan: TrainingSchedule, trainings: ResumableTrainings) -> Array32:
         """Continue training of all members on the whole ``dataset``; return the parameters (M, P)."""
         windows = TrainingWindows.of(dataset, plan.horizon, self.layout.n_lags)
         return train(

@@ -124,7 +124,7 @@ class MlpEnsemble(StochasticModel):
             parameters, errors = model.learn(splits, plan, trainings)
             return model.network(parameters), errors
 
-        def roughly(part: Dataset) -> DynamicsModel:
+        def quick_fit(part: Dataset) -> DynamicsModel:
             return self._deterministic(trained(part, lags, min(2, self.members), search)[0])
 
         with ResumableTrainings.of(self, dataset, rng, counter.advance) as trainings:
@@ -133,7 +133,7 @@ class MlpEnsemble(StochasticModel):
             self.record_lags(lags)
             network, _ = trained(dataset, lags, self.members, final)
             self.weights_, self.biases_ = list(network.weights), list(network.biases)
-            growth = growth_on_unseen_recordings(roughly, dataset, steps=HORIZONS) if rough else None
+            growth = growth_on_unseen_recordings(quick_fit, dataset, steps=HORIZONS) if rough else None
         if self.stochastic:
             self._calibrate_horizons(dataset, growth, rng, lambda: counter.advance(0))
         else:
@@ -147,8 +147,8 @@ class MlpEnsemble(StochasticModel):
         model = DifferenceNetworks(
             dataset, self.lags, hidden=hidden, members=members, further=1, mirror=mirror, rng=rng
         )
-        model.begin_with(self.network)
-        network = model.network(model.learn_further(dataset, plan, ResumableTrainings(rng)))
+        model.start_from(self.network)
+        network = model.network(model.fine_tune(dataset, plan, ResumableTrainings(rng)))
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
         return other
@@ -180,7 +180,7 @@ class MlpEnsemble(StochasticModel):
         seen = Features(self.system, self.lags).n_carry
         return with_angles(network_predictor(self.network.members(), seen, self.system.nu), self.system, self.lags)
 
-    def _alone(self, member: int) -> MlpEnsemble:
+    def _of_member(self, member: int) -> MlpEnsemble:
         own = slice(member, member + 1)
         return self._deterministic(Network([w[own] for w in self.weights_], [b[own] for b in self.biases_]))
 
@@ -201,9 +201,9 @@ class MlpEnsemble(StochasticModel):
         for member in range(self.members):
             still()
             windows = error_windows(time_fold(dataset, member, self.folds)[1], self.n_lags, stride=10)
-            alone = self._alone(member)
+            single = self._of_member(member)
             history = windows.past_states, windows.past_controls, windows.controls
-            error = windows.states - alone.simulate(*history)
+            error = windows.states - single.simulate(*history)
             residuals.append(error[:, 0])
             parts.append(replace(windows, states=together.simulate(*history) + error))
         self.residual_ = np.sqrt(np.mean(np.concatenate(residuals) ** 2, axis=0))
@@ -225,14 +225,14 @@ class MlpEnsemble(StochasticModel):
         together = self._deterministic(self.network)
         for member, part in enumerate(held):
             still()
-            alone = self._alone(member)
+            single = self._of_member(member)
             case = Case.of(self, part, horizon, MAX_WINDOWS // self.members)
             history = case.windows.past_states, case.windows.past_controls, case.windows.controls
-            error = case.windows.states - alone.simulate(*history)
+            error = case.windows.states - single.simulate(*history)
             moved = replace(case.windows, states=together.simulate(*history) + times * error)
             cases.append(replace(case, windows=moved))
             each = part.windows(1, history=self.n_lags)
-            residuals.append((each.states - alone.simulate(each.past_states, each.past_controls, each.controls))[:, 0])
+            residuals.append((each.states - single.simulate(each.past_states, each.past_controls, each.controls))[:, 0])
             numbers.append(each.start + 10**6 * (each.episode + 1) + 10**9 * member)
         pooled = np.concatenate(residuals)
         persistent = persistent_share(pooled, np.concatenate(numbers))
@@ -248,7 +248,7 @@ class DifferenceNetworks(DifferentiableSimulation):
         self.accelerations: Array32 = np.empty((horizon, *self.states.shape[1:]), dtype=np.float32)
 
     def advance(self, step: int, state: Array32) -> Array32:
-        acceleration: Array32 = self.called(step, 0, state)
+        acceleration: Array32 = self.network_output(step, 0, state)
         self.accelerations[step] = acceleration
         return self.system.integrate(state, acceleration)
 
@@ -256,4 +256,4 @@ class DifferenceNetworks(DifferentiableSimulation):
         state = self.states[self.layout.n_lags + step]
         moved = self.motion.of_integrate(state, self.accelerations[step], self.system.dt, gradient)
         by_state, by_acceleration = moved
-        return by_state + self.pulled_through(step, 0, state, by_acceleration)
+        return by_state + self.backpropagated(step, 0, state, by_acceleration)

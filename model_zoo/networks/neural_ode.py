@@ -131,8 +131,8 @@ class NeuralOde(StochasticModel):
         physical = self.physical_ if len(self.initial) else self.initial
         mirror = Mirror.of(dataset.system)  # a few seconds rarely contain left and right turns equally
         flow = self._flow(dataset, self.lags, hidden, physical, rng, mirror)
-        flow.begin_with(self.network)
-        found = flow.learn_further(dataset, plan, ResumableTrainings(rng))
+        flow.start_from(self.network)
+        found = flow.fine_tune(dataset, plan, ResumableTrainings(rng))
         network, physical = flow.network(found), flow.physical_of(found)
         other = self.variant()
         other.weights_, other.biases_ = list(network.weights), list(network.biases)
@@ -277,7 +277,7 @@ class OdeSimulation(DifferentiableSimulation):
         for call, (node, share) in enumerate(zip(NODES, SHARES, strict=True)):
             here = state + (node * dt) * rate if node else state
             self.visited[step, call] = here
-            rate = self.called(step, call, here)
+            rate = self.network_output(step, call, here)
             if self.system.motion is not None:
                 rate += self.system.frame_rotation(here)
             if self.physics is not None:
@@ -293,7 +293,7 @@ class OdeSimulation(DifferentiableSimulation):
                 by_rate += (NODES[call + 1] * dt) * from_next
             self.by_rate[step, call] = by_rate
             here = self.visited[step, call]
-            from_next = self.pulled_through(step, call, here, by_rate)
+            from_next = self.backpropagated(step, call, here, by_rate)
             if self.system.motion is not None:
                 from_next = from_next + self.motion.of_frame_rotation(here, by_rate)
             if self.physics is not None:

@@ -75,16 +75,16 @@ class EstimationProblem:
     def linear_trained(self, order: int, short: int, long: int, report: Callable[[], None]) -> Trained:
         """Train a linear space on short and on long simulations; if that makes it unstable, on long ones alone."""
         start = self.linear(order)
-        trained = self.learned(start, self.blank(self.short, start), short, report)
+        trained = self.learned(start, self.initial_states(self.short, start), short, report)
         if radius(trained.spaces) > UNSTABLE:
-            trained = self.learned(start, self.blank(self.short, start), 1, lambda: None)
+            trained = self.learned(start, self.initial_states(self.short, start), 1, lambda: None)
         trained = self.lengthened(trained, start, long, report)
         if radius(trained.spaces) <= UNSTABLE:
             return trained
         stable = stabilised(trained.spaces)
-        return train(stable, self.long, self.blank(self.long, stable), 1, lambda: None)
+        return train(stable, self.long, self.initial_states(self.long, stable), 1, lambda: None)
 
-    def blank(self, windows: ShootingWindows, spaces: StateSpaceBatch) -> Array:
+    def initial_states(self, windows: ShootingWindows, spaces: StateSpaceBatch) -> Array:
         """Return initial states (S, B, n) with the measured outputs and zeros for the rest."""
         starts = np.zeros((len(spaces), len(windows), spaces.n))
         ny = windows.outputs.shape[2]
@@ -117,7 +117,7 @@ class EstimationProblem:
                 outer[lost] = 0.0
                 outer[lost, :, : fallback.outer.shape[2]] = fallback.outer[0]
                 spaces = replace(spaces, outer=outer)
-                starts[lost] = self.blank(windows, spaces)[lost]
+                starts[lost] = self.initial_states(windows, spaces)[lost]
             share = iterations * (number + 1) // len(later) - iterations * number // len(later)
             trained, before = train(spaces, windows, starts, share, report), windows
         for _ in range(0 if later else iterations):

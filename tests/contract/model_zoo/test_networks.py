@@ -259,7 +259,7 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
 ):
     plans, signs = [], []
     model = make_model(family, **FAMILIES[family]).fit(training, rng=0)
-    original = DifferentiableSimulation.learn_further
+    original = DifferentiableSimulation.fine_tune
 
     def remembered(self, dataset, plan, trainings):
         plans.append(plan)
@@ -267,7 +267,7 @@ def test_it_is_trained_so_long_on_single_steps_and_runs_of_its_own_length_and_in
         assert dataset is there
         return original(self, dataset, plan, trainings)
 
-    monkeypatch.setattr(DifferentiableSimulation, "learn_further", remembered)
+    monkeypatch.setattr(DifferentiableSimulation, "fine_tune", remembered)
     model.fine_tuned(there, 7, rng=np.random.default_rng(1))
     (plan,) = plans
     assert (plan.one_step_updates, plan.updates, plan.horizon) == (5, 2, 5)
