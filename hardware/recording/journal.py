@@ -201,7 +201,7 @@ VERSIONS = {name: version(name) for name in ("sysid-evo", "numpy")} | {"python":
 class Recorder(Closeable, Listener):
     """Writes every frame, command and status of a session with ``robot`` to a new journal at ``path``.
 
-    ``body`` (default: the first seen) and ``limits`` tell readers which frames to accept.
+    ``body`` (default: the first seen) and ``limits`` are stored, so that readers accept the same frames.
     Each call is one write to the system's cache, some ten microseconds. A disk that cannot take a
     record does not stop a robot: the record is counted in ``lost``, and ``problem`` gives the reason.
     `close` waits for the disk.

@@ -214,7 +214,7 @@ def test_families_that_come_later_judge_and_one_that_predicts_badly_is_not_polis
     judged_again = {"choose linear", "run linear on linear", "polish the best", "run polished on linear"}
     assert computed == judged_again | ASSESSED, "nothing is evolved or fitted again"
     champions = {champion.name: champion for champion in matrix.champions}
-    assert set(champions["linear"].judges) == {"linear", "narx", "predicts_badly"}
+    assert set(champions["linear"].scoring_models) == {"linear", "narx", "predicts_badly"}
     assert set(champions["polished"].against) == {"linear", "narx"}
 
 
@@ -313,7 +313,7 @@ def test_a_condition_left_out_is_predicted_worse_and_another_name_of_it_makes_ot
     assert (grip.condition, ice.condition, grip.horizon) == ("grip", "ice", 20)
     assert all(one.across > 1.05 * one.within for one in (grip, ice))
     assert to_json(report)["conditions"]["linear"][0]["condition"] == "grip"
-    assert "Error N within and across conditions" in (tmp_path / "report.html").read_text()
+    assert "Error N across conditions" in (tmp_path / "report.html").read_text()
     assert len(brief(report)) == len(brief(replace(report, conditions={}))) + 3
     assert compare(floors, out=tmp_path, **settings).conditions == report.conditions
     renamed = floors.with_episodes([replace(e, condition=f"the {e.condition}") for e in floors])

@@ -47,11 +47,11 @@ import time
 
 from hardware.emulation.cars import emulated_car
 from hardware.emulation.sensed_robot import Equations, SensedRobot
-from hardware.emulation.tracked_robots import EmulatedConnection
+from hardware.emulation.tracked_robots import TrackedConnection
 from sysid_evo import Channel, System, register_robot
 
 
-class Slow(EmulatedConnection):
+class Slow(TrackedConnection):
     def measure(self, timeout):
         time.sleep(0.001)
         return super().measure(timeout)
