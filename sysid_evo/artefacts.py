@@ -165,7 +165,7 @@ def _first(error: ValidationError) -> str:
 def _older(error: ValidationError) -> str:
     """Return the remedy for an artefact of another version; empty for other faults."""
     of_schema = any(fault["loc"] == ("schema_",) and fault["type"] == "literal_error" for fault in error.errors())
-    return "; another version of this library wrote it: fit or evolve again" if of_schema else ""
+    return "; it was written by another version of this library: fit or evolve again" if of_schema else ""
 
 
 def _with(path: Path, suffix: str) -> Path:
