@@ -27,7 +27,7 @@ class HybridOde(NeuralOde, PlanarCarModel):
         dr/dt = u (R_l max(u2, 0) - R_r max(-u2, 0)) - r D_rl - r |r| D_rv
 
     ``physical_`` holds U_f, U_b (m/s^2), R_l, R_r (rad/m/s), D_ul (1/s), D_uv (1/m), D_rl (1/s), D_rv (1/rad), D_v
-    (1/s), all positive. Training and the other parameters are those of `neural_ode`. ``drive`` and ``steer`` name the
+    (1/s), all positive. Training and the other parameters are those of neural_ode. ``drive`` and ``steer`` name the
     controls with these roles. The paper suggests such a combination in section 6.
     """
 

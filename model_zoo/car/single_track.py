@@ -139,7 +139,7 @@ class SingleTrack(GreyBox, PlanarCarModel):
     ``tyre="pacejka"``: F = D sin(C atan(B s - E (B s - atan B s))), C and E the same for both axles (Pacejka 2012,
     chapter 4); ``tyre="tanh"``: F = D tanh(B s). The rear grip D falls with the square of T / limit, and
     ``load_transfer`` of T shifts to the rear. ``drive`` and ``steer`` name the controls with these roles. The fit and
-    the other parameters are described at `model_zoo.grey_box.GreyBox`.
+    the other parameters are those of all grey boxes (docs/grey_box.md).
     """
 
     knowledge = "grey"

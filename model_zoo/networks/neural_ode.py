@@ -55,9 +55,8 @@ class NeuralOde(StochasticModel):
 
     Training: ``one_step_updates`` on single steps, then ``updates`` on simulations of ``horizon`` steps from measured
     states (multiple shooting), to which ``input_noise`` is added (in units of the one-step change). The weights that
-    simulate held-out blocks best over one second are kept (early stopping). The integrator is the classical
-    fourth-order method with step dt and held controls.
-
+    simulate held-out blocks best over one second are kept (early stopping). ``hidden`` lists the widths of the tanh
+    layers, ``learning_rate`` is that of Adam. The integrator is the classical fourth-order method with held controls.
     A derived family may add a `known_rate`, whose ``initial`` physical parameters are trained with the network.
     """
 

@@ -42,10 +42,10 @@ class TorchOde(DynamicsModel):
     are standardised (periodic states as sine and cosine), outputs are rates in units of each state's typical one-step
     change, per second, in float64. Controls and earlier samples are held over a step.
 
-    Two thirds of the ``updates`` of Adam are on single steps, the others on simulations of ``horizon`` steps from
-    measured states (multiple shooting). The weights that simulate held-out blocks of time best over one second are kept
-    (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint`` through its adjoint
-    equation, which needs less memory (only without ``state_lags``).
+    Two thirds of the ``updates`` (Adam, ``learning_rate``) are on single steps, the others on simulations of
+    ``horizon`` steps from measured states (multiple shooting). The weights that simulate held-out blocks of time best
+    over one second are kept (early stopping). Gradients go through the steps of the ``solver``, or with ``adjoint``
+    through its adjoint equation, which needs less memory (only without ``state_lags``).
 
     With tanh and ``rk4`` the model runs in NumPy and has a compiled form, by the classical method (torchdiffeq uses the
     3/8 rule of the same order). Otherwise it runs in torch. An interrupted fit restarts from the beginning.

@@ -86,8 +86,8 @@ class SindyDiscrete(SparsePolynomial):
 
     x_{k+1} = Theta(x_k, u_k) Xi, Theta all monomials up to ``degree`` (Brunton, Proctor, Kutz 2016). Sequentially
     thresholded least squares drops coefficients below ``threshold`` (of quantities divided by their RMS) with the L2
-    penalty ``ridge``; inputs are clipped to the training range. `SparsePolynomial` describes how settings left at None
-    are chosen. Of an integral the change is predicted (`integrals`).
+    penalty ``ridge``; inputs are clipped to the training range. The other settings, and their choice if left at None,
+    are those of sindy. Of an integral the change is predicted (`integrals`).
     """
 
     requires = ("pysindy",)

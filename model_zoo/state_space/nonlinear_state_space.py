@@ -255,7 +255,7 @@ class LatentOde(NetworkStateSpace):
     after each step (Chen et al. 2018, with unmeasured states). The first states are the outputs without noise, the
     others are latent. One step of the classical Runge-Kutta method leads from sample to sample. Training starts from
     linear differential equations that are equivalent to identified linear state spaces; training, selection, averaging
-    and parameters are those of `NonlinearStateSpace`, with derivatives through the Runge-Kutta steps. The observer,
+    and parameters are those of nonlinear_state_space, with derivatives through the Runge-Kutta steps. The observer,
     with the gain K of a Kalman predictor, also estimates the first state from the last samples.
     """
 

@@ -43,8 +43,15 @@ def show_model(
         return
     for part in card_table(card):
         out.print(part)
+    if not stored:
+        out.print(Text(f"\n{COMMON}"))
 
 
+COMMON = (
+    "Common parameters: stochastic adds calibrated noise; state_lags and control_lags are the numbers of "
+    "earlier samples among the inputs (None: chosen in the fit); dead_band keeps a model at rest under neutral "
+    "controls; max_steps limits the steps used in a fit."
+)
 SPEED_ROLLOUTS = 640
 SPEED_STEPS = 100
 
