@@ -113,12 +113,12 @@ class Predictive(Controller):
 
     def _past(self, rest: Array, state: Array) -> tuple[Array, Array]:
         """Return the last ``n_lags`` states and controls, (B, n_lags, nx) and (B, n_lags, nu), padded at first."""
-        system, begun = self.task.system, rest[:, 0] > 0.0
+        system, started = self.task.system, rest[:, 0] > 0.0
         cut = 2 + self.n_lags * system.nx
         states = rest[:, 2:cut].reshape(len(rest), self.n_lags, system.nx)
         controls = rest[:, cut:].reshape(len(rest), self.n_lags, system.nu)
-        states = np.where(begun[:, None, None], states, state[:, None])
-        return states, np.where(begun[:, None, None], controls, system.neutral_control)
+        states = np.where(started[:, None, None], states, state[:, None])
+        return states, np.where(started[:, None, None], controls, system.neutral_control)
 
     def _sequences(self, nu: int) -> tuple[Array, Array]:
         """Return constant sequences (k, horizon, nu) and sets of random ones (SETS, n, horizon, nu)."""

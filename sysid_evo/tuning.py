@@ -87,7 +87,7 @@ class Tuning:
             )
         self.pairs = pairs
         history = history_of(pairs, self.horizons)
-        self.judge = Scorer.of(dataset, [HeldOutTest.of(held, self.horizons, history) for _, held in pairs])
+        self.scorer = Scorer.of(dataset, [HeldOutTest.of(held, self.horizons, history) for _, held in pairs])
         self.file = None if file is None else Path(file)
         self.seeds = np.random.default_rng(seed).integers(2**32, size=len(pairs)).tolist()
 
@@ -204,16 +204,16 @@ class Tuning:
         """Return the error of a trial; None with the reason if it fails, without one if it is stopped early."""
         parameters = self._parameters(trial.params)
         runs = []
-        for fold, ((seen, _), judged) in enumerate(zip(self.pairs, self.judge.trials, strict=True)):
+        for fold, ((training, _), test) in enumerate(zip(self.pairs, self.scorer.trials, strict=True)):
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # warnings of one trial among many
                     model: Any = models.make(self.spec.name, **parameters)
-                    model.fit(seen, rng=np.random.default_rng(self.seeds[fold]))
-                    runs.append(judged.run(model))
+                    model.fit(training, rng=np.random.default_rng(self.seeds[fold]))
+                    runs.append(test.run(model))
             except Exception as error:  # a plugin may fail in any way; the other trials continue
                 return None, described(error).splitlines()[0]
-            part = Scorer(self.judge.system, self.judge.trials[: fold + 1], self.judge.spread)
+            part = Scorer(self.scorer.system, self.scorer.trials[: fold + 1], self.scorer.spread)
             found = min(part.errors(runs).mean, WORST)
             trial.report(found, fold)
             if fold + 1 < len(self.pairs) and trial.number > 0 and trial.should_prune():

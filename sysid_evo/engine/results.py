@@ -40,10 +40,10 @@ class Rollouts:
 
 
 def finished(
-    found: LoopResults, task: Task, system: System, began: TaskState, task_state: TaskState, engine: str, record: bool
+    found: LoopResults, task: Task, system: System, start: TaskState, task_state: TaskState, engine: str, record: bool
 ) -> Rollouts:
-    """Return the rollouts of each candidate in the trials ``began`` (E,); ``task_state`` is the last one (P E,)."""
-    grid = len(found.fitness) // len(began.pose), len(began.pose)
+    """Return the rollouts of trials that begin with ``start`` (E,) and end with ``task_state`` (P E,)."""
+    grid = len(found.fitness) // len(start.pose), len(start.pose)
     return Rollouts(
         fitness=scored(task, found.fitness, found.survived, found.diverged).reshape(grid),
         survived=found.survived.reshape(grid),
@@ -52,7 +52,7 @@ def finished(
         engine=engine,
         behaviour=time_shares(found.counts, found.survived, found.diverged).reshape(*grid, -1),
         penalty=np.where(found.diverged, 0.0, found.penalty).reshape(grid),
-        trajectories=trajectories(found.tape, found.survived, began.pose, task, system) if record else (),
+        trajectories=trajectories(found.tape, found.survived, start.pose, task, system) if record else (),
     )
 
 

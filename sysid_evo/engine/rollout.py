@@ -179,20 +179,20 @@ class BoundRollout:
             raise InvalidArgument("rollout: expected at least one trial seed, got none")
         if self.compiled is None:
             return reference.run(dynamics, self.controller, parameters, task, seeds, record=record)
-        trials, began, task_kernel = len(seeds), task.begin(seeds), self.compiled.kernels.task
+        trials, start, task_kernel = len(seeds), task.begin(seeds), self.compiled.kernels.task
         noise = np.empty((trials, task.horizon, dynamics.n_noise))
         run_in_threads(lambda: partial(_draw, seeds, noise), trials, self.threads)
-        carry = started(dynamics, began.state, draw_for_trials(seeds, dynamics.n_draws))
+        carry = started(dynamics, start.state, draw_for_trials(seeds, dynamics.n_draws))
         loop_trials = LoopTrials(
             theta=parameters,
             carry=check_shape("start", carry, (trials, dynamics.n_carry)),
-            task=task_kernel.rows(began),
-            trial_data=task_kernel.trial_data(began),
+            task=task_kernel.rows(start),
+            trial_data=task_kernel.trial_data(start),
             noise=noise,
         )
         found, rows = self.compiled.run(loop_trials, record=record, threads=self.threads)
-        task_state = task_kernel.state(began.tile(len(parameters)), rows)
-        return finished(found, task, dynamics.system, began, task_state, f"compiled {self.compiled.precision}", record)
+        task_state = task_kernel.state(start.tile(len(parameters)), rows)
+        return finished(found, task, dynamics.system, start, task_state, f"compiled {self.compiled.precision}", record)
 
 
 def _draw(seeds: Seeds, noise: Array, first: int, last: int) -> None:

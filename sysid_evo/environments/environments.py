@@ -195,16 +195,16 @@ class EnvironmentTrials:
         """Begin the trials ``rows`` (k,) again, with ``seeds`` (k,) on the ``members`` (k,), given by number."""
         self._begun = True
         self.seeds[rows], self.member[rows], self.survived[rows] = seeds, members, 0
-        fresh, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
+        initial, restarted = self.task.begin(self.seeds), np.zeros(len(self.seeds), dtype=bool)
         restarted[rows] = True
-        self._task_state = self._task_state.updated_where(fresh, restarted)
-        self.fitness[rows] = self.task.fitness(fresh)[rows]
+        self._task_state = self._task_state.updated_where(initial, restarted)
+        self.fitness[rows] = self.task.fitness(initial)[rows]
         for row in rows:
             number = int(self.member[row])
             member, seed = self.members[number], self.seeds[row : row + 1]
-            self._carries[number][row] = started(member, fresh.state[row][None], draw_for_trials(seed, member.n_draws))[
-                0
-            ]
+            self._carries[number][row] = started(
+                member, initial.state[row][None], draw_for_trials(seed, member.n_draws)
+            )[0]
             self._noise[row] = draw_for_steps(seed, self.task.horizon, member.n_noise)[0]
 
     @property

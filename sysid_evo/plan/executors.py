@@ -210,8 +210,8 @@ class Execution:
             cell = self.sent.pop(future)
             try:
                 end = workers.result(cell, future)
-            except CellLost as lost:
-                self._retry(cell, lost)
+            except CellLost as error:
+                self._retry(cell, error)
             else:
                 self._finish(cell, end)
         if time.monotonic() - self.last_progress >= LOOK:
@@ -225,14 +225,14 @@ class Execution:
             self.started.add(cell.digest)
             self.observer.start(cell)
 
-    def _retry(self, cell: Cell, lost: CellLost) -> None:
+    def _retry(self, cell: Cell, error: CellLost) -> None:
         """Try a lost cell again; after `TRIES` attempts it has failed."""
         self.attempts[cell.digest] += 1
         if self.attempts[cell.digest] < TRIES:
-            self.remark(f"{cell.title} is computed again: {lost}")
+            self.remark(f"{cell.title} is computed again: {error}")
             self._push(cell)
             return
-        reason = f"{lost}, {TRIES} times"
+        reason = f"{error}, {TRIES} times"
         self.store.fail(cell, reason=reason, traceback="", seconds=0.0)
         self._finish(cell, CellEnd("failed", reason=reason))
 

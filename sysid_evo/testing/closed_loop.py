@@ -82,85 +82,85 @@ def _controller(name: str, *, at: Task | None = None, **parameters: Any) -> tupl
     return (ControllerExample(made, bound, weights, task),)
 
 
-def binding_gives_a_controller_of_that_size(given: ControllerExample) -> None:
+def binding_gives_a_controller_of_that_size(example: ControllerExample) -> None:
     """bind_to returns a controller with the inputs and outputs of the task and changes no other controller"""
-    before = dict(vars(given.bound))
-    system = given.task.system
+    before = dict(vars(example.bound))
+    system = example.task.system
     wider = replace(system, controls=(*system.controls, Channel("spare_control", low=-1.0, high=1.0)))
     try:
-        other = given.made.bind_to(given.task.bind(wider))
+        other = example.made.bind_to(example.task.bind(wider))
     except IncompatibleTask as error:  # it accepts one system only
         raise NotApplicable from error
     raw, _ = other.act(
-        np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), given.view(1, slice(1), slice(1))
+        np.zeros((1, other.n_parameters)), np.zeros((1, 1, other.n_memory)), example.view(1, slice(1), slice(1))
     )
     expect(raw.shape == (1, 1, 3), f"bound to three controls it returns {raw.shape[-1:]}")
-    expect(vars(given.bound) == before, "a controller changes when another is bound")
+    expect(vars(example.bound) == before, "a controller changes when another is bound")
 
 
-def it_has_parameters_to_evolve(given: ControllerExample) -> None:
+def it_has_parameters_to_evolve(example: ControllerExample) -> None:
     """It has at least one parameter, and its outputs depend on the parameters"""
-    count = given.bound.n_parameters
+    count = example.bound.n_parameters
     expect(isinstance(count, int) and count >= 1, f"expected n_parameters >= 1, got {count!r}")
-    raw, _ = given.bound.act(given.parameters, given.memory(2), given.view(2))
-    equal = np.repeat(given.parameters[:1], CANDIDATES, axis=0)
-    other, _ = given.bound.act(equal, given.memory(2), given.view(2))
+    raw, _ = example.bound.act(example.parameters, example.memory(2), example.view(2))
+    equal = np.repeat(example.parameters[:1], CANDIDATES, axis=0)
+    other, _ = example.bound.act(equal, example.memory(2), example.view(2))
     expect(not same(raw, other), "all parameter vectors give the same outputs")
 
 
-def an_action_has_the_right_shape_and_type(given: ControllerExample) -> None:
+def an_action_has_the_right_shape_and_type(example: ControllerExample) -> None:
     """act returns outputs (P, E, n_outputs) and memory (P, E, n_memory), finite and in float64"""
     for moment in (0, 3):
-        raw, memory = given.bound.act(given.parameters, given.memory(moment), given.view(moment))
-        expect_numbers("outputs", raw, (CANDIDATES, TRIALS, given.task.system.nu))
-        expect_numbers("memory", memory, (CANDIDATES, TRIALS, given.bound.n_memory))
+        raw, memory = example.bound.act(example.parameters, example.memory(moment), example.view(moment))
+        expect_numbers("outputs", raw, (CANDIDATES, TRIALS, example.task.system.nu))
+        expect_numbers("memory", memory, (CANDIDATES, TRIALS, example.bound.n_memory))
 
 
-def outputs_stay_within_their_limits(given: ControllerExample) -> None:
+def outputs_stay_within_their_limits(example: ControllerExample) -> None:
     """Outputs are within [-1, 1] for any parameters"""
-    raw, _ = given.bound.act(30.0 * given.parameters, given.memory(2), given.view(2))
+    raw, _ = example.bound.act(30.0 * example.parameters, example.memory(2), example.view(2))
     expect(np.abs(raw).max() <= 1.0, f"an output is {raw.ravel()[np.abs(raw).argmax()]:.3g}")
 
 
-def an_action_is_pure(given: ControllerExample) -> None:
+def an_action_is_pure(example: ControllerExample) -> None:
     """act changes neither its arguments nor its later results: all state is in the memory array"""
-    view, memory = given.view(2), given.memory(2)
-    first = expect_pure("action", given.bound.act, given.parameters, memory, view)
+    view, memory = example.view(2), example.memory(2)
+    first = expect_pure("action", example.bound.act, example.parameters, memory, view)
     for moment in range(3):
-        given.bound.act(given.parameters, given.memory(moment), given.view(moment))
-    again = given.bound.act(given.parameters, memory, view)
+        example.bound.act(example.parameters, example.memory(moment), example.view(moment))
+    again = example.bound.act(example.parameters, memory, view)
     expect(same(first, again), "calls in between change the result of the same call")
 
 
-def candidates_and_trials_are_independent(given: ControllerExample) -> None:
+def candidates_and_trials_are_independent(example: ControllerExample) -> None:
     """The outputs of a candidate in a trial do not depend on other candidates and trials"""
-    memory = given.memory(2)
-    together = given.bound.act(given.parameters, memory.copy(), given.view(2))
+    memory = example.memory(2)
+    together = example.bound.act(example.parameters, memory.copy(), example.view(2))
     for p in range(CANDIDATES):
         for e in range(TRIALS):
             one, trial = slice(p, p + 1), slice(e, e + 1)
-            alone = given.bound.act(given.parameters[one], memory[one, trial], given.view(2, one, trial))
+            alone = example.bound.act(example.parameters[one], memory[one, trial], example.view(2, one, trial))
             for found, expected in zip(alone, together, strict=True):
                 equal = np.allclose(found, expected[one, trial], rtol=1e-9, atol=1e-12)
                 expect(equal, f"candidate {p} in trial {e} acts differently when it is alone")
 
 
-def the_compiled_form_acts_as_act_does(given: ControllerExample) -> None:
+def the_compiled_form_acts_as_act_does(example: ControllerExample) -> None:
     """The compiled form gives the results of act"""
-    expect_kernel(given.bound.kernel())
-    expect_engines_agree(ExampleDynamics(given.task.system), given.made, given.parameters, given.task)
+    expect_kernel(example.bound.kernel())
+    expect_engines_agree(ExampleDynamics(example.task.system), example.made, example.parameters, example.task)
 
 
-def the_exported_program_acts_as_act_does(given: ControllerExample) -> None:
+def the_exported_program_acts_as_act_does(example: ControllerExample) -> None:
     """The program for export gives the results of act"""
     for p in range(CANDIDATES):
-        program = given.bound.program(given.parameters[p])
+        program = example.bound.program(example.parameters[p])
         if program is None:
             raise NotApplicable
-        remembered, memory = program.begin(), given.memory(0)
+        remembered, memory = program.begin(), example.memory(0)
         for moment in range(4):
-            view = given.view(moment)
-            raw, memory = given.bound.act(given.parameters, memory, view)
+            view = example.view(moment)
+            raw, memory = example.bound.act(example.parameters, memory, view)
             found, remembered = program.run(view.observation[p, 0], remembered)
             expect(
                 np.allclose(found, raw[p, 0], rtol=1e-9, atol=1e-12),
@@ -234,27 +234,27 @@ def _task(name: str, system: System | None = None, **parameters: Any) -> tuple[T
     return (TaskExample(made, _bound(made, example_systems() if system is None else (system,))),)
 
 
-def binding_does_not_change_the_task(given: TaskExample) -> None:
+def binding_does_not_change_the_task(example: TaskExample) -> None:
     """bind returns a task on that system and does not change the task itself"""
-    before = dict(vars(given.made))
-    bound = given.made.bind(given.system)
-    expect(bound is not given.made and vars(given.made) == before, "bind changes the task itself")
-    expect(bound.system == given.system, "the bound task has another system")
+    before = dict(vars(example.made))
+    bound = example.made.bind(example.system)
+    expect(bound is not example.made and vars(example.made) == before, "bind changes the task itself")
+    expect(bound.system == example.system, "the bound task has another system")
 
 
-def a_missing_role_is_named(given: TaskExample) -> None:
+def a_missing_role_is_named(example: TaskExample) -> None:
     """bind raises IncompatibleTask for a system that lacks a role, and names the role"""
     try:
-        given.made.bind(bare_system())
+        example.made.bind(bare_system())
     except IncompatibleTask as error:
-        motion = given.system.motion
-        roles = [*given.system.state_names, *given.system.control_names, *(motion.roles() if motion else ())]
+        motion = example.system.motion
+        roles = [*example.system.state_names, *example.system.control_names, *(motion.roles() if motion else ())]
         expect(any(role in str(error) for role in roles), f"expected one of {', '.join(roles)} in: {error}")
 
 
-def it_has_a_horizon_and_named_observations(given: TaskExample) -> None:
+def it_has_a_horizon_and_named_observations(example: TaskExample) -> None:
     """It has a horizon of at least one step, and its observations have different names"""
-    task = given.task
+    task = example.task
     expect(isinstance(task.horizon, int) and task.horizon >= 1, f"expected horizon >= 1 steps, got {task.horizon!r}")
     expect(
         task.observations and all(isinstance(channel, Channel) for channel in task.observations),
@@ -264,101 +264,103 @@ def it_has_a_horizon_and_named_observations(given: TaskExample) -> None:
     expect(len(set(names)) == len(names), f"two observations have the same name: {', '.join(names)}")
 
 
-def a_trial_begins_within_the_system(given: TaskExample) -> None:
+def a_trial_begins_within_the_system(example: TaskExample) -> None:
     """begin returns one trial for each seed, alive, with a state (E, nx) and a pose (E, n_pose)"""
-    began = given.task.begin(SEEDS)
-    expect_numbers("state", began.state, (TRIALS, given.system.nx))
-    expect_numbers("pose", began.pose, (TRIALS, given.system.n_pose))
-    alive = np.asarray(began.alive)
+    start = example.task.begin(SEEDS)
+    expect_numbers("state", start.state, (TRIALS, example.system.nx))
+    expect_numbers("pose", start.pose, (TRIALS, example.system.n_pose))
+    alive = np.asarray(start.alive)
     expect(alive.shape == (TRIALS,) and alive.dtype == bool and alive.all(), f"alive is {alive} after begin")
 
 
-def a_trial_depends_on_its_seed_alone(given: TaskExample) -> None:
+def a_trial_depends_on_its_seed_alone(example: TaskExample) -> None:
     """A trial depends only on its seed, not on other trials and not on global randomness"""
-    expect(same(given.task.begin(SEEDS), given.task.begin(SEEDS)), "the same seeds begin different trials")
-    together = given.drive(given.networks).fitness
-    alone = np.concatenate([given.drive(given.networks, SEEDS[e : e + 1]).fitness for e in range(TRIALS)], axis=1)
+    expect(same(example.task.begin(SEEDS), example.task.begin(SEEDS)), "the same seeds begin different trials")
+    together = example.drive(example.networks).fitness
+    alone = np.concatenate([example.drive(example.networks, SEEDS[e : e + 1]).fitness for e in range(TRIALS)], axis=1)
     expect(np.allclose(together, alone, rtol=1e-9), "a trial ends differently when it is run alone")
 
 
-def candidates_have_the_same_trials(given: TaskExample) -> None:
+def candidates_have_the_same_trials(example: TaskExample) -> None:
     """All candidates have the same trials"""
-    equal = np.repeat(given.networks[:1], 3, axis=0)
-    found = given.drive(equal).fitness
+    equal = np.repeat(example.networks[:1], 3, axis=0)
+    found = example.drive(equal).fitness
     expect(np.allclose(found, found[0], rtol=1e-9), "two equal candidates have different scores")
 
 
-def an_observation_has_the_right_shape_and_type(given: TaskExample) -> None:
+def an_observation_has_the_right_shape_and_type(example: TaskExample) -> None:
     """observe returns one finite float64 number for each observation of each trial"""
-    task_state, before, *_ = given.moment()
-    expect_numbers("observation", given.task.observe(task_state, before), (TRIALS, len(given.task.observations)))
+    task_state, before, *_ = example.moment()
+    expect_numbers("observation", example.task.observe(task_state, before), (TRIALS, len(example.task.observations)))
 
 
-def observing_is_pure(given: TaskExample) -> None:
+def observing_is_pure(example: TaskExample) -> None:
     """observe changes neither its arguments nor its later results"""
-    task_state, before, *_ = given.moment()
-    expect_pure("observation", given.task.observe, task_state, before)
+    task_state, before, *_ = example.moment()
+    expect_pure("observation", example.task.observe, task_state, before)
 
 
-def advancing_is_pure(given: TaskExample) -> None:
+def advancing_is_pure(example: TaskExample) -> None:
     """advance changes neither its arguments nor its later results"""
-    expect_pure("advance", given.advance, *given.moment())
+    expect_pure("advance", example.advance, *example.moment())
 
 
-def advancing_keeps_shapes(given: TaskExample) -> None:
+def advancing_keeps_shapes(example: TaskExample) -> None:
     """advance returns trials and states (B, nx) of the same shapes, finite and in float64"""
-    task_state, *step = given.moment()
-    advanced, reached = given.advance(task_state, *step)
+    task_state, *step = example.moment()
+    advanced, reached = example.advance(task_state, *step)
     expect(type(advanced) is type(task_state), f"the type of the trials becomes {type(advanced).__name__}")
-    expect_numbers("state", reached, (TRIALS, given.system.nx))
-    expect_numbers("pose", advanced.pose, (TRIALS, given.system.n_pose))
+    expect_numbers("state", reached, (TRIALS, example.system.nx))
+    expect_numbers("pose", advanced.pose, (TRIALS, example.system.n_pose))
     expect(np.shape(advanced.alive) == (TRIALS,), f"alive has the shape {np.shape(advanced.alive)}")
 
 
-def a_measured_pose_is_used(given: TaskExample) -> None:
+def a_measured_pose_is_used(example: TaskExample) -> None:
     """advance uses the measured pose if it is given"""
-    if given.system.n_pose == 0:
+    if example.system.n_pose == 0:
         raise NotApplicable
-    task_state, before, after, control = given.moment()
+    task_state, before, after, control = example.moment()
     measured = np.random.default_rng(6).uniform(-0.5, 0.5, task_state.pose.shape)
-    advanced, _ = given.task.advance(task_state, before, after, control=control, pose=measured)
+    advanced, _ = example.task.advance(task_state, before, after, control=control, pose=measured)
     expect(same(advanced.pose, measured), "the pose after the step is not the measured pose")
 
 
-def fitness_is_a_number_and_never_below_the_worst(given: TaskExample) -> None:
+def fitness_is_a_number_and_never_below_the_worst(example: TaskExample) -> None:
     """fitness returns one number for each trial, never nan and never below worst"""
-    task_state, *_ = given.moment()
-    expect_numbers("fitness", given.task.fitness(task_state), (TRIALS,))
-    driven = given.drive(given.networks).fitness
+    task_state, *_ = example.moment()
+    expect_numbers("fitness", example.task.fitness(task_state), (TRIALS,))
+    driven = example.drive(example.networks).fitness
     expect(not np.isnan(driven).any(), "the fitness of a random controller is nan")
-    lowest = min(driven.min(), given.task.fitness(task_state).min())
-    expect(lowest >= given.task.worst, f"a fitness of {lowest:g} is below worst, which is {given.task.worst:g}")
+    lowest = min(driven.min(), example.task.fitness(task_state).min())
+    expect(lowest >= example.task.worst, f"a fitness of {lowest:g} is below worst, which is {example.task.worst:g}")
 
 
-def an_ended_trial_keeps_its_fitness(given: TaskExample) -> None:
+def an_ended_trial_keeps_its_fitness(example: TaskExample) -> None:
     """The fitness of a trial that has ended does not change while others continue"""
-    task_state, *step = given.moment()
+    task_state, *step = example.moment()
     active = np.arange(TRIALS) % 2 == 0
-    advanced, _ = given.advance(task_state, *step)
-    found = given.task.fitness(task_state.updated_where(advanced, active))
-    expected = np.where(active, given.task.fitness(advanced), given.task.fitness(task_state))
+    advanced, _ = example.advance(task_state, *step)
+    found = example.task.fitness(task_state.updated_where(advanced, active))
+    expected = np.where(active, example.task.fitness(advanced), example.task.fitness(task_state))
     expect(same(found, expected), "the fitness of an ended trial changes with the others")
 
 
-def a_scene_can_be_drawn(given: TaskExample) -> None:
+def a_scene_can_be_drawn(example: TaskExample) -> None:
     """scene returns the markers (k, 2) of a trial in m and the number of those reached"""
-    task_state, *_ = given.moment()
+    task_state, *_ = example.moment()
     for trial in range(TRIALS):
-        scene = given.task.scene(task_state, trial)
+        scene = example.task.scene(task_state, trial)
         expect_numbers("markers", scene.markers, (len(scene.markers), 2))
         expect(0 <= scene.reached <= len(scene.markers), f"{scene.reached} of {len(scene.markers)} are reached")
         expect(scene.radius >= 0.0, f"a radius is {scene.radius} m")
 
 
-def the_compiled_form_is_the_reference(given: TaskExample) -> None:
+def the_compiled_form_is_the_reference(example: TaskExample) -> None:
     """The compiled form gives the scores of the reference form"""
-    expect_kernel(given.task.kernel())
-    expect_engines_agree(ExampleDynamics(given.system), RecurrentNetwork(hidden=3), given.networks, given.task, SEEDS)
+    expect_kernel(example.task.kernel())
+    expect_engines_agree(
+        ExampleDynamics(example.system), RecurrentNetwork(hidden=3), example.networks, example.task, SEEDS
+    )
 
 
 TASK_CHECKS = (

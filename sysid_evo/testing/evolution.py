@@ -39,15 +39,15 @@ def check_strategy(name: str, **parameters: Any) -> None:
 
 
 def _strategy(name: str, **parameters: Any) -> tuple[StrategyExample]:
-    given = StrategyExample(strategies.check(name, **parameters))
-    given.make()
-    return (given,)
+    example = StrategyExample(strategies.check(name, **parameters))
+    example.make()
+    return (example,)
 
 
-def ask_gives_candidates(given: StrategyExample) -> None:
+def ask_gives_candidates(example: StrategyExample) -> None:
     """ask returns finite candidates (population, n_parameters) in float64, also for one parameter"""
     for n in (1, N_PARAMETERS):
-        strategy = given.make(n_parameters=n)
+        strategy = example.make(n_parameters=n)
         for generation in range(3):
             population = strategy.ask()
             expect(population.ndim == 2 and len(population) > 0, f"ask returns an array of shape {population.shape}")
@@ -55,17 +55,17 @@ def ask_gives_candidates(given: StrategyExample) -> None:
             strategy.tell(population, fitness(population))
 
 
-def the_seed_decides(given: StrategyExample) -> None:
+def the_seed_decides(example: StrategyExample) -> None:
     """The same seed gives the same candidates, another seed gives others"""
-    first, again, other = (_candidates(given.make(seed=seed), 3) for seed in (1, 1, 2))
+    first, again, other = (_candidates(example.make(seed=seed), 3) for seed in (1, 1, 2))
     expect(same(first, again), "the same seed gives other candidates")
     expect(not same(first, other), "another seed gives the same candidates")
 
 
-def fitness_is_maximised(given: StrategyExample) -> None:
+def fitness_is_maximised(example: StrategyExample) -> None:
     """Fitness is maximised: the elite approaches the optimum of a quadratic function"""
     for seed in (1, 2):
-        strategy = given.make(seed=seed)
+        strategy = example.make(seed=seed)
         first = fitness(strategy.ask()).mean()
         for _ in evolve(strategy, lambda population, _: fitness(population), GENERATIONS):
             pass
@@ -77,9 +77,9 @@ def fitness_is_maximised(given: StrategyExample) -> None:
         )
 
 
-def the_elite_is_ordered_best_first(given: StrategyExample) -> None:
+def the_elite_is_ordered_best_first(example: StrategyExample) -> None:
     """The elite has at least one candidate, best first"""
-    strategy = given.make()
+    strategy = example.make()
     for _ in evolve(strategy, lambda population, _: fitness(population), 5):
         elite = strategy.elite
         expect(elite.ndim == 2 and len(elite) > 0, f"expected at least one candidate, got an array {elite.shape}")
@@ -87,9 +87,9 @@ def the_elite_is_ordered_best_first(given: StrategyExample) -> None:
         expect((np.diff(fitness(elite)) <= 0.0).all(), "a later one of the elite is better than an earlier one")
 
 
-def tell_leaves_its_arguments(given: StrategyExample) -> None:
+def tell_leaves_its_arguments(example: StrategyExample) -> None:
     """A report of fitness does not change its arrays, and the strategy stores no reference to them"""
-    strategy, other = given.make(), given.make()
+    strategy, other = example.make(), example.make()
     population = strategy.ask()
     before, score = population.copy(), fitness(population)
     strategy.tell(population, score)
@@ -100,9 +100,9 @@ def tell_leaves_its_arguments(given: StrategyExample) -> None:
     expect(same(_candidates(strategy, 2), _candidates(other, 2)), "later changes of the arguments of `tell` affect it")
 
 
-def tell_refuses_an_invalid_fitness(given: StrategyExample) -> None:
+def tell_refuses_an_invalid_fitness(example: StrategyExample) -> None:
     """A report of nan, or of a fitness that is not one number for each candidate, raises an error"""
-    strategy = given.make()
+    strategy = example.make()
     population = strategy.ask()
     missing = fitness(population)
     missing[-1] = np.nan
@@ -110,33 +110,33 @@ def tell_refuses_an_invalid_fitness(given: StrategyExample) -> None:
         expect_error(error, f"`tell` of a fitness {wrong.shape}", strategy.tell, population, wrong)
 
 
-def a_plateau_does_not_stop_it(given: StrategyExample) -> None:
+def a_plateau_does_not_stop_it(example: StrategyExample) -> None:
     """Equal fitness of all candidates, however low, does not stop it"""
-    strategy = given.make()
+    strategy = example.make()
     for generation in evolve(strategy, lambda population, _: np.full(len(population), -1e300), 5):
         expect(np.isfinite(generation.population).all(), "it returns candidates that are not finite")
 
 
-def a_restored_strategy_continues(given: StrategyExample) -> None:
+def a_restored_strategy_continues(example: StrategyExample) -> None:
     """The state can be stored, and a restored strategy continues bit for bit"""
     for before in (0, 4):
-        strategy = given.make()
+        strategy = example.make()
         _candidates(strategy, before)
         state = strategy.state
         stored = _stored(state)
         expected = _candidates(strategy, 4), strategy.elite
         expect(same(list(stored.items()), list(_stored(state).items())), "a state changes after it was taken")
-        for asked, saved in ((False, stored), (True, _stored(_asked(given, before).state))):
-            other = given.make()
+        for asked, saved in ((False, stored), (True, _stored(_asked(example, before).state))):
+            other = example.make()
             _candidates(other, 2)
             other.restore(saved)
             when = f"it continues differently after {before} generations{' and a call of ask' if asked else ''}"
             expect(same(expected, (_candidates(other, 4), other.elite)), when)
 
 
-def forgotten_fitness_does_not_count(given: StrategyExample) -> None:
+def forgotten_fitness_does_not_count(example: StrategyExample) -> None:
     """After forget_fitness no candidate stays in the elite because of its earlier fitness"""
-    strategy = given.make()
+    strategy = example.make()
     for _ in evolve(strategy, lambda population, _: 1e6 + fitness(population), 5):
         pass
     strategy.forget_fitness()
@@ -177,9 +177,9 @@ def _candidates(strategy: EvolutionStrategy, generations: int) -> list[Array]:
     return [generation.population.copy() for generation in loop]
 
 
-def _asked(given: StrategyExample, generations: int) -> EvolutionStrategy:
+def _asked(example: StrategyExample, generations: int) -> EvolutionStrategy:
     """Return a strategy after ``generations`` and one further `ask` without `tell`."""
-    strategy = given.make()
+    strategy = example.make()
     _candidates(strategy, generations)
     strategy.ask()
     return strategy
