@@ -145,7 +145,7 @@ def test_where_controllers_go_and_the_data_do_not_is_named():
     assert "of their time with push " in remark.sentence
 
 
-def test_how_much_controllers_leave_the_data_is_told_unless_one_place_says_it():
+def test_the_share_outside_the_data_is_reported_unless_one_region_explains_it():
     where = linear(*recorded(Fault(push=0.5)).split(0.25), recorded(seed=5))
     remark = often_outside(where)
     assert 0.2 < remark.weight == remark.figures["outside"] < 0.9
@@ -158,7 +158,7 @@ def test_how_much_controllers_leave_the_data_is_told_unless_one_place_says_it():
     assert {one.topic for one in alone} == {"slow switching", "excitation"}, "nothing of commands that nobody gives"
 
 
-def test_controllers_at_the_end_of_a_command_are_not_said_to_be_beyond_it():
+def test_controllers_at_the_limit_of_a_command_are_not_beyond_it():
     data, system = recorded(), recorded().system
     assert system.controls[0].high == 1.0
     never_both = [np.minimum(e.controls, 0.9) for e in data]
@@ -201,7 +201,7 @@ def test_two_channels_make_a_place_where_each_alone_was_visited():
     assert largest_gap(short, asked) is None
 
 
-def test_a_pair_tried_now_and_then_is_untried_and_says_how_often():
+def test_a_rare_pair_is_untried_and_has_its_share():
     """Fast in 40 of 100 steps, steered in 50, both in 2."""
     high = np.tile([[1, 0]] * 38 + [[0, 1]] * 48 + [[1, 1]] * 2 + [[0, 0]] * 12, (5, 1)).astype(float)
     system = System((Channel("speed"),), (Channel("steer", levels=(0.0, 1.0)),), 0.1)
@@ -324,7 +324,7 @@ def test_driving_within_the_data_or_not_at_all_asks_for_nothing():
     assert suggest_recordings(DRIVEN, []) == ()
 
 
-def test_no_more_regions_are_told_than_asked_for_and_no_rare_ones():
+def test_no_more_regions_than_requested_are_returned_and_no_rare_ones():
     speeds = [2.0 + 0.2 * i for i in range(20) for _ in range(20 - i)]
     assert len(suggest_recordings(DRIVEN, [driven(speeds)], most=3)) == 3
     assert suggest_recordings(DRIVEN, [driven([0.5] * 9999 + [3.0])]) == ()

@@ -69,7 +69,7 @@ def test_a_marker_that_is_driven_straight_to_is_not_missed():
         (((1.8, 1.0, 0.0), (3.0, -1.0, 0.0)), "turns back"),
     ],
 )
-def test_what_follows_a_miss_is_told(legs, reaction):
+def test_the_reaction_to_a_miss_is_found(legs, reaction):
     found = chased([[1.0, 0.5]], *legs)
     assert found.reactions[0] == reaction
     assert (found.missed, found.reached) == (1, 0)
@@ -88,7 +88,7 @@ def test_the_time_from_a_miss_to_the_marker_is_measured():
     assert found.after[0] == pytest.approx(1.0 + (1.118 - RADIUS) / (1.118 / 23 / DT), abs=DT)
 
 
-def test_circles_around_a_marker_are_orbits_and_circles_beside_it_are_none():
+def test_circles_around_a_marker_are_orbits_and_circles_next_to_it_are_none():
     around, beside = (chased([[0.0, y]], (12.0, 1.0, 1.0)) for y in (1.0, 3.0))  # circles of 1 m around (0, 1)
     assert around.orbiting == pytest.approx(1.0, abs=0.06)
     assert beside.orbiting == 0.0
@@ -136,7 +136,7 @@ def summary(name="c", column="car", **measures):
     return DrivingSummary(name, column, 5, named)
 
 
-def test_a_sentence_says_what_a_driver_would():
+def test_a_sentence_describes_the_driving():
     orbiting = summary(
         speed=1.2, backwards=0.93, turning_left=0.1, stops_per_minute=3.0, missed_at_first=0.4, orbiting=0.12,
         drives_on_after_a_miss=0.7, stops_after_a_miss=0.25, turns_back_after_a_miss=0.05,
@@ -150,7 +150,7 @@ def test_a_sentence_says_what_a_driver_would():
     assert "hardly ever misses a waypoint" in driving_sentence(summary(speed=1.0, backwards=0.0, missed_at_first=0.01))
 
 
-def test_what_differs_where_it_was_evolved_is_told_and_what_does_not_is_not():
+def test_differences_to_the_models_of_the_evolution_are_reported_and_nothing_else():
     robot = summary(speed=1.0, backwards=0.9, orbiting=0.3)
     model = summary(column="sindy", speed=1.05, backwards=0.9, orbiting=0.0)
     told = driving_sentences([model, robot], "car")["c"]

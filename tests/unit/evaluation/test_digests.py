@@ -143,7 +143,7 @@ def test_a_further_model_judges_and_evolves_nothing_again():
     assert not {title for title in anew if title.startswith(("fit", "evolve", "predict"))}
 
 
-def test_one_family_alone_has_nobody_to_judge_it():
+def test_a_single_family_has_no_scoring_models():
     titles = set(digests(planned(**{**RECOMMENDED, "models": ("linear", "ridged=linear(ridge=0.1)")})))
     assert not {"choose linear", "choose ridged"} & titles
     assert "polish the best" in titles
@@ -284,7 +284,7 @@ def test_a_champion_is_refused_on_another_system():
             champion.check_system(replace(system, **change))
 
 
-def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
+def test_stored_models_with_other_parameters_have_other_digests(tmp_path):
     data = example_dataset()
     rng = np.random.default_rng(0)
     fitted = make_model("k_neighbours(neighbours=3)").fit(data, rng=rng)
@@ -298,7 +298,7 @@ def test_a_stored_model_is_told_apart_by_its_parameters_too(tmp_path):
     assert one.digest != other.digest
 
 
-def test_a_fit_that_begins_with_a_stored_model_depends_on_what_stands_in_its_file(tmp_path):
+def test_a_fit_that_begins_with_a_stored_model_depends_on_the_content_of_its_file(tmp_path):
     data, base = example_dataset(), tmp_path / "base"
 
     def fitted():

@@ -61,7 +61,7 @@ def test_of_equal_weights_the_median_is_the_usual_one():
         np.testing.assert_allclose(weighted_median(values[:count], weights), np.median(values[:count], axis=0))
 
 
-def test_a_weight_of_two_is_a_value_that_stands_there_twice_where_one_lies_in_the_middle():
+def test_a_weight_of_two_equals_a_repeated_value_if_one_is_in_the_middle():
     values, weights = np.array([3.0, 1.0, 2.0]), np.array([1.0, 1.0, 2.0])
     assert weighted_median(values, weights) == 2.0
 
@@ -76,7 +76,7 @@ ERRORS = {"good": 0.1, "fair": 0.2, "poor": 1.0}
 CLAIMS = {"poor": {"good": 6.0, "fair": 7.0, "poor": 20.0}, "good": {"good": 9.0, "fair": 8.0, "poor": 4.0}}
 
 
-def test_what_the_models_say_that_predict_is_what_is_forecast():
+def test_the_forecast_follows_the_models_that_predict():
     found = forecasts(matrix(CLAIMS), ERRORS)
     assert found["poor"].value == pytest.approx(6.0, abs=0.3)
     assert found["poor"].low < found["poor"].value < found["poor"].high < 8.0
@@ -260,5 +260,5 @@ UNMEASURED = [Plant("car", "car"), ("failed", "failed", None)]
         ([*UNMEASURED, *((n, n, {20: e}) for n, e in zip("abc", (1, 2, 3), strict=True))], ("car", "failed", "a", "b")),
     ],
 )
-def test_models_near_the_best_are_believed_and_what_was_not_measured(columns, found):
+def test_models_near_the_best_or_without_an_error_are_accurate(columns, found):
     assert names(*columns) == found

@@ -113,7 +113,7 @@ def test_a_file_of_an_older_version_whose_traces_hold_the_course_themselves_is_r
     assert load_measured(tmp_path)[0][0].digest == found.digest
 
 
-def test_cells_of_one_controller_on_two_robots_stand_in_two_columns(tmp_path):
+def test_cells_of_one_controller_on_two_robots_are_in_two_columns(tmp_path):
     save_measured(tmp_path, driven(ROWS[0], "car", 4.0))
     save_measured(tmp_path, driven(ROWS[0], "truck", 9.0))
     matrix = with_measured(computed(), load_measured(tmp_path)[0])

@@ -229,7 +229,7 @@ def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_t
     assert not any("left out" in text for text in asked.plan.remarks)
 
 
-def test_a_family_that_says_it_is_periodic_steps_the_same_a_turn_later():
+def test_a_periodic_family_steps_the_same_a_turn_later():
     data = swings([300])
     names = [name for name in models.names() if getattr(models.get(name), "periodic", False)]
     assert {"nearest_neighbour", "k_neighbours", "sindy", "narx", "mlp_ensemble", "gaussian_process"} <= set(names)

@@ -86,7 +86,7 @@ def test_a_better_model_is_significantly_better():
     assert prediction.facts()["scored over"] == "1 steps, 10 steps, 20 steps, 60 steps, whole episodes"
 
 
-def test_a_model_that_doubles_reaches_the_guard_when_theory_says():
+def test_a_model_that_doubles_reaches_the_guard_at_the_time_of_theory():
     prediction = assessed(recording(1, seed=5), exploding=models.Exploding())
     row, cases = prediction.model("exploding"), prediction.cases
     envelope = fitted(models.Exploding()).state_bounds
@@ -134,7 +134,7 @@ def test_ctrl_c_while_a_model_predicts_ends_the_assessment():
         assessed(recording(1), stopped=models.Stopped())
 
 
-def test_a_model_that_wants_more_history_gets_it_padded_and_says_so():
+def test_a_model_that_uses_more_history_gets_it_padded_with_a_note():
     row = assessed(recording(1), long=models.Remembering()).model("long")
     assert row.scores[0].n < 1e-12
     assert "padded" in row.notes[0]
@@ -149,7 +149,7 @@ def test_a_constant_channel_is_left_out_of_n_with_a_note():
     assert np.isfinite(prediction.model("weak").scores[0].n)
 
 
-def test_a_test_set_that_stands_still_is_refused():
+def test_a_test_set_without_motion_is_refused():
     still = Dataset.from_arrays(SYSTEM, [np.zeros((100, 3))], [np.zeros((99, 2))])
     with pytest.raises(InvalidData, match="nothing moves in"):
         assess_prediction({}, recording(), still)

@@ -33,7 +33,7 @@ def first_sentence(made, question):
 
 
 @pytest.mark.parametrize("episodes", [2, FEWEST_BLOCKS - 1, FEWEST_BLOCKS])
-def test_models_are_told_apart_from_ten_blocks_of_test_data_on(episodes):
+def test_models_are_compared_from_ten_blocks_of_test_data(episodes):
     made = report(prediction(GOOD, GOOD, episodes=episodes))
     enough = episodes >= FEWEST_BLOCKS
     card, said = headline(made, "Which models predict?"), first_sentence(made, "Which models predict?")
@@ -74,7 +74,7 @@ def test_a_state_that_is_constant_but_for_rounding_has_no_score(value):
     assert "lateral_speed, yaw_rate is constant in the test set and left out of N" in found.cases.notes
 
 
-def test_of_data_in_which_nothing_varies_the_advice_says_just_that():
+def test_without_variation_in_the_data_that_is_the_only_remark():
     system = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
     pushes = np.random.default_rng(0).uniform(-1.0, 1.0, size=(399, 1))
     training = Dataset.from_arrays(system, [np.full((400, 1), 0.1)], [pushes])
@@ -142,7 +142,7 @@ def test_as_good_as_rest_is_no_better_and_one_trial_goes_by_its_value():
     assert beats_rest(single, "a") is True
 
 
-def test_where_rest_was_not_run_on_the_robot_models_tell():
+def test_if_rest_was_not_run_on_the_robot_models_are_used():
     driven = idle(1.0).matrix
     not_run = {("rest", "car"): replace(driven.cell("rest", "car"), reason="not run")}
     assert beats_rest(replace(driven, cells={**driven.cells, **not_run}), "a") is True

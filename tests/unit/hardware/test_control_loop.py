@@ -65,7 +65,7 @@ def test_garbage_collection_leaves_out_what_was_there_before_the_run(drive):
     assert gc.get_freeze_count() == 0
 
 
-def test_robot_stands_until_there_is_an_estimate(drive):
+def test_the_robot_is_neutral_until_there_is_an_estimate(drive):
     drive(1)
     first = moving(drive.diary)[0]
     assert first.tick == 0
@@ -218,7 +218,7 @@ def test_a_robot_that_is_too_fast_for_the_gate_is_lost_with_its_speed_the_limit_
     assert 7.0 < float(seen[1]) < 12.0
 
 
-def test_the_same_robot_is_seen_once_its_limits_say_how_fast_it_is_and_the_journal_remembers_them(tmp_path):
+def test_the_same_robot_is_accepted_with_its_own_limits_and_the_journal_stores_them(tmp_path):
     report = sledged(tmp_path, GateLimits(speed=15.0))
     assert (report.reason, report.rejected) == (StopReason.PILOT, {})
     assert read_journal(tmp_path / "away.rcj").limits.speed == 15.0

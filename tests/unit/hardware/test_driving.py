@@ -159,7 +159,7 @@ def test_a_model_is_driven_like_the_robot_that_it_models(emulated):
     np.testing.assert_allclose(ends[1], ends[0], atol=0.15)
 
 
-def test_a_reading_tells_pose_speed_score_and_the_health_of_the_tracker(emulated):
+def test_a_reading_has_pose_speed_score_and_the_health_of_the_tracker(emulated):
     hands = Hands(lambda time: FORWARD if time > 1.5 else 0)
     task = PointToPoint(horizon=100).bind(emulated.system)
     instruments = HandPanel(emulated, task, hands.keyboard, clock=lambda: hands.time)
@@ -241,7 +241,7 @@ def test_no_key_is_neutral_even_where_the_middle_of_a_control_is_not():
         control_of_keys(FORWARD, unbounded)
 
 
-def test_words_that_were_held_up_on_the_way_are_told_from_punctual_ones_whose_clock_drifts():
+def test_delayed_messages_are_distinguished_from_punctual_ones_with_a_drifting_clock():
     way, drifting = LateMessageFilter(), LateMessageFilter()
     assert all(way.on_time(stamp, stamp + 50.0) for stamp in (1.0, 1.1, 1.2))
     assert not way.on_time(1.3, 53.0)
@@ -304,7 +304,7 @@ def test_one_drives_and_the_others_watch_until_it_leaves(keyboard):
         (word(1, 0.0, new_trial=1), "new_trial: expected true or false, got 1"),
     ],
 )  # fmt: skip
-def test_what_a_page_does_not_say_is_refused_with_a_sentence(keyboard, said, sentence):
+def test_an_invalid_message_of_the_page_is_refused_with_a_sentence(keyboard, said, sentence):
     with pytest.raises(InvalidPageMessage, match=re.escape(sentence)):
         PageClients(keyboard).join().receive(said, 1.0)
     assert keyboard.keys == 0

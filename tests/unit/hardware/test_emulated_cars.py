@@ -40,7 +40,7 @@ def test_car_at_rest_without_thrust_stays_exactly_at_rest(car, steer):
     assert np.all(held(car, started(car), 0.0, steer, 5.0)[:, :3] == 0.0)
 
 
-def test_noise_however_strong_does_not_move_a_standing_car(rng):
+def test_noise_however_strong_does_not_move_a_car_at_rest(rng):
     car = ToyCarDynamics(CarParameters(force_noise=50.0, yaw_noise=500.0))
     noise = rng.standard_normal((1000, 1, 2))
     path = held(car, car.start(np.zeros((1, 11, 3)), np.zeros((1, 10, 2)), np.full((1, 3), 3.0)), 0.0, 1.0, 5.0, noise)
@@ -54,7 +54,7 @@ def test_thrust_below_static_friction_does_not_move_the_car():
     assert held(able, started(able), 1.0, 0.0, 5.0)[-1, 0] > 0.1
 
 
-def test_coasting_stops_when_linear_drag_and_friction_say_so():
+def test_coasting_ends_when_linear_drag_and_friction_predict_it():
     car = ToyCarDynamics(CarParameters(static_friction=0.5, steer_offset=1e-9, linkage_play=1e-9))
     speed, drag, resistance = 1.5, 0.6 + 0.15, 0.5
     path = held(car, started(car, (speed, 0.0, 0.0)), 0.0, 0.0, 4.0)[:, :3]
@@ -260,7 +260,7 @@ def test_short_taps_of_the_drive_do_not_move_it():
     assert speeds(taps, CarParameters()).max() > 0.1
 
 
-def test_in_reverse_it_stands_and_from_speed_it_brakes():
+def test_in_reverse_it_does_not_move_and_from_speed_it_brakes():
     assert not speeds(-np.ones(2 * SECOND)).any()
     launched = np.concatenate([np.ones(2 * SECOND), -np.ones(3 * SECOND)])
     coasting = np.concatenate([np.ones(2 * SECOND), np.zeros(3 * SECOND)])
@@ -269,7 +269,7 @@ def test_in_reverse_it_stands_and_from_speed_it_brakes():
     assert braked[int(2.5 * SECOND)] < free[int(2.5 * SECOND)]
 
 
-def test_a_session_is_free_and_a_jammed_recording_shows_a_standing_car(tmp_path):
+def test_a_session_is_free_and_in_a_jammed_recording_the_car_does_not_move(tmp_path):
     car = make_robot("awkward_car(stuck=1.0)")
     assert isinstance(car, AwkwardCar)
     states = np.concatenate([one.states for one in car.record(seed=0, duration=30.0).dataset.episodes])

@@ -209,7 +209,7 @@ def test_a_command_that_has_expired_is_neutral_from_the_next_sample_on(car):
     assert speed == pytest.approx([0.025, 0.075, 0.125, 0.15, 0.15, 0.15], abs=1e-3)
 
 
-def test_a_model_that_diverges_is_lost_from_sight_and_a_closed_session_says_so(car):
+def test_a_model_that_diverges_is_lost_and_a_closed_session_raises(car):
     with pushed(car, end=0.04) as connection:
         connection.send(FORWARD, valid_for=9.0)
         seen = [frame.valid for frame in frames(connection, 5 * FRAMES)]

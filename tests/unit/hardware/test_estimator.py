@@ -59,7 +59,7 @@ def test_sideways_motion_is_lateral_speed_to_the_left():
     np.testing.assert_allclose(estimated(times, poses), [0.0, 0.3, 0.0], atol=1e-9)
 
 
-def test_channels_stand_where_the_motion_names_them():
+def test_channels_are_where_the_motion_names_them():
     times = 0.005 * np.arange(40)
     np.testing.assert_allclose(estimated(times, circle(times), SHUFFLED), [2.0, 1.2], atol=0.01)
 
@@ -82,7 +82,7 @@ def test_noise_is_damped_to_what_the_window_allows(rng):
     np.testing.assert_allclose(found.std(axis=0), factor * sigma, rtol=0.15)
 
 
-def test_estimate_tells_the_newest_pose_and_its_age():
+def test_an_estimate_has_the_newest_pose_and_its_age():
     times = 0.005 * np.arange(40)
     poses = circle(times)
     found = seen(times, poses).estimate(times[-1] + 0.03)
@@ -147,7 +147,7 @@ def test_delay_of_a_shifted_truth_is_the_shift():
     np.testing.assert_allclose([d.seconds for d in found], shifts, atol=2e-4)
 
 
-def test_systems_that_poses_do_not_tell_are_refused():
+def test_systems_that_poses_do_not_determine_are_refused():
     with pytest.raises(IncompatibleSystem, match="no motion"):
         PoseEstimator(System((Channel("x"),), (Channel("u"),), 0.05))
     with pytest.raises(IncompatibleSystem, match="battery"):

@@ -72,20 +72,20 @@ def test_frames_that_mean_nothing_are_dropped(gate):
     assert all(one.accepted and not one.new_track for one in verdicts(gate, good[5:]))
 
 
-def test_swap_with_another_body_outlasts_a_run_before_it_is_believed(gate):
+def test_a_swap_with_another_body_is_accepted_only_after_the_end_of_a_run(gate):
     seen = verdicts(gate, drive(100) + moved(drive(200, start=100), [1.5, 0, 0]))
     dropped = list(itertools.takewhile(lambda one: not one.accepted, seen[100:]))
     assert len(dropped) == pytest.approx(0.6 * RATE, abs=1)
     assert [one.new_track for one in seen[100 + len(dropped) :]] == [True] + [False] * (199 - len(dropped))
 
 
-def test_body_within_reach_after_a_dropout_is_believed_after_ten_frames_and_told_as_a_break(gate):
+def test_a_body_within_reach_after_a_dropout_is_accepted_after_ten_frames_as_a_new_track(gate):
     seen = verdicts(gate, drive(100) + drive(100, start=180))
     assert [one.accepted for one in seen[100:110]] == [False] * 9 + [True]
     assert [one.new_track for one in seen[100:]] == [False] * 9 + [True] + [False] * 90
 
 
-def test_places_that_do_not_agree_are_never_believed(gate, rng):
+def test_inconsistent_places_are_never_accepted(gate, rng):
     verdicts(gate, drive(100))
     wild = [frame(one.source_time, rng.uniform(-9, 9, 3)) for one in drive(2000, start=100)]
     assert sum(one.accepted for one in verdicts(gate, wild)) < 3
@@ -118,7 +118,7 @@ def straight(count, speed=0.0, yaw_rate=0.0, *, rate, start=0):
         (drive(50) + moved(drive(50, start=50), [0, 0, 3.0]), "it was seen turned by "),
     ],
 )
-def test_a_body_beyond_the_limits_is_told_with_what_was_seen_the_limit_and_its_key(gate, frames, sentence):
+def test_a_body_beyond_the_limits_is_reported_with_its_motion_the_limit_and_its_key(gate, frames, sentence):
     verdicts(gate, frames)
     assert gate.excess.startswith(sentence)
     assert "[gate] of its file" in gate.excess
@@ -131,7 +131,7 @@ def test_a_single_frame_far_away_is_no_fast_robot(gate):
     assert gate.excess.startswith("it was seen ")
 
 
-def test_nothing_is_beyond_a_limit_once_a_frame_is_believed_again(gate):
+def test_nothing_exceeds_a_limit_once_a_frame_is_accepted_again(gate):
     frames = drive(100)
     verdicts(gate, frames[:40] + moved(frames[40:60], [1.0, 0, 0]))
     assert gate.excess
@@ -139,7 +139,7 @@ def test_nothing_is_beyond_a_limit_once_a_frame_is_believed_again(gate):
     assert gate.excess == ""
 
 
-def test_a_fast_robot_is_believed_when_its_limits_say_so():
+def test_a_fast_robot_is_accepted_if_its_limits_allow_it():
     gate = PoseGate("car", GateLimits.read({"speed": 9}))
     assert all(one.accepted for one in verdicts(gate, straight(60, 8.0, rate=200.0)))
 
@@ -242,7 +242,7 @@ def test_mapped_times_are_never_after_the_arrival_not_even_by_rounding(rng):
 
 
 @pytest.mark.parametrize("jump", [-3600.0, 3600.0])
-def test_source_that_sets_its_clock_is_mapped_anew(jump):
+def test_a_source_that_sets_its_clock_is_mapped_again(jump):
     clock = SourceClock()
     mapped(clock, np.arange(100) * 0.005, 50.0 + np.arange(100) * 0.005)
     after = np.arange(100, 200) * 0.005

@@ -53,7 +53,7 @@ def rewritten(path, data):
     return read_journal(path)
 
 
-def test_everything_comes_back_in_the_order_it_was_told(path):
+def test_all_events_are_read_in_the_order_they_were_recorded(path):
     with session(path) as recorder:
         pass
     recorder.close()
@@ -158,7 +158,7 @@ def test_records_that_do_not_hold_what_they_should_are_refused(kind, payload, pa
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=4), st.integers(0, 10**6))
-def test_flipped_and_cut_journals_are_a_beginning_of_what_was_told_or_invalid_data(tmp_path_factory, flips, cut):
+def test_flipped_and_cut_journals_are_a_beginning_of_the_events_or_invalid_data(tmp_path_factory, flips, cut):
     path = tmp_path_factory.mktemp("flipped") / "run.rcj"
     session(path, 12).close()
     whole = read_journal(path).events
@@ -179,7 +179,7 @@ def test_journal_is_never_overwritten(path):
         Recorder(path, CAR, robot="toy")
 
 
-def test_full_disk_is_told_and_raises_nothing(path, monkeypatch):
+def test_a_full_disk_is_reported_and_raises_nothing(path, monkeypatch):
     recorder = session(path, 5)
     write = os.write
     monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:10]))

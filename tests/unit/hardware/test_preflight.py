@@ -82,7 +82,7 @@ def test_a_robot_that_is_too_slow_is_refused_by_everything_that_drives_before_it
             drive()
 
 
-def test_what_a_robot_cannot_do_is_said_before_it_moves(car, tmp_path):
+def test_a_task_that_a_robot_cannot_do_is_refused_before_it_moves(car, tmp_path):
     endless = replace(car, controls=(Channel("drive"), Channel("steer")))
     narrow = np.zeros((1, 5))
     for check, error, sentence in (
@@ -120,7 +120,7 @@ def test_a_task_that_does_not_fit_and_what_a_robot_itself_misses_are_refused(car
             check()
 
 
-def test_a_page_that_cannot_be_served_is_said_with_its_installation(car, monkeypatch):
+def test_a_missing_package_of_the_page_is_an_error_with_its_installation(car, monkeypatch):
     monkeypatch.setattr("hardware.driving.server.PACKAGES", ("no_such_package",))
     with pytest.raises(MissingExtra, match="driving by hand needs the package 'no_such_package'"):
         check_driving_by_hand(Parked(car), PointToPoint())
@@ -148,7 +148,7 @@ def test_a_folder_without_permission_is_refused(car, tmp_path):
         check_recording(Parked(car), tmp_path / "journal", duration=60.0)
 
 
-def test_data_of_another_robot_are_told_with_what_differs(car):
+def test_data_of_another_robot_are_refused_with_the_differences(car):
     check_same_robot(replace(car, name="data"), Parked(car))
     with pytest.raises(IncompatibleSystem) as raised:
         check_same_robot(replace(car, dt=0.1, motion=None), Parked(car))

@@ -13,7 +13,7 @@ KINDS = [(robots, name) for name in robots.names()] + [(trackers, name) for name
 
 
 @pytest.mark.parametrize("registry, name", KINDS)
-def test_every_argument_of_a_robot_or_tracker_is_named_typed_and_told_of(registry, name):
+def test_every_argument_of_a_robot_or_tracker_is_named_typed_and_documented(registry, name):
     factory = registry.get(name)
     made = factory if inspect.isclass(factory) else type(factory())
     assert issubclass(made, Robot if registry is robots else Tracker)
@@ -79,7 +79,7 @@ def test_a_robot_asks_its_tracker_what_is_missing():
         robot.check()
 
 
-def test_a_tracker_whose_package_is_missing_says_how_to_install_it(monkeypatch):
+def test_a_tracker_with_a_missing_package_names_its_installation(monkeypatch):
     monkeypatch.setattr(trackers.get("natnet"), "requires", ("no_such_package",))
     with pytest.raises(MissingExtra, match="tracker 'natnet' needs the package 'no_such_package'"):
         trackers.make("natnet", body="car").check()

@@ -85,7 +85,7 @@ def test_rollouts_hold_every_trial_with_its_trajectory(emulated):
         assert way(trajectory) > 1.0
 
 
-def test_first_trial_starts_in_the_origin_and_the_next_where_the_robot_stands(emulated):
+def test_the_first_trial_starts_in_the_origin_and_the_next_where_the_robot_is(emulated):
     first, second = drive(FaultyRobot(emulated, placed=PLACED), 60, 2)[0].trajectories
     np.testing.assert_allclose(first.pose[0], 0.0, atol=0.02)
     stopped = np.hypot(*(second.pose[0] - first.pose[-1])[:2])
@@ -93,7 +93,7 @@ def test_first_trial_starts_in_the_origin_and_the_next_where_the_robot_stands(em
     assert np.abs(second.states[0]).max() < 0.4
 
 
-def test_memory_begins_anew_in_every_trial_and_lasts_for_it(emulated):
+def test_memory_is_reset_in_every_trial_and_lasts_for_it(emulated):
     ran, _ = drive(emulated, 12, 2, Spurt(), [[7.0], [3.0]])
     driven = [int(trajectory.controls[:, 0].sum()) for trajectory in ran.trajectories]
     assert driven == [7, 7, 3, 3]
@@ -166,7 +166,7 @@ def test_neutral_is_sent_until_the_robot_rests_and_between_trials(emulated):
     assert diary.commands[starts[1]].time - diary.commands[ends[0]].time > REST
 
 
-def test_robot_that_never_stands_is_a_fault_with_a_reason(emulated):
+def test_a_robot_that_never_comes_to_rest_is_a_fault_with_a_reason(emulated):
     class Rolling(FaultyRobot):
         def connect(self, *, seed=None):
             connection = super().connect(seed=seed)

@@ -32,7 +32,7 @@ def run(physics, state, control, steps):
     return np.array(carries)[:, 0]
 
 
-def test_a_pendulum_without_friction_swings_as_theory_says_and_keeps_its_energy():
+def test_a_pendulum_without_friction_swings_as_in_theory_and_keeps_its_energy():
     p = PendulumParameters(viscous=ALMOST_NONE, dry=ALMOST_NONE)
     path = run(PendulumPhysics(p), [0.1, 0.0], 0.0, 1000)
     crossings = np.flatnonzero((path[:-1, 0] > 0.0) & (path[1:, 0] <= 0.0)) * 0.005
@@ -249,7 +249,7 @@ def findings(physics):
     return {finding.check: finding for finding in SensedRobot("tank", physics).self_test(seconds=2.0, seed=1)}
 
 
-def test_sound_equations_have_nothing_wrong_and_their_answers_are_told():
+def test_correct_equations_pass_and_their_responses_are_reported():
     found = findings(Tank())
     assert all(finding.ok for finding in found.values())
     assert found["system"].sentence.startswith(
@@ -307,7 +307,7 @@ def test_every_robot_without_a_pose_that_comes_with_the_program_is_sound(name):
     assert all(channel.name in found["system"].sentence for channel in robot.system.states)
 
 
-def test_an_environment_tells_how_its_episodes_go_under_random_controls():
+def test_an_environment_reports_its_episodes_under_random_controls():
     found = {f.check: f.sentence for f in find_robot("gymnasium(id='CartPole-v1')").self_test(seconds=8.0, seed=3)}
     assert "force (-10, 10 N)" in found["system"]
     assert "in 400 steps; rewards from 1 to 1 a step" in found["episodes"]

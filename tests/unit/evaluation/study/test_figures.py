@@ -80,14 +80,14 @@ def test_forecasts_claims_and_errors_are_judged_within_a_point(results):
     assert forecast.rmse == pytest.approx((1.5**2 / 3) ** 0.5)
 
 
-def test_an_unfinished_point_has_no_part_in_what_is_said_of_choosing(results):
+def test_an_unfinished_point_is_left_out_of_the_figures_on_choosing(results):
     partial = made_up(missing=results.points[0].name)
     assert forecast_figures(partial)[0].controllers == forecast_figures(results)[0].controllers - 3
     chosen = next(one for one in controller_figures(partial) if one.controller == CHOSEN)
     assert chosen.normalised.points == len(results.points) - 1
 
 
-def test_errors_of_a_family_stand_once_where_an_axis_does_not_change_them():
+def test_errors_of_a_family_are_shown_once_if_an_axis_does_not_change_them():
     figures = prediction_figures(made_up(procedure=["recommended", "plain"]))
     assert [(one.model, one.group) for one in figures] == [("best", ()), ("worse", ())]
     assert figures[0].n[20].mean == pytest.approx(2.0)
@@ -110,7 +110,7 @@ def drawn(rng, robots, seeds, among, within):
     }
 
 
-def test_every_robot_counts_alike_however_many_seeds_it_has():
+def test_every_robot_has_the_same_weight_whatever_its_number_of_seeds():
     spread = Spread.of({("a", "0"): 1.0, ("a", "1"): 1.0, ("a", "2"): 1.0, ("b", "0"): 3.0})
     assert spread.mean == 2.0
     assert (spread.lowest, spread.highest, spread.robots, spread.points) == (1.0, 3.0, 2, 4)
@@ -257,7 +257,7 @@ def test_models_stand_by_their_error_after_a_second_those_that_failed_last():
     assert judged.kept.mean == 0.5
 
 
-def test_an_axis_tells_errors_apart_if_it_changes_those_of_any_model_on_the_same_robot_and_seed():
+def test_an_axis_separates_errors_if_it_changes_those_of_any_model_on_the_same_robot_and_seed():
     empty = made_up(cars=2, seeds=2, procedure=["recommended", "plain"])
 
     def errors(point, changed):

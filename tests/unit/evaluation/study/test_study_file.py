@@ -21,7 +21,7 @@ def test_every_combination_of_values_is_a_point_named_by_its_labels():
     assert study.points[3].group == ("plain",)
 
 
-def test_ranges_stand_for_all_their_numbers():
+def test_ranges_contain_all_their_numbers():
     study = Study.of({"grid": {"robot": ["emulated_car", "emulated_car(seed=1..2)"], "seed": "3..4"}})
     robots = dict.fromkeys(point.labels["robot"] for point in study.points)
     assert list(robots) == ["emulated_car", "emulated_car(seed=1)", "emulated_car(seed=2)"]
