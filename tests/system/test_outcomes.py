@@ -125,7 +125,7 @@ def test_quiet_leaves_remarks_out_and_keeps_results_and_errors(call, run_copy):
 
 def test_a_report_of_80_columns_says_where_its_page_is(finished_run):
     lines = (finished_run.parent / "stdout").read_text().splitlines()
-    assert "Simulation error N (95 % intervals)" in lines
+    assert "Which models predict?" in lines
     assert lines[-1] == "Report: out/report.html"
     assert max(len(line) for line in lines if not line.startswith("Use the chosen")) <= 80
     assert "done" in (finished_run.parent / "stderr").read_text()
@@ -249,7 +249,7 @@ def test_a_family_that_fails_is_exit_code_3_with_a_report_its_reason_and_a_trace
     assert said.endswith("failed: 6 steps; see out/log.jsonl")
     assert "absent is a physical robot: its column is filled by sysid-evo drive --controller" in said
     printed = " ".join((failed_run.parent / "stdout").read_text().split())
-    assert "What failed? 6 parts; the reasons are listed below." in printed
+    assert "What failed? 6 of 39 steps failed;" in printed
     report = report_in(failed_run)
     rows = ("linear", "near", "linear+near", "polished", "pursuit")
     assert [one["what"] for one in report["failures"]] == ["fit never_fits", *(f"{row} on never_fits" for row in rows)]
