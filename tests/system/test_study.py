@@ -162,7 +162,7 @@ def test_the_document_is_strict_json_and_markdown_has_all_tables(study_folder):
     assert document["schema"] == "sysid-evo/study/2"
     assert len(document["points"]) == 4
     text = (study_folder / "study.md").read_text()
-    for title in ("Controllers in short", "Controllers", "Prediction", "Exploitability", "Forecasts", "Time", "Points"):
+    for title in ("In short", "Controllers", "Prediction", "Exploitability", "Forecasts", "Time", "Points"):
         assert f"# {title}" in text
     assert "too few for an interval" in text
 
