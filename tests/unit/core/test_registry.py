@@ -137,7 +137,7 @@ REQUIRES = "".join(f"Requires-Dist: {line}\n" for line in ("numpy", *OPTIONAL))
         ),
     ],
 )
-def test_a_module_without_what_its_entry_point_names_is_told(source, requires, error, reason, things, install):
+def test_a_module_without_the_name_of_its_entry_point_is_refused(source, requires, error, reason, things, install):
     other = "@things.register('other')\ndef make():\n    return None\n"
     install({"it": "a_module", "other": "other_module"}, {"a_module": source, "other_module": other}, requires)
     things.get("other")
@@ -190,7 +190,7 @@ def test_a_plugin_file_registers_what_it_holds_once(write):
     assert make_robot("crawler") == ("crawler", 0)
 
 
-def test_a_plugin_file_that_fails_says_why_and_can_be_mended(write):
+def test_a_plugin_file_that_fails_gives_the_reason_and_can_be_corrected(write):
     path = write("import nowhere_to_be_found\n")
     reason = r"my_robot.py cannot be imported: ModuleNotFoundError: .*nowhere_to_be_found"
     with pytest.raises(PluginError, match=reason):

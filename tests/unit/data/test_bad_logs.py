@@ -91,7 +91,7 @@ def test_a_short_row(write_csv, table, columns_file):
     )
 
 
-def test_a_state_beyond_its_limits_is_kept_and_doubted(write_csv, table, columns_file):
+def test_a_state_beyond_its_limits_is_not_changed_and_gets_a_remark(write_csv, table, columns_file):
     columns = columns_file(('column = "u", unit = "m/s"', 'column = "u", unit = "m/s", low = 0.0, high = 1.4'))
     (remark,) = remarks(write_csv(table), columns)
     first = int(np.flatnonzero(table["u"] > 1.4)[0]) + 2
@@ -236,7 +236,7 @@ DROP = ("dt = 0.05", 'dt = 0.05\nmissing = "drop"')
 
 
 @pytest.mark.parametrize("kind", ["csv", "line by line", "parquet"])
-def test_rows_without_a_value_are_left_out_and_the_log_is_split_there_if_the_map_says_so(
+def test_rows_without_a_value_are_left_out_and_split_the_log_if_the_map_allows_it(
     write_csv, table, columns_file, tmp_path, kind
 ):
     path = write_csv(table)
@@ -371,13 +371,13 @@ def test_a_rate_of_another_joint_is_no_mistake(write_csv, tmp_path, rng):
     assert remarks(path, columns) == ()
 
 
-def test_degrees_in_both_angle_and_rate_are_doubted(write_csv, tmp_path, rng):
+def test_degrees_in_both_angle_and_rate_get_a_remark(write_csv, tmp_path, rng):
     (remark,) = remarks(*turning(write_csv, tmp_path, rng, DEGREES, DEGREES))
     assert "column 'angle': state 'theta' reaches 1" in remark
     assert "full turns. Are these degrees? Then give unit = 'deg'" in remark
 
 
-def test_a_yaw_rate_in_degrees_is_doubted_without_a_pose(log):
+def test_a_yaw_rate_in_degrees_gets_a_remark_without_a_pose(log):
     in_degrees(log.table, "r")
     text = log.columns().read_text()
     (remark,) = log.remarks((text[text.index("[pose]") :], ""))

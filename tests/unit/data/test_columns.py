@@ -104,7 +104,7 @@ def test_commands_in_words_become_levels(table, columns_file, tmp_path):
         load_columns(columns_file(('"steering", levels = [-1.0, 0.0, 1.0]', '"steering", words = { left = 1.0 }')))
 
 
-def test_a_column_of_words_without_their_numbers_says_what_to_write(table, columns_file, tmp_path):
+def test_a_column_of_words_without_numbers_gives_an_error_with_a_remedy(table, columns_file, tmp_path):
     frame, path = pd.DataFrame(in_words(table)), tmp_path / "log.csv"
     frame.to_csv(path, index=False)
     frame.to_parquet(tmp_path / "log.parquet")

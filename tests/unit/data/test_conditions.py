@@ -22,7 +22,7 @@ def days():
     return Dataset.from_arrays(plain.system, [e.states for e in plain], [e.controls for e in plain], names=names)
 
 
-def test_patterns_name_the_conditions_of_recordings_and_of_their_pieces(days):
+def test_patterns_name_the_conditions_of_recordings_and_of_their_parts(days):
     known = days.with_episodes([days.episodes[0][0:10], *days.episodes[1:]]).label_conditions(
         {"wet": "rain_*", "dry": "sun*"}
     )

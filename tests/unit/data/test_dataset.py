@@ -181,7 +181,7 @@ def test_windows_of_moving_rows_start_nowhere_in_a_standstill(car, rng):
     assert set(range(55)) - set(starts.tolist()) == set(range(25, 45))
 
 
-def test_a_split_by_name_takes_every_piece_of_an_episode():
+def test_a_split_by_name_includes_every_part_of_an_episode():
     data = numbered([4, 4, 4])
     pieces = data.with_episodes(
         [
@@ -268,7 +268,7 @@ def test_a_table_gives_one_episode_for_each_name(rng):
         Dataset.from_pandas(LINE, frame.rename(columns={"place": "x"}))
 
 
-def test_wrong_arguments_are_told_the_right_call():
+def test_wrong_arguments_give_an_error_with_the_correct_call():
     frame = pd.DataFrame({"place": [0.0, 1.0], "push": [0.0, 0.0]})
     with pytest.raises(InvalidArgument, match=r"System first, got DataFrame: Dataset.from_pandas\(system, frame\)"):
         Dataset.from_pandas(frame, LINE)

@@ -100,7 +100,7 @@ def test_labelled_arrays_have_units_roles_and_end_in_nan_where_an_episode_is_sho
     np.testing.assert_allclose(labelled["time"], 0.1 * np.arange(6))
 
 
-def test_without_xarray_it_is_said_how_to_install_it(monkeypatch):
+def test_without_xarray_the_error_shows_how_to_install_it(monkeypatch):
     monkeypatch.setattr("sysid_evo.extras.find_spec", lambda name: None)
     with pytest.raises(MissingExtra, match=r'Dataset.to_xarray needs .*pip install "sysid-evo\[xarray\]"'):
         two_runs().to_xarray()

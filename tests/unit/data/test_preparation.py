@@ -116,7 +116,7 @@ def test_stamps_that_scatter_around_a_steady_clock_do_no_harm(make_drive, logged
     np.testing.assert_array_equal(prepared.episodes[0].controls, straight.controls)
 
 
-def test_a_tracker_that_really_jitters_is_interpolated_and_said_so(make_drive, logged_car, rng):
+def test_a_tracker_with_real_jitter_is_interpolated_with_a_note(make_drive, logged_car, rng):
     fine = make_drive(rate=4000.0, frequency=0.5)
     rows = 40 * np.arange(601) + np.concatenate([[0], rng.integers(-4, 5, 599), [0]])
     log = RawLog("jitter", fine.time[rows], fine.pose[rows], np.zeros((601, 2)))
@@ -127,7 +127,7 @@ def test_a_tracker_that_really_jitters_is_interpolated_and_said_so(make_drive, l
     assert np.abs(episode.states - truth).max() < 0.02
 
 
-def test_a_gap_splits_the_log_into_pieces_named_after_it(make_drive, logged_car):
+def test_a_gap_splits_the_log_into_parts_named_after_it(make_drive, logged_car):
     drive = make_drive(frequency=0.5)
     keep = np.concatenate([np.arange(0, 500), np.arange(533, 1201)])
     prepared = prepare(drive.log(keep=keep), logged_car)
@@ -143,7 +143,7 @@ def test_a_gap_splits_the_log_into_pieces_named_after_it(make_drive, logged_car)
     assert rest.names == ("other",)
 
 
-def test_a_short_hole_is_bridged_and_said_so(make_drive, logged_car):
+def test_a_short_gap_is_bridged_with_a_note(make_drive, logged_car):
     drive = make_drive(frequency=0.5)
     keep = np.delete(np.arange(1201), [600, 601, 602])
     prepared = prepare(drive.log(keep=keep), logged_car)
@@ -216,7 +216,7 @@ def test_samples_are_the_rows_and_the_clock_is_the_system_s(car, rng):
     np.testing.assert_array_equal(episode.pose[:, :2], log.pose[:, :2])
 
 
-def test_the_measured_steps_are_told(car, rng):
+def test_the_measured_steps_are_in_a_note(car, rng):
     steps = np.array([0.05, 0.047, 0.056, 0.05])
     (note,) = rows_as_episodes(log_with(np.concatenate([[0.0], np.cumsum(steps)]), car, rng), car).notes
     assert "every 50 ms" in note

@@ -193,7 +193,7 @@ def test_a_bad_row_far_down_a_csv_is_named(tmp_path, bad, told):
         CsvReader().read(path, ["t", "x"])
 
 
-def test_of_several_faults_of_a_csv_the_width_is_told_first_then_the_first_column_asked_for(tmp_path):
+def test_of_several_faults_of_a_csv_the_width_is_reported_first_then_the_first_requested_column(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x\nlate,1\n0,early\n1\n2,3\n")
     with pytest.raises(InvalidData, match="row 4: expected 2 values"):

@@ -131,7 +131,7 @@ def test_white_noise_is_called_noise(rng):
     assert "95 % of place lies below" in told(data)
 
 
-def test_a_poor_recording_is_told_what_to_do(car):
+def test_a_poor_recording_gets_remarks_with_a_remedy(car):
     states = np.zeros((1200, 3))
     states[:300, 0] = 1.0
     controls = np.zeros((1200, 2))
@@ -322,7 +322,7 @@ def test_episodes_in_which_nothing_moves_are_named(rng):
     assert "Nothing moves" not in told(pieces)
 
 
-def test_a_car_that_stands_in_some_manoeuvres_is_told_which(car, rng):
+def test_manoeuvres_without_motion_are_listed(car, rng):
     driven = np.cumsum(rng.normal(size=(400, 3)), axis=0)
     controls = rng.choice([-1.0, 0.0, 1.0], (400, 2))
     noise = 1e-3 * rng.normal(size=(400, 3))
@@ -359,7 +359,7 @@ def test_a_position_that_follows_its_speed_is_not_late(rng):
 
 
 @pytest.mark.parametrize("late, seconds", [((0.6, 0.4), 2.25), ((0.8, 0.2), 2.07), ((1.0, 0.0), 2.0)])
-def test_a_delay_between_two_samples_is_told_between_them(rng, late, seconds):
+def test_a_delay_between_two_samples_is_estimated_between_them(rng, late, seconds):
     """The vertex of the parabola through 0, a, b lies at 0.5 b / (2 a - b)."""
     n = 8000
     push = rng.choice([-1.0, 1.0], n)
@@ -416,7 +416,7 @@ def test_a_log_of_ten_rows_is_refused_before_any_work(rng):
     check_usable(whole)
 
 
-def test_a_recording_that_stands_still_throughout_is_refused(car):
+def test_a_recording_without_motion_is_refused(car):
     with pytest.raises(InvalidData, match="data set: the robot never moves"):
         check_usable(Dataset.from_arrays(car, np.zeros((200, 3)), np.zeros((200, 2))))
 

@@ -80,12 +80,12 @@ B, ANEW, MOST = alike("b", 0.6), alike("anew", 0.4), alike("most", 0.5, "fine_tu
         ([alike("anew", 0.58), AcceptanceResult("b and anew", 0.6, (0.6, 0.6, 1.1), True, "fit_mean")], "anew"),
     ],
 )
-def test_what_is_taken_is_much_better_surely_so_and_in_every_block_and_the_simplest_of_those(trials, chosen):
+def test_the_accepted_candidate_is_much_better_in_every_block_significantly_and_the_simplest(trials, chosen):
     assert decided(trials) == chosen
 
 
 @pytest.mark.parametrize("kind", ["fine_tuned", "fine_tuned_mean"])
-def test_more_training_or_a_mean_is_taken_if_it_is_better_than_the_simplest_that_is_about_as_good(kind):
+def test_a_fine_tuned_model_or_its_mean_is_accepted_if_better_than_the_simplest_fit(kind):
     for error, chosen in ((0.51, "other"), (0.53, "weak")):
         assert decided([WEAK, WEAKER, alike("other", error, kind)]) == chosen
     assert decided([alike(f"{error}", error, kind) for error in (0.501, 0.5, 0.502)]) == "0.5", "of these the best"
@@ -191,26 +191,26 @@ def test_of_a_long_recording_so_many_runs_are_made_from_its_beginning_to_its_end
     assert car.most == MAX_ERROR_WINDOWS
 
 
-def test_what_is_too_short_for_a_run_says_nothing(model):
+def test_data_too_short_for_a_simulation_give_no_error_ratio(model):
     assert held_out_error([(model, drive(FloorCar(), seconds=20.0, seed=1))]) is not None
     both = [(model, drive(FloorCar(), seconds=seconds, seed=1)) for seconds in (20.0, 0.5)]
     assert held_out_error(both) is None
 
 
-def test_the_state_that_is_farthest_from_what_it_was_at_home_counts_in_its_own_unit():
+def test_the_state_with_the_largest_error_ratio_counts_in_its_own_unit():
     """Errors of 2 and 4 scales of 10 and 0.1 are 20 and 0.4; at home they were 10 and 0.1."""
     errors = np.broadcast_to(np.array([2.0, -4.0]), (7, 5, 2))
     assert error_ratio(errors, np.array([10.0, 0.1]), np.array([10.0, 0.1])) == pytest.approx(4.0)
     assert error_ratio(errors, np.array([10.0, 0.1]), np.array([1.0, 0.1])) == pytest.approx(20.0)
 
 
-def test_a_family_that_says_it_otherwise_is_told_what_is_expected(model):
+def test_a_held_out_error_of_another_shape_is_refused(model):
     model.held_out_error_ = np.ones(2)
     with pytest.raises(PluginError, match=r"a number for each of 3 states, got the shape \(2,\)"):
         model.adapt(drive(FloorCar(), seconds=20.0, seed=1), rng=0)
 
 
-def test_nothing_is_tried_where_a_model_is_hardly_farther_off_than_it_was(model, monkeypatch):
+def test_nothing_is_tried_if_the_error_has_hardly_grown(model, monkeypatch):
     """Pieces that reach over the edges of blocks are left out there, so that the two differ by a few percent."""
     monkeypatch.setattr(selection, "KINDS", ("linear",))
     monkeypatch.setattr(selection, "RIDGES", (0.03,))

@@ -137,7 +137,7 @@ def test_a_champion_comes_back_bit_for_bit(tmp_path):
     np.testing.assert_array_equal(loaded.history, CHAMPION.history)
 
 
-def test_the_manifest_says_what_made_the_file(stored):
+def test_the_manifest_records_the_origin_of_the_file(stored):
     manifest = manifest_of(stored)
     assert (manifest["kind"], manifest["name"], manifest["module"]) == ("model", "linear", "model_zoo.linear")
     assert (manifest["seed"], manifest["data"]) == (3, "abc")

@@ -29,7 +29,7 @@ def test_a_correction_moves_the_next_state_by_its_acceleration_in_the_turning_fr
     np.testing.assert_allclose(acceleration, [coefficients[0] * terms.unit])
 
 
-def test_free_runs_find_the_correction_that_was_left_out():
+def test_simulations_find_the_correction_that_was_left_out():
     """Thrust 2 instead of 3 m/s2 is linear in the drive."""
     data = drive(FloorCar(thrust=2.0), seconds=10.0, seed=1, noise=0.0)
     model, terms = FloorCar(), CorrectionTerms.of(data)
@@ -104,7 +104,7 @@ def test_a_body_that_the_model_leaves_at_rest_stays_there():
     assert not np.array_equal(terms.corrected(resting, idle + 1.0, pushed_off, np.ones(terms.shape)), pushed_off)
 
 
-def test_a_free_run_with_a_correction_is_its_steps_one_after_the_other():
+def test_a_simulation_with_a_correction_equals_its_chained_steps():
     data = drive(FloorCar(), seconds=4.0, seed=0)
     model = make_model("linear", state_lags=1, control_lags=2).fit(data, rng=0)
     terms, some = CorrectionTerms.of(data), np.random.default_rng(0).normal(0.0, 0.3, (2, 6, 3))

@@ -163,7 +163,7 @@ def test_whole_numbers_and_numbers_of_numpy_are_numbers():
     assert clone(Drawn(share=1, sizes=[3, 4], state_lags=np.int64(2))).get_params()["state_lags"] == 2
 
 
-def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch):
+def test_a_family_whose_package_is_missing_shows_how_to_install_it(monkeypatch):
     model = make_model("sindy", degree=2)
     monkeypatch.setitem(sys.modules, "pysindy", None)
     with pytest.raises(MissingExtra, match=r"Sindy needs the package 'pysindy'.*pip install \"sysid-evo\[sindy\]\""):
@@ -174,7 +174,7 @@ def test_a_family_whose_package_is_missing_says_how_to_install_it(monkeypatch):
     make_model("linear").fit(DATA)
 
 
-def test_score_is_minus_the_relative_error_of_one_second_in_free_run():
+def test_score_is_minus_the_relative_error_of_one_second_of_simulation():
     perfect = Drawn().fit(DATA)
     perfect.gain_ = 0.8
     assert perfect.score(DATA) == pytest.approx(0.0, abs=1e-12)
@@ -194,7 +194,7 @@ def test_grid_search_over_a_data_set_of_episodes_finds_the_better_ridge():
         assert search.score(DATA) > -1e-6
 
 
-def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together():
+def test_episode_fold_holds_out_every_recording_once_with_all_its_parts():
     dataset = recording(names=("a[0:60]", "b", "a[60:120]", "c"))
     folds = [(list(learned), list(held)) for learned, held in EpisodeFold(3).split(dataset)]
     assert folds == [([1, 3], [0, 2]), ([0, 2, 3], [1]), ([0, 1, 2], [3])]
@@ -204,7 +204,7 @@ def test_episode_fold_holds_out_every_recording_once_and_pieces_of_one_together(
         EpisodeFold(1)
 
 
-def test_one_run_can_be_said_plainly():
+def test_one_run_needs_only_a_state_and_controls():
     """A state and controls; a history; a trajectory: each is the batch of one."""
     model = Drawn(state_lags=1, control_lags=2).fit(DATA)
     run, lags = DATA.episodes[0], 2
@@ -266,7 +266,7 @@ def test_numbers_too_large_to_be_multiplied_are_refused_before_anything_is_learn
         make_model(name).fit(broken)
 
 
-def test_a_fit_to_a_few_samples_or_to_states_that_never_change_says_that_its_error_means_nothing():
+def test_a_fit_to_a_few_samples_or_to_constant_states_warns_that_its_error_is_meaningless():
     data = example_dataset(episodes=1, steps=100)
     (episode,) = data
     few = "Linear is fitted to 8 steps, too few for 5 states and controls: expected at least 15"
@@ -359,7 +359,7 @@ class Slow(DynamicsModel):
         return np.zeros((len(carry), self.system.nx))
 
 
-def test_a_fit_that_takes_long_says_so_early_and_what_would_make_it_shorter(monkeypatch):
+def test_a_fit_that_takes_long_warns_early_with_a_remedy(monkeypatch):
     monkeypatch.setattr(progress, "WATCHED", 0.005)
     much = r"Slow may take \d+ min more; .* makes it shorter: parts=5, control_lags=0 .of .* 2 states and 1 controls"
     with pytest.warns(DataWarning, match=much) as given:
@@ -381,7 +381,7 @@ class Counting(DynamicsModel):
         return np.zeros((len(carry), self.system.nx))
 
 
-def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_learned_from():
+def test_a_family_with_max_steps_reports_how_many_steps_it_uses():
     data = example_dataset(episodes=2, steps=200)
     model = Counting()
     with pytest.warns(DataWarning, match=r"Counting uses \d+ of 400 steps, blocks of time"):
@@ -394,7 +394,7 @@ def test_a_family_that_takes_only_so_many_steps_says_how_many_of_how_many_it_lea
     assert (model.given_, model.fit_note) == (400, "")
 
 
-def test_what_a_model_says_of_its_data_is_stored_with_it(tmp_path):
+def test_the_note_on_its_data_is_stored_with_a_model(tmp_path):
     data = example_dataset(episodes=2, steps=200)
     with pytest.warns(DataWarning):
         model = make_model("backprop27", epochs=10, max_steps=150).fit(data, rng=0)

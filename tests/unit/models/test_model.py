@@ -86,7 +86,7 @@ def test_a_carry_from_start_is_the_carry_of_the_transitions(walk, state_lags, co
 
 
 @pytest.mark.parametrize("state_lags, control_lags", [(0, 0), (2, 1), (0, 3)])
-def test_a_free_run_equals_chained_steps(walk, state_lags, control_lags):
+def test_a_simulation_equals_chained_steps(walk, state_lags, control_lags):
     model = Lagged(state_lags=state_lags, control_lags=control_lags).fit(walk, rng=0)
     windows = walk.windows(6, history=model.n_lags, stride=5)
     simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
@@ -101,7 +101,7 @@ def test_a_free_run_equals_chained_steps(walk, state_lags, control_lags):
         np.testing.assert_allclose(simulated[:, k], history[-1], rtol=1e-12, atol=1e-12)
 
 
-def test_more_history_than_wanted_is_left_unused_and_too_short_a_one_an_error_that_says_so(walk):
+def test_more_history_than_needed_is_ignored_and_a_short_one_is_an_error(walk):
     model = Lagged(state_lags=1).fit(walk, rng=0)
     long, short = walk.windows(4, history=5), walk.windows(4, history=1, first=5)
     np.testing.assert_array_equal(
@@ -126,7 +126,7 @@ def test_simulate_names_the_array_of_the_wrong_shape(walk, shapes, message):
         model.simulate(*(np.zeros(shape) for shape in shapes))
 
 
-def test_a_free_run_is_clipped_to_the_envelope_and_a_nan_becomes_its_upper_limit(walk):
+def test_a_simulation_is_clipped_to_the_state_bounds_and_nan_becomes_the_upper_bound(walk):
     model = Falling().fit(walk, rng=0)
     model.state_bounds_ = np.array([[-1.0, -2.0], [0.25, 3.0]])
     simulated = model.simulate(np.zeros((1, 1, 2)), np.zeros((1, 0, 1)), np.array([[[1.0], [1.0], [1.0], [-1.0]]]))
@@ -180,7 +180,7 @@ def test_every_sample_of_a_model_without_noise_is_its_one_simulation(walk):
 
 
 @pytest.mark.parametrize("use", [lambda m: m.system, lambda m: m.n_carry, lambda m: m.simulate(0, 0, 0)])
-def test_an_unfitted_model_says_so(use):
+def test_an_unfitted_model_gives_a_clear_error(use):
     with pytest.raises(NotFitted, match=r"Lagged is not fitted yet: call fit\(dataset, rng=...\) first"):
         use(Lagged())
 
@@ -220,7 +220,7 @@ def test_a_system_is_checked_before_anything_is_learned(walk):
     assert not hasattr(model, "system_")
 
 
-def test_a_family_without_a_step_says_what_it_must_define(walk):
+def test_a_family_without_a_step_gives_an_error_with_the_methods_to_define(walk):
     class Empty(DynamicsModel):
         def fit(self, dataset, *, rng, progress=None):
             return self

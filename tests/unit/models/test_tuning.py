@@ -102,7 +102,7 @@ def test_the_best_is_near_the_truth_and_never_worse_than_the_defaults(guess):
     assert make_model(found.best.spec.text).get_params()["decay"] == found.best.spec.parameters["decay"]
 
 
-def test_a_trial_that_fails_is_told_with_its_reason_and_the_others_go_on(guess):
+def test_a_trial_that_fails_is_reported_with_its_reason_and_the_others_continue(guess):
     found = tune("made_up_guess(shift=0.0)", decaying(), trials=12, seed=0)
     failed = [one for one in found.trials if one.reason.startswith("ValueError")]
     assert failed

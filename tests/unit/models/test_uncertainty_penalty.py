@@ -60,7 +60,7 @@ def test_a_model_keeps_as_many_pairs_as_are_needed_from_the_whole_recording():
     np.testing.assert_array_equal(models()[0].training_sample_, recorded_pairs(example_dataset()))
 
 
-def test_doubt_grows_from_the_limit_to_twice_the_limit_and_counts_a_look_for_the_steps_between():
+def test_the_penalty_grows_from_the_limit_to_twice_the_limit_and_one_check_counts_for_the_steps_between():
     support = line(np.arange(20.0))
     doubted = Penalised(Climber(LINE), UncertaintyPenalty(outside=2.0), support=support, every=4)
     heights = support.scale[0] * support.limit * np.array([0.5, 1.0, 1.25, 2.0, 5.0]) + 19.0
@@ -71,7 +71,7 @@ def test_doubt_grows_from_the_limit_to_twice_the_limit_and_counts_a_look_for_the
     np.testing.assert_allclose(carry[:, 1], [0.0, 0.0, 4.0, 16.0, 16.0], atol=1e-9)
 
 
-def test_models_that_agree_are_not_doubted_and_those_that_do_not_are():
+def test_models_that_agree_have_no_penalty_and_those_that_disagree_have_one():
     class Twice(Climber):
         def step(self, carry, control, noise=None):
             return carry + 2.0 * control
@@ -91,7 +91,7 @@ def test_by_default_models_may_disagree_as_much_as_they_do_in_the_training_data(
     assert 0.0 < (doubted.step(carry, pairs[:, 3:])[:, doubted.penalty_at] > 0).mean() < 0.03
 
 
-def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst():
+def test_fitness_is_less_by_the_mean_penalty_and_a_diverged_trial_stays_the_worst():
     support = line(np.linspace(-1.0, 1.0, 50))
     runner = DynamicsRunner(
         Penalised(Climber(LINE, breaks_above=8.0), UncertaintyPenalty(outside=5.0), support=support, every=1)
@@ -107,7 +107,7 @@ def test_fitness_is_less_by_the_mean_doubt_and_a_diverged_trial_stays_the_worst(
     )
 
 
-def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is_refused():
+def test_dynamics_without_a_penalty_are_unchanged_and_a_model_without_its_data_is_refused():
     robot, outside, apart = Climber(LINE), UncertaintyPenalty(outside=1.0), UncertaintyPenalty(disagreement=1.0)
     assert outside.around(robot) is robot
     assert apart.around(models()[0], [robot]) is models()[0], "a robot is no model to disagree with"
@@ -127,7 +127,7 @@ def test_what_cannot_be_doubted_is_left_as_it_is_and_a_model_without_its_data_is
             made()
 
 
-def test_a_doubt_is_made_of_its_text_and_a_wrong_one_refused():
+def test_a_penalty_is_made_from_its_text_and_a_wrong_one_is_refused():
     assert penalties.make("uncertainty(outside=3)") == UncertaintyPenalty(outside=3)
     with pytest.raises(InvalidArgument, match="outside"):
         penalties.make("uncertainty(outside=-1)")

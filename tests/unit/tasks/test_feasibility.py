@@ -27,7 +27,7 @@ def test_a_controller_that_fits_into_no_memory_is_refused_with_what_it_would_nee
         plan_comparison(experiment)
 
 
-def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(car):
+def test_unreachable_waypoints_give_a_warning_with_feasible_sizes(car):
     """At 0.1 m/s 2.5 m in 25 s; two random points of a disc of 1.5 m are 1.36 m apart, less the radius 1.06 m."""
     (sentence,) = doubts(car, [0.1, 0.0, 3.0])
     assert "drives 2.5 m in a trial of 25 s" in sentence
@@ -38,7 +38,7 @@ def test_waypoints_that_cannot_be_reached_in_time_are_told_with_sizes_that_can(c
     assert doubts(car, [0.1, 0.0, 3.0], arena_radius=0.6) == ()
 
 
-def test_a_robot_that_never_moved_that_jumps_or_that_cannot_turn_is_told(car):
+def test_a_robot_that_never_moves_jumps_or_cannot_turn_gives_a_warning(car):
     assert "does not move in the recording" in doubts(car, [0.0, 0.0, 0.0])[0]
     assert "drives 1 m in one step and may jump over" in doubts(car, [20.0, 0.0, 30.0])[0]
     assert "in circles of 20 m, in an arena of 1.5 m" in doubts(car, [2.0, 0.0, 0.1])[0]
@@ -59,7 +59,7 @@ def test_how_far_states_go_is_seen_in_recordings_and_under_extreme_commands():
     assert swinging[0] > 0.0
 
 
-def test_a_comparison_says_so_before_any_work_of_recordings_and_of_an_emulated_robot():
+def test_a_comparison_warns_before_any_work_for_recordings_and_for_an_emulated_robot():
     far = "point_to_point(arena_radius=60)"
     for plan in (
         plan_comparison(Experiment(task=far, robot="emulated_car", models=("linear",))),

@@ -57,7 +57,7 @@ def test_a_reward_below_the_lowest_or_not_a_number_counts_as_the_lowest():
     assert task.worst == -2.0
 
 
-def test_a_trial_begins_where_start_says_and_is_over_where_ended_says():
+def test_a_trial_begins_at_start_and_ends_when_terminated_is_true():
     task = Reward(
         worth, start=lambda rng: rng.uniform(1.0, 2.0, 2), terminated=lambda states: states[:, 1] > 1.5, lowest=-9.0
     ).bind(pendulum())
@@ -98,7 +98,7 @@ def test_the_contract_is_kept_and_there_is_a_compiled_form_unless_it_is_not_want
     assert (make_task(name).bind(system).kernel() is not None) == compiled
 
 
-def test_a_trial_begins_between_the_two_values_and_is_over_where_ended_says():
+def test_a_trial_begins_between_the_two_values_and_ends_when_terminated_is_true():
     task = make_task("swung").bind(pendulum())
     trials = task.begin(trial_seeds(1, 50))
     assert np.all(np.abs(trials.state[:, 0]) <= 1.0)

@@ -46,7 +46,7 @@ def test_another_seed_is_another_track_and_bends_make_it_uneven():
         assert np.ptp(np.linalg.norm(inner - track[:2], axis=1)) > 0.1
 
 
-def test_rays_of_a_round_track_are_as_long_as_geometry_says():
+def test_rays_of_a_circular_track_have_the_length_from_geometry():
     """From the middle of a ring of radii 1.7 and 2.3 m: 0.3 m to either side, along the tangent sqrt(2.3^2 - 2^2)."""
     task, trial = circle(rays=3, view=math.pi)
     right, ahead, left = task.observe(trial, np.zeros((1, 3)))[0, 3:]
@@ -143,7 +143,7 @@ def test_at_a_wall_the_body_stays_inside_and_keeps_half_of_its_speeds():
     assert free.touches[0] == 0
 
 
-def test_who_stands_well_promises_more_and_what_was_driven_before_does_not_count():
+def test_potential_is_higher_in_a_good_position_and_earlier_distance_does_not_count():
     task, trial = circle()
     poses = [(0.0, 0.0, 0.0), (0.0, 0.15, 0.0), (0.0, 0.0, math.pi / 2.0), (0.0, 0.0, math.pi), (2.0, 2.0, math.pi / 2)]
     promised = [task.potential(at(trial, *pose), np.zeros((1, 3)))[0] for pose in poses]

@@ -109,7 +109,7 @@ def test_a_draw_is_the_sum_over_its_blocks_in_any_order_of_rows(rng):
     np.testing.assert_allclose(drawn_rms(rows, blocks)[0], np.sqrt((rows**2).mean(axis=0)))
 
 
-def test_many_blocks_are_drawn_piece_by_piece(rng, monkeypatch):
+def test_many_blocks_are_drawn_in_batches(rng, monkeypatch):
     rows = rng.normal(size=(50, 2))
     whole = drawn_sums(rows, np.arange(50))
     monkeypatch.setattr("sysid_evo.validation.estimates.PICKS", 130)
@@ -144,7 +144,7 @@ def test_scores_and_differences_have_intervals_over_the_same_draws():
     assert "95 % intervals" in prediction.cases.protocol.describe(0.05)
 
 
-def test_a_free_run_of_two_blocks_has_three_draws():
+def test_a_simulation_of_two_blocks_has_three_draws():
     protocol = PredictionProtocol(block_samples=100)
     test = recording(1, steps=200 + protocol.first)
     score = assess_prediction({}, recording(), test, protocol=protocol).model(PERSISTENCE).free_run

@@ -24,7 +24,7 @@ from tests.fixtures.systems import DRIVEN
 LINE = System((Channel("x"),), (Channel("u", low=-1.0, high=1.0),), dt=0.1)
 
 
-def test_an_error_is_that_of_free_runs_and_a_copy_is_no_significant_improvement():
+def test_an_error_is_that_of_simulations_and_a_copy_is_no_significant_improvement():
     """A model that is right has no error, one that stands still has that of the spread of the changes."""
     data = example_dataset()
     (_, held), *_ = make_folds(data, 3)
@@ -40,7 +40,7 @@ def test_an_error_is_that_of_free_runs_and_a_copy_is_no_significant_improvement(
     np.testing.assert_allclose(shifted.above(close).interval, 0.0, atol=1e-12)
 
 
-def test_free_runs_are_given_a_third_of_what_the_horizon_leaves_as_history():
+def test_simulations_get_a_third_of_what_the_horizon_leaves_as_history():
     """A model with hidden states needs it; the rest is where runs begin."""
     for steps, horizon, history in ((166, 60, 35), (166, 20, 48), (90, 80, 3), (50, 60, 0), (600, 60, LONGEST_HISTORY)):
         held = example_dataset(episodes=1, steps=steps)
