@@ -70,7 +70,6 @@ def plot_claimed_measured(
         name = one.name if len(one.name) <= letters else f"{one.name[: letters - 1]}…"
         weight = "bold" if one.name == pick else "normal"
         ax.text(1.03, place, name, transform=ax.transAxes, va="center", fontsize=8, weight=weight, gid=f"link-{i}")
-    ax.set_aspect("equal")
     ax.set_xlabel(f"claimed ({unit})" if unit else "claimed")
     ax.set_ylabel(label)
     return ax

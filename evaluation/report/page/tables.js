@@ -35,8 +35,10 @@
       const button = document.createElement("button");
       button.type = "button";
       button.className = "sort";
-      button.append(...[...head.childNodes].filter((node) => !node.matches?.(".help, [popover]")));
-      head.prepend(button);
+      const help = [...head.querySelectorAll(".help, [popover]")];
+      for (const one of help) one.remove(); // no button inside another
+      button.append(...head.childNodes);
+      head.append(button, ...help);
       button.addEventListener("click", () => {
         const before = head.getAttribute("aria-sort") ?? "none";
         const order = { none: "ascending", ascending: "descending", descending: "none" }[before];

@@ -88,14 +88,14 @@ class Words:
         for end, start, word in sorted(found):
             if start >= done:
                 self._seen.add(word)
-                parts += [_joints(text[done:end]), self._button(word)]
+                parts += [_joints(text[done:start]), self._button(text[start:end], word)]
                 done = end
         return Markup("").join([*parts, _joints(text[done:])])
 
-    def _button(self, word: str) -> Markup:
+    def _button(self, use: str, word: str) -> Markup:
         from markupsafe import Markup
 
         return Markup(
-            '<button type="button" class="help" popovertarget="word-{0}" aria-label="What is: {1}">?</button>'
-            '<span popover id="word-{0}"><strong>{1}</strong>: {2}</span>'
-        ).format(next(self._numbers), word, explained_words()[word][1])
+            '<span class="word">{3}<button type="button" class="help" popovertarget="word-{0}" '
+            'aria-label="What is: {1}">?</button></span><span popover id="word-{0}"><strong>{1}</strong>: {2}</span>'
+        ).format(next(self._numbers), word, explained_words()[word][1], use)

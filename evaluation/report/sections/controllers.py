@@ -178,7 +178,7 @@ def _fitness_note(report: ComparisonResults, known: Sequence[ControllerSummary],
         if (share := guessed_share(report.exploitability, one.name)) is not None
     ]
     if guesses:
-        notes.append(f"Forecasts that are guesses, because of time spent outside the data: {few(guesses)}.")
+        notes.append(f"Forecasts that extrapolate, by time spent outside the data: {few(guesses)}.")
     if any(one.evolved_on_robot for one in known):
         notes.append("Reference: evolved on the robot itself (one search, not the best possible).")
     return " ".join([*notes, *open_questions(report.transfer)])
