@@ -38,7 +38,8 @@ def _line(model: ModelSummary, report: ComparisonResults) -> str:
 
 def _parts(model: ModelSummary) -> Iterator[Item]:
     if model.equations:
-        yield TableElement("Equations", ("equation",), tuple((line,) for line in model.equations), prose=True)
+        rows = tuple((left, right) for left, _, right in (line.partition(" = ") for line in model.equations))
+        yield TableElement("Equations", ("of", "equation"), rows, prose=True)
     if model.parameters_table:
         rows = tuple(_parameter(row) for row in model.parameters_table)
         heads = ("parameter", "value ± standard error", "unit", "bounds", "determined\nby the data")

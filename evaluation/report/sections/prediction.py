@@ -88,7 +88,8 @@ def section(report: ComparisonResults) -> Section:
 
 def _residuals(prediction: Prediction) -> Fold | None:
     """Return the table of residuals with their correlations; None without residuals."""
-    items = present(residual_sheet(prediction), residual_picture(prediction))
+    sheet = residual_sheet(prediction)
+    items = present(None if sheet is None else replace(sheet, details=False), residual_picture(prediction))
     return Fold("One-step residuals", items) if items else None
 
 

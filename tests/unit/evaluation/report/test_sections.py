@@ -452,7 +452,7 @@ def test_a_card_of_a_model_has_its_equations_parameters_and_settings():
     assert card.title == "mine: N 0.300, grey box"
     tables = {sheet.title: sheet.rows for sheet in card.items}
     assert tables["Parameters"] == (("mass", "1.50 ± 0.02", "kg", "0 to –", "yes"),)
-    assert tables["Equations"] == (("v' = -v / tau",),)
+    assert tables["Equations"] == (("v'", "-v / tau"),)
     assert tables["Candidates"] == (("narx",),)
     assert ("lags", "2") in tables["Hyper-parameters"]
 
