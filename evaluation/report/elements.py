@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDE, NARROW, THIRD, QUARTER, HALF = 11.5, 3.55, 3.7, 2.8, 5.6
+WIDE, NARROW, THIRD, QUARTER, HALF = 11.5, 3.55, 3.2, 2.6, 5.6
 """Widths of drawings in inches: the page, a phone, a third and a quarter of the page, next to the answers."""
 
 Tone = Literal["good", "warn", "bad", "open"]

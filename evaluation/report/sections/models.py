@@ -39,17 +39,17 @@ def _line(model: ModelSummary, report: ComparisonResults) -> str:
 def _parts(model: ModelSummary) -> Iterator[Item]:
     if model.equations:
         rows = tuple((left, right) for left, _, right in (line.partition(" = ") for line in model.equations))
-        yield TableElement("Equations", ("of", "equation"), rows, prose=True)
+        yield TableElement(f"Equations of {model.name}", ("of", "equation"), rows, prose=True)
     if model.parameters_table:
         rows = tuple(_parameter(row) for row in model.parameters_table)
         heads = ("parameter", "value ± standard error", "unit", "bounds", "determined\nby the data")
-        yield TableElement("Parameters", heads, rows)
+        yield TableElement(f"Parameters of {model.name}", heads, rows)
     if model.candidates:
         heads = tuple(dict.fromkeys(key for row in model.candidates for key in row))
         rows = tuple(tuple(row.get(key, "–") for key in heads) for row in model.candidates)
-        yield TableElement("Candidates", heads, rows, prose=True)
+        yield TableElement(f"Candidates of {model.name}", heads, rows, prose=True)
     settings = [("family", model.family), *((name, str(value)) for name, value in model.parameters.items())]
-    yield TableElement("Hyper-parameters", ("name", "value"), tuple(settings), prose=True)
+    yield TableElement(f"Hyper-parameters of {model.name}", ("name", "value"), tuple(settings), prose=True)
 
 
 def _parameter(row: Mapping[str, Any]) -> tuple[str, ...]:

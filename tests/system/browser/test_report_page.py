@@ -26,7 +26,7 @@ from tests.fixtures.studies import made_up
 LONG = "a_family_with_a_very_long_name_indeed+and_another_of_the_same_length"
 SHEET = 718
 """CSS pixels across a sheet of A4 within its margins."""
-HORIZON, FREE_RUN, CLAIMS = "Error over the horizon", "Simulated and measured", "Claimed and achieved"
+HORIZON, FREE_RUN = "Error over the horizon", "Simulated and measured"
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +82,10 @@ def test_the_colours_follow_the_theme_of_the_reader(page):
     dark = seen(page)
     assert share_of(PAPER.light, light) > 0.5
     assert share_of(PAPER.dark, dark) > 0.5
-    vermilion = LINES[1]  # of the lines of plots alone
-    assert share_of(vermilion.light, light) > 1e-4
-    assert share_of(vermilion.dark, dark) > 1e-4
-    assert share_of(vermilion.light, dark) < 1e-5
+    blue = LINES[0]  # of the lines of plots alone
+    assert share_of(blue.light, light) > 1e-4
+    assert share_of(blue.dark, dark) > 1e-4
+    assert share_of(blue.light, dark) < 1e-5
 
 
 def test_a_phone_gets_the_drawings_made_for_it(page):
@@ -182,10 +182,18 @@ def test_pointing_at_a_plot_shows_every_value_with_its_interval(page, report, wi
 
 
 def test_pointing_at_a_controller_shows_what_it_claims_and_achieves(page, report):
-    tip = hover(page, CLAIMS, 0.6, 0.1)
-    first = report.transfer.controllers[0]
-    assert tip.splitlines()[0] == first.name
-    assert number(rows_of(tip)["claimed (where evolved)"][0]) == pytest.approx(first.claimed.value, abs=0.05)
+    first = next(one for one in report.transfer.controllers if one.claimed and one.elsewhere)
+    sentence = page.locator('.first .plot [data-link="0"] title').first.text_content() or ""
+    assert sentence.startswith(f"{first.name}: claims ")
+    assert ", measured on car " in sentence
+
+
+def test_pointing_at_a_row_of_a_study_shows_the_mean_of_each_group_with_its_interval(visitor, pages):
+    page = visitor.open(pages["study"])
+    tip = hover(page, "Achieved fitness", 0.6, 0.1)
+    assert tip.splitlines()[0]
+    assert all(0.0 < number(value[0]) < 2.0 for value in rows_of(tip).values())
+    assert rows_of(tip)
 
 
 def test_a_model_that_is_switched_off_is_hidden_in_every_plot_of_its_section_and_comes_back(page):
@@ -227,9 +235,9 @@ def test_a_table_sorts_by_the_column_whose_head_is_clicked_and_back(page):
         head.get_by_role("button").click()
         assert head.get_attribute("aria-sort") == expected
         orders[expected] = column(table, place)
-    known = [float(value) for value in orders["ascending"] if value != "–"]
+    known = [number(value.split()[0]) for value in orders["ascending"] if value != "–"]
     assert known == sorted(known)
-    assert [float(value) for value in orders["descending"] if value != "–"] == known[::-1]
+    assert [number(value.split()[0]) for value in orders["descending"] if value != "–"] == known[::-1]
     assert all(order[len(known) :] == ["–"] * (len(before) - len(known)) for order in list(orders.values())[:2])
     assert column(table, 0) == before
 

@@ -451,10 +451,10 @@ def test_a_card_of_a_model_has_its_equations_parameters_and_settings():
     (card,) = models_section.section(report).items
     assert card.title == "mine: N 0.300, grey box"
     tables = {sheet.title: sheet.rows for sheet in card.items}
-    assert tables["Parameters"] == (("mass", "1.50 ± 0.02", "kg", "0 to –", "yes"),)
-    assert tables["Equations"] == (("v'", "-v / tau"),)
-    assert tables["Candidates"] == (("narx",),)
-    assert ("lags", "2") in tables["Hyper-parameters"]
+    assert tables["Parameters of mine"] == (("mass", "1.50 ± 0.02", "kg", "0 to –", "yes"),)
+    assert tables["Equations of mine"] == (("v'", "-v / tau"),)
+    assert tables["Candidates of mine"] == (("narx",),)
+    assert ("lags", "2") in tables["Hyper-parameters of mine"]
 
 
 def test_the_first_use_of_a_word_in_a_section_is_explained_and_names_stay_text():
