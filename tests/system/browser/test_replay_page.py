@@ -185,10 +185,12 @@ def test_a_card_shows_its_controller_and_a_button_where_it_parts_from_the_robot(
     page.locator('.watch[data-row="sliding_c"] button').first.click()
     expect(page.locator(ROW)).to_have_value("sliding_c")
     expect(page.locator(PLAY)).to_have_text("Pause")
+    page.locator("#replay-all").click()
     page.locator(".screen button").filter(visible=True).first.click()
     expect(page.locator(PLAY)).to_have_text("Play")
     there = page.locator(".screen").filter(has=page.get_by_role("button")).filter(visible=True).first
     expect(there).to_contain_text(f"matches the robot for {page.locator(CLOCK).text_content()}")
+    page.locator("#replay-all").click()
 
 
 def test_every_control_has_a_name_for_those_who_cannot_see_it(page):
