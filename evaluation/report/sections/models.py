@@ -38,8 +38,8 @@ def _line(model: ModelSummary, report: ComparisonResults) -> str:
 
 def _parts(model: ModelSummary) -> Iterator[Item]:
     if model.equations:
-        rows = tuple((left, right) for left, _, right in (line.partition(" = ") for line in model.equations))
-        yield TableElement(f"Equations of {model.name}", ("of", "equation"), rows, prose=True)
+        sides = tuple(tuple(line.split(" = ", 1)) for line in model.equations)
+        yield TableElement(f"Equations of {model.name}", ("of", "equation"), sides, prose=True)
     if model.parameters_table:
         rows = tuple(_parameter(row) for row in model.parameters_table)
         heads = ("parameter", "value ± standard error", "unit", "bounds", "determined\nby the data")
@@ -55,8 +55,9 @@ def _parts(model: ModelSummary) -> Iterator[Item]:
 def _parameter(row: Mapping[str, Any]) -> tuple[str, ...]:
     """Return a row of a parameter table as text."""
     value, error = row.get("value"), row.get("standard error")
-    known = error is not None and np.isfinite(error) and error > 0.0
-    text = f"{by_error(value, error)} ± {by_error(error, error)}" if known else f"{value:.4g}"
+    text = f"{value:.4g}"
+    if error is not None and np.isfinite(error) and error > 0.0:
+        text = f"{by_error(value, error)} ± {by_error(error, error)}"
     bounds = [f"{end:g}" if end is not None and np.isfinite(end) else "–" for end in (row.get("low"), row.get("high"))]
-    determined = {True: "yes", False: "no"}.get(row.get("determined"), "–")
+    determined = {True: "yes", False: "no", None: "–"}[row.get("determined")]
     return str(row["parameter"]), text, str(row.get("unit") or "–"), " to ".join(bounds), determined
