@@ -45,9 +45,9 @@ def _parts(model: ModelSummary) -> Iterator[Item]:
         heads = ("parameter", "value ± standard error", "unit", "bounds", "determined\nby the data")
         yield TableElement(f"Parameters of {model.name}", heads, rows)
     if model.candidates:
-        heads = tuple(dict.fromkeys(key for row in model.candidates for key in row))
-        rows = tuple(tuple(row.get(key, "–") for key in heads) for row in model.candidates)
-        yield TableElement(f"Candidates of {model.name}", heads, rows, prose=True)
+        keys = tuple(dict.fromkeys(key for row in model.candidates for key in row))
+        rows = tuple(tuple(row.get(key, "–") for key in keys) for row in model.candidates)
+        yield TableElement(f"Candidates of {model.name}", keys, rows, prose=True)
     settings = [("family", model.family), *((name, str(value)) for name, value in model.parameters.items())]
     yield TableElement(f"Hyper-parameters of {model.name}", ("name", "value"), tuple(settings), prose=True)
 
