@@ -205,7 +205,7 @@ def test_an_environment_is_truncated_at_the_horizon_of_its_task(envs, linear):
     assert [env.step(np.zeros(2))[2:4] for _ in range(7)] == [(False, False)] * 6 + [(False, True)]
 
 
-def test_units_and_names_stand_in_the_metadata(envs):
+def test_units_and_names_are_in_the_metadata(envs):
     metadata = envs.make_env("emulated_car").metadata
     assert metadata["observations"]["waypoint_distance"] == "m"
     assert metadata["reward"] == "waypoints"
@@ -235,7 +235,7 @@ def test_a_render_mode_is_refused_with_another_way_to_look(envs):
             make("sysid_evo/SwingUp-v0", render_mode="rgb_array")
 
 
-def test_nothing_else_needs_gymnasium_and_without_it_it_is_said_what_is_missing():
+def test_nothing_else_needs_gymnasium_and_without_it_the_error_names_the_package():
     program = (
         "import sys; sys.modules['gymnasium'] = None; import sysid_evo.cli.app, evaluation, sysid_evo.engine; "
         "print('imported'); sysid_evo.make_env"
@@ -256,7 +256,7 @@ def test_a_policy_as_a_controller_acts_as_the_policy_itself(algorithm, envs, lea
     np.testing.assert_allclose(raw[0], model.predict(observation[0], deterministic=True)[0], atol=1e-5)
 
 
-def test_a_policy_stands_in_the_transfer_matrix_and_is_stored_without_pickle(envs, learned, tmp_path):
+def test_a_policy_is_in_the_transfer_matrix_and_is_stored_without_pickle(envs, learned, tmp_path):
     model, env = learned("PPO", n_steps=32, batch_size=32)
     model.learn(32)
     champion = envs.champion_from_policy(model, env.trials, name="ppo", task=TASK)

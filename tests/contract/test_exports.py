@@ -1,4 +1,4 @@
-"""One control law in three languages: each file decides as the product does, says what it takes, and checks itself."""
+"""One controller in three languages: each file gives the same controls, documents its inputs, and checks itself."""
 
 import copy
 import ctypes
@@ -152,7 +152,7 @@ def test_reset_forgets_what_was_seen():
 
 
 class Compiled(Controller):
-    """The step of a C file; its structure of memory is an array of numbers, which stands in the memory here."""
+    """The step of a C file; its memory structure is an array of numbers, held in the memory argument here."""
 
     n_parameters = 1
 
@@ -230,7 +230,7 @@ def test_the_python_file_names_what_it_takes_and_gives_with_units():
 
 
 @NEEDS_ONNX
-def test_the_onnx_model_says_how_often_it_is_called_and_what_it_is_given():
+def test_the_onnx_model_holds_its_sample_time_and_inputs():
     from onnx import load_from_string
 
     model = load_from_string(onnx_bytes(exported_controller(champion_of("linear"))))
@@ -239,7 +239,7 @@ def test_the_onnx_model_says_how_often_it_is_called_and_what_it_is_given():
     assert json.loads(described["observations"])[3].startswith("3  waypoint_angle     rad")
 
 
-def test_without_the_library_onnx_it_says_what_to_install(monkeypatch):
+def test_without_the_library_onnx_the_error_names_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MissingExtra, match="export --to onnx needs the package 'onnx'"):
         onnx_bytes(exported_controller(champion_of("linear")))
@@ -293,7 +293,7 @@ def test_each_formula_gives_what_the_task_shows(spec, robot):
         assert value == pytest.approx(shown[0, place], abs=1e-8), f"{channel.name}: {formula}"
 
 
-def test_the_formulas_stand_in_the_head_of_the_file():
+def test_the_formulas_are_in_the_head_of_the_file():
     system, task = find_robot("thermal").system, "set_point(low=30, high=60, tolerance=1)"
     n = make_controller("linear").bind_to(make_task(task).bind(system)).n_parameters
     champion = Champion(

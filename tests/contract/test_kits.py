@@ -64,7 +64,7 @@ BROKEN = [
 
 @pytest.fixture
 def given(tmp_path):
-    """What the kit of a kind is given beside the name."""
+    """Arguments of the kit of a kind in addition to the name."""
     return lambda kind: (of_readers.write_lines(tmp_path),) if kind == "reader" else ()
 
 
@@ -81,7 +81,7 @@ def test_every_registered_name_can_be_loaded(kind):
 
 @pytest.mark.parametrize(("kind", "name"), REGISTERED)
 def test_every_registered_plugin_keeps_its_contract(kind, name, tmp_path, monkeypatch):
-    """Of the model families `test_families` says it; a physical robot is not connected."""
+    """Model families are tested in `test_families`; a physical robot is not connected."""
     if kind == "robot" and make_robot(name).dynamics is None:
         monkeypatch.setattr(robots.get(name), "connect", lambda *_, **__: pytest.fail("it was connected"))
     file = (of_readers.FILES[name](tmp_path),) if kind == "reader" else ()
@@ -96,7 +96,7 @@ def test_with_other_arguments_a_plugin_keeps_its_contract_too(kind, spec, given)
 
 
 @pytest.mark.parametrize(("kind", "plugin"), SOUND)
-def test_a_sound_plugin_keeps_every_sentence(kind, plugin, register, given):
+def test_a_sound_plugin_keeps_every_rule(kind, plugin, register, given):
     contract = CONTRACTS[kind]
     register(contract.registry, "sound", plugin)
     results = {result.sentence: result for result in contract.run("sound", *given(kind))}
@@ -110,7 +110,7 @@ def test_a_sound_plugin_keeps_every_sentence(kind, plugin, register, given):
 
 
 @pytest.mark.parametrize(("kind", "one"), BROKEN)
-def test_a_broken_plugin_is_caught_with_the_sentence_it_breaks(kind, one, register, given):
+def test_a_broken_plugin_is_reported_with_the_rule_it_breaks(kind, one, register, given):
     register(CONTRACTS[kind].registry, "broken", one.plugin)
     found = broken(CONTRACTS[kind].run("broken", *given(kind)))
     assert re.search(one.reason, found[sentence_of(one.check)])
@@ -124,7 +124,7 @@ def test_every_check_has_a_plugin_that_breaks_it(kind):
 
 
 @pytest.mark.parametrize("kind", CASES)
-def test_the_check_of_a_kind_raises_with_every_broken_sentence_and_nothing_for_a_sound_plugin(kind, register, given):
+def test_the_check_of_a_kind_raises_with_every_broken_rule_and_nothing_for_a_sound_plugin(kind, register, given):
     check, cases = CASES[kind]
     register(CONTRACTS[kind].registry, "sound", cases.SOUND[0])
     check("sound", *given(kind))
@@ -156,7 +156,7 @@ def test_a_task_is_checked_on_the_system_that_is_given(system):
     assert len(results) == 1 + len(CONTRACTS["task"].checks)
 
 
-def test_a_task_that_no_system_fits_says_why(register):
+def test_a_task_that_fits_no_system_reports_the_reasons(register):
     class Impossible(of_tasks.Upright):
         def check_system(self, system):
             raise IncompatibleTask(f"impossible needs wings, {system.name} has none")

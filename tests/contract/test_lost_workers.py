@@ -75,7 +75,7 @@ def test_a_client_that_was_given_stays_open_and_must_be_one_that_waits():
         pass
 
 
-def test_where_nobody_answers_the_error_says_what_to_do(monkeypatch):
+def test_without_an_answer_the_error_names_what_to_do(monkeypatch):
     def refuse(*_, **__):
         raise OSError("timed out\nafter 1 s")
 
@@ -97,7 +97,7 @@ def test_certificates_are_asked_for_where_the_address_needs_some(made):
     assert made == []
 
 
-def test_an_address_stands_in_the_file_of_a_scheduler(tmp_path):
+def test_an_address_is_read_from_the_file_of_a_scheduler(tmp_path):
     (tmp_path / "there.json").write_text('{"address": "tcp://127.0.0.1:9", "id": "x"}')
     assert address_of(str(tmp_path / "there.json")) == "tcp://127.0.0.1:9"
     assert address_of("tls://there:1") == "tls://there:1"
@@ -159,7 +159,7 @@ class MadeUpCluster(MadeUpClient):
 
 
 class Here:
-    """A run on a made-up cluster, in which ONE is done, and what the user is told."""
+    """A run on a made-up cluster, in which ONE is done, and the remarks for the user."""
 
     def __init__(self, folder):
         self.store, self.client, self.told = Store(folder), MadeUpCluster(), []
@@ -239,7 +239,7 @@ def test_a_failure_is_stored_and_what_is_blocked_is_not(here):
     assert here.store.find(AFTER.digest) is None
 
 
-def test_workers_that_die_are_told_by_how_many_and_what_they_cannot_run_is_unknown(here):
+def test_workers_that_die_are_counted_and_a_cell_that_they_cannot_run_is_unknown(here):
     for allowed, reason in ((0, "1 worker died while computing it"), (3, "4 workers died while computing it")):
         end = here.answered(TOP, KilledWorker("key", SimpleNamespace(address="a"), allowed))
         assert (end.status, end.reason) == ("failed", reason)
@@ -274,7 +274,7 @@ def test_a_cell_at_which_another_process_is_waits_and_one_that_it_did_is_kept(he
     assert here.client.sent == []
 
 
-def test_there_is_room_for_two_cells_a_thread_and_for_some_where_nobody_is_yet(here, monkeypatch):
+def test_two_cells_are_sent_for_each_thread_and_some_before_there_are_workers(here, monkeypatch):
     here.client.threads = {}
     assert here.look() == FIRST
     here.client.threads = {"a": 2, "b": 1}
@@ -299,7 +299,7 @@ def test_a_connection_that_breaks_is_waited_for_and_one_that_is_closed_is_an_err
         here.look()
 
 
-def test_what_breaks_while_the_connection_stands_is_an_error(here):
+def test_an_error_with_a_working_connection_is_raised(here):
     here.client.breaks = True
     for deed in (here.look, lambda: here.cluster.submit(TOP, ())):
         with pytest.raises(RuntimeError, match="broken"):
@@ -317,7 +317,7 @@ def test_in_the_end_all_is_taken_back_and_free(tmp_path):
         assert ours
 
 
-def test_what_workers_say_is_how_far_a_cell_is(here):
+def test_workers_report_the_progress_of_their_cells(here):
     here.cluster.submit(TOP, ())
     here.cluster._events.put((TOP.digest, 1, 2, "half"))
     here.cluster._events.put((ONE.digest, 1, 2, "not sent"))

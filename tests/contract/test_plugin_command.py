@@ -77,7 +77,7 @@ def test_a_kind_of_which_there_is_no_template_is_refused(tmp_path):
             write_plugin("mine", tmp_path, kind)
 
 
-def test_new_says_how_to_check_and_overwrites_nothing(tmp_path):
+def test_new_prints_the_check_command_and_overwrites_nothing(tmp_path):
     written = run_here("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
     assert written.returncode == 0, written.stderr
     command = written.stderr.split("check it with: ")[1].split()
@@ -90,7 +90,7 @@ def test_new_says_how_to_check_and_overwrites_nothing(tmp_path):
     assert "would be overwritten" in " ".join(again.stderr.split())
 
 
-def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path):
+def test_a_broken_rule_of_the_contract_is_printed(tmp_path):
     path, *_ = write_plugin("my_model", tmp_path / "my_model")
     path.write_text(
         path.read_text().replace("return self._regressors(carry", "carry[:] = 0\n        return self._regressors(carry")
@@ -119,7 +119,7 @@ def test_a_plugin_that_breaks_the_contract_is_told_which_sentence(tmp_path):
         (("check", "niches", "--data", "logs"), "kind strategy is checked without recordings: leave --data out"),
     ],
 )
-def test_a_mistake_is_told_before_anything_is_written(arguments, reason, tmp_path, monkeypatch):
+def test_a_mistake_is_reported_before_anything_is_written(arguments, reason, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, ["plugin", *arguments])
     assert isinstance(done.exception, SysidEvoError)
@@ -139,7 +139,7 @@ def test_a_check_is_on_the_recordings_that_are_given(stored_data, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_a_check_says_where_there_is_no_compiled_form_and_wrapped_sentences_hang(tmp_path, monkeypatch):
+def test_a_check_reports_a_missing_compiled_form_and_wrapped_lines_are_indented(tmp_path, monkeypatch):
     monkeypatch.setenv("SYSID_EVO_ENGINE", "auto")
     (tmp_path / "slow.py").write_text(SLOW)
     lines = run_here("plugin", "check", "slow_one", "--plugin", "slow.py", cwd=tmp_path).stdout.splitlines()

@@ -47,7 +47,7 @@ LONG = {
 
 @contextmanager
 def on_threads(count):
-    """Let linear algebra and torch use so many threads."""
+    """Let linear algebra and torch use this number of threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     with threadpool_limits(count, user_api="blas"):

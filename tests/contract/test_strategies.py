@@ -21,9 +21,9 @@ def made(**arguments):
     return strategy
 
 
-def shares(*leans):
-    """Descriptors of candidates by the leans of speed and drive; nobody steers."""
-    rows = [[(1 + s) / 2, (1 - s) / 2, (1 + d) / 2, (1 - d) / 2, 0.5, 0.5] for s, d in leans]
+def shares(*biases):
+    """Descriptors of candidates by the biases of speed and drive, without steering."""
+    rows = [[(1 + s) / 2, (1 - s) / 2, (1 + d) / 2, (1 - d) / 2, 0.5, 0.5] for s, d in biases]
     return np.array(rows)
 
 
@@ -48,7 +48,7 @@ def test_each_cell_keeps_its_best():
     np.testing.assert_array_equal(strategy.elite, [population[3], population[1], population[0] + 0.7])
 
 
-def test_the_children_stand_near_a_candidate_that_was_kept():
+def test_the_children_are_near_a_stored_candidate():
     strategy = made(again=0, sigma=1e-3, line=0.0, population=40)
     population = np.array([[5.0, 5.0, 5.0], [-5.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
     strategy.tell(population, np.array([1.0, 9.0, 0.5]), shares((0.9, 0.9), (-0.9, -0.9), (0.9, 0.9)))
@@ -89,7 +89,7 @@ def test_what_was_forgotten_is_asked_again_first_and_counts_by_what_it_scores_th
     assert sorted(strategy.state["scores"].tolist()) == [-1.0, 3.0, 4.0]
 
 
-def test_it_finds_the_high_hill_beside_the_broad_one_and_keeps_both():
+def test_it_finds_the_high_hill_next_to_the_broad_one_and_keeps_both():
     strategy = made(channels="drive", sigma=0.3, spread=3.0)
     for _ in evolve(strategy, trap, 100):
         pass
@@ -110,14 +110,14 @@ def test_finalists_are_cells_that_do_not_touch_each_with_what_lies_around_it():
     np.testing.assert_array_equal(finals["drive +0.5, speed +0.9"], population[[1, 2]])
 
 
-def test_a_trial_that_diverged_without_bound_is_kept_only_where_nobody_else_is():
+def test_a_trial_that_diverged_without_bound_is_stored_only_in_an_empty_cell():
     strategy = made(again=0)
     population = np.arange(6.0).reshape(2, 3)
     strategy.tell(population, np.array([-np.inf, -3.0]), shares((0.9, 0.9), (0.9, 0.9)))
     np.testing.assert_array_equal(strategy.elite, population[1:])
 
 
-def test_a_search_that_goes_on_from_a_state_ends_the_same():
+def test_a_restored_search_ends_the_same():
     def noisy(population, generation):
         scores = trap(population)
         return Scores(scores.fitness + np.random.default_rng(generation).normal(size=len(population)), scores.behaviour)

@@ -32,7 +32,7 @@ def test_a_compiled_form_that_agrees_is_not(register):
 
 
 @pytest.mark.parametrize("kind", CASES)
-def test_where_there_is_no_compiled_form_the_kit_says_so(kind, register):
+def test_the_kit_reports_a_missing_compiled_form(kind, register):
     register(CONTRACTS[kind].registry, "sound", CASES[kind].SOUND[0])
     idle = {result.sentence: result.idle for result in CONTRACTS[kind].run("sound")}
     assert idle[sentence_of(CASES[kind].BROKEN_FORMS[0].check)].startswith(

@@ -70,7 +70,7 @@ def test_what_is_bound_once_and_run_often_gives_what_each_rollout_gives_by_itsel
 
 
 @EITHER
-def test_trials_that_their_task_ends_stand_still(ladder, engine):
+def test_trials_that_their_task_ends_stay_unchanged(ladder, engine):
     task = CompiledLadder(horizon=12, top=3.2)
     fast, exact = compare(
         engine, CompiledClimber(ladder), [[0.5], [0.0], [1.0]], task, seeds_from(0, 2), record=True
@@ -80,7 +80,7 @@ def test_trials_that_their_task_ends_stand_still(ladder, engine):
     assert len(np.unique(fast.survived)) > 2
 
 
-def test_what_stands_in_memory_after_the_last_step_does_not_matter(ladder):
+def test_memory_after_the_last_step_does_not_matter(ladder):
     """Only what was written is read: a number that is none warns when it is cast."""
     none = np.array([0x7FA00000], np.uint32).view(np.float32)[0]
     states, controls, poses = (np.full(shape, none, np.float32) for shape in ((2, 4, 1), (2, 3, 1), (2, 4, 2)))
@@ -111,7 +111,7 @@ def test_diverged_trials_leave_the_trajectories_of_the_others_alone(ladder, engi
 
 
 @EITHER
-def test_clipped_steps_are_counted_and_clipped_states_go_on(ladder, engine):
+def test_clipped_steps_are_counted_and_rollouts_continue_from_clipped_states(ladder, engine):
     dynamics, task = CompiledClimber(ladder, state_bounds=np.array([[-1.0], [1.2]])), CompiledLadder(horizon=8)
     fast, _ = compare(engine, dynamics, [[0.5], [0.1], [-1.0]], task, seeds_from(0, 1), record=True)
     assert fast.clipped.min() < fast.clipped.max()
@@ -126,7 +126,7 @@ def test_a_trial_that_is_over_is_clipped_no_more(ladder, engine):
 
 
 @EITHER
-def test_a_wall_alters_the_state_that_goes_on(ladder, engine):
+def test_a_wall_alters_the_state_of_the_next_step(ladder, engine):
     """At the ceiling a climber stays below the top that would end its trial."""
     task = CompiledLadder(horizon=8, ceiling=0.8, top=0.9)
     fast, _ = compare(engine, CompiledClimber(ladder), [[0.5]], task, seeds_from(0), record=True)
@@ -136,7 +136,7 @@ def test_a_wall_alters_the_state_that_goes_on(ladder, engine):
 
 @EITHER
 @pytest.mark.parametrize("trials", [11, 16, 17, 30])
-def test_every_candidate_meets_the_noise_of_its_trial(ladder, engine, trials):
+def test_every_candidate_has_the_noise_of_its_trial(ladder, engine, trials):
     """Fitness is when the random walk crosses the top: the same for equal candidates, another in each trial."""
     task = CompiledLadder(horizon=60, top=9.5)
     fast, _ = compare(engine, CompiledClimber(ladder), np.zeros((9, 1)), task, seeds_from(*range(trials)))
@@ -146,7 +146,7 @@ def test_every_candidate_meets_the_noise_of_its_trial(ladder, engine, trials):
 
 @EITHER
 @pytest.mark.parametrize("levels", [(-1.0, 1.0), (0.0, 0.5, 2.0), (-2.0, -1.0, 0.0, 3.0), (0.0, 1.0, 2.0, 3.0, 4.0)])
-def test_every_output_selects_the_level_that_the_system_says(engine, levels):
+def test_every_output_selects_the_level_of_the_system(engine, levels):
     system = System(HEIGHT, (Channel("climb", "m", levels=levels, neutral=levels[0]),), dt=0.1)
     raw, task = np.linspace(-1.3, 1.3, 137)[:, None], CompiledLadder(horizon=1)
     fast, _ = compare(engine, CompiledClimber(system), raw, task, seeds_from(0), record=True)
@@ -201,7 +201,7 @@ def attempt(dynamics, controller, task, **keywords):
     return rollout(dynamics, controller, np.zeros((1, 1)), task, seeds_from(0), **keywords).engine
 
 
-def test_auto_takes_the_fastest_form_there_is_and_says_so(ladder):
+def test_auto_takes_the_fastest_available_form_and_reports_it(ladder):
     compiled = CompiledClimber(ladder), CompiledConstant(), CompiledLadder()
     assert attempt(*compiled) == "compiled float32"
     assert attempt(*compiled, record=True) == "compiled float32"
@@ -212,7 +212,7 @@ def test_auto_takes_the_fastest_form_there_is_and_says_so(ladder):
     assert attempt(*compiled[:2], Ladder()) == "reference"
 
 
-def test_a_form_that_cannot_run_says_what_is_missing(ladder):
+def test_a_form_that_cannot_run_reports_the_missing_kernels(ladder):
     compiled = CompiledClimber(ladder), CompiledConstant(), CompiledLadder()
     with pytest.raises(InvalidArgument, match=r"none of the dynamics, controller:"):
         attempt(Climber(ladder), Constant(), compiled[2], engine="float32")
@@ -335,7 +335,7 @@ def test_states_far_from_zero_for_how_much_they_change_take_the_precision_that_t
     assert fast.engine == f"compiled {precision}"
     ends = [np.array([run.states[-1] for run in found.trajectories]) for found in (fast, exact)]
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-4)
-    assert np.unique(ends[1]).size > 8, "what stands at a limit proves nothing"
+    assert np.unique(ends[1]).size > 8, "states at a limit prove nothing"
 
 
 def far_recording(centre):

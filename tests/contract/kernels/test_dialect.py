@@ -1,4 +1,4 @@
-"""What a kernel function may use, what it becomes, how it is called, and what it is told otherwise."""
+"""Kernel functions: what they may use, the generated code, calls, and errors."""
 
 import importlib.util
 import math
@@ -84,7 +84,7 @@ def test_names_never_clash_and_literals_have_the_precision_of_the_kernel(precisi
     assert call(with_names, 2.0, precision)[:3] == [24.0, number, 3004.0]
 
 
-def test_free_names_stand_for_what_is_bound():
+def test_free_names_refer_to_the_bindings():
     assert call(with_a_bound_function, 2.0, inner=decorated)[0] == 2.1
     assert call(with_a_bound_function, 2.0, inner=KernelSource(same_name.helper))[0] == 30.0
     with pytest.raises(InvalidArgument, match=r"with_a_bound_function uses 'inner': the name is not defined"):

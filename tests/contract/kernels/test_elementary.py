@@ -20,7 +20,7 @@ def elementary(n, a, b, y):
 
 
 def evaluate(name, a, b=None):
-    """Return what the function ``name`` says of ``a``, and ``b``, as float64."""
+    """Return the function ``name`` of ``a``, and ``b``, as float64."""
     given = [np.array(a if one is None else one, dtype=np.float32) for one in (a, b)]
     found = np.full((len(NAMES), len(given[0])), np.nan, dtype=np.float32)
     signature = Signature(n=INTEGER, a=REALS, b=REALS, y=REALS)

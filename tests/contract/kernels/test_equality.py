@@ -88,7 +88,7 @@ def agree(given, engine="auto", *, share=1.0):
     fast, exact = given.run(engine), given.run("reference")
     assert fast.engine.startswith("compiled")
     tolerance = TOLERANCE[fast.engine]
-    assert len({run.controls.tobytes() for run in exact.trajectories}) > 1, "controllers that act alike prove nothing"
+    assert len({run.controls.tobytes() for run in exact.trajectories}) > 1, "equal controllers prove nothing"
     size = np.max([np.abs(run.states).max(axis=0) for run in exact.trajectories], axis=0) + 1e-3
     alike = [
         a.name == b.name
@@ -370,7 +370,7 @@ def test_a_task_scores_and_is_imagined_as_in_numpy(spec, system, engine):
     compiled, reference = imagined(task, body, engine)
     tolerance = 1e-3 if engine == "auto" else 1e-6
     np.testing.assert_allclose(compiled, reference, rtol=tolerance, atol=tolerance)
-    assert np.ptp(reference, axis=0).max() > 0.01, "sequences that score alike prove nothing"
+    assert np.ptp(reference, axis=0).max() > 0.01, "equal scores prove nothing"
 
 
 @FORMS
@@ -447,7 +447,7 @@ def test_what_diverges_is_imagined_as_the_worst_and_what_has_an_envelope_is_clip
 
 @FORMS
 def test_two_candidates_in_the_same_trials_are_imagined_apart(engine):
-    """Targets that change stand once for each trial, however many candidates there are."""
+    """Changing targets are stored once for each trial, for any number of candidates."""
     task = bound("track_reference(channels=angular_speed, low=-1, high=1, horizon=40)", pendulum())
     known, body = task.begin(trial_seeds(3, 3)).tile(2), ExampleDynamics(pendulum())
     sequences = np.random.default_rng(1).uniform(-1.0, 1.0, (20, 6, 25, 1))

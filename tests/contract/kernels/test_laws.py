@@ -1,4 +1,4 @@
-"""A law written once says the same as arrays, in lanes of either width, and as a program."""
+"""A law written once gives the same results as arrays, in lanes of either width, and as a program."""
 
 import math
 
@@ -49,7 +49,7 @@ def rollouts():
 
 @pytest.fixture
 def expected(rollouts):
-    """What the plain function says of one rollout after the other: memory and outputs."""
+    """Results of the plain function for one rollout after the other: memory and outputs."""
     theta, memory, seen = (array.copy() for array in rollouts)
     raw = np.zeros((OUTPUTS, LANES))
     for lane in range(LANES):

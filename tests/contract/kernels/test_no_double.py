@@ -75,5 +75,5 @@ def test_a_float32_kernel_computes_no_double(name, car, tmp_path):
 
 
 def test_the_search_for_doubles_finds_one(tmp_path):
-    """A whole number beside a float32 one makes a float64 one: that is what the library avoids."""
+    """An integer combined with a float32 number gives a float64 number, which the library avoids."""
     assert " double" in llvm(KernelSource(promotes), Signature(x=REALS, y=REALS), tmp_path)

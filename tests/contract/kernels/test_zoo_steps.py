@@ -24,7 +24,7 @@ def at_night(names, often):
 
 
 def expect_alike(model, carry, control, noise=None, **tolerances):
-    """Raise `AssertionError` unless both forms step alike; return where they step to."""
+    """Raise `AssertionError` unless both forms give the same step; return the step."""
     kernel, expected = model.kernel(), model.step(carry, control, noise)
     assert kernel is not None
     compiled = kernel_step(kernel, carry, control, noise, precision="float64")
@@ -39,7 +39,7 @@ def on(data, model, **tolerances):
 
 
 @pytest.mark.parametrize("family", at_night(["narx", "sindy", "sindy_discrete"], ("sindy",)))
-def test_states_far_from_zero_step_alike(family):
+def test_states_far_from_zero_step_equally(family):
     data = cart()
     far = data.with_episodes([replace(episode, states=episode.states + 1e6) for episode in data])
     model = make_model(family, degree=2, control_lags=0, state_lags=0).fit(far, rng=0)
@@ -114,7 +114,7 @@ def test_noise_is_added_before_limits_and_rest_hold_a_state(dead_band):
 
 
 @pytest.mark.parametrize("family", at_night(PERIODIC, ("nearest_neighbour",)))
-def test_a_periodic_state_is_seen_alike(family):
+def test_a_periodic_state_is_observed_equally(family):
     data = swung(1, steps=120)
     model = make_model(family, **PERIODIC[family], state_lags=1, control_lags=1).fit(data)
     steps = data.transitions(state_lags=1, control_lags=1)

@@ -43,7 +43,7 @@ def recorded():
 
 
 class Uncompiled(ExampleDynamics):
-    """Steps alike under both engines."""
+    """Takes the same steps under both engines."""
 
     def kernel(self):
         return None
@@ -166,7 +166,7 @@ def model_evolved(checkpoint, progress):
 
 @pytest.mark.parametrize("evolved", [controller_evolved, model_evolved])
 def test_a_checkpoint_of_one_engine_is_refused_under_the_other(engine, evolved, tmp_path):
-    """Both engines step alike here, so that only the name of the engine tells their work apart."""
+    """Both engines give the same steps here, so that only the name of the engine distinguishes their results."""
 
     class Stop(Exception):
         pass

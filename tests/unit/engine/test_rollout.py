@@ -98,7 +98,7 @@ def test_candidates_and_trials_keep_their_order_and_do_not_touch_each_other(car)
     assert not run(weights, SEEDS).trajectories
 
 
-def test_every_candidate_meets_the_same_noise_in_the_same_trial(ladder):
+def test_every_candidate_has_the_same_noise_in_the_same_trial(ladder):
     parameters = np.array([[0.0], [0.5], [0.0]])
     dynamics = Climber(ladder, n_noise=2)
     run = rollout(dynamics, Constant(), parameters, Ladder(horizon=12), SEEDS, record=True)
@@ -169,7 +169,7 @@ def test_a_controller_of_broken_numbers_never_gives_a_nan_fitness(ladder, weight
         assert np.isfinite(run.fitness).all()
 
 
-def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder):
+def test_clipped_steps_are_counted_and_the_rollout_continues_from_the_clipped_state(ladder):
     run = climb(Climber(ladder, state_bounds=np.array([[-1.0], [1.2]])), [0.5, 0.1, -1.0], 0, horizon=5)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 1.0, 1.2, 1.2, 1.2])
     np.testing.assert_array_equal(run.clipped[:, 0], [3, 0, 4])
@@ -177,7 +177,7 @@ def test_clipped_steps_are_counted_and_the_clipped_state_is_what_goes_on(ladder)
     np.testing.assert_array_equal(run.fitness[:, 0], [5, 5, 5])
 
 
-def test_a_trial_that_its_task_ends_stands_still_while_the_others_go_on(ladder):
+def test_a_trial_that_its_task_ends_stays_unchanged_while_others_continue(ladder):
     """From 0: 0.5 ... 3.5 on step 7; from 2: 2.5, 3.0, 3.5 on step 3."""
     run = climb(Climber(ladder), [0.5, 0.0], 0, 2, horizon=8, top=3.2)
     np.testing.assert_array_equal(run.survived, [[7, 3], [8, 8]])
@@ -195,7 +195,7 @@ def test_a_trial_that_is_over_is_clipped_no_more(ladder):
     np.testing.assert_array_equal(run.clipped[:, 0], [0, 0])
 
 
-def test_a_wall_alters_the_state_that_goes_on(ladder):
+def test_a_wall_alters_the_state_of_the_next_step(ladder):
     run = climb(Climber(ladder), [0.5], 0, horizon=4, ceiling=0.8)
     np.testing.assert_allclose(run.trajectories[0].states[:, 0], [0.0, 0.5, 0.8, 0.8, 0.8])
     assert run.clipped[0, 0] == 0
@@ -226,7 +226,7 @@ def test_a_recorded_rollout_is_the_free_run_under_its_controls(car_data, lags):
         np.testing.assert_allclose(trajectory.states[1:], again, rtol=1e-9, atol=1e-9)
 
 
-def test_names_of_behaviours_stand_in_the_order_of_states_and_controls():
+def test_names_of_behaviours_are_in_the_order_of_states_and_controls():
     system = make_robot("emulated_car").system
     names = behaviour_names(system)
     assert names[:2] == ("forward_speed above", "forward_speed below")
@@ -246,7 +246,7 @@ def test_samples_of_behaviour_are_counted_by_hand(ladder):
 def test_only_the_time_of_the_trial_counts_as_behaviour(ladder):
     """From 0 up by one a step: above 6.5 a trial has seven steps and samples at 0 and 5, above 2.5 three and one."""
     for top, steps, expected in ((6.5, 7, [0.5, 0.0, 1.0, 0.0]), (2.5, 3, [0.0, 0.0, 1.0, 0.0])):
-        found = climb(Climber(ladder), [1.0, 0.0], 0, top=top)  # the second goes on
+        found = climb(Climber(ladder), [1.0, 0.0], 0, top=top)  # the second continues
         assert found.survived[:, 0].tolist() == [steps, 10]
         np.testing.assert_array_equal(found.behaviour[0, 0], expected)
 
@@ -258,7 +258,7 @@ def test_a_trial_that_diverges_has_no_behaviour(ladder):
     np.testing.assert_array_equal(found.behaviour[0, broken], 0.0)
 
 
-def test_a_champion_of_somebody_who_drives_by_hand_has_no_tensors_of_candidates():
+def test_the_champion_of_a_human_driver_has_no_tensors_of_candidates():
     person = Champion("anna", np.empty(0), (), "min", 0, np.empty((0, 3)))
     assert person.tensors["finalists"].shape == (0, 0)
     assert person.tensors["population"].shape == (0, 0)

@@ -104,7 +104,7 @@ def test_a_checkpoint_that_cannot_be_written_stops_nothing(whole, tmp_path):
 
 
 @pytest.mark.parametrize("after", [1, 4, 8, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 3, 5, 6, 7))])
-def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(after, whole, tmp_path):
+def test_an_evolution_stopped_after_any_generation_resumes_to_the_same_champion(after, whole, tmp_path):
     with pytest.raises(Stop):  # the file is not due: being stopped is what saves it
         evolved(SETTINGS, CheckpointFile(tmp_path / "c"), threads=1, progress=StopAfter(after))
     watched = StopAfter(0)
@@ -113,7 +113,7 @@ def test_an_evolution_stopped_after_any_generation_goes_on_to_the_same_champion(
     assert watched.told == list(range(after, 9))
 
 
-def test_a_polish_that_is_stopped_goes_on_to_the_same_champion(whole, tmp_path):
+def test_a_polish_that_is_stopped_resumes_to_the_same_champion(whole, tmp_path):
     dataset = example_dataset()
     runners = {name: DynamicsRunner(make_model(name).fit(dataset, rng=0)) for name in ("linear", "nearest_neighbour")}
 
@@ -147,7 +147,7 @@ def test_settings_seeds_and_models_that_differ_are_other_work(whole, tmp_path):
 
 
 @pytest.mark.parametrize("family", ["evolved3", "parametrised"])
-def test_a_fit_by_evolution_that_was_stopped_goes_on_to_the_same_model(family, car_data, tmp_path):
+def test_a_fit_by_evolution_that_was_stopped_resumes_to_the_same_model(family, car_data, tmp_path):
     def fitted(data, checkpoint, progress=None):
         model = make_model(family, generations=6, windows=20)
         model.checkpoint = checkpoint

@@ -57,14 +57,14 @@ def test_not_the_claim_counts_but_the_median_on_models_of_other_families():
     assert others["a"].met == 100
 
 
-def test_of_several_champions_each_is_judged_by_its_own_others():
+def test_of_several_champions_each_is_scored_on_its_own_models():
     first, second = champion("first", finalist(0.0, 7.0)), champion("second", finalist(1.0, 6.0))
     best = choose([(first, {"second": Hill(1.0)}), (second, {"first": Hill(1.5)})], seed=1, trials=3)
     assert (best.name, best.parameters[0]) == ("second", 1.0)
     assert [one.forecast for one in best.finalists] == [9.0, 9.5]
 
 
-def test_where_nobody_judges_the_fittest_is_chosen_and_a_judged_one_goes_before_it():
+def test_without_scoring_models_the_fittest_is_chosen_and_a_scored_one_has_priority():
     alone = champion("alone", finalist(0.0, 7.0), finalist(1.0, 8.0))
     assert score_finalists(alone, {}, seed=1) is alone
     assert choose([(alone, {})], seed=1).parameters[0] == 1.0
@@ -96,7 +96,7 @@ def test_a_polish_climbs_to_the_place_where_the_lowest_model_is_highest():
     assert better.scoring_models == ()
 
 
-def test_the_most_promising_finalists_are_polished_and_one_that_nothing_beats_stays():
+def test_the_best_finalists_are_polished_and_one_without_an_improvement_stays():
     start = champion(
         "start",
         replace(finalist(-9.0, 50.0, "boasts"), forecast=1.0),
@@ -114,7 +114,7 @@ def test_without_finalists_there_is_nothing_to_polish():
         polish("x", person, {"a": Hill(0.0)}, SETTINGS, seed=0)
 
 
-def test_a_model_that_denies_the_best_start_is_left_out_of_the_polish():
+def test_a_model_that_underrates_the_best_finalist_is_left_out_of_the_polish():
     start = champion("start", finalist(1.0, 9.0))
     heights = {"a": 10.0, "denies": 6.6, "b": 9.5, "doubts": 6.7, "c": 10.0}  # 70 % of the median is 6.65
     runners = {name: Hill(1.0, height) for name, height in heights.items()}

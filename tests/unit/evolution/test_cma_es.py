@@ -84,7 +84,7 @@ def test_rotated_coordinates_lead_the_same_way_rotated(rng):
     n, turn = 40, rotation(40, rng)
     plain, turned = (CmaEs(n_parameters=n, seed=1, population=8) for _ in range(2))
     turned.restore({**turned.state, "axes": turn})  # of a sphere any axes are; from here on candidates are turned
-    for _ in range(int(plain.rates.gap)):  # eigenvectors that are found anew may point the other way
+    for _ in range(int(plain.rates.gap)):  # recomputed eigenvectors may have the opposite sign
         for strategy, back in ((plain, np.eye(n)), (turned, turn)):
             asked = strategy.ask()
             strategy.tell(asked, valley(asked @ back))
@@ -136,7 +136,7 @@ def _library(state, population):
     return search
 
 
-def test_the_axes_are_found_anew_when_the_covariance_may_have_changed_by_one_in_n():
+def test_the_axes_are_computed_again_when_the_covariance_may_have_changed_by_one_in_n():
     strategy = CmaEs(n_parameters=60, seed=1)
     found = [strategy.state["decomposed"] for _ in evolve(strategy, valley, 24)]
     assert 2.0 < strategy.rates.gap < 3.0
@@ -147,7 +147,7 @@ def test_the_axes_are_found_anew_when_the_covariance_may_have_changed_by_one_in_
     ("n", "population"),
     [(1, 6), (60, 12), *(pytest.param(*sizes, marks=pytest.mark.nightly) for sizes in [(20, 50), (60, 50), (120, 50)])],
 )
-def test_a_search_that_was_stored_goes_on_bit_for_bit(n, population, tmp_path):
+def test_a_stored_search_continues_bit_for_bit(n, population, tmp_path):
     whole, asked, states = CmaEs(n_parameters=n, seed=3, population=population), [], []
     for generation in evolve(whole, noisy, 40):
         asked.append(generation.population)
@@ -227,7 +227,7 @@ def test_the_mean_teaches_it_nothing():
     np.testing.assert_array_equal(first.ask(), second.ask())
 
 
-def test_it_starts_as_wide_as_it_is_told():
+def test_it_starts_with_the_given_width():
     drawn = CmaEs(n_parameters=5, seed=3, population=400, sigma=2.0).ask()[:-1]
     np.testing.assert_allclose(drawn.std(axis=0), 2.0, rtol=0.15)
 

@@ -146,7 +146,7 @@ def test_an_objective_binds_controller_and_task_to_each_model_once_however_often
     assert [id(one) for one in bound] == [id(model) for model in models]
 
 
-def test_everyone_in_a_generation_meets_the_same_trials_and_the_next_one_others(pair):
+def test_all_candidates_of_a_generation_have_the_same_trials_and_the_next_generation_others(pair):
     objective = EnsembleObjective(pair, Constant(), Ladder(), seed=5, trials=4)
     for generation in range(3):
         objective(np.zeros((3, 1)), generation)
@@ -226,7 +226,7 @@ def test_the_champion_is_the_best_parent_of_all_runs_on_the_same_fresh_trials(ru
     assert len(best_runs) > 1
 
 
-def test_an_estimator_delay_is_met_on_every_model_and_remembered(runners, evolved):
+def test_an_estimator_delay_applies_to_every_model_and_is_stored(runners, evolved):
     late = {name: replace(runner, dynamics=Disturbed(runner.dynamics, delay=0.1)) for name, runner in runners.items()}
     wrapped, asked, plain = evolved(models=late), evolved(replace(SETTINGS, estimator_delay=0.1)), evolved()
     np.testing.assert_array_equal(asked.parameters, wrapped.parameters)
@@ -299,7 +299,7 @@ def test_noise_decides_what_candidates_score_and_the_same_seed_gives_the_same(mo
     assert not np.array_equal(first.history, other.history)
 
 
-def test_a_polish_meets_noise_and_penalty_too(models, evolved):
+def test_noise_and_penalty_apply_to_a_polish(models, evolved):
     start = evolved(models=models)
     plain, doubted = (
         polish("x", start, models, replace(SETTINGS, noise=NOISE, penalty=penalty), seed=3, generations=1)
@@ -308,14 +308,14 @@ def test_a_polish_meets_noise_and_penalty_too(models, evolved):
     assert doubted.history.min() < 0.0 <= plain.history.min()
 
 
-def test_every_model_is_met_with_noise(models):
+def test_noise_applies_to_every_model(models):
     for runner in disturbed_runners(models, replace(SETTINGS, noise=NOISE)).values():
         assert isinstance(runner, DynamicsRunner)
         assert isinstance(runner.dynamics, Disturbed)
         assert runner.dynamics.noise == noises.make(NOISE)
 
 
-def test_candidates_lose_fitness_where_models_are_doubted(models, evolved):
+def test_candidates_lose_fitness_where_models_are_uncertain(models, evolved):
     plain, cautious = (
         evolved(replace(SETTINGS, penalty=penalty), models)
         for penalty in ("", "uncertainty(outside=100, disagreement=50)")

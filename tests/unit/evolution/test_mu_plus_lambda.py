@@ -51,7 +51,7 @@ def test_without_reevaluation_the_best_never_gets_worse_however_noisy_the_fitnes
 
 
 def test_with_reevaluation_a_lucky_draw_does_not_last():
-    """Everyone is equal but for luck in the first generation: afterwards the lucky one is nobody special."""
+    """All candidates are equal except for luck in the first generation, which does not count afterwards."""
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2, children=2)
     population = strategy.ask()
     strategy.tell(population, np.array([0.0, 9.0, 0.0, 0.0]))
@@ -71,7 +71,7 @@ def test_parents_are_asked_again_only_with_reevaluation():
             assert strategy.elite.shape == (3, 4)
 
 
-def test_parents_stand_first_and_bear_children_in_turn():
+def test_parents_come_first_and_have_children_in_turn():
     strategy = MuPlusLambda(n_parameters=3, seed=1, parents=2, children=5, sigma=1e-9, spread=1.0)
     population = strategy.ask()
     np.testing.assert_array_equal(population[:2], strategy.elite)
@@ -107,7 +107,7 @@ def test_mutations_are_normal_with_the_standard_deviation_sigma():
     assert len(np.unique(np.concatenate([steps, (strategy.ask()[1:] - strategy.elite).ravel()]))) == 2 * n
 
 
-def test_the_first_parents_stand_around_initial_with_the_deviation_spread():
+def test_the_first_parents_are_around_initial_with_the_deviation_spread():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2000, children=1, initial=np.array([3.0, -1.0]), spread=0.5)
     np.testing.assert_allclose(strategy.elite.mean(axis=0), [3.0, -1.0], atol=4 * 0.5 / np.sqrt(2000))
     np.testing.assert_allclose(strategy.elite.std(axis=0), 0.5, atol=4 * 0.5 / np.sqrt(4000))
@@ -145,7 +145,7 @@ def test_impossible_sizes_are_refused(parameters):
         MuPlusLambda(**{"n_parameters": 2, "seed": 1, **parameters})
 
 
-def test_the_loop_yields_what_was_asked_and_told():
+def test_the_loop_yields_candidates_and_their_fitness():
     strategy = MuPlusLambda(n_parameters=2, seed=1, parents=2, children=3)
     seen = []
     loop = evolve(strategy, lambda p, index: sphere(p) + index, 3)

@@ -88,7 +88,7 @@ def test_a_stage_ends_after_its_most_generations():
     assert [schedule.tell(scored(0.0)) for _ in range(6)] == [False, False, True, True, False, False]
 
 
-def test_a_peak_that_plain_search_never_meets_is_found_by_way_of_wider_ones():
+def test_a_peak_that_plain_search_misses_is_found_by_way_of_wider_ones():
     def best(objective):
         strategy = MuPlusLambda(n_parameters=4, seed=1, parents=10, children=10)
         for generation in evolve(strategy, objective, 200):
@@ -147,13 +147,13 @@ def test_a_controller_s_parents_are_asked_again_when_a_stage_begins(runners, evo
 
 
 @pytest.mark.parametrize("after", [1, 3, 6, *(pytest.param(n, marks=pytest.mark.nightly) for n in (2, 4, 5))])
-def test_an_evolution_stopped_in_any_stage_goes_on_to_the_same_champion(after, evolved, whole, tmp_path):
+def test_an_evolution_stopped_in_any_stage_resumes_to_the_same_champion(after, evolved, whole, tmp_path):
     with pytest.raises(Stop):
         evolved(checkpoint=CheckpointFile(tmp_path / "c"), progress=StopAfter(after))
     assert_same(evolved(checkpoint=CheckpointFile(tmp_path / "c")), whole)
 
 
-def test_a_stage_that_never_ends_is_said(evolved):
+def test_a_stage_that_never_ends_gives_a_warning(evolved):
     unreachable = replace(SETTINGS, generations=1, schedule=(Stage(until=1e6),))
     with pytest.warns(EvolutionWarning, match=r"run 1 ended in stage 1 of 2: the final task was not reached"):
         evolved(unreachable)
@@ -213,7 +213,7 @@ def test_an_easier_stage_does_not_end_a_search():
     assert not schedule.converged
 
 
-def test_a_run_ends_when_its_search_is_over_and_goes_on_to_the_same_end(runners, evolved, tmp_path, monkeypatch):
+def test_a_run_ends_when_its_search_has_converged_and_resumes_to_the_same_end(runners, evolved, tmp_path, monkeypatch):
     monkeypatch.setattr(PointToPoint, "max_fitness", 0.0)  # whatever anybody does is all there is
     settings = replace(SETTINGS, generations=40, repeats=2, schedule=(), task="point_to_point(horizon=5)")
     given = settings, {"linear": runners["linear"]}

@@ -1,4 +1,4 @@
-"""Bundles: what is packed in one folder stands in another as it was, and what is not whole is refused."""
+"""Bundles: files of one folder arrive unchanged in another, and incomplete results are refused."""
 
 import hashlib
 
@@ -19,7 +19,7 @@ def done(tmp_path):
     return store
 
 
-def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path, done):
+def test_files_arrive_unchanged_and_in_the_same_order(tmp_path, done):
     bundle = done.bundle(ONE.digest)
     assert bundle[0][0] == f"cells/{ONE.digest}.json"
     files = unpack(bundle, tmp_path / "to")
@@ -29,7 +29,7 @@ def test_files_stand_elsewhere_as_they_were_and_in_the_same_order(tmp_path, done
 
 
 @pytest.mark.parametrize("name", ["../out", "/tmp/out", "a/../../out"])
-def test_a_file_that_would_stand_outside_is_refused(tmp_path, name):
+def test_a_file_outside_the_folder_is_refused(tmp_path, name):
     with pytest.raises(ArtefactError, match="is outside the target folder"):
         unpack(((name, 0, b"x"),), tmp_path / "in")
     assert list(tmp_path.iterdir()) == []
@@ -62,7 +62,7 @@ def test_a_worker_writes_no_file_but_those_of_its_cell(tmp_path, done, name):
     assert not store.path.exists()
 
 
-def test_a_result_that_was_sent_is_that_of_the_cell_and_stands_in_the_log_once(tmp_path, done):
+def test_a_result_that_was_sent_is_that_of_the_cell_and_is_logged_once(tmp_path, done):
     store = Store(tmp_path / "other")
     store.receive(ONE, done.bundle(ONE.digest))
     assert store.load(ONE) == 1

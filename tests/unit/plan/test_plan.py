@@ -1,4 +1,4 @@
-"""Cells and plans: what a digest depends on, and in which order cells stand."""
+"""Cells and plans: the inputs of a digest, and the order of cells."""
 
 import pickle
 from dataclasses import dataclass, replace

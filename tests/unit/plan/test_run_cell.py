@@ -32,7 +32,7 @@ def test_an_attempt_ends_as_done_kept_failed_or_busy(tmp_path):
     cell = tolerant(3, (ONE, failing))
     assert run_cell(store, cell, [failing.digest]).status == "done"
     assert run_cell(store, cell, [failing.digest]).status == "kept"
-    assert run_cell(store, cell).status == "failed"  # it is not kept: what was missing is said to be there
+    assert run_cell(store, cell).status == "failed"  # it is not stored: the missing result is expected to be there
 
 
 def test_what_cannot_be_read_is_computed_again_only_where_that_is_wanted(tmp_path):
@@ -53,7 +53,7 @@ def sent(cell, store):
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_cell_that_was_sent_takes_its_lambdas_along_and_comes_back_with_what_was_said(tmp_path):
+def test_a_cell_is_sent_with_its_lambdas_and_returns_with_its_warnings(tmp_path):
     value = 7
     end = sent(number(2, then=lambda: warnings.warn(f"odd {value}", stacklevel=1)), Store(tmp_path))
     assert (end.status, end.warnings) == ("done", ("odd 7",))
@@ -95,7 +95,7 @@ def test_a_cell_that_is_another_one_here_is_unknown(tmp_path, monkeypatch):
 
 
 class MadeUpWorkers:
-    """Two workers that end cells as they are told, by label, in turn; else they are done."""
+    """Two workers that end cells in scripted ways, by label; other cells are done."""
 
     def __init__(self, store, **ends):
         self.store, self.ends, self.asked, self.under_way = store, ends, [], 0
@@ -124,7 +124,7 @@ class MadeUpWorkers:
 
 
 def executed(folder, *cells, here=(), **ends):
-    """Return how cells ended, what the workers were asked, and what the user was told."""
+    """Return the ends of the cells, the calls of the workers, and the observer."""
     watching, store = Watching(), Store(folder)
     execution = Execution(Plan.of(cells), store, watching, None)
     workers = MadeUpWorkers(store, **ends)
@@ -139,7 +139,7 @@ def test_that_comes_first_on_whose_result_most_work_waits(tmp_path):
     assert asked == ["first", "short", "middle", "shorter", "end"]
 
 
-def test_the_observer_is_told_once_that_a_cell_starts_and_of_a_kept_one_not_at_all(tmp_path):
+def test_the_observer_hears_once_that_a_cell_starts_and_never_of_a_stored_one(tmp_path):
     told = []
 
     class Told(Watching):
@@ -174,7 +174,7 @@ def test_a_cell_that_is_lost_is_tried_once_more_and_then_fails_alone(tmp_path):
     assert Store(tmp_path).find(cells[1].digest).reason == "it died, 2 times"
 
 
-def test_a_cell_at_which_another_process_is_is_asked_for_again_and_others_go_on(tmp_path):
+def test_a_cell_of_another_process_is_checked_again_and_others_continue(tmp_path):
     ended, asked, _ = executed(tmp_path, ONE, number(2, label="two"), one=[CellEnd("busy")] * 2)
     assert set(ended.values()) == {None}
     assert asked == ["one", "two", "one", "one"]

@@ -268,7 +268,7 @@ def test_two_cells_of_one_name_do_not_share_files(tmp_path):
     assert (Store(tmp_path).load(one), Store(tmp_path).load(two)) == (1, 2)
 
 
-def test_a_full_disk_stops_the_run_and_what_was_finished_goes_on_from_there(tmp_path):
+def test_a_full_disk_stops_the_run_and_finished_cells_are_kept(tmp_path):
     full = Number(2, (BASE,), "right in the middle").cell("unstorable number")
     with pytest.raises(OSError, match="No space left"):
         run(tmp_path, full, number(3, (full,), "after"))
@@ -297,7 +297,7 @@ def test_a_cell_may_ask_only_for_what_it_needs(tmp_path):
     assert "count ninety-nine is not among the needs" in watching.failed["curious"]
 
 
-def test_the_observer_is_told_how_much_is_left(tmp_path):
+def test_the_observer_gets_the_remaining_work(tmp_path):
     told = []
 
     class Counting(Watching):

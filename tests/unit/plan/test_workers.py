@@ -78,7 +78,7 @@ def test_a_worker_that_died_while_it_was_idle_costs_no_cell(workers):
     assert asked[:2] == (processes.compute, SHORT.digest)
 
 
-def test_how_far_a_cell_is_stands_in_the_note_of_its_worker(workers):
+def test_the_progress_of_a_cell_is_in_the_note_of_its_worker(workers):
     workers.submit(SHORT, ())
     note = workers._slots[0].note
     for text in ("", "[", json.dumps([LONG.digest, 1, 2, "of the cell before"])):
