@@ -310,6 +310,8 @@ def test_the_same_trials_give_the_same_fitness_however_many_candidates_run_besid
     alone = robot.runner().bind(controller, task)(parameters[65:66], SEEDS)
     np.testing.assert_array_equal(together.fitness[65], alone.fitness[0])
     np.testing.assert_array_equal(together.behaviour[65], alone.behaviour[0])
+    assert (together.behaviour >= 0.0).all()
+    assert together.behaviour.max() > 0.0
     assert together.fitness.shape == (70, 4)
 
 

@@ -112,7 +112,7 @@ def test_what_is_local_or_names_files_of_the_run_or_cannot_be_sent_is_computed_h
     lock = threading.Lock()
     local = Number(50, (), "local", tmp_path / "diary").cell(local=True)
     there = number(51, (local,), "there", tmp_path / "diary")
-    home = Number(60, (), "home", tmp_path / "diary").cell(at_home=True)
+    home = Number(60, (), "home", tmp_path / "diary").cell(local_only=True)
     needing = number(70, (home,), "needing", tmp_path / "diary")
     unsendable = number(80, (), "unsendable", tmp_path / "diary", then=lambda: lock.locked())
     watching, store = run(tmp_path, Plan.of([there, needing, unsendable]), cluster.address)

@@ -36,8 +36,8 @@ class Robot:
         self._decoder = FrameDecoder()
 
     def say(self, message):
-        self.core.receive(encode(message.pack()), self.now % 2**32)
-        return self.receive()
+        self.core.hear(encode(message.pack()), self.now % 2**32)
+        return self.hear()
 
     def hear(self):
         heard = [unpack(body) for body in self._decoder.feed(self.core.transmit())]
@@ -65,7 +65,7 @@ class Robot:
     def tick(self, duration):
         self.now += duration
         self.core.tick(self.now % 2**32)
-        self.receive()
+        self.hear()
 
 
 @pytest.fixture
@@ -204,12 +204,12 @@ def test_only_legal_buttons_with_their_complement_count(driven):
     for byte in range(256):
         body = bytearray(CommandMessage(driven.session, sequence, (driven.now - 500) % 65536, GO, 15).pack())
         body[7] = byte
-        driven.core.receive(encode(bytes(body)), driven.now)
+        driven.core.hear(encode(bytes(body)), driven.now)
         if byte & 0x0F in BUTTONS and byte >> 4 == ~byte & 0x0F:
             sequence, closed = sequence + 1, byte & 0x0F
-            assert driven.receive(), byte
+            assert driven.hear(), byte
         else:
-            assert not driven.receive(), byte
+            assert not driven.hear(), byte
         assert driven.core.buttons == closed, byte
     assert sequence == 3 + len(BUTTONS)
 
@@ -220,7 +220,7 @@ def test_status_comes_ten_times_a_second_without_commands(robot):
     for _ in range(1000):
         robot.now += 1
         robot.core.tick(robot.now)
-        times += [message.clock_ms for message in robot.receive() if isinstance(message, StatusMessage)]
+        times += [message.clock_ms for message in robot.hear() if isinstance(message, StatusMessage)]
     assert len(times) == 10
     assert {after - before for before, after in pairwise(times)} == {100}
 

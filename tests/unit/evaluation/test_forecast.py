@@ -258,6 +258,7 @@ UNMEASURED = [Plant("car", "car"), ("failed", "failed", None)]
         ([("a", "x", {20: 0.1}), ("b", "x", {20: 0.12}), ("c", "y", {20: 0.4}), ("d", "z", {20: 0.5})], tuple("abc")),
         (UNMEASURED, ("car", "failed")),
         ([*UNMEASURED, *((n, n, {20: e}) for n, e in zip("abc", (1, 2, 3), strict=True))], ("car", "failed", "a", "b")),
+        ([*UNMEASURED, ("a", "a", {20: 0.1}), ("b", "b", {20: 0.2})], ("car", "failed", "a", "b")),
     ],
 )
 def test_models_near_the_best_or_without_an_error_are_accurate(columns, found):
