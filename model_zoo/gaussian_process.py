@@ -37,7 +37,7 @@ SUBSETS = 3
 
 @register_model("gaussian_process")
 class GaussianProcess(StochasticModel):
-    """Sparse Gaussian process for the acceleration, on top of a linear model that remains far from the data.
+    """Sparse Gaussian process for the acceleration, added to a linear model that alone predicts far from the data.
 
     The linear part is fitted first, by ridge regression. The covariance is squared exponential with one length per
     input of (carry, control). Lengths, amplitude and noise maximise the marginal likelihood on ``inducing`` random

@@ -50,7 +50,7 @@ class Candidate:
         return self.spec.text if self.spec.label == self.spec.name else self.spec.label
 
     def model(self, **changed: Any) -> DynamicsModel:
-        """Return the unfitted model. Raises what the registry raises if it cannot be made."""
+        """Return the unfitted model. Raises the errors of the registry if it cannot be made."""
         found: DynamicsModel = models.make(self.spec.name, **{**self.spec.parameters, **changed})
         return found
 
@@ -101,7 +101,7 @@ def candidates_for(system: System) -> tuple[list[Candidate], list[str]]:
 def candidates_named(texts: Sequence[str]) -> list[Candidate]:
     """Return the candidates named by ``texts``; a family alone selects its listed candidates, or else its defaults.
 
-    Raises what the registry raises for wrong names, and `InvalidArgument` for `auto` itself.
+    Raises `InvalidArgument` for `auto` itself, and the errors of the registry for wrong names.
     """
     found: list[Candidate] = []
     for spec in map(Spec.parse, texts):

@@ -107,7 +107,7 @@ class Auto(MeanModel):
         return self
 
     def _tried(self, dataset: Dataset) -> tuple[list[Candidate], list[str]]:
-        """Return the candidates, and why others are not used. Raises what the registry raises for wrong names."""
+        """Return the candidates, and why others are not used. Raises the errors of the registry for wrong names."""
         if self.candidates is None:
             return candidates_for(dataset.system)
         reasons = [(one, unusable(one, dataset.system)) for one in candidates_named(self.candidates)]
@@ -246,7 +246,7 @@ class CandidateRanking:
 
 
 def held_out_in_words(pairs: Sequence[tuple[Dataset, Dataset]]) -> str:
-    """Return what was held out, in words."""
+    """Return a description of the held-out data."""
     seen, held = pairs[0]
     if seen is held:
         return "the training data, which are too short to hold anything out"

@@ -16,7 +16,7 @@ from sysid_evo.types import Array, check_shape
 
 @register_model("hybrid_ode")
 class HybridOde(NeuralOde, PlanarCarModel):
-    """Car physics plus a neural network for what the physics miss, trained together as one differential equation.
+    """Car physics plus a neural network for effects that the physics lack, trained together as one equation.
 
     dx/dt = physics(x, u) + network(x, u, earlier samples) + w(x), with w the rotation of the body frame. The physics
     are Equation 1 of the paper without its thresholds, with drag on the lateral speed; u forward speed, v lateral

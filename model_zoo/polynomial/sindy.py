@@ -120,7 +120,7 @@ def continued(rate: Array, turning: Array, state: Array, bounds: Array, dt: floa
 
     The rate is clipped to that of the data. Above the range of a state, rates upwards fade to zero over a tenth of the
     range and the excess decays with the time constant dt; likewise below. Beyond the margin every state therefore
-    returns, whatever the polynomial is, and none gets further than the margin plus one step of bounded rates.
+    returns, for any polynomial, and no state exceeds the margin by more than one step of bounded rates.
     """
     low, high, per_margin, slowest, fastest = bounds
     total = np.clip(rate, slowest, fastest) + turning
