@@ -125,8 +125,8 @@ class NeutralObserver(Listener):
         ms = {name: 1e3 * figures[name] for name in ("latency", "longest_latency", "longest_gap", "moved")}
         sentence = (
             f"{figures['rate']:.0f} frames/s of {seen[0].body}, {figures['valid_share']:.1%} of them valid, "
-            f"{ms['latency']:.1f} ms after they were taken (at most {ms['longest_latency']:.1f}), "
-            f"at most {ms['longest_gap']:.0f} ms apart; "
+            f"latency {ms['latency']:.1f} ms (at most {ms['longest_latency']:.1f}), "
+            f"gaps of at most {ms['longest_gap']:.0f} ms; "
             f"it {'stays within' if still else 'moves by'} {ms['moved']:.1f} mm and "
             f"{np.degrees(figures['turned']):.1f} degrees."
         )

@@ -30,9 +30,9 @@ def too_short(recordings: Recordings) -> Remark | None:
     channels = len(quality.states) + len(quality.controls)
     wanted = TIMES_PER_CHANNEL * channels * slowest
     sentence = (
-        f"{spelled_time(driven)}{' in motion' if quality.moving < 1.0 else ''} are {driven / slowest:.0f} times the "
-        f"slowest time scale of the states, {spelled_time(slowest)}. {TIMES_PER_CHANNEL:.0f} times for each of the "
-        f"{channels} states and controls are a good rule: record {spelled_time(wanted)} in all."
+        f"{spelled_time(driven)}{' in motion' if quality.moving < 1.0 else ''} are only {driven / slowest:.0f} times "
+        f"the slowest time scale of the states ({spelled_time(slowest)}). Recommended are {TIMES_PER_CHANNEL:.0f} "
+        f"times for each of the {channels} states and controls: record {spelled_time(wanted)} in all."
     )
     return Remark("length", sentence, RULE * (1.0 - driven / wanted)) if driven < NEARLY * wanted else None
 

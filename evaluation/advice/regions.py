@@ -23,8 +23,8 @@ def missing_excitation(recordings: Recordings) -> Remark | None:
         return None
     return Remark(
         "excitation",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the training data {_share(gap.seen)}: "
-        "models extrapolate there. Record this.",
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words} (training data: {_share(gap.seen)}): "
+        "models extrapolate there. Record more there.",
         gap.asked,
         gap.figures,
     )
@@ -37,9 +37,9 @@ def untried_command(evidence: Evidence) -> Remark | None:
     state, command = untried.place
     return Remark(
         "excitation",
-        f"{command.words} is rare with {state.words}: {_share(untried.seen)} of the time, and it would be "
-        f"{percent(untried.asked)} if every command were given everywhere. A controller that does so leaves the "
-        "data: record it.",
+        f"{command.words} is rare with {state.words}: {_share(untried.seen)} of the time, compared with "
+        f"{percent(untried.asked)} if every command were used everywhere. Controllers that use it leave the data. "
+        "Record more there.",
         0.5 * untried.asked,
         untried.figures,
     )
@@ -69,7 +69,7 @@ def driven_outside(visited: Steps, support: Support) -> Remark | None:
     return Remark(
         "outside the data",
         f"{percent(share)} of the controllers' steps are outside the training data, most of them at "
-        f"{'; '.join(box.sentence for box in boxes)}. Record this, if the robot gets there.",
+        f"{'; '.join(box.sentence for box in boxes)}. Record more there, if the robot gets there.",
         share,
         {"outside": share},
     )
@@ -84,8 +84,8 @@ def other_states(recordings: Recordings) -> Remark | None:
     if gap is not None:
         return Remark(
             "test part",
-            f"{percent(gap.asked)} of the test part has {gap.words}, of the training part {_share(gap.seen)}: its "
-            "errors show how models extrapolate. Hold out other recordings (--test), or record more there.",
+            f"{percent(gap.asked)} of the test part has {gap.words} (training part: {_share(gap.seen)}): test errors "
+            "are those of extrapolation. Hold out other recordings (--test), or record more there.",
             gap.asked,
             gap.figures,
         )
@@ -94,7 +94,7 @@ def other_states(recordings: Recordings) -> Remark | None:
         return None
     return Remark(
         "test part",
-        f"Controllers spend {percent(gap.asked)} of their time with {gap.words}, the test part {_share(gap.seen)}: its "
+        f"Controllers spend {percent(gap.asked)} of their time with {gap.words} (test part: {_share(gap.seen)}): test "
         "errors do not show how accurate models are there. Hold out recordings that cover it.",
         0.5 * gap.asked,
         gap.figures,

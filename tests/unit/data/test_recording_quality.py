@@ -259,8 +259,8 @@ def test_a_good_recording_of_a_pendulum_or_a_tank_needs_no_advice(rng):
 
 def test_the_length_asked_for_follows_from_the_time_scale_and_the_number_of_channels(rng):
     sentence = told(tank(rng, hours=0.5))
-    assert "30 min are 18 times the slowest time scale of the states, 100 s" in sentence
-    assert "30 times for each of the 2 states and controls are a good rule: record 100 min in all." in sentence
+    assert "30 min are only 18 times the slowest time scale of the states (100 s)" in sentence
+    assert "30 times for each of the 2 states and controls: record 100 min in all." in sentence
     assert "record 20 s in all" in told(pendulum(rng, seconds=10.0))
 
 

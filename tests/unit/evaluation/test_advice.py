@@ -186,7 +186,7 @@ def test_a_test_part_that_lies_elsewhere_is_named():
 
 def test_controllers_that_go_where_no_test_is_made_are_named():
     remark = other_states(linear(recorded(seed=5), recorded(Fault(push=0.4)), recorded(seed=6)))
-    assert "its errors do not show how accurate models are there" in remark.sentence
+    assert "test errors do not show how accurate models are there" in remark.sentence
 
 
 def test_two_channels_make_a_place_where_each_alone_was_visited():
