@@ -172,7 +172,7 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(call, fai
     assert achieved["near"] is None
     for part in ("failures", "prediction", "title"):
         assert after[part] == before[part]
-    assert "reality" in (call.folder / "out" / "report.html").read_text()
+    assert "emulated_car driven" in (call.folder / "out" / "report.html").read_text()
 
 
 def test_robots_are_listed_as_table_and_as_json(there):
