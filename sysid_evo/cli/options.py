@@ -31,7 +31,7 @@ def option(
 ) -> Any:  # fmt: skip
     """Return an option of a help page: its description, the default that is ``shown``, the metavar of its value."""
     more |= _shown(description, metavar, shown, values)
-    made: Any = typer.Option  # the names stand in place of a default
+    made: Any = typer.Option  # the names are given in place of a default
     return made(*names, rich_help_panel=panel, **more)
 
 

@@ -35,7 +35,7 @@ def write_log(folder, name="log.csv", **changes):
     return "--columns", "map.toml"
 
 
-def test_import_stores_what_read_returns_and_tells_notes_and_warnings(call):
+def test_import_stores_what_read_returns_and_prints_notes_and_warnings(call):
     columns = write_log(call.folder, battery=np.repeat([1.0, 2.0], [100, 101]))
     (call.folder / "map.toml").write_text(CAR_MAP.replace(", low = -1.0, high = 1.0", ""))
     done = call.works("import", "log.csv", *columns, "--condition-column", "battery", "--out", "data")
@@ -95,7 +95,7 @@ def test_a_log_without_controls_or_motion_is_imported_and_inspected(call):
     assert Dataset.load(call.folder / "data").system.states[0].neutral == 0.5
 
 
-def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored_data):
+def test_fit_prints_the_error_of_every_model_and_the_data_behind_it(call, stored_data):
     fitted = call.works("fit", stored_data, "--models", "linear,nearest_neighbour", "--out", "mine")
     assert "What limits linear, and what to record next?" in fitted.stdout
     assert "30 s in motion are only 47 times the slowest time scale of the states" in fitted.stdout
@@ -112,7 +112,7 @@ def test_fit_tells_the_error_of_every_model_and_where_it_was_judged(call, stored
     assert row["error"] > 0.0
 
 
-def test_fit_without_models_fits_auto_and_says_what_was_chosen(call, stored_data):
+def test_fit_without_models_fits_auto_and_prints_the_selected_families(call, stored_data):
     assert "fit auto" in call.works("fit", stored_data, "--dry-run").stdout
     chosen = "auto(candidates=[linear(state_lags=1), 'linear(ridge=1e5)'])"
     fitted = call.works("fit", stored_data, "--models", chosen, "--out", "mine")
@@ -170,7 +170,7 @@ def floors(tmp_path_factory):
     return place
 
 
-def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(floors, call, monkeypatch):
+def test_adapt_prints_the_acceptance_test_and_stores_a_better_model(floors, call, monkeypatch):
     monkeypatch.setattr("model_zoo.polynomial.narx.Narx.fine_tuned", lambda self, data, updates, *, rng: self)
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "other", "--out", "there")
@@ -191,7 +191,7 @@ def test_adapt_prints_what_the_gate_saw_and_stores_a_model_that_is_better_there(
     assert call.refused(*command).says("exists already")
 
 
-def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors, call, monkeypatch):
+def test_without_a_change_adapt_reports_it_and_tries_a_refit_with_train(floors, call, monkeypatch):
     monkeypatch.setattr("sysid_evo.models.adaptation.selection.RIDGES", (0.3, 0.03))
     command = ("adapt", floors / "base", "--data", floors / "same", "--train", floors / "old", "--seconds", "12")
     told = call.told(*command, "--json", "--out", "there")
@@ -203,7 +203,7 @@ def test_where_nothing_has_changed_it_says_so_and_tries_a_refit_if_asked(floors,
     assert blocks["fit to the new data"] < 3  # it is no better in the first
 
 
-def test_tune_prints_the_line_to_use_and_goes_on_in_the_same_folder(call, stored_data):
+def test_tune_prints_the_spec_to_use_and_continues_in_the_same_folder(call, stored_data):
     command = ("tune", "linear(intercept=true)", "--data", stored_data, "--horizon", "10", "--out", "out")
     assert call.works(*command, "--trials", "3").stdout.splitlines()[-1].startswith("linear(intercept=true, ")
     found = call.told(*command, "--trials", "5", "--json")
@@ -230,7 +230,7 @@ def test_a_dry_run_of_a_study_shows_points_and_cells_and_makes_nothing(call):
     assert not (call.folder / "runs").exists()
 
 
-def test_what_points_share_is_foreseen_once(call):
+def test_cells_that_points_share_are_expected_once(call):
     models = '"linear", "ridge=linear(ridge=0.5)"'  # no preset of which changes anything
     study(call.folder, models=models, more='preset = ["quick", "paper"]\n')
     plan = call.told("study", "tiny.toml", "--dry-run", "--json")
@@ -242,7 +242,7 @@ def test_what_points_share_is_foreseen_once(call):
     assert 2 * plan["cells"] == sum(point["cells"] for point in plan["points"])
 
 
-def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(tmp_path):
+def test_the_expected_time_of_a_cell_is_corrected_by_measured_times_of_its_kind(tmp_path):
     planned = plan_study(Study.read(study(tmp_path)))
     fits = [cell for cell in planned.plan if cell.kind == "fit"]
     tried = {cell.digest: None for cell in planned.plan}
@@ -254,7 +254,7 @@ def test_what_a_cell_is_to_take_is_corrected_by_what_its_kind_took(tmp_path):
     assert [about[cell.digest] for cell in others] == [cell.expected_seconds for cell in others]
 
 
-def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):
+def test_a_study_resumes_and_a_finished_one_is_only_rendered(call):
     study(call.folder, seeds="[0]")
     call.works("study", "tiny.toml")
     study(call.folder)
@@ -274,7 +274,7 @@ def test_a_study_goes_on_where_it_was_and_a_finished_one_is_only_rendered(call):
     assert "nearest_neighbour" in again.stdout
 
 
-def test_a_cell_of_a_study_that_fails_is_told_with_its_reason(call):
+def test_a_failed_cell_of_a_study_is_reported_with_its_reason(call):
     study(call.folder, models='"linear", "bad=nearest_neighbour(state_lags=2000)"')
     done = call("study", "tiny.toml", "--verbose")
     assert done.code == 3

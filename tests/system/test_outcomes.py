@@ -201,7 +201,7 @@ def test_the_report_of_a_run_that_cannot_be_written_is_printed(finished_run, cap
         assert before == {path: path.stat().st_mtime_ns for path in out.rglob("*")}
 
 
-def test_another_experiment_in_a_folder_is_remarked_and_what_both_need_is_kept(call, run_copy):
+def test_another_experiment_in_a_folder_is_reported_and_shared_results_are_kept(call, run_copy):
     ended = call.works(*AGAIN, "--models", "near=linear(ridge=0.5),mine=linear", *PREDICTION)
     assert ended.says("out/experiment.toml had other ")
     assert ended.says("models, ")
@@ -279,7 +279,7 @@ def test_nothing_that_could_be_fitted_is_exit_code_3_too_and_a_quiet_command_say
     assert " ".join(quiet.stderr.split()).startswith(f"failed fit never_fits: {REASON} failed")
 
 
-def test_a_robot_that_is_absent_is_exit_code_4_and_its_traceback_is_shown_when_asked_for(call, failed_run):
+def test_an_absent_robot_is_exit_code_4_and_debug_shows_the_traceback(call, failed_run):
     plugin = ("--plugin", failed_run.parent / "mine.py")
     done = call("compare", "--robot", "absent", *plugin, "--models", "linear", *PREDICTION, "--out", "gone", "--debug")
     assert done.code == 4, done.stderr

@@ -200,7 +200,7 @@ def test_families_are_listed_as_they_are_without_importing_one(asked):
         assert rows[name]["summary"] == (family.__doc__ or "").partition("\n")[0].replace("`", "")
 
 
-def test_the_default_preset_is_one_and_stands_in_the_help_of_every_command_that_has_one():
+def test_there_is_one_default_preset_and_every_help_page_with_a_preset_shows_it():
     named = Experiment.model_fields["preset"].default
     presets = {name: option for name in COMMANDS for option in load(name).params if option.name == "preset"}
     assert set(presets) == {"compare", "fit", "evolve", "exploit"}
@@ -219,7 +219,7 @@ def test_the_module_is_the_same_program_and_imports_few_modules_for_its_help(cal
     assert call("--version").stdout.startswith("sysid-evo ")
 
 
-def test_a_mistake_is_told_on_standard_error_alone_without_what_only_the_work_needs(asked):
+def test_a_mistake_is_reported_on_standard_error_and_imports_nothing_that_only_the_work_needs(asked):
     code, out, wrong, imported, threads = asked[2]
     assert (code, out) == (2, "")
     assert "no model is called 'linaer'" in wrong

@@ -17,7 +17,7 @@ def prepared(tmp_path_factory):
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.what)
-def test_a_mistake_is_told_before_any_work_and_nothing_is_written(mistake, prepared, capsys):
+def test_a_mistake_is_reported_before_any_work_and_nothing_is_written(mistake, prepared, capsys):
     before = sorted(prepared.rglob("*"))
     ended = Caller(prepared, capsys)(*mistake.arguments)
     assert ended.says(mistake.said), ended.stderr
@@ -27,11 +27,11 @@ def test_a_mistake_is_told_before_any_work_and_nothing_is_written(mistake, prepa
     assert sorted(prepared.rglob("*")) == before
 
 
-def test_a_traceback_is_shown_where_it_is_asked_for(call):
+def test_debug_shows_the_traceback(call):
     assert "Traceback" in call.refused("compare", "--models", "linaer", "--debug").stderr
 
 
-def test_only_what_stops_a_work_in_its_midst_is_told_to_go_on():
+def test_only_an_error_that_interrupts_work_offers_to_continue():
     full, nowhere = OSError(errno.ENOSPC, "No space left", "run"), OSError(errno.ENOENT, "No such file", "/proc/x")
     assert error_sentence(full).startswith("run: No space left. Finished results are kept")
     assert error_sentence(nowhere) == "/proc/x: No such file"

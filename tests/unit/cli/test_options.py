@@ -118,7 +118,7 @@ def test_the_plan_refuses_settings_from_python_and_names_both(settings, both, tm
     assert not (tmp_path / "run").exists()
 
 
-def test_of_a_configuration_an_option_takes_away_what_it_makes_meaningless(call, stored_data):
+def test_an_option_removes_the_settings_of_a_configuration_that_it_makes_meaningless(call, stored_data):
     (call.folder / "whole.toml").write_text('models = ["linear"]\ntask = "point_to_point(horizon=40)"\n')
     planned = call.works(
         "compare", "--config", "whole.toml", "--data", stored_data, "--stop-after", "prediction", "--dry-run"
@@ -162,7 +162,7 @@ def test_a_time_has_a_unit(text, expected):
 
 
 @pytest.mark.parametrize("text", ["", "s", "-5s", "5 days", "soon", "nan", "1e3s"])
-def test_what_is_no_time_is_refused(text):
+def test_a_text_that_is_no_time_is_an_error(text):
     with pytest.raises(InvalidArgument, match="expected a time"):
         seconds(text)
 
@@ -208,7 +208,7 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_an_import_replaces_a_data_set_only_where_it_is_told_to_and_nothing_else(call):
+def test_an_import_replaces_a_data_set_only_with_overwrite_and_nothing_else(call):
     folder = call.folder
     (folder / "log.csv").write_text(LOG)
     (folder / "map.toml").write_text(MAP)

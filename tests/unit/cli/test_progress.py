@@ -68,7 +68,7 @@ def test_on_a_terminal_of_80_columns_rate_time_left_and_remark_are_whole(shown, 
     assert any(re.search(r"evolve linear\S*… .* 1\.0/s, 4 min left 0:00:0", line) for line in lines)
 
 
-def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, clock):
+def test_parallel_cells_have_a_line_each_and_their_remarks_below(shown, clock):
     written = shown(terminal=True)
     with PlanProgress() as bars:
         bars.plan(5, 0, 10.0)
@@ -94,7 +94,7 @@ def test_cells_side_by_side_have_a_line_each_and_what_they_reached_below(shown, 
     ]
 
 
-def test_an_interruption_says_what_went_on_and_what_of_it_is_kept(shown):
+def test_an_interruption_reports_the_running_cells_and_the_kept_results(shown):
     written = shown(terminal=False)
     with PlanProgress("--out here") as bars:
         cells = [resumable(1, label="a"), number(2, label="b"), number(3, label="c")]
@@ -122,7 +122,7 @@ def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(sho
     )
 
 
-def test_without_a_terminal_a_line_now_and_then_says_the_same(shown, clock):
+def test_without_a_terminal_a_line_is_printed_now_and_then(shown, clock):
     written = shown(terminal=False)
     with PlanProgress() as bars:
         bars.begin("evolve linear")
@@ -140,7 +140,7 @@ def test_without_a_terminal_a_line_now_and_then_says_the_same(shown, clock):
         (0, 30, 15.0, "30/300, 2.0/s, 2 min left"),
     ],
 )
-def test_rate_and_time_left_are_those_since_the_first_step_that_was_told(first, done, seconds, said, shown, clock):
+def test_rate_and_time_left_count_from_the_first_reported_step(first, done, seconds, said, shown, clock):
     written = shown(terminal=False)
     with PlanProgress() as bars:
         bars.begin("fit linear")
@@ -151,11 +151,11 @@ def test_rate_and_time_left_are_those_since_the_first_step_that_was_told(first, 
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(89.0, "89 s"), (90.0, "2 min"), (5399.0, "90 min"), (5400.0, "1.5 h")])
-def test_a_time_is_told_in_the_unit_that_fits(seconds, said):
+def test_a_time_is_shown_in_a_fitting_unit(seconds, said):
     assert duration(seconds) == said
 
 
-def test_the_time_left_of_all_cells_is_said_from_a_tenth_of_what_is_foreseen_on(shown):
+def test_the_time_left_of_all_cells_is_shown_after_a_tenth_of_the_expected_time(shown):
     shown(terminal=True)
     with PlanProgress() as bars:
         bars.plan(20, 0, 20.0)
@@ -186,7 +186,7 @@ def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
     ]
 
 
-def test_cells_of_one_title_are_told_apart_by_where_they_are(shown):
+def test_cells_of_one_title_are_distinguished_by_their_place(shown):
     written = shown(terminal=False)
     cells = [number(1, label="a"), number(2, label="a")]
     with PlanProgress(where=lambda cell: f"car {cells.index(cell) + 1}: ") as bars:
