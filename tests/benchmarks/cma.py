@@ -249,7 +249,7 @@ class Interrupted:
         leans = 0.5 + 0.5 * np.tanh(population[:, :2])
         return Scores(fitness, np.stack([leans[:, 0], 1 - leans[:, 0], leans[:, 1], 1 - leans[:, 1]], axis=1))
 
-    def go_on(self, file: Path, killed_after: int | None) -> None:
+    def resume(self, file: Path, killed_after: int | None) -> None:
         """Search from where the checkpoint is to the end, where it holds a digest of all, or kill this process."""
         strategy, checkpoint = self.make(), CheckpointFile(file)
         done, digest, state = 0, "", checkpoint.load(repr(self))
@@ -258,8 +258,8 @@ class Interrupted:
             done, digest = int(own.pop("done")), str(own.pop("digest"))
             strategy.restore(own)
         for generation in evolve(strategy, self.scores, self.generations, start=done):
-            told = generation.population.tobytes() + generation.fitness.tobytes()
-            done, digest = generation.index + 1, hashlib.sha256(digest.encode() + told).hexdigest()
+            content = generation.population.tobytes() + generation.fitness.tobytes()
+            done, digest = generation.index + 1, hashlib.sha256(digest.encode() + content).hexdigest()
             if done in (killed_after, self.generations):
                 checkpoint.save(repr(self), {"done": done, "digest": digest, **strategy.state})
             if done == killed_after:
@@ -268,7 +268,7 @@ class Interrupted:
     def result(self, file: Path, killed_after: int | None = None) -> bytes:
         """Return the last checkpoint of a search whose process is killed once and that another process resumes."""
         for moment in [None] if killed_after is None else [killed_after, None]:
-            process = multiprocessing.get_context("spawn").Process(target=self.go_on, args=(file, moment))
+            process = multiprocessing.get_context("spawn").Process(target=self.resume, args=(file, moment))
             process.start()
             process.join()
             assert process.exitcode == (0 if moment is None else -signal.SIGKILL)

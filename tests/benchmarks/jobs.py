@@ -191,8 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out.print(f"Results that other cells need, each sent to the workers once: {ours[-1].sent / 1e6:.2f} MB.")
     for name, checkout in [("before", given.before)] * (given.before is not None) + [("now", ROOT)]:
         taken = {count: short_cells(checkout.resolve(), count, given.cells) for count in given.jobs if given.cells}
-        told = ", ".join(f"{count} jobs {seconds:.1f} s" for count, seconds in taken.items())
-        out.print(f"{given.cells} cells that do nothing take {name}, in processor time: {told}.")
+        text = ", ".join(f"{count} jobs {seconds:.1f} s" for count, seconds in taken.items())
+        out.print(f"{given.cells} cells that do nothing take {name}, in processor time: {text}.")
     if given.cells and given.workers:
         seconds = overhead(given.workers[-1], given.cells)
         out.print(f"A cell that does nothing takes {1e3 * seconds:.1f} ms on {given.workers[-1]} workers.")

@@ -90,7 +90,7 @@ def names(found: ModelExploitability) -> set[str]:
     return {probe.name for probe in found.exploits} | {fact.state for fact in found.slope_differences}
 
 
-def told(wanted: set[str], found: ModelExploitability) -> str:
+def verdict_on(wanted: set[str], found: ModelExploitability) -> str:
     """Return how one of ``wanted`` is named: by a probe or a fact, by what controllers do, or not at all."""
     if wanted & names(found):
         return "yes"
@@ -120,7 +120,7 @@ def planted_row(fault: Fault, shown: Shown, generations: int) -> tuple[tuple[str
     usual = shown.looked_at(ordinary, both)
     exploit = search_exploit(MODEL, runners, planted.system, how, seed=0)
     found = shown.looked_at(exploit.champion, both)
-    in_usual, in_search = told(wanted, usual), told(wanted, found)
+    in_usual, in_search = verdict_on(wanted, usual), verdict_on(wanted, found)
     assert usual.claimed is not None
     assert usual.achieved is not None
     row = (

@@ -124,21 +124,21 @@ def _data(quick: bool) -> Iterator[Growth]:
     sizes = doubled(10_000, 20_000 if quick else 320_000)
     in_pieces = doubled(100, 200 if quick else 1_600)
     looks: dict[str, Callable[[Dataset], object]] = {
-        "inspect (advice)": lambda data: advise_recording(_anew(data)),
+        "inspect (advice)": lambda data: advise_recording(_copy_of(data)),
         "windows of 20 steps": lambda data: data.windows(20, history=3, moving=True),
-        "split by time": lambda data: _anew(data).split(0.25),
-        "fingerprint": lambda data: _anew(data).fingerprint,
+        "split by time": lambda data: _copy_of(data).split(0.25),
+        "fingerprint": lambda data: _copy_of(data).fingerprint,
     }
     for name, look in looks.items():
         yield Growth("data", name, "steps", sizes, make=_on_steps(look))
     for name, look in {
         "inspect (advice)": looks["inspect (advice)"],
-        "hold out a quarter of the episodes": lambda data: _anew(data).split(list(data.names[::4])),
+        "hold out a quarter of the episodes": lambda data: _copy_of(data).split(list(data.names[::4])),
     }.items():
         yield Growth("data", name, "episodes of 100 steps", in_pieces, make=_on_episodes(look))
 
 
-def _anew(data: Dataset) -> Dataset:
+def _copy_of(data: Dataset) -> Dataset:
     """Return the same data without what was kept of an earlier look."""
     return data.with_episodes(data.episodes)
 
@@ -245,11 +245,13 @@ def _tests(quick: bool) -> Iterator[Growth]:
 
     def scoring(data: Dataset) -> Callable[[], object]:
         fitted = make_model(model).fit(data, rng=0)
-        return lambda: fitted.score(_anew(data))
+        return lambda: fitted.score(_copy_of(data))
 
     def predicting(data: Dataset) -> Callable[[], object]:
         fitted = make_model(model).fit(data, rng=0)
-        return lambda: score_model("linear", fitted, measured_cases(data, _anew(data), PredictionProtocol()), family="")
+        return lambda: score_model(
+            "linear", fitted, measured_cases(data, _copy_of(data), PredictionProtocol()), family=""
+        )
 
     def supporting(data: Dataset) -> Callable[[], object]:
         steps = Steps.of(data.system, data.episodes)

@@ -34,17 +34,19 @@ def stop(
                 if isinstance(case, signal.Signals):
                     host = rig.drive()
                     time.sleep(moment)
-                    told = host.signal(case)
+                    stopped_at = host.signal(case)
                     code, _ = host.wait()
                 else:
                     host = rig.start_host(*(w.format(samples=int(20 * moment), seconds=moment) for w in FAILURES[case]))
                     code, _ = host.wait()
-                    told = next(entry.time for entry in host.entries() if entry.event == "fails")
+                    stopped_at = next(entry.time for entry in host.entries() if entry.event == "fails")
                 time.sleep(SETTLED)
-                opened = opened_after(rig.entries(), told)
+                opened = opened_after(rig.entries(), stopped_at)
                 driven = any(entry.event == "buttons" and entry.value for entry in rig.entries(began))
-                stops = [m for came, m in messages(rig.entries(began), "in") if isinstance(m, Stop) and came >= told]
-                delays.append(opened - told if driven and stops and opened is not None else np.inf)
+                stops = [
+                    m for came, m in messages(rig.entries(began), "in") if isinstance(m, Stop) and came >= stopped_at
+                ]
+                delays.append(opened - stopped_at if driven and stops and opened is not None else np.inf)
                 codes.append(code)
             passed = sum(delay <= bound and code != 0 for delay, code in zip(delays, codes, strict=True))
             name = case.name if isinstance(case, signal.Signals) else case

@@ -1,4 +1,4 @@
-"""Killed commands resume to the same result: ``python -m tests.benchmarks.kill_and_go_on [--times 10] [--repeats 0]``.
+"""Killed commands resume to the same result: ``python -m tests.benchmarks.kill_and_resume [--times 10] [--repeats 0]``.
 
 A small comparison is run to its end once. Then the same command is killed (SIGKILL) in a new folder at ``--times``
 seeded random moments, resumed in that folder each time, and run to its end; then the same with two processes in one

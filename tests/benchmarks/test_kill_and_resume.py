@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.benchmarks.kill_and_go_on import rows
+from tests.benchmarks.kill_and_resume import rows
 
 
 @pytest.mark.nightly
