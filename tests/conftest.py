@@ -62,7 +62,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Keep a module on one worker, and the modules of a group."""
+    """Run the tests of a module, and of a group of modules, on one worker."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByGroup(LoadScopeScheduling):

@@ -1,4 +1,4 @@
-"""What shape the four packages have: ``python -m tests.layout [--list]`` prints the measures that the tests keep.
+"""Structure of the four packages: ``python -m tests.layout [--list]`` prints the measures that tests limit.
 
 All imports are counted: at the top, in functions, and for type checking.
 """
@@ -45,7 +45,7 @@ def import_statements(module: str) -> list[tuple[ast.Import | ast.ImportFrom, bo
 
 
 def names_in(node: ast.Import | ast.ImportFrom) -> list[str]:
-    """Return the modules that an import names; a relative one is named as it is written."""
+    """Return the modules that an import names; a relative import is returned as written."""
     return [alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module or ""]
 
 
@@ -103,7 +103,7 @@ def cycles() -> list[list[str]]:
 
 
 def repeated_classes() -> dict[str, list[str]]:
-    """Return the modules of every class name, private ones too, that is defined at the top of more than one."""
+    """Return the modules of every class name (also private) that more than one module defines."""
     where = defaultdict(list)
     for module, tree in trees().items():
         for node in tree.body:
@@ -122,7 +122,7 @@ def importers_of(*packages: str) -> list[str]:
 
 
 def imports_in_functions() -> list[tuple[str, str]]:
-    """Return the module and the package that it imports, for each import in a function of what is not ours."""
+    """Return module and package of each third-party import within a function."""
     found = {
         (module, name.split(".")[0])
         for module in trees()

@@ -90,7 +90,7 @@ class Change:
 
 
 class Places:
-    """Finds the changes of a module; what only people and type checkers read is left out."""
+    """Finds the changes of a module, except in texts and type annotations."""
 
     def __init__(self, source: bytes) -> None:
         self.source = source
@@ -176,7 +176,7 @@ def _text(node: ast.AST) -> bool:
 
 
 def _other(value: object) -> list[object]:
-    """Return what a number or truth value becomes: one more, one less, doubled, halved, where it makes a difference."""
+    """Return the changed values of a number or truth value: one more, one less, doubled, halved, if different."""
     match value:
         case bool():
             return [not value]
@@ -245,7 +245,7 @@ class Imports:
         return module
 
     def _imported(self, module: str) -> set[str]:
-        """Return what a module imports, what texts in it name, and what the fixtures import that it asks for."""
+        """Return the imports of a module, the modules named in its texts, and the imports of its fixtures."""
         file, nodes = self.files[module], list(ast.walk(self.trees[module]))
         found = {self._origin(*pair) for pair in self.pairs[module]}
         texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
@@ -334,7 +334,7 @@ class Tree:
         shutil.copytree(root, folder, ignore=shutil.ignore_patterns(*IGNORED))
 
     def cache_for(self, module: str) -> str:
-        """Return the folder of machine code; empty for a module that must not meet what is compiled of it."""
+        """Return the folder of machine code; empty for a module that must not use compiled code of its original."""
         text = (self.folder / module).read_text(encoding="utf-8")
         kept = os.environ.get("SYSID_EVO_CACHE", str(self.folder.with_name("cache")))
         return "" if COMPILED.search(module + text) else kept
@@ -401,7 +401,7 @@ class Tree:
 
 
 def chosen_tests(tree: Tree, wanted: Mapping[str, Sequence[str]]) -> dict[str, dict[str, float]]:
-    """Return the tests to run for each module, and their seconds; what fails on the product as it is is left out."""
+    """Return the tests for each module and their seconds, without tests that fail on the unchanged product."""
     known: dict[tuple[str, str], float] = {}
     found = {}
     for module, tests in wanted.items():
@@ -439,7 +439,7 @@ def tried(tree: Tree, changes: Sequence[Change], tests: Mapping[str, Mapping[str
 
 
 def try_all(root: Path, changes: Sequence[Change], jobs: int) -> list[str]:
-    """Return for each change the test that noticed it, empty where none did; what happens is written to stderr."""
+    """Return, for each change, the test that detected it, else ""; progress is written to stderr."""
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     os.environ.setdefault("SYSID_EVO_DATA", str(root.parent / "shared" / "data"))
     for package in WARM:

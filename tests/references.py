@@ -113,7 +113,7 @@ def recording(robot: str) -> Dataset:
 
 
 def learned(family: str, robot: str) -> Found:
-    """Return what ``family`` learns from a recording of ``robot``, and simulations with it of that recording."""
+    """Return the learned values of ``family`` on a recording of ``robot``, and its simulations of that recording."""
     where, dataset = f"family/{family}/{robot}", recording(robot)
     try:
         model = make_model(family, **SMALL.get(family, {})).fit(dataset, rng=np.random.default_rng(7))
@@ -188,7 +188,7 @@ def champion(name: str) -> Found:
 
 
 def report(_: str) -> Found:
-    """Return every number and text of the report of a comparison, but for how long it took and where it lies."""
+    """Return every number and text of the report of a comparison, except times and paths."""
     with tempfile.TemporaryDirectory() as folder:
         made = compare(
             out=Path(folder) / "run",
@@ -306,7 +306,7 @@ def word(name: str) -> str:
 
 
 def difference(before: np.ndarray | str, after: np.ndarray | str) -> str:
-    """Return in words by how much a value moved; nothing if it did not."""
+    """Return the change of a value as text, empty if there is none."""
     if digest(before) == digest(after):
         return ""
     if isinstance(before, str) or isinstance(after, str):
@@ -328,7 +328,7 @@ def shortened(value: np.ndarray | str) -> str:
 
 
 def listed(before: Found, after: Found) -> tuple[Table, list[str]]:
-    """Return a table of what is equal, moved, gone and new in each group, and a line for each that is not equal."""
+    """Return a table of equal, changed, missing and new values in each group, and a line for each difference."""
     groups: dict[str, list[int]] = {}
     lines = []
     for key in sorted({*before, *after}):

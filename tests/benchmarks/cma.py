@@ -83,7 +83,7 @@ class Case:
 
     @property
     def counted(self) -> str:
-        """What is compared, in words."""
+        """Description of the comparison."""
         if self.target is None:
             return f"best after {self.generations * self.population:,}"
         return f"evaluations to {self.target:g}"
@@ -107,7 +107,7 @@ CASES = (
 
 @dataclass(frozen=True)
 class Run:
-    """One search: how many evaluations until the target, None if it was not reached, and the best value."""
+    """One search: evaluations until the target (None if it was not reached), and the best value."""
 
     case: str
     who: str
@@ -117,7 +117,7 @@ class Run:
     seconds: float
 
     def counted(self, case: Case) -> float:
-        """Return what is compared."""
+        """Return the figure that is compared."""
         if case.target is None:
             return self.best
         return np.inf if self.evaluations is None else self.evaluations
@@ -285,7 +285,7 @@ def interruptions(times: int) -> Iterator[tuple[Interrupted, int]]:
 
 
 def resume(times: int) -> tuple[Table, bool]:
-    """Return how many searches of each strategy ended with the same result, and whether all did."""
+    """Return the number of searches of each strategy with the same result, and whether all had it."""
     same: dict[str, list[bool]] = {}
     for search, killed_after in interruptions(times):
         with tempfile.TemporaryDirectory() as folder:

@@ -33,7 +33,7 @@ ADAPTED = 30.0  # s
 
 
 def coverage(samples: Array, truth: Array, *, share: float = SHARE) -> Array:
-    """Return how much of ``truth`` (N, nx) lies in the central ``share`` of ``samples`` (S, N, nx), (nx,)."""
+    """Return the coverage (nx,): share of ``truth`` (N, nx) in the central ``share`` of ``samples`` (S, N, nx)."""
     low, high = np.quantile(samples, [0.5 - share / 2, 0.5 + share / 2], axis=0, method="weibull")
     return ((truth >= low) & (truth <= high)).mean(axis=0)
 
@@ -60,7 +60,7 @@ def line(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
 
 
 def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> None:
-    """Write how often the intervals hold on the test part of each log."""
+    """Write the coverage of the intervals on the test part of each log."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.errors import IncompatibleSystem
     from tests.benchmarks.cars import recording
@@ -82,7 +82,7 @@ def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str
 
 
 def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> None:
-    """Write how often the intervals hold in the condition of the fit and in others, before and after adaptation."""
+    """Write the coverage in the condition of the fit and in others, before and after adaptation."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.models.adaptation import NONE
     from tests.benchmarks.shift.recordings import cases

@@ -41,7 +41,7 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass
 class Row:
-    """One way to run the command: where, with which options, and what it took, in s."""
+    """One way to run the command: folder, options, and times in s."""
 
     name: str
     checkout: Path
@@ -80,7 +80,7 @@ class Row:
 
 @dataclass
 class Kind:
-    """Cells of one kind: how many, their seconds in all and at most, the bytes of their results."""
+    """Cells of one kind: number, total and longest time in s, bytes of their results."""
 
     cells: int = 0
     seconds: float = 0.0
@@ -161,7 +161,7 @@ def _processor() -> float:
 def measured(
     options: Sequence[str], jobs: Sequence[int], workers: Sequence[int], before: Path | None, repeats: int
 ) -> list[Row]:
-    """Return the rows, the earlier state first, each run ``repeats`` times in turn."""
+    """Return the rows, the earlier version first, each run ``repeats`` times in turn."""
     rows = [Row(f"{count} jobs" if count > 1 else "1 job", ROOT, (*options, "--jobs", str(count))) for count in jobs]
     rows += [Row(f"Dask, {count} worker{'s' if count > 1 else ''}", ROOT, tuple(options), count) for count in workers]
     if before is not None:
@@ -216,7 +216,7 @@ def times(rows: Sequence[Row]) -> Table:
 
 
 def costs(row: Row) -> Table:
-    """Return what each kind of cell took and how large its results are."""
+    """Return the time and the size of the results of each kind of cell."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in (f"cells, {row.name}", "number", "s in all", "s each", "s at most", "kB each"):
         table.add_column(heading, justify="left" if heading.startswith("cells") else "right")

@@ -69,7 +69,7 @@ class Row:
 
 
 class Job(ABC):
-    """A command that is killed in a folder of its own, the data being in ``folder``."""
+    """A command that is killed in its own folder; its data are in ``folder``."""
 
     what: str
     kept: str
@@ -79,11 +79,11 @@ class Job(ABC):
 
     @abstractmethod
     def arguments(self, out: Path) -> tuple[str, ...]:
-        """Return what is called; ``out`` is a run folder."""
+        """Return the command; ``out`` is a run folder."""
 
     @abstractmethod
     def result(self, out: Path) -> object:
-        """Return what must be the same."""
+        """Return the results that must be the same."""
 
     def fresh(self, name: str) -> Path:
         """Return a run folder in which nothing is done yet."""
@@ -140,7 +140,7 @@ class ByNiches(Evolution):
 
 
 class Polish(Evolution):
-    """The polish alone: what it starts from is there."""
+    """The polish alone; its inputs are stored."""
 
     what = "polish"
     options = POLISH
@@ -178,7 +178,7 @@ def finish(processes: list[subprocess.Popen[bytes]]) -> float:
 
 
 def kill_after(processes: list[subprocess.Popen[bytes]], seconds: float) -> int:
-    """Kill all after ``seconds``; return how many were still at work."""
+    """Kill all after ``seconds``; return the number of processes that were still running."""
     time.sleep(seconds)
     running = sum(process.poll() is None for process in processes)
     for process in processes:
@@ -223,7 +223,7 @@ def repeated(folder: Path, repeats: int, times: int, seed: int) -> list[Row]:
 
 @contextmanager
 def busy(count: int) -> Iterator[None]:
-    """Keep ``count`` processors busy meanwhile."""
+    """Keep ``count`` processors busy inside the block."""
     others = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
     try:
         yield
@@ -253,7 +253,7 @@ def killed(
 
 
 def on_cluster(job: Job, victim: str, times: int, rng: np.random.Generator, whole: float, expected: object) -> Row:
-    """Kill a worker or the scheduler of a cluster ``times`` while it computes; what dies is replaced."""
+    """Kill a worker or the scheduler of a cluster ``times`` times while it computes, and replace it."""
     with tempfile.TemporaryDirectory() as folder:
         cluster = Processes(Path(folder))
         try:

@@ -45,7 +45,7 @@ def processor_seconds() -> float:
 
 
 def content(folder: Path) -> dict[Path, bytes | None]:
-    """Return what every file in a folder holds."""
+    """Return the content of every file in a folder."""
     return {path: path.read_bytes() if path.is_file() else None for path in sorted(folder.rglob("*"))}
 
 

@@ -55,7 +55,7 @@ MODEL, ROBOT = "model", "robot"
 
 @dataclass(frozen=True)
 class Shown:
-    """What the data of a robot show: training and held-out ``parts``."""
+    """Data of a robot: training and held-out ``parts``."""
 
     robot: str
     training: Dataset
@@ -68,7 +68,7 @@ class Shown:
         return cls(robot, training, test)
 
     def named(self, runs: Sequence[Trajectory]) -> set[str]:
-        """Return the probes that fire in ``runs``, and the states of which they break a fact of the data."""
+        """Return the checks that fail in ``runs``, and the states with a wrong input-output slope."""
         visited, held_out = (Steps.of(self.training.system, runs), Steps.moving(self.test))
         found = {
             limit.name
@@ -79,26 +79,26 @@ class Shown:
         return found | {fact.state for fact in laws.facts(tuple(runs))}
 
     def looked_at(self, champion: Champion, dynamics: Mapping[str, Dynamics]) -> ModelExploitability:
-        """Look at what a controller does in the first of ``dynamics``; one called as `ROBOT` is the robot."""
+        """Return the findings on a controller in the first of ``dynamics``; the one called `ROBOT` is the robot."""
         runners = {name: DynamicsRunner(one) for name, one in dynamics.items()}
         matrix = transfer([champion], runners, seed=0, robot=ROBOT if ROBOT in runners else None)
         return assess_exploitability(matrix, self.training, self.test)[0]
 
 
 def names(found: ModelExploitability) -> set[str]:
-    """Return the probes that found something, and the states of which a fact of the data is broken."""
+    """Return the plausibility checks that failed, and the states with a wrong input-output slope."""
     return {probe.name for probe in found.exploits} | {fact.state for fact in found.slope_differences}
 
 
 def verdict_on(wanted: set[str], found: ModelExploitability) -> str:
-    """Return how one of ``wanted`` is named: by a probe or a fact, by what controllers do, or not at all."""
+    """Return whether one of ``wanted`` is named by a check or slope ("yes"), by behaviour, or not ("no")."""
     if wanted & names(found):
         return "yes"
     return "behaviour" if any(name in one.name.split() for one in found.behaviours for name in wanted) else "no"
 
 
 def settings(robot: str, generations: int) -> ControllerEvolution:
-    """Return how controllers are evolved on a robot."""
+    """Return the settings of controller evolution on a robot."""
     task = Spec.parse(TASKS[robot.partition(":")[0]])
     return ControllerEvolution(
         generations=generations,

@@ -46,7 +46,7 @@ PERIOD = 50.0  # ms at 20 Hz
 
 
 class Timed(Controller):
-    """A bound controller that keeps how many ms of processor time each decision took."""
+    """A bound controller that records the processor time of each decision in ms."""
 
     def __init__(self, bound: Controller) -> None:
         self.bound, self.spent = bound, list[float]()

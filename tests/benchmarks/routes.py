@@ -22,7 +22,7 @@ PACKAGES = ("sysid_evo", "model_zoo", "evaluation", "hardware")
 
 
 def entered(call: Callable[[], object]) -> list[str]:
-    """Return the files of the four packages, relative to the project, of which ``call`` called a function."""
+    """Return the files of the four packages, relative to the project, whose functions ``call`` used."""
     files: set[str] = set()
 
     def note(frame: FrameType, event: str, _: Any) -> None:

@@ -94,7 +94,7 @@ def copied(cells: Sequence[Recorded], copies: int) -> list[Recorded]:
 
 
 def work_ahead(cells: Sequence[Recorded]) -> dict[str, float]:
-    """Return by digest the seconds from the beginning of each cell to the end of all that waits for it in turn."""
+    """Return, by digest, the seconds from the start of a cell to the end of the longest chain of dependent cells."""
     by_digest = {cell.digest: cell for cell in cells}
     ahead = {cell.digest: cell.seconds for cell in cells}
     for cell in reversed(cells):
@@ -104,7 +104,7 @@ def work_ahead(cells: Sequence[Recorded]) -> dict[str, float]:
 
 
 def critical_path(cells: Sequence[Recorded]) -> list[Recorded]:
-    """Return the longest chain of cells each of which waits for the one before: no number of processes is faster."""
+    """Return the longest chain of dependent cells, a lower bound of the time for any number of processes."""
     ahead = work_ahead(cells)
     path: list[Recorded] = []
     candidates = list(cells)
@@ -145,7 +145,7 @@ def makespan(cells: Sequence[Recorded], processes: int, client: float = 0.0) -> 
 
 
 def kinds(cells: Sequence[Recorded]) -> Table:
-    """Return the cells by kind: how many, their seconds, what they read and what they write."""
+    """Return the cells by kind: number, seconds, bytes read and bytes written."""
     sizes = {cell.digest: cell.size for cell in cells}
     groups: dict[str, list[Recorded]] = defaultdict(list)
     for cell in cells:

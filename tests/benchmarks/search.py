@@ -48,7 +48,7 @@ STRATEGIES = {
 
 @dataclass(frozen=True)
 class Run:
-    """One evolution on one car: where its budget went and what its champion achieves."""
+    """One evolution on one car: use of its budget and fitness of its champion."""
 
     strategy: str
     car: int

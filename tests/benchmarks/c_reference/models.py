@@ -35,7 +35,7 @@ FAMILIES = {
 
 
 def dynamics(name: str, folder: Path, *, seconds: float = 360.0) -> Dynamics:
-    """Return the fitted family, or the emulated car; what is not in ``folder`` yet is made first."""
+    """Return the fitted family (loaded from ``folder`` if it is there), or the emulated car."""
     if name == CAR:
         robot: Any = find_robot(CAR)
         car: Dynamics = robot.dynamics

@@ -60,7 +60,7 @@ def recording(name: str) -> tuple[Dataset, Dataset]:
 
 
 class Fits:
-    """Fits models to one recording, and keeps them in a folder if there is one."""
+    """Fitted models of one recording, stored in a folder if there is one."""
 
     def __init__(self, name: str, folder: Path | None) -> None:
         self.name, self.folder = name, folder
@@ -68,7 +68,7 @@ class Fits:
         self.cases: MeasuredCases = measured_cases(self.training, test, PredictionProtocol())
 
     def score(self, spec: Spec, seed: int) -> tuple[ModelPrediction, DynamicsModel, str]:
-        """Return how a family predicts that is fitted with this seed, the model, and how long that took."""
+        """Return the prediction errors of a family fitted with this seed, the model, and the time of the fit."""
         file = None if self.folder is None else self.folder / f"{self.name}-{seed}-{_as_file_name(spec)}"
         if file is not None and file.with_name(f"{file.name}.json").is_file():
             model, took = load_model(file.with_name(f"{file.name}.json")), "kept"
@@ -93,14 +93,14 @@ def _as_file_name(spec: Spec) -> str:
 
 
 def difference(first: list[ModelPrediction], second: list[ModelPrediction], horizon: int) -> str:
-    """Return by how much the first are worse than the second at a horizon, marked if that is sure."""
+    """Return the difference of the errors (first minus second) at a horizon, marked if it is significant."""
     own, other = pooled(first, horizon), pooled(second, horizon)
     mark = " *" if (own - other).estimate.differs_from(0.0) else ""
     return f"{100.0 * (own.value / other.value - 1.0):+.1f} %{mark}"
 
 
 def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | None) -> None:
-    """Write what `auto` reaches on one recording, and what every candidate reaches alone."""
+    """Write the errors of `auto` and of every single candidate on one recording."""
     write, fits = sys.stdout.write, Fits(name, folder)
     horizons = [horizon for horizon in fits.cases.horizons if horizon is not None]
     write(f"\n{name}: N after {', '.join(map(str, horizons))} steps\n")

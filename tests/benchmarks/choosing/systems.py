@@ -38,7 +38,7 @@ class Simulated(ABC):
 
     @abstractmethod
     def control(self, measured: Array, push: Array) -> Array:
-        """Return what the controller does (episodes, nu) with a random ``push`` (episodes,) from -1 to 1."""
+        """Return the controls (episodes, nu) of the controller with a random ``push`` (episodes,) from -1 to 1."""
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, count: int) -> Array:

@@ -36,7 +36,7 @@ ALONE = "best alone"
 
 
 def replayed(fits: Fits, preset: str, seed: int) -> dict[str, DynamicsModel]:
-    """Return what `auto` becomes by every rule."""
+    """Return the result of `auto` for every rule."""
     memory: dict[tuple[int, int], FitOutcome] = {}
 
     class Remembering(FitWork):

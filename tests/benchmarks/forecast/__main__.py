@@ -72,7 +72,7 @@ def figure_table(runs: Runs) -> Table:
 
 
 def term_table(runs: Runs) -> Table:
-    """Return a line for each further term: what the forecast would be with it, fitted on the other cars."""
+    """Return a line for each further term: the forecast with this term, fitted on the other cars."""
     made = Table("term", "rank correlation", "RMSE")
     keys = [key for key, found in runs.items() for _ in found]
     everyone = [one for found in runs.values() for one in found]
@@ -113,7 +113,7 @@ def cover_table(runs: Runs) -> Table:
 
 
 def missed_table(runs: Runs) -> Table:
-    """Return a line for each kind of controller: how many intervals hold, and by how much forecasts miss."""
+    """Return a line for each kind of controller: coverage of the intervals and error of the forecasts."""
     everyone = [one for found in runs.values() for one in found]
     holds = np.array(held(everyone, FORECAST_RULE.share))
     made = Table("controller, or its search", "finalists", "intervals that hold", "achieved less forecast", "by car")
@@ -133,7 +133,7 @@ def number_of(robot: str) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Look at what is missing and print the tables."""
+    """Compute missing records and print the tables."""
     parser = argparse.ArgumentParser(prog="tests.benchmarks.forecast", description=__doc__)
     parser.add_argument("runs", nargs="*", type=Path, help="run folders of comparisons of emulated cars")
     parser.add_argument("--study", type=Path, help="file of a study of emulated cars")

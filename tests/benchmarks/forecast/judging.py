@@ -84,13 +84,13 @@ def seen(record: Record, car: int, run: str, rule: ForecastRule) -> Seen:
 
 
 def rank_correlation(found: Sequence[Seen], figure: Callable[[Seen], float]) -> float:
-    """Return Spearman's correlation of a figure with what is achieved."""
+    """Return Spearman's correlation of a figure with the achieved fitness."""
     correlation = summary.rank_correlation([(figure(one), one.achieved) for one in found if np.isfinite(figure(one))])
     return np.nan if correlation is None else correlation
 
 
 def best_of_ten(found: Sequence[Seen], figure: Callable[[Seen], float], *, seed: int = 0) -> float:
-    """Return which share of what the best of ten achieves is lost by choosing by a figure, the mean over many tens."""
+    """Return the loss from choosing the best of ten by a figure, as a share of the best, averaged over many draws."""
     achieved, ranked = np.array([one.achieved for one in found]), np.array([figure(one) for one in found])
     rng, losses = np.random.default_rng(seed), []
     for _ in range(TENS):
@@ -122,7 +122,7 @@ def held(found: Sequence[Seen], share: float) -> list[bool]:
 
 
 def with_term(found: Sequence[Seen], name: str) -> Array:
-    """Return forecasts (N,) plus a constant and one further term, fitted by ridge to what the other cars missed."""
+    """Return forecasts (N,) plus a constant and one further term, fitted by ridge to the errors on the other cars."""
     terms = np.array([one.terms[name] for one in found])
     inputs = np.stack([np.ones(len(terms)), terms / max(float(terms.std()), 1e-12)], axis=1)
     missed = np.array([one.achieved - one.forecast for one in found])

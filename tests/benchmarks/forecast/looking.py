@@ -90,7 +90,7 @@ def look(run: Path, out: Path) -> list[Record]:
 
 
 def records_of(champion: Champion, name: str, material: Material, car: Runner) -> list[Record]:
-    """Return what each finalist does, the champion first."""
+    """Return the behaviour of each finalist, the champion first."""
     others = [f.parameters for f in champion.finalists if not np.array_equal(f.parameters, champion.parameters)]
     everyone = np.stack([champion.parameters, *others])
     columns = {label: _column(champion, everyone, label, material) for label in material.models}
@@ -114,7 +114,7 @@ def records_of(champion: Champion, name: str, material: Material, car: Runner) -
 
 
 def _column(champion: Champion, everyone: Array, label: str, material: Material) -> list[Record]:
-    """Return what everyone does on one model: fitness, how much is outside the data, what trips a probe most."""
+    """Return the results of all finalists on one model: fitness, share outside the data, worst plausibility check."""
     runner, support = DynamicsRunner(material.models[label]), material.support
     fitness = _run(champion, everyone, runner, material.seed, TRIALS).fitness
     told = {"family": material.families[label], "error": material.errors[label]}

@@ -19,7 +19,7 @@ from tests.benchmarks.forecast.looking import Material, Record, records_of
 
 
 def looked_for(comparison: Comparison) -> Plan:
-    """Return the models, predictions and controllers of a comparison, and what they need: not the transfer matrix."""
+    """Return the cells of models, predictions and controllers of a comparison, without the transfer matrix."""
     assert comparison.matrix is not None
     wanted = (*comparison.fits.values(), *comparison.predictions.values(), *comparison.matrix.controllers)
     return Plan.of(wanted)
@@ -34,7 +34,7 @@ def compute_points(study: Study, folder: Path, jobs: int) -> None:
 
 
 def complete_points(study: Study, folder: Path) -> Iterator[tuple[Point, Comparison]]:
-    """Yield the points of a study of which the store in ``folder`` holds all that is `looked_for`."""
+    """Yield the points of a study whose cells of `looked_for` are all in the store in ``folder``."""
     store = Store(folder)
     for point, comparison in plan_study(study).points:
         if all(store.find(cell.digest) is not None for cell in looked_for(comparison).cells):

@@ -21,7 +21,7 @@ from tests.benchmarks.forecast.looking import Record
 
 
 def made_up(cars: int = 5, each: int = 200, seed: int = 0, shift: float = 0.0) -> list[Seen]:
-    """Return controllers whose forecasts miss by twice their unit, plus ``shift`` and what one term knows."""
+    """Return controllers with forecast errors of twice their unit, plus ``shift`` and the effect of one term."""
     rng, found = np.random.default_rng(seed), []
     for car in range(cars):
         for _ in range(each):

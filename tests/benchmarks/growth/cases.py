@@ -120,7 +120,7 @@ def _asking(name: str, size: int) -> Callable[[], object]:
 
 
 def _data(quick: bool) -> Iterator[Growth]:
-    """What is done with recordings before anything is fitted."""
+    """Operations on recordings before a fit."""
     sizes = doubled(10_000, 20_000 if quick else 320_000)
     in_pieces = doubled(100, 200 if quick else 1_600)
     looks: dict[str, Callable[[Dataset], object]] = {
@@ -139,7 +139,7 @@ def _data(quick: bool) -> Iterator[Growth]:
 
 
 def _copy_of(data: Dataset) -> Dataset:
-    """Return the same data without what was kept of an earlier look."""
+    """Return a copy of the data without cached results."""
     return data.with_episodes(data.episodes)
 
 
@@ -165,7 +165,7 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 
 def _commands(quick: bool) -> Iterator[Growth]:
-    """The commands on a CSV log, as processes of their own; what starting one takes is in them."""
+    """The commands on a CSV log as separate processes, including their start."""
     sizes = (1_000, 2_000) if quick else (10_000, 30_000, 100_000, 300_000, 1_000_000)
 
     def importing(rows: int) -> list[str]:
@@ -235,7 +235,7 @@ def _stepping(name: str, parameters: str) -> Callable[[int], Callable[[], object
 
 
 def _tests(quick: bool) -> Iterator[Growth]:
-    """What is measured on held-out data."""
+    """Measurements on held-out data."""
     sizes = doubled(4_000, 8_000 if quick else 128_000)
     in_pieces = doubled(100, 200 if quick else 800)
     model = "linear"

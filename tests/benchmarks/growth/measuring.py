@@ -151,7 +151,7 @@ def of_process(arguments: Sequence[str]) -> tuple[float, float]:
 
 
 def doubled(first: int, last: int, factor: int = 2) -> tuple[int, ...]:
-    """Return ``first`` and what it becomes by the factor, up to ``last``."""
+    """Return the geometric sequence from ``first`` by the factor, up to ``last``."""
 
     def values() -> Iterator[int]:
         size = first

@@ -110,7 +110,7 @@ def free_run_error(model: DynamicsModel, test: Dataset) -> float:
 
 
 def relative(simulated: Array, measured: Array) -> float:
-    """Return the root mean square error over the deviation of what was measured."""
+    """Return the root mean square error divided by the standard deviation of the measurements."""
     return float(np.sqrt(np.mean((simulated - measured) ** 2)) / measured.std())
 
 

@@ -22,7 +22,7 @@ WATCHED = 0.5  # s after it is back
 def cut(
     folder: Path, *, repeats: int, seed: int, margin: float = MARGIN, kinds: Sequence[str] = tuple(BOUNDS)
 ) -> list[Row]:
-    """Let each of ``kinds`` happen ``repeats`` times in the middle of a run, and meet another version once."""
+    """Apply each of ``kinds`` ``repeats`` times in the middle of a run, and another protocol version once."""
     rows = [_interrupted(folder, kind, repeats=repeats, seed=seed, bound=BOUNDS[kind] + margin) for kind in kinds]
     return [*rows, _refused(folder, seed)]
 

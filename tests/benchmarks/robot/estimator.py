@@ -43,7 +43,7 @@ class Witness(Listener):
 
 
 class Script(Pilot):
-    """Drives a manoeuvre and keeps the estimates."""
+    """Drives a manoeuvre and records the estimates."""
 
     def __init__(self, manoeuvre: Manoeuvre) -> None:
         self.controls = manoeuvre.controls
@@ -57,7 +57,7 @@ class Script(Pilot):
 
 
 def measure(*, window: float, lag: float, seconds: float, seed: int) -> tuple[EstimatorDelay, ...]:
-    """Return how late the estimates are on the emulated car."""
+    """Return the delay of the estimates on the emulated car."""
     robot = make_robot("emulated_car")
     system = robot.system
     truth: tuple[list[float], list[Array]] = ([], [])

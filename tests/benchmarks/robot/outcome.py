@@ -52,7 +52,7 @@ def save(rows: Sequence[Row], path: Path) -> None:
 
 
 def _shown(value: Any) -> str:
-    """Return a figure as words: what is in a dictionary or a list, without its brackets."""
+    """Return a figure as text: the items of a dictionary or a list without brackets."""
     if isinstance(value, dict):
         return " ".join(f"{name.replace('_', ' ')} {_shown(inner)}" for name, inner in value.items())
     if isinstance(value, list):

@@ -54,7 +54,7 @@ class Rig(Closeable):
         return Host(process, log, recording)
 
     def entries(self, since: float = 0.0) -> list[Entry]:
-        """Return what has happened to the car from ``since`` (s) on."""
+        """Return the events of the car from ``since`` (s) on."""
         return [entry for entry in self._journal.update() if entry.time >= since]
 
     def drive(self, *options: str) -> Host:
@@ -84,7 +84,7 @@ class Rig(Closeable):
 
 
 class Host:
-    """A host's process, its log, and what its recorder wrote."""
+    """A host's process, its log, and its recording."""
 
     def __init__(self, process: subprocess.Popen[bytes], log: Path, recording: Path) -> None:
         self.process = process
@@ -101,7 +101,7 @@ class Host:
         return now
 
     def wait(self) -> tuple[int, str]:
-        """Return the exit code and what it wrote to its standard error once it has ended."""
+        """Return the exit code and the standard error of the process after it has ended."""
         _, errors = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, errors.decode()
 

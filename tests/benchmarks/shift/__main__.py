@@ -97,7 +97,7 @@ class Fits:
 
 
 def measure(case: Case, fits: Fits, seed: int, wanted: Sequence[str]) -> tuple[dict[str, dict[int, Draws]], str]:
-    """Return N of every way to meet the other condition, and what was decided after 30 s."""
+    """Return N of every way to handle the other condition, and the decision after 30 s."""
     protocol, base = PredictionProtocol(), fits.fitted(case.training, seed)
     measured = measured_cases(case.training, case.test, protocol)
     found = {"before": resampled(measured, simulated(base, measured))}

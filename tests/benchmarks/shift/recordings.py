@@ -19,7 +19,7 @@ EMULATED_TIME = 240.0
 
 @dataclass(frozen=True)
 class Case:
-    """``training`` of one condition; of the other ``new`` seconds, the data of its own kind, and a test."""
+    """``training`` of one condition; ``new`` seconds, in-domain data and a test of the other."""
 
     name: str
     shifted: bool
@@ -88,7 +88,7 @@ def emulated() -> Iterator[Case]:
 
 
 def cut(drive: Dataset) -> tuple[Dataset, Dataset]:
-    """Return the 30 s from the first motion on, and what follows."""
+    """Return the 30 s from the first motion on, and the rest."""
     episode = drive.episodes[0]
     begin = int(np.argmax(drive.moving[0]))
     end = begin + round(LONGEST / drive.system.dt)

@@ -23,7 +23,7 @@ it may be worse."""
 
 @dataclass(frozen=True)
 class Row:
-    """N of each way after each number of steps, ``n[way][steps]``, and what was decided after 30 s."""
+    """N of each way after each number of steps, ``n[way][steps]``, and the decision after 30 s."""
 
     case: str
     shifted: bool
