@@ -24,7 +24,7 @@ SETS = 8
 
 @register_controller("predictive")
 class Predictive(Controller):
-    """Model predictive path integral control: state-based control with a model inside (MPPI).
+    """Model predictive path integral control (MPPI) with an internal model.
 
     At every step ``samples`` sequences of outputs over ``horizon`` steps are simulated and scored: the plan of the step
     before, each constant sequence of full and no output, and random variations of the plan, each held for ``hold``

@@ -23,25 +23,25 @@ Aggregate: TypeAlias = Callable[[Array], Array]
 
 @register_aggregate("min")
 def lowest(fitness: Array) -> Array:
-    """Return the lowest of the models' mean fitness over the trials (the paper's rule)."""
+    """Lowest of the models' mean fitness over the trials (the paper's rule)."""
     return np.min(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("mean")
 def mean(fitness: Array) -> Array:
-    """Return the mean of the models' mean fitness over the trials."""
+    """Mean over the models of the mean fitness over the trials."""
     return np.mean(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("median")
 def median(fitness: Array) -> Array:
-    """Return the median of the models' mean fitness over the trials."""
+    """Median over the models of the mean fitness over the trials."""
     return np.median(fitness.mean(axis=2), axis=0)
 
 
 @register_aggregate("cvar")
 def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
-    """Return the mean of the worst ``share`` of a candidate's trials, over all models together.
+    """Mean of the worst ``share`` of a candidate's trials on all models.
 
     ``share`` 1 gives the mean; towards 0 it becomes the single worst trial. A trial may count in part: the worst 25 %
     of ten trials are two and a half trials (Rockafellar and Uryasev 2000).
