@@ -21,7 +21,7 @@ from sysid_evo.files import write_atomically
 from sysid_evo.progress import CheckpointState
 from sysid_evo.version import versions
 
-SCHEMA: Literal["sysid-evo/artefact/3"] = "sysid-evo/artefact/3"
+SCHEMA: Literal["sysid-evo/artefact/4"] = "sysid-evo/artefact/3"
 
 SUFFIXES = (".json", ".safetensors")
 
@@ -56,7 +56,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/artefact/3"] = SCHEMA
+    schema_: Literal["sysid-evo/artefact/4"] = SCHEMA
     kind: Literal["model", "controller"]
     name: str
     module: str
@@ -176,7 +176,7 @@ def _with(path: Path, suffix: str) -> Path:
     return stem.with_name(stem.name + suffix)
 
 
-CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/2"] = "sysid-evo/checkpoint/2"
+CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/3"] = "sysid-evo/checkpoint/2"
 
 CONTENT = "sysid-evo"
 SHARE = 0.01
@@ -191,7 +191,7 @@ class _Content(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    schema_: Literal["sysid-evo/checkpoint/2"] = CHECKPOINT_SCHEMA
+    schema_: Literal["sysid-evo/checkpoint/3"] = CHECKPOINT_SCHEMA
     identity: str
     numbers: list[str]
     others: dict[str, int | str]

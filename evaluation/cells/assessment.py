@@ -253,7 +253,7 @@ class SearchExploit(CellSettings):
         return {
             "target": self.target.inputs(),
             **identity_of(self.evolution),
-            "believed": ACCURATE,
+            "accurate": ACCURATE,
             "seed": self.seed,
         }
 

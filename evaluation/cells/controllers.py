@@ -222,7 +222,7 @@ class Polish(CellSettings):
     def inputs(self) -> dict[str, Any]:
         return {
             "members": [member.inputs() for member in self.members],
-            "believed": ACCURATE if self.sift else None,
+            "accurate": ACCURATE if self.sift else None,
             **identity_of(self.evolution),
             "generations": self.generations,
             "starts": self.starts,

@@ -113,7 +113,7 @@ def save_report(
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 
-SCHEMA = "sysid-evo/report/5"
+SCHEMA = "sysid-evo/report/6"
 """Version of the document that ``report.schema.json`` describes."""
 
 

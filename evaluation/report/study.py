@@ -490,7 +490,7 @@ def _picture(
     return FigureElement(title, f"{caption} {bars_are if bars else no_bars}", (pair,))
 
 
-SCHEMA = "sysid-evo/study/2"
+SCHEMA = "sysid-evo/study/3"
 
 
 def study_document(results: StudyResults) -> dict[str, Any]:

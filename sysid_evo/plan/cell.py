@@ -16,7 +16,7 @@ from typing_extensions import TypeVar
 from sysid_evo.processors import engine_inputs
 from sysid_evo.progress import Progress
 
-CONTRACT = 15
+CONTRACT = 16
 """Increased whenever the same inputs give another result: all stored results are then computed again."""
 
 

@@ -121,7 +121,7 @@ def test_a_file_and_one_written_by_hand_stand_beside_each_other_on_a_robot(there
         "transfer", stored(there.folder), "pursuit", "--on", "linear,emulated_car", "--run", "one", "--trials", "3"
     )
     assert "Transfer matrix: waypoints" in ended.stdout
-    assert "Claimed, achieved, worst case, regret" in ended.stdout
+    assert "All figures of each controller" in ended.stdout
     assert "emulated_car" in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) <= 80
     assert any(line.split()[:2] == ["pursuit", "–"] for line in ended.stdout.splitlines())

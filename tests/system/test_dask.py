@@ -121,7 +121,7 @@ def test_what_is_local_or_names_files_of_the_run_or_cannot_be_sent_is_computed_h
     assert set(diary(tmp_path).values()) == {1}
     assert (store.load(there), store.load(needing)) == (101, 130)
     (remark,) = watching.remarks
-    assert "is computed in this process (count unsendable cannot be sent: TypeError" in remark
+    assert "are computed in this process (count unsendable cannot be sent: TypeError" in remark
 
 
 def test_warnings_progress_and_starts_reach_the_caller(tmp_path, cluster):

@@ -159,7 +159,7 @@ def test_parquet_holds_every_row_with_the_meaning_of_its_columns(study_folder, p
 
 def test_the_document_is_strict_json_and_markdown_has_all_tables(study_folder):
     document = json.loads((study_folder / "study.json").read_text())
-    assert document["schema"] == "sysid-evo/study/2"
+    assert document["schema"] == "sysid-evo/study/3"
     assert len(document["points"]) == 4
     text = (study_folder / "study.md").read_text()
     for title in ("In short", "Controllers", "Prediction", "Exploitability", "Forecasts", "Time", "Points"):

@@ -156,7 +156,7 @@ def test_the_manifest_records_the_origin_of_the_file(stored):
             lambda old: old[:-1],
             "model.safetensors: its SHA-256 is not the one in model.json: damaged",
         ),
-        (".json", lambda old: old[:-20], "model.json: not a manifest of schema sysid-evo/artefact/3: the file: Inv"),
+        (".json", lambda old: old[:-20], "model.json: not a manifest of schema sysid-evo/artefact/4: the file: Inv"),
         (".safetensors", lambda old: old[:-1] + bytes([old[-1] ^ 1]), "model.safetensors: its SHA-256"),
         (".json", lambda _: b" " * (4 * 2**20 + 1), "a manifest has at most 4194304 bytes, this is larger"),
     ],
