@@ -21,7 +21,7 @@ from sysid_evo.files import write_atomically
 from sysid_evo.progress import CheckpointState
 from sysid_evo.version import versions
 
-SCHEMA: Literal["sysid-evo/artefact/4"] = "sysid-evo/artefact/3"
+SCHEMA: Literal["sysid-evo/artefact/4"] = "sysid-evo/artefact/4"
 
 SUFFIXES = (".json", ".safetensors")
 
@@ -176,7 +176,7 @@ def _with(path: Path, suffix: str) -> Path:
     return stem.with_name(stem.name + suffix)
 
 
-CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/3"] = "sysid-evo/checkpoint/2"
+CHECKPOINT_SCHEMA: Literal["sysid-evo/checkpoint/3"] = "sysid-evo/checkpoint/3"
 
 CONTENT = "sysid-evo"
 SHARE = 0.01
