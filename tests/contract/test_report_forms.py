@@ -64,7 +64,7 @@ def test_the_page_is_self_contained_and_names_every_model_and_controller(runs):
     assert set(re.findall(r"https?://[^\"]*", page)) == {"http://www.w3.org/2000/svg"}  # a name, never fetched
     assert "@import" not in page
     scripts = re.findall(r"<script([^>]*)>", page)  # data, and the script of the page: nothing that is fetched
-    data = {' type="application/json" id="replay-data"', ' type="application/json" class="chart"'}
+    data = {f' type="application/json" {name}' for name in ('id="replay-data"', 'class="chart"', 'class="links"')}
     assert {script for script in scripts if script} == data
     assert scripts.count("") == 1
     for name in (*report.prediction.names, *report.matrix.rows, *report.matrix.columns):

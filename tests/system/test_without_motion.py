@@ -40,7 +40,7 @@ def test_every_part_of_the_report_is_there(report):
     assert len(found.exploitability) == 2
     save_report(found, folder)
     page = (folder / "report.html").read_text()
-    assert "What else was measured" in page
+    assert "Other measures of the task" in page
     assert "grey: what they were to do" in page
 
 
