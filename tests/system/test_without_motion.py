@@ -41,7 +41,7 @@ def test_every_part_of_the_report_is_there(report):
     save_report(found, folder)
     page = (folder / "report.html").read_text()
     assert "Other measures of the task" in page
-    assert "grey: what they were to do" in page
+    assert "grey: their targets with the tolerance" in page
 
 
 def test_the_states_are_drawn_and_what_the_task_tells_is_in_a_table(report):
