@@ -26,7 +26,9 @@ REPORT = "evaluation/report/"
 LIST: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 """Pattern and what to say instead, for all texts and for those of a kind or file alone."""
 WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
-CODE = re.compile(r"```.*?```|~~~.*?~~~|``[^`]*``|`[^`\n]*`|<[^>]*>|\]\([^)]*\)|https?://\S+", re.DOTALL)
+CODE = re.compile(
+    r"```.*?```|~~~.*?~~~|``[^`]*``|`[^`\n]*`|<[^>]*>|\]\([^)]*\)|[\w.]+\([^()\n]*\)|https?://\S+", re.DOTALL
+)
 
 
 @dataclass(frozen=True)
