@@ -124,7 +124,7 @@ def test_a_file_and_one_written_by_hand_stand_beside_each_other_on_a_robot(there
     assert "All figures of each controller" in ended.stdout
     assert "emulated_car" in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) <= 80
-    assert any(line.split()[:2] == ["pursuit", "–"] for line in ended.stdout.splitlines())
+    assert any(line.split()[:3] == ["pursuit", "(baseline)", "–"] for line in ended.stdout.splitlines())
 
 
 def test_the_same_model_is_known_by_its_content_and_names_of_two_runs_are_told_apart(there):
