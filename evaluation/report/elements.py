@@ -21,10 +21,7 @@ Tone = Literal["good", "warn", "bad", "open"]
 
 @dataclass(frozen=True)
 class Page:
-    """A report in its order: title, answers with one figure, further findings, a short table, the sections.
-
-    ``facts`` is one line below the title, ``warnings`` are sentences above the answers.
-    """
+    """A report in its order: title, one line of ``facts``, ``warnings``, answers with one figure, table, sections."""
 
     title: str
     headlines: Sequence[Headline]
@@ -57,10 +54,9 @@ class Finding:
 
 @dataclass(frozen=True)
 class Section:
-    """One heading with its paragraphs, then figures, tables and cards in order.
+    """One heading with paragraphs, sentences on what is ``absent`` and why, then figures, tables and cards in order.
 
-    ``absent`` are sentences on what cannot be shown, and why. The terminal leaves out the tables of a ``background``
-    section, which explain how the numbers were computed. ``link`` is a shorter title for the list of sections.
+    A terminal leaves out the tables of a ``background`` section. ``link`` is a shorter title for the list of sections.
     """
 
     title: str
@@ -131,10 +127,9 @@ class TableElement:
 
 @dataclass(frozen=True)
 class Shading:
-    """Shades of the cells of a table, without its first column.
+    """Shades (rows, columns) from 0 to 1 of the cells of a table without its first column, None for no shade.
 
-    ``shades`` (rows, columns) are from 0 to 1, None for no shade; ``framed`` cells (row, column) have a frame;
-    the ``divided`` column has a line on its left. ``alarm`` selects the colour of warnings.
+    ``framed`` cells have a frame, the ``divided`` column a line on its left; ``alarm`` is the colour of warnings.
     """
 
     shades: tuple[tuple[float | None, ...], ...]
@@ -145,10 +140,7 @@ class Shading:
 
 @dataclass(frozen=True)
 class FigureElement:
-    """Drawings under one title with a ``caption``, next to each other if there are ``columns``.
-
-    With ``choose`` a reader picks one of them by its title; the word names what is picked, such as an episode.
-    """
+    """Drawings under one title, in ``columns``; with ``choose``, such as "Episode", a reader picks one by title."""
 
     title: str
     caption: str
@@ -189,10 +181,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class ReplayElement:
-    """Trials that the script of the page plays: ``document`` is its JSON, ``rows`` are the names of the controllers.
-
-    With ``paths`` bodies on a plane are shown, else states over time.
-    """
+    """Trials that the page plays: a JSON ``document``, controllers (``rows``), bodies (``paths``) or states."""
 
     rows: tuple[str, ...]
     document: str
@@ -210,11 +199,7 @@ class Cards:
 
 @dataclass(frozen=True)
 class Card:
-    """One model: a verdict and sentences below it.
-
-    ``watch`` is the row of the replay to look at, from ``time`` (s) on; empty for none. Of a ``folded`` card the page
-    shows title and verdict in one line.
-    """
+    """One model: verdict and sentences, one line if ``folded``; ``watch`` is a row of the replay, from ``time`` on."""
 
     title: str
     tone: Tone

@@ -234,8 +234,8 @@ def controller_sheet(results: StudyResults) -> TableElement | None:
     reference = next((one.name(results.study.group_axes) for one in figures if one.is_reference), None)
     compared = any(one.difference is not None for one in figures)
     axes, labels = differing_axes(results, [one.group for one in figures])
-    heads = ["controller", *axes, "normalised", "lowest", "claimed -\nachieved"]
-    heads += ["reference\nminus this"] if compared else []
+    heads = ["controller", *axes, "normalised", "interquartile\nmean", "lowest", "claimed -\nachieved"]
+    heads += ["reference\nminus this", "probability of\nimprovement"] if compared else []
     rows = []
     for one in figures:
         row = [
@@ -243,13 +243,14 @@ def controller_sheet(results: StudyResults) -> TableElement | None:
             *labels(one.group),
             _spread(one.normalised, 2),
         ]
-        row += [number(None if one.normalised is None else one.normalised.lowest, 2), _spread(one.gap, sign=True)]
-        row += [_spread(one.difference, 2, sign=True)] if compared else []
+        lowest = None if one.normalised is None else one.normalised.lowest
+        row += [number(one.middle, 2), number(lowest, 2), _spread(one.gap, sign=True)]
+        row += [_spread(one.difference, 2, sign=True), percent(one.improvement)] if compared else []
         points = 0 if one.normalised is None else one.normalised.points
         rows.append((*row, f"{points}, {one.failed} failed" if one.failed else str(points)))
     if not rows:
         return None
-    paired = f" Reference: {reference}, paired by robot and seed." if compared else ""
+    paired = f" Reference: {reference}, paired by robot and seed; improvement: of it over this." if compared else ""
     note = (
         "normalised: achieved fitness divided by the best known, which is the best that any controller of the study "
         "achieves on that robot, both minus that of controls at rest. lowest: that of the worst point. "

@@ -58,14 +58,34 @@ CHOSEN, HINDSIGHT = "chosen by forecast", "best in hindsight"
 """Additional rows: the controller chosen in each point without the robot, and the best one there."""
 
 
+def interquartile_mean(repeats: Repeats) -> float | None:
+    """Return the mean of the middle half of numbers by robot and seed, None for none; its ends count in part."""
+    values = np.sort([value for value in repeats.values() if np.isfinite(value)])
+    weights = np.diff(np.clip(np.linspace(0.0, 1.0, len(values) + 1), 0.25, 0.75))
+    return float(2.0 * weights @ values) if len(values) else None
+
+
+def probability_of_improvement(first: Repeats, second: Repeats) -> float | None:
+    """Return how often a seed of the first is better than one of the second on the same robot; ties count half.
+
+    It is the mean over robots, None without a common one. Source: Agarwal et al., NeurIPS 2021, section 4.3.
+    """
+    shares = []
+    for robot in dict.fromkeys(robot for robot, _ in first):
+        ours, theirs = ([v for (name, _), v in of.items() if name == robot] for of in (first, second))
+        pairs = [(one > two) + 0.5 * (one == two) for one in ours for two in theirs]
+        shares += [np.mean(pairs)] if pairs else []
+    return float(np.mean(shares)) if shares else None
+
+
 @dataclass(frozen=True)
 class ControllerFigures:
     """One row: a controller in the points of one ``group``, over robots and seeds.
 
     ``normalised`` is the achieved share of the best known fitness, ``gap`` claimed minus achieved fitness.
     ``difference`` is the normalised fitness of the reference minus that of this controller, paired by robot and seed.
-    They are None if unknown. ``planned`` is the number of points that could have the controller, ``failed`` that of
-    those in which it could not be made.
+    ``middle`` is the interquartile mean of the normalised fitness, ``improvement`` the probability that the reference
+    is better. They are None if unknown. ``planned`` points could have the controller, in ``failed`` it was not made.
     """
 
     group: tuple[str, ...]
@@ -77,6 +97,8 @@ class ControllerFigures:
     planned: int
     failed: int
     is_reference: bool = False
+    middle: float | None = None
+    improvement: float | None = None
 
     def name(self, axes: Sequence[str]) -> str:
         """Return the controller, followed by its group by these axes."""
@@ -109,6 +131,8 @@ def controller_figures(results: StudyResults) -> tuple[ControllerFigures, ...]:
                 planned=len(own),
                 failed=failed,
                 is_reference=key == reference,
+                middle=interquartile_mean(normalised),
+                improvement=None if key == reference else probability_of_improvement(compared, normalised),
             )
         )
     order = list(dict.fromkeys(figures.group for figures in found))

@@ -39,11 +39,7 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class DrawnPair:
-    """A pair of drawings as the page shows it: two elements, a legend, and a document for its script.
-
-    ``narrow`` is empty where the ``wide`` one does for a phone, too. The ``legend`` has an entry for each named series
-    of a keyed drawing. ``chart`` is JSON to read values off both; empty where nothing is named.
-    """
+    """A pair of drawings in the page; ``chart`` is JSON with the values of both. Without a part it is empty."""
 
     wide: str
     narrow: str

@@ -18,7 +18,7 @@ from evaluation.study import (
     forecast_figures,
     prediction_figures,
 )
-from evaluation.study.figures import prediction_axes
+from evaluation.study.figures import interquartile_mean, prediction_axes, probability_of_improvement
 from evaluation.study.results import HorizonError, with_best_known
 from tests.fixtures.studies import made_up
 
@@ -267,3 +267,18 @@ def test_an_axis_separates_errors_if_it_changes_those_of_any_model_on_the_same_r
     assert prediction_axes(replace(empty, models=tuple(same))) == ()
     plain = [model(point, "b", errors(point, "plain" in point.group)) for point in empty.points]
     assert prediction_axes(replace(empty, models=(*same, *plain))) == ("procedure",)
+
+
+def test_the_interquartile_mean_leaves_out_the_lowest_and_the_highest_quarter():
+    values = {("car", str(seed)): value for seed, value in enumerate((0.0, 2.0, 4.0, 100.0))}
+    assert interquartile_mean(values) == 3.0
+    five = {("car", str(seed)): value for seed, value in enumerate((0.0, 1.0, 2.0, 3.0, 50.0))}
+    assert interquartile_mean(five) == pytest.approx(2.0)
+    assert interquartile_mean({}) is None
+
+
+def test_the_probability_of_improvement_is_that_of_a_pair_of_seeds_on_the_same_robot():
+    first = {("a", "0"): 1.0, ("a", "1"): 3.0, ("b", "0"): 5.0}
+    second = {("a", "0"): 2.0, ("a", "1"): 3.0, ("b", "0"): 5.0, ("c", "0"): 0.0}
+    assert probability_of_improvement(first, second) == pytest.approx((1.5 / 4 + 0.5) / 2)
+    assert probability_of_improvement(first, {("c", "0"): 0.0}) is None
