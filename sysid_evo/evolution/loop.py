@@ -129,12 +129,8 @@ class Stage:
 class Schedule:
     """An objective in stages: the objective of each stage in turn, then the ``final`` one.
 
-    The caller passes every generation to `tell`, and makes the strategy forget old fitness when the next stage
-    begins::
-
-        for generation in evolve(strategy, schedule, 300):
-            if schedule.tell(generation):
-                strategy.forget_fitness()
+    The caller passes every generation to `tell`, and makes the strategy forget old fitness when the next stage begins:
+    ``if schedule.tell(generation): strategy.forget_fitness()``.
 
     ``max_fitness`` is the highest possible fitness of the final objective. When many candidates have it for several
     generations, selection no longer distinguishes candidates, and the schedule is `converged`.
