@@ -56,9 +56,9 @@ def conditional_value_at_risk(fitness: Array, *, share: float = 0.3) -> Array:
 
 
 def make_aggregate(spec: str | Spec, /, **parameters: Any) -> Aggregate:
-    """Return the aggregate that ``spec`` names, with its parameters; one trial call finds invalid values.
+    """Return the aggregate that ``spec`` names, with its parameters; a test call detects invalid values.
 
-    Raises the errors of `Registry.check`, and `InvalidArgument` if the trial call fails.
+    Raises the errors of `Registry.check`, and `InvalidArgument` if the test call fails.
     """
     found = aggregates.check(spec, **parameters)
     aggregate = partial(aggregates.get(found.name), **found.parameters)

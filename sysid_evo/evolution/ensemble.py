@@ -1,4 +1,4 @@
-"""Fitness against several models at once (paper, section 4.5)."""
+"""Fitness on several models together (paper, section 4.5)."""
 
 from __future__ import annotations
 
