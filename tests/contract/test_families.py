@@ -136,7 +136,7 @@ def test_every_family_says_how_much_it_knows_and_predicts_better_than_nothing(fa
     assert np.sqrt(np.mean(forward**2)) < np.sqrt(np.mean(persistence**2))
 
 
-TELL = [name for name in models.names() if name in ("k_neighbours", "narx") or not models.glance(name, "cheap")]
+TELL = [name for name in models.names() if name in ("k_neighbours", "narx") or not models.glance(name, "fast_fit")]
 """Families whose fits take long, if only of long recordings."""
 
 

@@ -234,7 +234,7 @@ def test_a_loop_in_real_time_runs_before_others_where_that_is_allowed_and_one_in
 
 def test_the_page_on_hardware_lists_the_exit_code_of_every_reason():
     page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d+) \| (.+) \|$", page[page.index("| code | why |") :], re.MULTILINE)
+    rows = re.findall(r"^\| (\d+) \| (.+) \|$", page[page.index("| code | reason |") :], re.MULTILINE)
     listed = {reason: [int(code) for code, why in rows if reason.sentence in why] for reason in StopReason}
     assert listed == {reason: [reason.exit_code] for reason in StopReason}
     assert {int(code) for code, _ in rows} == {reason.exit_code for reason in StopReason} | {console.WRONG_INPUT}

@@ -36,7 +36,7 @@ class Robot:
         self._decoder = FrameDecoder()
 
     def say(self, message):
-        self.core.hear(encode(message.pack()), self.now % 2**32)
+        self.core.receive(encode(message.pack()), self.now % 2**32)
         return self.hear()
 
     def hear(self):
@@ -204,7 +204,7 @@ def test_only_legal_buttons_with_their_complement_count(driven):
     for byte in range(256):
         body = bytearray(CommandMessage(driven.session, sequence, (driven.now - 500) % 65536, GO, 15).pack())
         body[7] = byte
-        driven.core.hear(encode(bytes(body)), driven.now)
+        driven.core.receive(encode(bytes(body)), driven.now)
         if byte & 0x0F in BUTTONS and byte >> 4 == ~byte & 0x0F:
             sequence, closed = sequence + 1, byte & 0x0F
             assert driven.hear(), byte
