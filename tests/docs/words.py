@@ -14,6 +14,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from typer.testing import CliRunner
@@ -42,16 +43,22 @@ class Text:
 
     def private(self) -> Iterator[tuple[int, str, str]]:
         """Yield line, word and what to say instead."""
+        places = [name for name in LIST if name in ("everywhere", self.kind) or self.file.startswith(name)]
         plain = CODE.sub(lambda code: "\n" * code[0].count("\n"), self.text)
-        for where, patterns in LIST.items():
-            if where == "everywhere" or where == self.kind or self.file.startswith(where):
-                for pattern, better in patterns.items():
-                    for found in re.finditer(rf"\b(?:{pattern})\b", plain, re.IGNORECASE):
-                        yield self.line + plain.count("\n", 0, found.start()), found[0], better
+        for name in places:
+            for found in _all_of(name, *LIST[name]).finditer(plain):
+                better = list(LIST[name].values())[found.lastindex - 1]
+                yield self.line + plain.count("\n", 0, found.start()), found[0], better
 
     def count(self) -> int:
         """Return how many words it has."""
         return len(WORD.findall(CODE.sub(" ", self.text)))
+
+
+@lru_cache
+def _all_of(name: str, *patterns: str) -> re.Pattern[str]:
+    """Return one pattern with a group for each of a part of the list."""
+    return re.compile(rf"\b(?:{'|'.join(f'({pattern})' for pattern in patterns)})\b", re.IGNORECASE)
 
 
 def pages() -> Iterator[Text]:

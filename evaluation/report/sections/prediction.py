@@ -287,7 +287,7 @@ def horizon_picture(prediction: Prediction) -> FigureElement:
 
 SHOWN_MODELS = 5
 """Models whose simulation is shown at first; a reader may show the others."""
-SHOWN_EPISODES = 6
+SHOWN_EPISODES = 3
 """Test episodes from which a reader may choose."""
 
 

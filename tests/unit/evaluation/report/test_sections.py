@@ -436,11 +436,11 @@ def test_a_reader_chooses_among_the_most_varied_test_episodes(assessed):
     picture = free_run_picture(assessed)
     assert picture.choose == "Test episode"
     titles = [panel.title for panel in picture.panels]
-    assert sorted(titles) == sorted(run.episode for run in assessed.cases.free_runs)
     spread = {
         run.episode: float((run.states.std(axis=0) / assessed.cases.std).mean()) for run in assessed.cases.free_runs
     }
-    assert titles == sorted(titles, key=lambda name: -spread[name])
+    assert len(spread) > 3
+    assert titles == sorted(spread, key=lambda name: -spread[name])[:3]
 
 
 def test_a_card_of_a_model_has_its_equations_parameters_and_settings():
