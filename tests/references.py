@@ -62,7 +62,7 @@ WITH_MODEL: dict[str, dict[str, Any]] = {"lqr": {}, "predictive": {"horizon": 8,
 NETWORK = {"hidden": [8], "one_step_updates": 60, "updates": 30, "horizon": 5}
 HIDDEN = {"members": 2, "order": 3, "screening_iterations": 3, "iterations": 3, "hidden": 4, "horizon": 60}
 SMALL: dict[str, dict[str, Any]] = {
-    "auto": {"candidates": ["linear(state_lags=1, control_lags=2)", "narx(state_lags=1, terms=8)"], "gate": 9.0},
+    "auto": {"candidates": ["linear(state_lags=1, control_lags=2)", "narx(state_lags=1, terms=8)"], "cutoff": 9.0},
     "backprop27": {"epochs": 40},
     "evolved3": {"generations": 10},
     "gaussian_process": {"inducing": 40},
