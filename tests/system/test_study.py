@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,8 +17,11 @@ import pytest
 
 from evaluation.running import run_study, write_study
 from evaluation.study import Study, controller_figures, gather_study, plan_study
+from evaluation.study.planning import seconds_about
+from sysid_evo.data import Dataset
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.plan import Observer, Store, execute
+from tests.fixtures.cells import number
 from tests.fixtures.commands import COMMAND, run_here
 from tests.fixtures.session import STUDY
 from tests.fixtures.studies import finished, found_in
@@ -35,6 +40,26 @@ class Computed(Observer):
 @pytest.fixture(scope="session")
 def planned():
     return plan_study(Study.of(STUDY))
+
+
+def test_recordings_that_several_points_name_are_read_once(stored_data, monkeypatch):
+    read, original = [], Dataset.read
+
+    def reading(paths, **options):
+        read.append(paths)
+        return original(paths, **options)
+
+    monkeypatch.setattr(Dataset, "read", reading)
+    experiment = {"data": [str(stored_data)], "models": ["linear"], "stop_after": "prediction"}
+    planned = plan_study(Study.of({"experiment": experiment, "grid": {"seed": "0..2"}}))
+    assert len(planned.points) == 3
+    assert read == [(str(stored_data),)]
+
+
+def test_cells_that_should_take_no_time_correct_no_estimate():
+    cell = number(1)
+    records = {cell.digest: SimpleNamespace(status="done", seconds=3.0)}
+    assert seconds_about(SimpleNamespace(plan=[replace(cell, expected_seconds=0.0)]), records) == {cell.digest: 0.0}
 
 
 def test_every_point_has_its_controllers_with_what_they_claim_and_achieve(study_folder, planned):
