@@ -447,6 +447,7 @@ def try_all(root: Path, changes: Sequence[Change], jobs: int) -> list[str]:
             import_module(package)
     imports, say, by = Imports(root), sys.stderr.write, [""] * len(changes)
     with tempfile.TemporaryDirectory(prefix="sysid-evo-mutate-") as folder:
+        Path(folder).chmod(0o755)  # some tests give up their rights, and come back to this folder
         tree = Tree(root, Path(folder, "tree"))
         tests = chosen_tests(tree, {change.file: imports.tests_of(change.file) for change in changes})
         for module, near in tests.items():
