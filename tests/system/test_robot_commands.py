@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from evaluation.transfer import load_measured
+from hardware.run_report import StopReason
+from hardware.self_test import SelfTestFinding
 from sysid_evo.data import Dataset
+from sysid_evo.registry import make_robot
+from sysid_evo.registry.registry import robots
 from tests.fixtures.commands import SMALL, Caller, run_here
 from tests.fixtures.robots import store_champion
 from tests.fixtures.session import copy_run
@@ -192,6 +196,24 @@ def test_check_says_in_sentences_what_is_right_and_in_its_exit_code_what_is_not(
         ended = there("robots", "check", robot, "--plugin", "unseen.py")
         assert ended.code == 4
         assert said in ended.stdout
+
+
+def test_a_check_that_is_stopped_prints_what_it_found_and_ends_with_the_code_of_the_reason(call, register):
+    class Stopped(type(make_robot("emulated_car"))):
+        def self_test(self, *, seconds, stop):
+            stop.request(StopReason.SIGTERM)
+            return [SelfTestFinding("link", True, "it was fine until then")]
+
+    def stopped():
+        robot = make_robot("emulated_car")
+        robot.__class__ = Stopped
+        return robot
+
+    register(robots, "stopped", stopped)
+    ended = call("robots", "check", "stopped")
+    assert ended.code == 143
+    assert "it was fine until then" in ended.stdout
+    assert ended.says("terminated")
 
 
 def test_a_robot_that_does_not_answer_any_more_is_a_sentence_and_what_was_recorded_is_kept(there, tmp_path):
