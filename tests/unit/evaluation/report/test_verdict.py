@@ -289,7 +289,7 @@ def test_models_whose_claims_hold_can_be_trusted_and_exploited_ones_are_named():
     trusted = answers(judged())["Which models can be trusted?"]
     assert (trusted.answer, trusted.tone) == ("b", "warn")
     assert "Not trusted: a (claims 10.00, achieves 4.00)." in trusted.sentence
-    assert trusted.sentence.startswith("They predict, and the claims of controllers evolved in them hold on the robot.")
+    assert trusted.sentence.startswith("It predicts, and the claims of controllers evolved in it hold on the robot.")
     none = answers(replace(judged(), exploitability=(exploited(model="a"),)))["Which models can be trusted?"]
     assert (none.answer, none.tone) == ("None", "bad")
 
