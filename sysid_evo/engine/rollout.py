@@ -143,7 +143,7 @@ class BoundRollout:
             raise InvalidArgument(f"rollout: expected engine {', '.join(get_args(Engine))}, got {engine!r}")
         if threads is not None and threads < 1:
             raise InvalidArgument(f"rollout: expected at least one thread, got {threads}")
-        self.threads = threads or available_processors()
+        self._threads = threads
         engine = resolve(engine)
         self.compiled = None if engine == "reference" else self._compiled(engine)
 
@@ -170,6 +170,11 @@ class BoundRollout:
             state_bounds=dynamics.state_bounds,
             precision=enough(dynamics_kernel.precision, dynamics.state_bounds) if engine == "auto" else engine,
         )
+
+    @property
+    def threads(self) -> int:
+        """Number of threads of the next call: the processors that this process may use change while it runs."""
+        return self._threads or available_processors()
 
     def __call__(self, parameters: Array, seeds: Seeds, *, record: bool = False) -> Rollouts:
         """Return the rollouts of all candidates (P, n_parameters) in a trial of each seed (E,), see `rollout`."""

@@ -11,6 +11,7 @@ import pytest
 from sysid_evo.controllers import RecurrentNetwork, make_controller
 from sysid_evo.data import Dataset
 from sysid_evo.engine import Engine, rollout
+from sysid_evo.engine.compiled.closed_loop import LoopData
 from sysid_evo.engine.results import trajectories
 from sysid_evo.engine.rollout import BoundRollout
 from sysid_evo.errors import InvalidArgument, InvalidSystem
@@ -20,6 +21,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.models.dynamics import enough, far_from_zero
 from sysid_evo.models.kernels.stepping import stepping_kernel
 from sysid_evo.motion import Motion
+from sysid_evo.processors import use_processors
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks import SetPoint
@@ -238,6 +240,21 @@ def test_the_number_of_threads_changes_nothing(ladder):
 def score_in_a_fork(system, answers):
     given = CompiledClimber(system), CompiledConstant(), np.zeros((200, 1)), CompiledLadder(horizon=5), seeds_from(0)
     answers.put(float(rollout(*given, threads=2).fitness.sum()))
+
+
+def test_a_bound_rollout_uses_the_processors_that_the_process_has_now(ladder, monkeypatch):
+    used, run = [], LoopData.run
+    monkeypatch.setattr(
+        LoopData, "run", lambda *args, threads, **how: used.append(threads) or run(*args, threads=threads, **how)
+    )
+    bound = BoundRollout(CompiledClimber(ladder), CompiledConstant(), CompiledLadder(horizon=9, top=9.3))
+    try:
+        for count in (1, 3, 2):
+            use_processors(count)
+            bound(np.zeros((4, 1)), seeds_from(0))
+    finally:
+        use_processors(0)
+    assert used == [1, 3, 2]
 
 
 def test_a_forked_process_has_threads_of_its_own(ladder):
