@@ -1,8 +1,10 @@
-"""A hook of MkDocs: pages that are written elsewhere, forwards from old addresses, and the origin of tables."""
+"""A hook of MkDocs: pages that are written elsewhere, forwards from old addresses, origin and age of tables."""
 
 import posixpath
 import re
+import subprocess
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,8 @@ PLUGIN = re.compile(r"^# the file that `sysid-evo plugin new (\w+) --kind (\w+)`
 """A line in place of the file that this command writes."""
 EXAMPLE = re.compile(r"^# the file docs/(examples/\w+\.py)\n", re.MULTILINE)
 """A line in place of this file."""
+PROGRAM = ("sysid_evo", "model_zoo", "evaluation", "hardware")
+"""The folders of the program that is measured."""
 FAMILIES = "<!-- sysid-evo models list --format markdown -->"
 """The line of a page in place of which the table of all families is shown."""
 FILE_NAMED = re.compile(r"\[(?:[\w.]+/)*(\w+)\.md\]\(")
@@ -70,12 +74,37 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
 
 
 def origin(table: Path) -> str:
-    """Return the line above a table: its command, commit and date, from its first line."""
+    """Return the line above a table: its command, commit, date and age, from its first line."""
     found = ORIGIN.match(table.read_text(encoding="utf-8"))
     if found is None:
         raise PluginError(f"{table}: expected '<!-- COMMAND; commit COMMIT; DATE -->' in its first line")
     command = f"`{found[1]}`" if found[1].startswith(("python", "sysid-evo")) else found[1]
-    return f"*{command}, commit {found[2]}, {found[3]}*\n\n"
+    return f"*{', '.join([command, f'commit {found[2]}', found[3], *age(table.parent, found[2])])}*\n\n"
+
+
+@cache
+def age(folder: Path, commit: str) -> tuple[str, ...]:
+    """Return how many commits were made after this one, and how many of them changed the program.
+
+    Nothing without the whole history, as in an unpacked archive, or if the commit is not in it.
+    """
+    if _git(folder, "rev-parse", "--is-shallow-repository") != "false":
+        return ()
+    later = _git(folder, "rev-list", "--count", f"{commit}..HEAD")
+    changed = _git(folder, "rev-list", "--count", f"{commit}..HEAD", "--", *(f":/{name}" for name in PROGRAM))
+    if later is None:
+        return ()
+    since = "none of which changed" if changed == "0" else f"{changed} of which changed"
+    return (f"measured {later} commits before this page was built, {since} the program",)
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """Return what git prints, None if it fails or is missing."""
+    try:
+        done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
 
 
 def families() -> str:

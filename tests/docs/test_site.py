@@ -1,6 +1,7 @@
-"""The site: built without a warning, complete, and every link and anchor leads somewhere; the picture of the README."""
+"""The site: built without a warning, complete, links lead somewhere, tables have an age; the picture of the README."""
 
 import html
+import importlib.util
 import re
 import shutil
 import struct
@@ -91,6 +92,43 @@ def test_links_have_words_and_no_file_names_and_nobody_else_is_asked_for_anythin
         text = page.read_text()
         assert re.findall(r"<a [^>]*>[^<]*\.md</a>", text) == [], page
         assert re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="(https?://[^"]+)"', text) == [], page
+
+
+def git(folder, *words):
+    """Run git in ``folder``, as somebody."""
+    who = ("-c", "user.name=somebody", "-c", "user.email=somebody@example.org")
+    done = subprocess.run(["git", *who, *words], cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_the_line_above_a_table_counts_the_commits_since_it_was_measured(tmp_path):
+    spec = importlib.util.spec_from_file_location("pages", ROOT / "docs" / "site" / "pages.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+
+    def written(name):
+        commit = git(tmp_path, "rev-parse", "--short=9", "HEAD")
+        (tmp_path / name).write_text(f"<!-- python -m measure; commit {commit}; 2026-01-31 -->\n\n| a |\n| --- |\n")
+        return f"*`python -m measure`, commit {commit}, 2026-01-31, measured "
+
+    def committed(name):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name)
+        git(tmp_path, "add", ".")
+        git(tmp_path, "commit", "--quiet", "--message", name)
+
+    git(tmp_path, "init", "--quiet")
+    committed("sysid_evo/model.py")
+    old = written("old.md")
+    committed("sysid_evo/task.py")
+    new = written("new.md")
+    committed("docs/page.md")
+    built = "before this page was built"
+    assert hook.origin(tmp_path / "old.md") == f"{old}2 commits {built}, 1 of which changed the program*\n\n"
+    assert hook.origin(tmp_path / "new.md") == f"{new}1 commits {built}, none of which changed the program*\n\n"
+    unknown = tmp_path / "unknown.md"
+    unknown.write_text(f"<!-- python -m measure; commit {'0' * 9}; 2026-01-31 -->\n")
+    assert hook.origin(unknown) == f"*`python -m measure`, commit {'0' * 9}, 2026-01-31*\n\n"
 
 
 def test_links_to_the_firmware_lead_to_its_page(site):
