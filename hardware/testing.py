@@ -1,4 +1,4 @@
-"""The contract of a robot, sentence by sentence, and the contracts of all kinds of plugins.
+"""The contract of a robot, rule by rule, and the contracts of all kinds of plugins.
 
 A physical robot (its ``dynamics`` is None) is never connected: only checks without a connection are made.
 """
@@ -59,7 +59,7 @@ class RobotExample:
 
 
 def check_robot(name: str, **parameters: Any) -> None:
-    """Raise `ContractViolation` listing every sentence that the registered robot ``name`` violates."""
+    """Raise `ContractViolation` listing every rule that the registered robot ``name`` violates."""
     ROBOT.check(name, **parameters)
 
 

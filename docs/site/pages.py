@@ -151,13 +151,13 @@ def settings() -> str:
 
 
 def contracts() -> str:
-    """Return the page of the contracts: every sentence that `sysid-evo plugin check` tries, kind by kind."""
+    """Return the page of the contracts: every rule that `sysid-evo plugin check` tries, kind by kind."""
     from hardware import CONTRACTS
-    from sysid_evo.testing.contract import sentence_of
+    from sysid_evo.testing.contract import rule_of
 
     page = "# Contracts of plugins\n\n`sysid-evo plugin check NAME` tries these sentences, and so does `check_KIND`.\n"
     for kind, contract in CONTRACTS.items():
-        page += f"\n## A {kind}\n\n" + "".join(f"- {sentence_of(check)}\n" for check in contract.checks)
+        page += f"\n## A {kind}\n\n" + "".join(f"- {rule_of(check)}\n" for check in contract.checks)
     return page
 
 

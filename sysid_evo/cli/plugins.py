@@ -53,24 +53,24 @@ def check(
 ) -> None:  # fmt: skip
     """Check a plugin against the contract of its kind.
 
-    Prints each sentence of the contract with ok or BROKEN; exit code 1 if one is broken.
+    Prints each rule of the contract with ok or FAILED; exit code 1 if one failed.
     """
     load_plugins(plugin)
     spec = Spec.parse(name)
     kind = kind or _kind_of(spec.name)
-    broken = 0
+    failed = 0
     for result in _results(kind, spec, data):
-        verdict = ("ok", "green") if result.failure is None else ("BROKEN", "bold red")
-        line = Table.grid(padding=(0, 1))  # a wrapped sentence continues in the second column
-        line.add_column(width=len("BROKEN"))
-        said = result.sentence + (f": {result.idle}" if result.idle else "")
+        verdict = ("ok", "green") if result.failure is None else ("FAILED", "bold red")
+        line = Table.grid(padding=(0, 1))  # a wrapped rule continues in the second column
+        line.add_column(width=len("FAILED"))
+        said = result.rule + (f": {result.idle}" if result.idle else "")
         line.add_row(Text("-", "dim") if result.idle else Text(*verdict), Text(said))
         if result.failure is not None:
-            broken += 1
+            failed += 1
             line.add_row("", Text(result.failure))
         out.print(line)
-    if broken:
-        err.print(f"{name} breaks {broken} rules of the contract")
+    if failed:
+        err.print(f"{name} breaks {failed} rules of the contract")
         raise typer.Exit(1)
 
 

@@ -27,7 +27,7 @@ MADE = "It can be made from its name and parameters"
 class CheckResult:
     """Result of one check: its rule, the reason of a failure or None, the reason if it does not apply (``idle``)."""
 
-    sentence: str
+    rule: str
     failure: str | None
     idle: str = ""
 
@@ -76,30 +76,30 @@ class Contract:
         """Raise `ContractViolation` with all rules that the plugin ``name`` breaks, if any."""
         broken = [result for result in self.run(name, *given, **parameters) if result.failure is not None]
         if broken:
-            lines = "\n".join(f"- {result.sentence}: {result.failure}" for result in broken)
+            lines = "\n".join(f"- {result.rule}: {result.failure}" for result in broken)
             kind = self.registry.kind
             raise ContractViolation(f"{kind} {name!r} breaks {len(broken)} rules of the contract:\n{lines}")
 
 
-def sentence_of(check: Check) -> str:
+def rule_of(check: Check) -> str:
     """Return the rule that ``check`` tests."""
     return (check.__doc__ or check.__name__).strip()
 
 
 def verdict(check: Check, subject: tuple[Any, ...]) -> CheckResult:
     """Run one check on ``subject`` and return its result. Raises `NotApplicable` only if it has no reason."""
-    sentence = sentence_of(check)
+    rule = rule_of(check)
     try:
         check(*subject)
     except NotApplicable as error:
         if not error.args:
             raise
-        return CheckResult(sentence, None, idle=str(error))
+        return CheckResult(rule, None, idle=str(error))
     except ContractViolation as error:
-        return CheckResult(sentence, str(error))
+        return CheckResult(rule, str(error))
     except Exception as error:  # a plugin may fail in any way, and the check reports it
-        return CheckResult(sentence, described(error))
-    return CheckResult(sentence, None)
+        return CheckResult(rule, described(error))
+    return CheckResult(rule, None)
 
 
 def expect(holds: Any, reason: str) -> None:

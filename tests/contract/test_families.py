@@ -44,7 +44,7 @@ def quick(name):
 
 
 def broken(results):
-    return [f"{check.sentence}: {check.failure}" for check in results if check.failure]
+    return [f"{check.rule}: {check.failure}" for check in results if check.failure]
 
 
 @cache
@@ -60,7 +60,7 @@ def learned(family):
 
 @pytest.mark.parametrize("recording", ["car_data", pytest.param("throttle_car_data", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("family", at_night(("adapted",)))  # by day tests/contract/model_zoo/test_adapted.py
-def test_every_family_keeps_every_sentence_of_the_contract_on_a_car(family, recording, request):
+def test_every_family_keeps_every_rule_of_the_contract_on_a_car(family, recording, request):
     """Where a family can hold a body at rest, it does so on the car with switches."""
     dataset = request.getfixturevalue(recording)
     dataset = dataset[[0]] if family in SLOW else dataset

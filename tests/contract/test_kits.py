@@ -13,7 +13,7 @@ from sysid_evo.registry import Spec, make_robot, models, robots, tasks
 from sysid_evo.tasks import SetPoint
 from sysid_evo.testing import MODEL, check_controller, check_model, check_reader, check_strategy, check_task
 from sysid_evo.testing import models as model_kit
-from sysid_evo.testing.contract import MADE, sentence_of
+from sysid_evo.testing.contract import MADE, rule_of
 from sysid_evo.testing.examples import (
     ExampleDynamics,
     bare_system,
@@ -99,21 +99,21 @@ def test_with_other_arguments_a_plugin_keeps_its_contract_too(kind, spec, given)
 def test_a_sound_plugin_keeps_every_rule(kind, plugin, register, given):
     contract = CONTRACTS[kind]
     register(contract.registry, "sound", plugin)
-    results = {result.sentence: result for result in contract.run("sound", *given(kind))}
+    results = {result.rule: result for result in contract.run("sound", *given(kind))}
     assert broken(results.values()) == {}
-    sentences = {sentence_of(one) for one in contract.checks}
+    rules = {rule_of(one) for one in contract.checks}
     expected = {
-        "task": {sentence_of(of_tasks.kit.a_measured_pose_is_used)},
-        "controller": {sentence_of(of_controllers.kit.the_exported_program_acts_as_act_does)},
+        "task": {rule_of(of_tasks.kit.a_measured_pose_is_used)},
+        "controller": {rule_of(of_controllers.kit.the_exported_program_acts_as_act_does)},
     }
-    assert results.keys() == {MADE, *sentences} - expected.get(kind, set()), "what does not apply is not mentioned"
+    assert results.keys() == {MADE, *rules} - expected.get(kind, set()), "what does not apply is not mentioned"
 
 
 @pytest.mark.parametrize(("kind", "one"), BROKEN)
 def test_a_broken_plugin_is_reported_with_the_rule_it_breaks(kind, one, register, given):
     register(CONTRACTS[kind].registry, "broken", one.plugin)
     found = broken(CONTRACTS[kind].run("broken", *given(kind)))
-    assert re.search(one.reason, found[sentence_of(one.check)])
+    assert re.search(one.reason, found[rule_of(one.check)])
     assert not one.alone or len(found) == 1
 
 
@@ -142,7 +142,7 @@ def test_a_plugin_that_cannot_be_made_is_reported_and_a_wrong_parameter_is_the_c
     sound = CASES[kind][1].SOUND[0]
     register(CONTRACTS[kind].registry, "broken", type("Unmakable", (sound,), {"__init__": failing}))
     reported = list(CONTRACTS[kind].run("broken", *given(kind)))
-    assert [one.sentence for one in reported] == [MADE]
+    assert [one.rule for one in reported] == [MADE]
     assert str(reported[0].failure).startswith("ZeroDivisionError: a mistake in the plugin (kits.py, line")
     register(CONTRACTS[kind].registry, "sound", sound)
     with pytest.raises(InvalidArgument, match=f"{kind} 'sound' has no parameter 'wheels'"):
@@ -173,7 +173,7 @@ def test_a_reader_is_not_checked_without_a_file(tmp_path):
 
 def test_after_a_failed_fit_nothing_else_is_checked(register):
     register(models, "broken", of_models.Failing)
-    assert [one.sentence for one in MODEL.run("broken")][-1] == sentence_of(model_kit.fit_returns_the_model_itself)
+    assert [one.rule for one in MODEL.run("broken")][-1] == rule_of(model_kit.fit_returns_the_model_itself)
 
 
 def test_a_system_that_the_family_refuses_is_no_broken_sentence(register, rng):

@@ -68,7 +68,7 @@ def test_a_new_plugin_of_every_kind_keeps_the_contract_by_the_command(kind, pack
     done = run_here("plugin", "check", f"my_{kind}", "--plugin", f"my_{kind}/my_{kind}.py", *options, cwd=packages)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("ok     ") >= 7
-    assert "BROKEN" not in done.stdout
+    assert "FAILED" not in done.stdout
 
 
 def test_a_kind_of_which_there_is_no_template_is_refused(tmp_path):
@@ -97,7 +97,7 @@ def test_a_broken_rule_of_the_contract_is_printed(tmp_path):
     )
     checked = run_here("plugin", "check", "my_model", "--plugin", path, cwd=tmp_path)
     assert checked.returncode == 1
-    assert "BROKEN step changes neither its arguments nor its later results" in checked.stdout
+    assert "FAILED step changes neither its arguments nor its later results" in checked.stdout
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_a_check_reports_a_missing_compiled_form_and_wrapped_lines_are_indented(
     lines = run_here("plugin", "check", "slow_one", "--plugin", "slow.py", cwd=tmp_path).stdout.splitlines()
     assert any(line.startswith("-      The compiled form gives the results of step: it has no") for line in lines)
     assert not any(line.startswith("ok     The compiled form") for line in lines)
-    assert all(line[:7] in ("ok     ", "-      ", "BROKEN ", "       ") for line in lines)
+    assert all(line[:7] in ("ok     ", "-      ", "FAILED ", "       ") for line in lines)
     assert any(line.startswith("       ") for line in lines)
 
 

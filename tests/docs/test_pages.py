@@ -156,7 +156,7 @@ def of_robots(folder):
     (folder / "boat.py").write_text(boat.text)
     said = [done(line, folder) for line in PAGES["robots.md"].commands]
     assert "A model boat" in said[1]
-    assert not [line for text in said for line in text.splitlines() if line.startswith(("wrong", "BROKEN"))]
+    assert not [line for text in said for line in text.splitlines() if line.startswith(("wrong", "FAILED"))]
     dataset = Dataset.read(folder / "data" / "boat")
     assert dataset.system.state_names == ("surge", "sway", "yaw_rate")
     assert max(episode.states[:, 0].max() for episode in dataset.episodes) > 0.5

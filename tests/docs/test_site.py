@@ -17,7 +17,7 @@ import sysid_evo
 from evaluation.experiment import Experiment
 from hardware import CONTRACTS
 from sysid_evo.cli.app import loaded
-from sysid_evo.testing.contract import sentence_of
+from sysid_evo.testing.contract import rule_of
 from tests.docs.page import PAGES, ROOT, picture
 from tests.docs.pictures import README, REPORT, SCREEN, first_screen
 from tests.fixtures.browser import PHONE, sideways
@@ -145,10 +145,10 @@ def test_every_command_has_its_place_in_the_reference(site):
     assert all(name in page for name in Experiment.model_fields)
 
 
-def test_every_sentence_of_a_contract_stands_on_its_page(site):
+def test_every_rule_of_a_contract_stands_on_its_page(site):
     page = html.unescape((site / "reference" / "contracts.html").read_text())
     for contract in CONTRACTS.values():
-        assert all(sentence_of(check) in page for check in contract.checks)
+        assert all(rule_of(check) in page for check in contract.checks)
 
 
 def test_the_reference_of_python_describes_what_is_imported_from_the_package(site):

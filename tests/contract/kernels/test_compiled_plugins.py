@@ -5,7 +5,7 @@ import re
 import pytest
 
 from hardware.testing import CONTRACTS
-from sysid_evo.testing.contract import sentence_of
+from sysid_evo.testing.contract import rule_of
 from tests.fixtures import broken_controllers, broken_models, broken_robots, broken_tasks
 from tests.fixtures.kits import broken
 
@@ -22,7 +22,7 @@ BROKEN = [(kind, one) for kind, cases in CASES.items() for one in cases.BROKEN_F
 def test_a_compiled_form_that_differs_is_caught(kind, one, register):
     register(CONTRACTS[kind].registry, "broken", one.plugin)
     ((said, reason),) = broken(CONTRACTS[kind].run("broken")).items()
-    assert said == sentence_of(one.check)
+    assert said == rule_of(one.check)
     assert re.search(one.reason, reason)
 
 
@@ -34,7 +34,7 @@ def test_a_compiled_form_that_agrees_is_not(register):
 @pytest.mark.parametrize("kind", CASES)
 def test_the_kit_reports_a_missing_compiled_form(kind, register):
     register(CONTRACTS[kind].registry, "sound", CASES[kind].SOUND[0])
-    idle = {result.sentence: result.idle for result in CONTRACTS[kind].run("sound")}
-    assert idle[sentence_of(CASES[kind].BROKEN_FORMS[0].check)].startswith(
+    idle = {result.rule: result.idle for result in CONTRACTS[kind].run("sound")}
+    assert idle[rule_of(CASES[kind].BROKEN_FORMS[0].check)].startswith(
         "it has no compiled form: Python computes every"
     )

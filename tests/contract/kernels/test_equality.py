@@ -529,4 +529,4 @@ def test_a_family_keeps_the_contract_compiled_in_both_precisions(family, recordi
         results = list(MODEL.run(family, data, **options))
     except IncompatibleSystem:
         pytest.skip("a family of cars")
-    assert not [f"{one.sentence}: {one.failure}" for one in results if one.failure]
+    assert not [f"{one.rule}: {one.failure}" for one in results if one.failure]

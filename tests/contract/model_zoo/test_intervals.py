@@ -219,7 +219,7 @@ NO_LAGS = {"control_lags": 0, "state_lags": 0}
 )
 def test_families_with_a_spread_keep_the_contract(family, options, car_data):
     results = MODEL.run(family, car_data, stochastic=True, **options)
-    assert not [f"{c.sentence}: {c.failure}" for c in results if c.failure]
+    assert not [f"{c.rule}: {c.failure}" for c in results if c.failure]
 
 
 def test_a_spread_that_was_not_learned_is_refused_and_one_that_was_is_stored(tmp_path):

@@ -107,7 +107,7 @@ def test_states_far_from_zero_are_learned_as_well_as_those_near_it(family, found
     settings = {"degree": 2, **NO_LAGS, **found}
     near = make_model(family, **settings).fit(data, rng=0)
     assert -make_model(family, **settings).fit(far, rng=0).score(far) < 0.001 - 1.2 * near.score(data)
-    assert not [f"{one.sentence}: {one.failure}" for one in MODEL.run(family, far, **settings) if one.failure]
+    assert not [f"{one.rule}: {one.failure}" for one in MODEL.run(family, far, **settings) if one.failure]
     assert not hasattr(near, "offsets_"), "what is near zero is stored as it was before"
 
 
@@ -253,7 +253,7 @@ def test_of_a_periodic_state_fourier_takes_the_harmonics():
     ],
 )
 def test_libraries_and_optimisers_keep_the_contract(options, car_data):
-    broken = [f"{c.sentence}: {c.failure}" for c in MODEL.run("sindy", car_data, **options, **NO_LAGS) if c.failure]
+    broken = [f"{c.rule}: {c.failure}" for c in MODEL.run("sindy", car_data, **options, **NO_LAGS) if c.failure]
     assert not broken
 
 
