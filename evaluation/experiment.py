@@ -16,7 +16,7 @@ from sysid_evo.settings import Seconds, setting
 
 FILE = "experiment.toml"
 DEFAULT_ROBOT = "emulated_car"
-USUAL_TASK = "point_to_point"
+DEFAULT_TASK = "point_to_point"
 """The task if neither the user nor the robot names one."""
 NONE = "none"
 """As noise: none, even if the task has a default."""
@@ -88,7 +88,7 @@ class Experiment(BaseModel):
         None, "Robot to record and to test on", "Data and models", "SPEC", kind="robot", shown=DEFAULT_ROBOT
     )
     minutes: float = setting(6.0, "Minutes to record", "Data and models", "N", ge=0.1)
-    task: str | None = setting(None, "Task of the controllers", "Controllers", "SPEC", kind="task", shown=USUAL_TASK)
+    task: str | None = setting(None, "Task of the controllers", "Controllers", "SPEC", kind="task", shown=DEFAULT_TASK)
     controller: str | None = setting(
         None, "Controller to evolve", "Controllers", "SPEC", kind="controller", shown="set by --preset"
     )
@@ -224,15 +224,15 @@ def check_settings(experiment: Experiment, *, has_data: bool) -> None:
         refuse_meaningless(MEANINGLESS, asked, {**asked, "data": has_data})
 
 
-def usual_task(robots: Iterable[Spec | None]) -> str:
-    """Return the task of the first robot that has its own, else `USUAL_TASK`."""
-    own = (str(getattr(make_robot(robot), "usual_task", "")) for robot in robots if robot is not None)
-    return next(filter(None, own), USUAL_TASK)
+def default_task(robots: Iterable[Spec | None]) -> str:
+    """Return the task of the first robot that has its own, else `DEFAULT_TASK`."""
+    own = (str(getattr(make_robot(robot), "default_task", "")) for robot in robots if robot is not None)
+    return next(filter(None, own), DEFAULT_TASK)
 
 
 def with_task(experiment: Experiment, robots: Iterable[Spec | None]) -> Experiment:
-    """Return the experiment with the task that it names, else the `usual_task` of ``robots``."""
-    return experiment.model_copy(update={"task": experiment.task or usual_task(robots)})
+    """Return the experiment with the task that it names, else the `default_task` of ``robots``."""
+    return experiment.model_copy(update={"task": experiment.task or default_task(robots)})
 
 
 EXPECTED = {

@@ -9,7 +9,7 @@ from typing import Any
 
 from evaluation.cells.models import Predict, StoredModelCell
 from evaluation.cells.plants import Plant, emulated, runner_of
-from evaluation.experiment import FILE, usual_task
+from evaluation.experiment import FILE, default_task
 from evaluation.planning import comparison_of
 from evaluation.run_folder import is_run, latest_run_folder, run_of_controller
 from evaluation.transfer.matrix import TransferMatrix, transfer_seeds, try_controller
@@ -100,7 +100,7 @@ def contenders(
             written.append(name)
     if task is not None:
         found = [replace(one, champion=replace(one.champion, task=Spec.parse(task))) for one in found]
-    goal = found[0].champion.task if found else Spec.parse(task or usual_task(robots))
+    goal = found[0].champion.task if found else Spec.parse(task or default_task(robots))
     found += [StoredController(Champion.baseline(name, goal, system)) for name in written]
     others = [one.champion for one in found if one.champion.task != goal]
     if others:

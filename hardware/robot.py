@@ -38,13 +38,13 @@ class Robot(ABC):
 
     ``requires`` are the modules that it imports only when it connects. A ``stepped`` robot advances only when it is
     stepped: it has no clock and no tracker, records itself, and is not physical. It must answer each call within
-    ``answers_within`` s. ``usual_task`` is the spec of its default task, empty if it has none.
+    ``answers_within`` s. ``default_task`` is the spec of its default task, empty if it has none.
     """
 
     requires: ClassVar[tuple[str, ...]] = ()
     stepped: ClassVar[bool] = False
     answers_within: ClassVar[float] = PATIENCE
-    usual_task: str = ""
+    default_task: str = ""
     name: str
     system: System
     dynamics: Dynamics | None

@@ -40,7 +40,7 @@ class Backprop27(DynamicsModel):
 
     knowledge = "black"
     model_class = "network"
-    usual_seconds = 2.0
+    typical_fit_seconds = 2.0
     periodic = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {"quick": {"epochs": 300}}
     limits: ClassVar[dict[str, Limit]] = {

@@ -37,7 +37,7 @@ class Evolved3(DynamicsModel):
 
     knowledge = "dark grey"
     model_class = "network"
-    usual_seconds = 12.0
+    typical_fit_seconds = 12.0
     periodic = True
     resumable = True
     presets: ClassVar[dict[str, dict[str, Any]]] = {

@@ -37,7 +37,7 @@ class NearestNeighbour(DynamicsModel):
 
     knowledge = "dark grey"
     fast_fit = True
-    usual_seconds = 0.1
+    typical_fit_seconds = 0.1
     model_class = "neighbours"
     periodic = True
     limits: ClassVar[dict[str, Limit]] = {"levels": at_least(2)}

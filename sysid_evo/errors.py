@@ -124,6 +124,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "judges": ("scoring_models",),
     "least": ("lowest",),
     "most_steps": ("max_steps",),
+    "neural_ode_history": ("neural_ode(lag_search=all)",),
     "offered_lags": ("lag_options",),
     "offsets": ("random_effects",),
     "only": ("stop_after", "parameters"),
@@ -141,13 +142,13 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "weights": ("error_units",),
     "yardstick": ("reference",),
 }
-"""Old names of settings, parameters, registered things and stored keys, with the names that replaced them."""
+"""Old names of settings, parameters, registered things and stored keys, with the names or specs in place of them."""
 
 
 def renamed(name: str, known: Iterable[str]) -> str:
-    """Return the name in ``known`` that has replaced the old ``name``, else ""."""
+    """Return the name in ``known``, or the spec of one, that has replaced the old ``name``, else ""."""
     names = set(known)
-    return next((new for new in RENAMED.get(name, ()) if new in names), "")
+    return next((new for new in RENAMED.get(name, ()) if new.partition("(")[0] in names), "")
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -71,7 +71,6 @@ SMALL: dict[str, dict[str, Any]] = {
     "linear_state_space": {"order": 3, "iterations": 5, "folds": 1, "horizon": 60},
     "mlp_ensemble": {**NETWORK, "members": 2, "control_lags": 1},
     "neural_ode": NETWORK,
-    "neural_ode_history": NETWORK,
     "nonlinear_state_space": HIDDEN,
     "parametrised": {"generations": 20},
     "single_track": {"starts": 1, "windows": 20},

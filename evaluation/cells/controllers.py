@@ -17,7 +17,7 @@ from evaluation.cells.plants import (
     prediction_error,
     runners,
 )
-from evaluation.experiment import NONE, USUAL_TASK, Experiment
+from evaluation.experiment import NONE, DEFAULT_TASK, Experiment
 from evaluation.transfer.forecast import FORECAST_RULE, forecast_judgement
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.errors import Blocked, InvalidArgument
@@ -325,7 +325,7 @@ MOST_POLISHED = 2
 
 def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     """Return the settings of evolution. Raises the errors of the registries for wrong names and parameters."""
-    budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or USUAL_TASK)
+    budget, noise, task = experiment.budget, experiment.noise, Spec.parse(experiment.task or DEFAULT_TASK)
     if noise is None:
         noise = str(getattr(tasks.get(task.name), "default_noise", ""))
     return ControllerEvolution(

@@ -11,7 +11,7 @@ import numpy as np
 
 from evaluation.cells.controllers import ControllerCell
 from evaluation.cells.plants import labels_of
-from evaluation.experiment import USUAL_TASK
+from evaluation.experiment import DEFAULT_TASK
 from evaluation.exploitability.results import ModelExploitability
 from evaluation.planning import Comparison
 from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
@@ -219,7 +219,7 @@ class _Gathered:
     def row(self, chosen: str) -> PointRow:
         """Return the progress of the point."""
         states = [self._state(cell) for cell in self.comparison.plan]
-        task = self.comparison.experiment.task or USUAL_TASK
+        task = self.comparison.experiment.task or DEFAULT_TASK
         return PointRow(
             name=self.point.name,
             labels=self.point.labels,

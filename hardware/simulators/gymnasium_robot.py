@@ -56,7 +56,7 @@ class GymnasiumRobot(SimulatorRobot):
         check_text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
         angle = None if angle is None else str(angle)
-        self.usual_task = f'environment(id="{id}")'
+        self.default_task = f'environment(id="{id}")'
         super().__init__(
             GymnasiumSimulator.describe(
                 id, angle=angle, channels=channels, controls=controls, dt=dt, settings=dict(settings or {})

@@ -142,5 +142,5 @@ def plugins() -> list[Candidate]:
         except PluginError:  # reported when the families are listed
             continue
         if getattr(family, "model_class", ""):
-            found.append(Candidate(Spec(name), getattr(family, "usual_seconds", OF_A_PLUGIN)))
+            found.append(Candidate(Spec(name), getattr(family, "typical_fit_seconds", OF_A_PLUGIN)))
     return found

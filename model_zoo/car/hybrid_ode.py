@@ -8,7 +8,7 @@ import numpy as np
 
 from model_zoo.car.planar_car import CarRoles, PlanarCarModel, accelerations, car_rate, positive_part
 from model_zoo.networks.network import Array32
-from model_zoo.networks.neural_ode import NeuralOde, NeuralOdeHistory
+from model_zoo.networks.neural_ode import QUICK, NeuralOde
 from sysid_evo import register_model
 from sysid_evo.models.kernels import Predictor
 from sysid_evo.types import Array, check_shape
@@ -33,7 +33,10 @@ class HybridOde(NeuralOde, PlanarCarModel):
 
     knowledge = "grey"
     model_class = "physics"
-    presets: ClassVar[dict[str, dict[str, Any]]] = NeuralOdeHistory.presets
+    presets: ClassVar[dict[str, dict[str, Any]]] = {
+        **NeuralOde.presets,
+        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
+    }
     initial: ClassVar[Array] = np.array([3.0, 3.0, 4.0, 4.0, 1.0, 0.2, 3.0, 0.2, 3.0])
 
     lag_search: Literal["all"] | None = "all"

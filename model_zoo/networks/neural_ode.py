@@ -183,19 +183,6 @@ class NeuralOde(StochasticModel):
         return flow_step(self.network, self.system, self.lags, carry, control, self.known_rate)
 
 
-@register_model("neural_ode_history")
-class NeuralOdeHistory(NeuralOde):
-    """Former name of neural_ode with lag_search="all"."""
-
-    knowledge = "dark grey"
-    presets: ClassVar[dict[str, dict[str, Any]]] = {
-        **NeuralOde.presets,
-        "quick": {**QUICK, "state_lags": 0, "control_lags": 2},
-    }
-
-    lag_search: Literal["all"] | None = "all"
-
-
 def flow_step(
     network: Network,
     system: System,

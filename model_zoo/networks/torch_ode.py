@@ -53,7 +53,7 @@ class TorchOde(DynamicsModel):
 
     knowledge = "dark grey"
     model_class = "network"
-    usual_seconds = 40.0
+    typical_fit_seconds = 40.0
     periodic = True
     requires = ("torch", "torchdiffeq")
     limits: ClassVar[dict[str, Limit]] = {

@@ -143,7 +143,7 @@ def families_as_markdown() -> str:
     ]
     for name, found in models.load_all():
         family: Any = found
-        seconds = model_zoo.fit_seconds(name) or getattr(family, "usual_seconds", None)
+        seconds = model_zoo.fit_seconds(name) or getattr(family, "typical_fit_seconds", None)
         cells = (
             f"`{name}`",
             models.summary(name).replace("|", "\\|"),

@@ -233,7 +233,7 @@ def drive_controller(
         champion = sysid_evo.load_champion(controller)
         run = run or evaluation.run_of_controller(Path(controller))
     else:
-        champion = sysid_evo.Champion.baseline(controller, task or robot.usual_task or DEFAULT_TASK, robot.system)
+        champion = sysid_evo.Champion.baseline(controller, task or robot.default_task or DEFAULT_TASK, robot.system)
     champion.check_system(robot.system)
     if seed is None:
         seed = evaluation.seed_of_run(run) if run else champion.seed
@@ -354,7 +354,7 @@ def _choose(robot: str | None, model: str | None, run: Path | None, name: str | 
     where = evaluation.latest_run_folder(run) if wanted else None
     if model is None:
         machine = hardware.find_robot(robot or DEFAULT_ROBOT)
-        task = task or machine.usual_task or DEFAULT_TASK
+        task = task or machine.default_task or DEFAULT_TASK
         return DriveTarget(hardware.in_real_time(machine), matrix_column(machine), where, on_robot=True, task=task)
     store = sysid_evo.plan.Store(where or Path())
     column = evaluation.find_column(store, model)

@@ -190,7 +190,7 @@ SHORT: dict[str, dict[str, object]] = {
     "parametrised": {"generations": 5},
     "backprop27": {"epochs": 20},
     "torch_ode": {"updates": 5},
-    **dict.fromkeys(("hybrid_ode", "mlp_ensemble", "neural_ode", "neural_ode_history"), FEW_UPDATES),
+    **dict.fromkeys(("hybrid_ode", "mlp_ensemble", "neural_ode"), FEW_UPDATES),
 }
 """Short fits of families whose updates are as many on few steps: what grows with the data is the rest."""
 

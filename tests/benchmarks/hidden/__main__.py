@@ -38,7 +38,7 @@ TRUE = "true structure"
 FAMILIES = (
     "linear(state_lags=15, control_lags=15)",
     "narx",
-    "neural_ode_history(state_lags=1, control_lags=3, one_step_updates=500, updates=150)",
+    "neural_ode(state_lags=1, control_lags=3, one_step_updates=500, updates=150)",
     "mlp_ensemble(members=3, hidden=[32, 32], one_step_updates=600, updates=200)",
     "linear_state_space",
     "nonlinear_state_space",

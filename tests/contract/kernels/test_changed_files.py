@@ -35,7 +35,7 @@ COMPILED = ("linear, lags", "nonlinear_state_space", "narx")
 """Compiled by day: lags, kinds of units and powers are what a kernel finds its places by."""
 HEAVY = (
     "adapted", "auto", "backprop27", "evolved3", "hybrid_ode", "latent_ode", "linear_state_space", "neural_ode",
-    "neural_ode_history", "sindy, functions", "sindy_discrete", "single_track", "single_track, residual", "torch_ode",
+    "sindy, functions", "sindy_discrete", "single_track", "single_track, residual", "torch_ode",
 )  # fmt: skip
 """What takes longer to fit."""
 GUARD = 4096

@@ -48,7 +48,6 @@ FAMILIES = {
     "evolved3": {"generations": 5},
     "mlp_ensemble": {**NETWORK, "members": 2},
     "neural_ode": NETWORK,
-    "neural_ode_history": NETWORK,
     "hybrid_ode": NETWORK,
     "torch_ode": {"hidden": [4], "updates": 2, "horizon": 3},
     "gaussian_process": {"inducing": 30},
@@ -61,7 +60,7 @@ FAMILIES = {
 """Every family with settings that are quick to fit; the two that are left out have tests of their own."""
 EXACT = ("k_neighbours", "gaussian_process")
 """Families whose kernels ask for double precision."""
-AT_NIGHT = ("backprop27", "torch_ode", "latent_ode", "average", "evolved3", "neural_ode_history", "hybrid_ode", "sindy")
+AT_NIGHT = ("backprop27", "torch_ode", "latent_ode", "average", "evolved3", "hybrid_ode", "sindy")
 """Compiled by day in tests of their own, or made of what other rows compile: one network, a derivative and a body."""
 JUMPS = {"nearest_neighbour": 0.8}
 """The share of trajectories and steps that must agree where rounding decides between two neighbours."""

@@ -72,7 +72,7 @@ def test_the_space_follows_from_what_a_family_declares_and_from_types_limits_and
         search_space("made_up_guess", parameters=["label"])
 
 
-@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "neural_ode_history", "hybrid_ode"])
+@pytest.mark.parametrize("family", ["mlp_ensemble", "neural_ode", "hybrid_ode"])
 def test_input_noise_is_searched_in_every_family_of_networks_that_has_it(family):
     assert search_space(family)["input_noise"] == Within(0.02, 4.0, log=True)
 
