@@ -17,7 +17,7 @@ from evaluation.cells.plants import (
     prediction_error,
     runners,
 )
-from evaluation.experiment import NONE, DEFAULT_TASK, Experiment
+from evaluation.experiment import DEFAULT_TASK, NONE, Experiment
 from evaluation.transfer.forecast import FORECAST_RULE, forecast_judgement
 from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.errors import Blocked, InvalidArgument

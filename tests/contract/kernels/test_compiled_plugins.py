@@ -35,6 +35,4 @@ def test_a_compiled_form_that_agrees_is_not(register):
 def test_the_kit_reports_a_missing_compiled_form(kind, register):
     register(CONTRACTS[kind].registry, "sound", CASES[kind].SOUND[0])
     idle = {result.rule: result.idle for result in CONTRACTS[kind].run("sound")}
-    assert idle[rule_of(CASES[kind].BROKEN_FORMS[0].check)].startswith(
-        "it has no compiled form: Python computes every"
-    )
+    assert idle[rule_of(CASES[kind].BROKEN_FORMS[0].check)].startswith("it has no compiled form: Python computes every")
