@@ -8,6 +8,7 @@ from typing import Any
 
 from evaluation.cells.plants import Plant
 from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import reward_digest
 from sysid_evo.errors import InvalidArgument, LinkLost
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType
 from sysid_evo.registry import Spec, make_robot, robots
@@ -79,7 +80,8 @@ class GivenData(CellSettings):
     def inputs(self) -> dict[str, Any]:
         named = [episode.condition for episode in self.dataset]
         conditions = {"conditions": named} if any(named) else {}
-        return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **conditions}
+        rewards = {"rewards": found} if (found := reward_digest(self.dataset)) else {}
+        return {"fingerprint": self.dataset.fingerprint, "split": asdict(self.split), **conditions, **rewards}
 
     def compute(self, work: CellContext) -> SplitDataset:
         return self.split.of(self.dataset)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hardware.recording.record import RecordingJob, RecordingResult
 from hardware.run_report import LoopReport, StopReason, StopRequest
-from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession
+from hardware.simulators.simulator import LONGEST_SEED, ExternalSimulator, SimulatorSession, ending_of
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, InvalidData, LinkLost
 from sysid_evo.progress import Progress
@@ -48,10 +48,11 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                 script = _script(name, simulator, episodes, tried, rng.spawn(1)[0])
                 counted = _counter(job.progress, number * each, len(SCRIPTS) * each)
                 made = enumerate(_episodes(session, simulator, script, each, rng, counted, stop), start=1)
-                for count, (states, controls) in made:
+                for count, (states, controls, rewards, ending) in made:
                     if len(controls) >= SHORTEST:
                         of = f"{name}-{count}"
-                        episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of))
+                        kept = {"rewards": np.array(rewards), "ending": ending}
+                        episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of, **kept))
                 if stop.reason is not None:
                     reason = stop.reason
                     break
@@ -104,25 +105,26 @@ def _episodes(
     rng: np.random.Generator,
     counted: Callable[[int], None],
     stop: StopRequest,
-) -> Iterator[tuple[list[Array], list[Array]]]:
-    """Yield states and controls of one episode after the other, ``steps`` in all, fewer if it is stopped."""
+) -> Iterator[tuple[list[Array], list[Array], list[float], str]]:
+    """Yield states, controls, rewards and ending of each episode, ``steps`` in all, fewer if it is stopped."""
     system, done, lasted = simulator.system, 0, 0
     while done < steps and stop.reason is None:
         with stop.answer(simulator.name):
-            states, controls = [session.reset(int(rng.integers(LONGEST_SEED)))], []
+            states, controls, rewards = [session.reset(int(rng.integers(LONGEST_SEED)))], [], []
         script.begin(lasted)
-        ended = False
+        ended, ending = False, ""
         while done < steps and not ended and stop.reason is None:
             control = system.actuate(script.next(states[-1]))
             with stop.answer(simulator.name):
-                state, _, over, late = session.step(control)
+                state, reward, over, late = session.step(control)
             states.append(state)
             controls.append(control)
-            ended = over or late
+            rewards.append(reward)
+            ended, ending = over or late, ending_of(over, late)
             done += 1
         lasted = len(controls)
         counted(done)
-        yield states, controls
+        yield states, controls, rewards, ending
 
 
 def _counter(progress: Progress | None, before: int, total: int) -> Callable[[int], None]:

@@ -17,6 +17,7 @@ from hardware.connection import Closeable
 from sysid_evo.controllers import Controller
 from sysid_evo.controllers.controller import View
 from sysid_evo.data import Trajectory
+from sysid_evo.data.trajectory import TERMINATED, TRUNCATED
 from sysid_evo.engine import Rollouts, results
 from sysid_evo.engine.rollout import BoundRunner
 from sysid_evo.errors import InvalidArgument
@@ -54,6 +55,11 @@ class SimulatorSession(Closeable):
     @abstractmethod
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
         """Return the next state (nx,), the reward, whether the episode ended there, and whether its time is up."""
+
+
+def ending_of(over: bool, late: bool) -> str:
+    """Return the ending of an episode after a step, see `Trajectory`; "" if it continues."""
+    return TERMINATED if over else TRUNCATED if late else ""
 
 
 ENGINE = "environment"
@@ -122,6 +128,8 @@ class _Trials:
         self.counts = np.zeros((batch, 2 * (self.system.nx + self.system.nu)))
         self.states = [[state] for state in self.state]
         self.controls: list[list[Array]] = [[] for _ in range(batch)]
+        self.rewards: list[list[float]] = [[] for _ in range(batch)]
+        self.endings = [""] * batch
 
     def run(self, record: bool) -> None:
         """Step until every trial is over."""
@@ -156,8 +164,10 @@ class _Trials:
         """Return the states after one step (B, nx), and which trials the simulator ended."""
         after, ended = self.state.copy(), np.zeros(len(going), dtype=bool)
         for i in np.flatnonzero(going):
-            after[i], _, over, late = self.sessions[i].step(control[i])
+            after[i], reward, over, late = self.sessions[i].step(control[i])
             ended[i] = over or late
+            self.rewards[i].append(reward)
+            self.endings[i] = ending_of(over, late)
         self.diverged |= ~np.isfinite(after).all(axis=1)
         return self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state), ended
 
@@ -169,6 +179,8 @@ class _Trials:
                 np.array(self.controls[i]),
                 self.system.dt,
                 name=f"candidate-{i // self.grid[1]}-trial-{i % self.grid[1]}",
+                rewards=np.array(self.rewards[i][: len(self.controls[i])]),
+                ending=self.endings[i] if len(self.rewards[i]) == len(self.controls[i]) else "",
             )
             for i in range(len(self.state))
             if self.controls[i]

@@ -64,7 +64,7 @@ class Dataset(Displayed):
     """Episodes of one ``system``, sampled at its ``dt``; their lengths may differ.
 
     Periodic states are unwrapped within an episode. ``notes`` are remarks of the preparation on the recording. The
-    conditions of episodes are not part of the ``fingerprint``, because they do not affect a fit.
+    conditions and rewards of episodes are not part of the ``fingerprint``, because they do not affect a fit.
     """
 
     system: System
@@ -149,7 +149,8 @@ class Dataset(Displayed):
         """Return a data set made from a table with one column for each channel and one row for each ``dt``.
 
         ``episode`` is the column that names the episodes (default: all rows are one episode). Pose columns
-        (``x``, ``y``, ``heading`` for a planar body) are used if all exist.
+        (``x``, ``y``, ``heading`` for a planar body) are used if all exist, like ``reward``, ``terminated`` and
+        ``truncated``, see `to_pandas`.
 
         Raises `InvalidData` if a column is missing, or if the column ``time`` (s) or an index of times has steps that
         differ from ``dt`` by more than 5 %; `InvalidArgument` if ``frame`` is not a table.
@@ -160,7 +161,8 @@ class Dataset(Displayed):
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with one row per sample: ``episode``, ``time`` (s), states, controls and pose by name.
 
-        The controls of an episode's last sample are nan. ``Dataset.from_pandas(system, frame, episode="episode")`` is
+        Recordings of an environment have the columns ``reward``, ``terminated`` and ``truncated`` of the step that
+        begins with the sample. Controls and rewards of an episode's last sample are nan. ``Dataset.from_pandas(system, frame, episode="episode")`` is
         the inverse. Raises `InvalidData` if a channel has the name of another column.
         """
         return frame_of(self.system, self.episodes)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sysid_evo.data.readers import read_parquet
-from sysid_evo.data.trajectory import Trajectory
+from sysid_evo.data.trajectory import TERMINATED, TRUNCATED, Trajectory
 from sysid_evo.errors import ArtefactError, InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.extras import check_installed
 from sysid_evo.files import write_atomically
 from sysid_evo.system import System
-from sysid_evo.types import Array
+from sysid_evo.types import Array, BoolArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,9 +55,26 @@ def episodes_of_frame(system: System, frame: pd.DataFrame, *, episode: str | Non
             dt=system.dt,
             pose=table[poses].to_numpy() if has_pose else None,
             name=name,
+            **_rewards_of(system, table),
         )
         for name, table in tables
     ]
+
+
+REWARD = "reward"
+
+
+def _rewards_of(system: System, table: pd.DataFrame) -> dict[str, Any]:
+    """Return rewards and ending of an episode from its columns `reward`, `terminated` and `truncated`, if it has any.
+
+    Values belong to the step that begins in their row, so those of the last row are not read.
+    """
+    columns = [name for name in table.columns if name not in (*system.state_names, *system.control_names)]
+    endings = [name for name in (TERMINATED, TRUNCATED) if name in columns and bool(table[name].iloc[-2])]
+    rewards = table[REWARD].to_numpy(dtype=np.float64)[:-1] if REWARD in columns else None
+    if rewards is not None and not np.isfinite(rewards).all():
+        rewards = None
+    return {"rewards": rewards, "ending": endings[0] if endings else ""}
 
 
 def _expect_even(system: System, name: str, table: pd.DataFrame) -> None:
@@ -98,6 +115,11 @@ def frame_of(system: System, episodes: Sequence[Trajectory]) -> pd.DataFrame:
     names = channel_names(system, "episode", "time")
     tables = [sample_table(system, episode) for episode in episodes]
     frame = pd.DataFrame(np.concatenate(tables), columns=list(names))
+    if any(episode.rewards is not None for episode in episodes):
+        channel_names(system, REWARD, TERMINATED, TRUNCATED)
+        frame[REWARD] = np.concatenate([_padded(episode.rewards, len(episode)) for episode in episodes])
+        for name in (TERMINATED, TRUNCATED):
+            frame[name] = np.concatenate([_is_last(episode, episode.ending == name) for episode in episodes])
     frame.insert(0, "time", np.concatenate([times(episode) for episode in episodes]))
     frame.insert(0, "episode", np.repeat([episode.name for episode in episodes], [len(table) for table in tables]))
     return frame
@@ -138,6 +160,18 @@ def sample_table(system: System, episode: Trajectory) -> Array:
     blank = np.full((1, system.nu), np.nan)
     pose = np.full((len(episode) + 1, system.n_pose), np.nan) if episode.pose is None else episode.pose
     return np.concatenate([episode.states, np.concatenate([episode.controls, blank]), pose], axis=1)
+
+
+def _padded(rewards: Array | None, steps: int) -> Array:
+    """Return the rewards with one row for each sample (steps + 1,); nan in the last, and if there are none."""
+    return np.full(steps + 1, np.nan) if rewards is None else np.append(rewards, np.nan)
+
+
+def _is_last(episode: Trajectory, ended: bool) -> BoolArray:
+    """Return for each sample whether its step ended the episode."""
+    found = np.zeros(len(episode) + 1, dtype=bool)
+    found[-2] = ended
+    return found
 
 
 def channel_names(system: System, *others: str) -> tuple[str, ...]:
@@ -184,6 +218,11 @@ def write_samples(
         columns["step"].append(pa.array(np.arange(len(rows))))
         for i, name in enumerate(names):
             columns[name].append(pa.array(rows[:, i], from_pandas=True))
+    if any(episode.rewards is not None for episode in episodes):
+        channel_names(system, REWARD)
+        columns[REWARD] = [
+            pa.array(_padded(episode.rewards, len(episode)), from_pandas=True) for episode in episodes
+        ]
     table = pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
     header = {
         "schema": SCHEMA,
@@ -191,6 +230,8 @@ def write_samples(
         "episodes": [
             {"name": episode.name, "steps": len(episode), "pose": episode.pose is not None}
             | ({"condition": episode.condition} if episode.condition else {})
+            | ({} if episode.rewards is None else {"rewards": True})
+            | ({"ending": episode.ending} if episode.ending else {})
             for episode in episodes
         ],
         "notes": list(notes),
@@ -215,6 +256,8 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
             raise ArtefactError(f"{path}: expected schema {SCHEMA!r}, got {header.get('schema')!r}")
         system = System.from_dict(header["system"])
         names = (*system.state_names, *system.control_names, *pose_names(system))
+        if any(entry.get("rewards") for entry in header["episodes"]):
+            names = (*names, REWARD)
         table = read_parquet(folder / SAMPLES, names)
         data = {name: table[name].to_numpy(zero_copy_only=False) for name in names}
         episodes, first = [], 0
@@ -224,7 +267,9 @@ def read_samples(folder: Path) -> tuple[System, tuple[Trajectory, ...], tuple[st
             states = _columns(data, system.state_names, rows)
             controls = _columns(data, system.control_names, rows)[:-1]
             pose = _columns(data, pose_names(system), rows) if entry["pose"] else None
-            episodes.append(Trajectory(states, controls, system.dt, pose, entry["name"], entry.get("condition", "")))
+            rewards = data[REWARD][rows][:-1] if entry.get("rewards") else None
+            name, condition, ending = entry["name"], entry.get("condition", ""), entry.get("ending", "")
+            episodes.append(Trajectory(states, controls, system.dt, pose, name, condition, rewards, ending))
         del table, data
         pa.default_memory_pool().release_unused()
         return system, tuple(episodes), tuple(header["notes"]), header["fingerprint"]

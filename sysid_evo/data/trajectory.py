@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,10 @@ from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
 
+TERMINATED, TRUNCATED = "terminated", "truncated"
+"""How an episode of an environment ends."""
+
+
 @dataclass(frozen=True, repr=False)
 class Trajectory(Displayed):
     """One episode of T steps.
@@ -22,7 +27,10 @@ class Trajectory(Displayed):
     ``states`` is (T + 1, nx), ``controls`` (T, nu): ``controls[k]`` is held from k dt to (k + 1) dt
     and takes ``states[k]`` to ``states[k + 1]``. ``dt`` is in seconds. ``pose`` is (T + 1, n_pose)
     in the units of the system's motion, or None. ``condition`` is the operating condition, such as the floor or the
-    battery, or "". A single state or control may be 1-D. Raises `ShapeError` or `InvalidData`.
+    battery, or "". A single state or control may be 1-D.
+
+    ``rewards`` (T,) are those of an environment, or None; ``ending`` is "terminated" if its last step ended the
+    episode, "truncated" if the time was up, else "". Models do not use them. Raises `ShapeError` or `InvalidData`.
     """
 
     states: Array
@@ -31,6 +39,8 @@ class Trajectory(Displayed):
     pose: Array | None = None
     name: str = ""
     condition: str = ""
+    rewards: Array | None = None
+    ending: str = ""
 
     def __post_init__(self) -> None:
         states = check_shape(f"states of {self.name!r}", as_columns(self.states), (None, None))
@@ -39,9 +49,17 @@ class Trajectory(Displayed):
         object.__setattr__(self, "controls", controls)
         if self.pose is not None:
             object.__setattr__(self, "pose", check_shape(f"pose of {self.name!r}", self.pose, (len(states), None)))
+        if self.rewards is not None:
+            rewards = check_shape(f"rewards of {self.name!r}", self.rewards, (len(controls),))
+            object.__setattr__(self, "rewards", rewards)
+        if self.ending not in ("", TERMINATED, TRUNCATED):
+            raise InvalidData(
+                f"episode {self.name!r}: expected the ending {TERMINATED!r}, {TRUNCATED!r} or none, got {self.ending!r}"
+            )
         if len(controls) < 1:
             raise InvalidData(f"episode {self.name!r}: expected at least one step, got {len(states)} sample(s)")
-        for what, array in (("state", states), ("control", controls), ("pose", self.pose)):
+        rewards = None if self.rewards is None else self.rewards[:, None]
+        for what, array in (("state", states), ("control", controls), ("pose", self.pose), ("reward", rewards)):
             if array is not None and not np.isfinite(array).all():
                 row, column = np.argwhere(~np.isfinite(array))[0]
                 raise InvalidData(f"episode {self.name!r}: {what} {column} at sample {row} is {array[row, column]}")
@@ -54,7 +72,14 @@ class Trajectory(Displayed):
             "steps": f"{len(self)} of {self.dt:g} s, {self.duration:g} s in all",
             **{what: f"{count} columns" if count != 1 else "1 column" for what, count in columns.items()},
             **({"condition": self.condition} if self.condition else {}),
+            **({} if self.total_reward is None else {"total reward": f"{self.total_reward:.6g}"}),
+            **({"ending": self.ending} if self.ending else {}),
         }
+
+    @property
+    def total_reward(self) -> float | None:
+        """Sum of the rewards, the return of the episode; None without rewards."""
+        return None if self.rewards is None else float(self.rewards.sum())
 
     def __len__(self) -> int:
         """Return the number of steps, T."""
@@ -77,7 +102,20 @@ class Trajectory(Displayed):
             pose=None if self.pose is None else self.pose[first : last + 1],
             name=f"{self.name}[{first}:{last}]",
             condition=self.condition,
+            rewards=None if self.rewards is None else self.rewards[first:last],
+            ending=self.ending if last == len(self) else "",
         )
+
+
+def reward_digest(episodes: Iterable[Trajectory]) -> str:
+    """Return the SHA-256 of rewards and endings, which are not part of a data set's fingerprint; "" without rewards."""
+    digest, found = hashlib.sha256(), False
+    for episode in episodes:
+        digest.update(f"{episode.name} {episode.ending}".encode())
+        if episode.rewards is not None:
+            digest.update(np.ascontiguousarray(episode.rewards).data)
+            found = True
+    return digest.hexdigest() if found else ""
 
 
 def recording(name: str) -> str:

@@ -191,6 +191,19 @@ def test_every_episode_ends_where_the_environment_ends_it(small):
     assert dataset.n_steps == pytest.approx(1000, abs=20)
 
 
+def test_a_recording_and_a_run_keep_the_rewards_and_how_each_episode_ended(small):
+    data = rotor(angle="1,2").record(seed=3, duration=90.0).dataset
+    for episode in data:
+        np.testing.assert_allclose(episode.rewards, -(episode.states[1:, 0] ** 2), atol=1e-5)
+        over = abs(episode.states[-1, 0]) > small.BREAKS
+        assert episode.ending == ("terminated" if over else "truncated" if len(episode) == 50 else "")
+    assert {episode.ending for episode in data} == {"terminated", "truncated", ""}
+    run = rotor().runner().bind(RecurrentNetwork(hidden=3), Counting(horizon=100))(FULL, SEEDS, record=True)
+    for episode in run.trajectories:
+        np.testing.assert_allclose(episode.rewards, -(episode.states[1:, 0] ** 2), atol=1e-5)
+        assert episode.ending == "terminated"
+
+
 def test_every_script_is_in_the_recording_and_uses_both_halves_of_the_control():
     dataset = recorded("MountainCarContinuous-v0", 40.0)
     names = {episode.name.rpartition("-")[0] for episode in dataset}
