@@ -220,9 +220,7 @@ def write_samples(
             columns[name].append(pa.array(rows[:, i], from_pandas=True))
     if any(episode.rewards is not None for episode in episodes):
         channel_names(system, REWARD)
-        columns[REWARD] = [
-            pa.array(_padded(episode.rewards, len(episode)), from_pandas=True) for episode in episodes
-        ]
+        columns[REWARD] = [pa.array(_padded(episode.rewards, len(episode)), from_pandas=True) for episode in episodes]
     table = pa.table({name: pa.chunked_array(parts) for name, parts in columns.items()})
     header = {
         "schema": SCHEMA,

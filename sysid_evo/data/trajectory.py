@@ -15,7 +15,6 @@ from sysid_evo.motion import PlanarBody
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray, check_shape
 
-
 TERMINATED, TRUNCATED = "terminated", "truncated"
 """How an episode of an environment ends."""
 
