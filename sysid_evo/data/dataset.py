@@ -162,7 +162,8 @@ class Dataset(Displayed):
         """Return a table with one row per sample: ``episode``, ``time`` (s), states, controls and pose by name.
 
         Recordings of an environment have the columns ``reward``, ``terminated`` and ``truncated`` of the step that
-        begins with the sample. Controls and rewards of an episode's last sample are nan. ``Dataset.from_pandas(system, frame, episode="episode")`` is
+        begins with the sample. Controls and rewards of an episode's last sample are nan.
+        ``Dataset.from_pandas(system, frame, episode="episode")`` is
         the inverse. Raises `InvalidData` if a channel has the name of another column.
         """
         return frame_of(self.system, self.episodes)
