@@ -50,9 +50,15 @@ def record_simulator(simulator: ExternalSimulator, duration: float, job: Recordi
                 made = enumerate(_episodes(session, simulator, script, each, rng, counted, stop), start=1)
                 for count, (states, controls, rewards, ending) in made:
                     if len(controls) >= SHORTEST:
-                        of = f"{name}-{count}"
-                        kept = {"rewards": np.array(rewards), "ending": ending}
-                        episodes.append(Trajectory(np.array(states), np.array(controls), system.dt, name=of, **kept))
+                        episode = Trajectory(
+                            np.array(states),
+                            np.array(controls),
+                            system.dt,
+                            name=f"{name}-{count}",
+                            rewards=np.array(rewards),
+                            ending=ending,
+                        )
+                        episodes.append(episode)
                 if stop.reason is not None:
                     reason = stop.reason
                     break

@@ -163,8 +163,8 @@ class Dataset(Displayed):
 
         Recordings of an environment have the columns ``reward``, ``terminated`` and ``truncated`` of the step that
         begins with the sample. Controls and rewards of an episode's last sample are nan.
-        ``Dataset.from_pandas(system, frame, episode="episode")`` is
-        the inverse. Raises `InvalidData` if a channel has the name of another column.
+        ``Dataset.from_pandas(system, frame, episode="episode")`` is the inverse. Raises `InvalidData` if a channel has
+        the name of another column.
         """
         return frame_of(self.system, self.episodes)
 

@@ -57,8 +57,8 @@ class Trajectory(Displayed):
             )
         if len(controls) < 1:
             raise InvalidData(f"episode {self.name!r}: expected at least one step, got {len(states)} sample(s)")
-        rewards = None if self.rewards is None else self.rewards[:, None]
-        for what, array in (("state", states), ("control", controls), ("pose", self.pose), ("reward", rewards)):
+        column = None if self.rewards is None else self.rewards[:, None]
+        for what, array in (("state", states), ("control", controls), ("pose", self.pose), ("reward", column)):
             if array is not None and not np.isfinite(array).all():
                 row, column = np.argwhere(~np.isfinite(array))[0]
                 raise InvalidData(f"episode {self.name!r}: {what} {column} at sample {row} is {array[row, column]}")
