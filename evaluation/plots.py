@@ -36,8 +36,9 @@ def plot_claimed_measured(
     """Draw claimed against measured fitness with intervals, a dot for each controller, and the diagonal.
 
     All controllers have claimed fitness, and are measured on the robot or on the other models; ``label`` names the
-    second axis. Names are on the right in the order of the dots, cut to a number of ``letters``; that of the controller
-    ``pick`` is bold. Exploited controllers are orange. The artists of controller i have the id ``link-i``.
+    second axis. Both labels break into lines that are shorter than the axes. Names are on the right in the order of the
+    dots, cut to a number of ``letters``; that of the controller ``pick`` is bold. Exploited controllers are orange. The
+    artists of controller i have the id ``link-i``.
     """
     ax = axes_or_new(ax, 4.9, 4.9)
     pairs = [(one.claimed, one.elsewhere) for one in controllers]
@@ -70,10 +71,14 @@ def plot_claimed_measured(
         name = one.name if len(one.name) <= letters else f"{one.name[: letters - 1]}…"
         weight = "bold" if one.name == pick else "normal"
         ax.text(1.03, place, name, transform=ax.transAxes, va="center", fontsize=8, weight=weight, gid=f"link-{i}")
-    ax.set_xlabel(f"claimed ({unit})" if unit else "claimed")
-    ax.set_ylabel(label)
+    wrap_at = int(LETTERS_PER_INCH * ax.bbox.height / ax.figure.dpi)
+    ax.set_xlabel(folded(f"claimed ({unit})" if unit else "claimed", wrap_at))
+    ax.set_ylabel(folded(label, wrap_at))
     return ax
 
+
+LETTERS_PER_INCH = 9
+"""Letters of an axis label on an inch of the axes, wide ones such as "m" included."""
 
 REACH = 0.62
 """Rows over which the groups of one name are spread."""

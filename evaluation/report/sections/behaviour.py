@@ -29,6 +29,12 @@ def section(report: ComparisonResults) -> Section | None:
 SHOWN = ("speed", "backwards", "missed at first", "orbiting", "within tolerance", "settling time")
 """Measures in the table, in order, with the switching of every control; report.json has all."""
 
+MEANINGS = {
+    "missed at first": "Missed: waypoints that were approached and left again before they were reached.",
+    "orbiting": "Orbiting: share of the time in full turns around a waypoint.",
+}
+"""Sentences that explain a column, by its measure."""
+
 
 def driving_table(summaries: Sequence[DrivingSummary], robot: str | None) -> TableElement | None:
     """Return a row of sentences for each controller; None if no trial was recorded."""
@@ -54,16 +60,13 @@ def measured_behaviour_table(summaries: Sequence[DrivingSummary], robot: str | N
     ]
     trials = sorted({one.trials for one in summaries})
     count = f"{trials[0]}" if len(trials) == 1 else f"{trials[0]} to {trials[-1]}"
+    explained = [sentence for name, sentence in MEANINGS.items() if name in shown]
     return TableElement(
         title="Behaviour, measured",
         columns=("controller", "on", *(_head(name) for name in shown)),
         rows=tuple(rows),
-        note=(
-            f"Means over {count} recorded trials. Missed: waypoints that were approached and left again before they "
-            "were reached; orbiting: share of the time in full turns around a waypoint. report.json has intervals and "
-            "more measures."
-            if "orbiting" in names
-            else f"Means over {count} recorded trials. report.json has intervals and more measures."
+        note=" ".join(
+            [f"Means over {count} recorded trials.", *explained, "report.json has intervals and more measures."]
         ),
         details=True,
     )

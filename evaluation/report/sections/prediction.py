@@ -119,17 +119,20 @@ def error_table(prediction: Prediction) -> TableElement:
     ]
     protocol = prediction.cases.protocol
     blocks = prediction.cases.blocks(prediction.cases.main_horizon)
+    notes = [
+        f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows in {blocks} "
+        f"independent blocks of test data; whole episodes from sample {protocol.first}."
+    ]
+    if any(cell.startswith("* ") for row in rows for cell in row[1:]):
+        notes.append("* lowest, or not significantly different from it (paired bootstrap, single comparisons).")
+    if any(map(_divergence, prediction.models)):
+        notes.append("Limited: windows in which a state reached its bounds, and the median time until then.")
+    notes.append(too_little(prediction, prediction.cases.main_horizon))
     return TableElement(
         title=f"Simulation error N ({percent(CONFIDENCE)} intervals)",
         columns=("model", *_heads(prediction, horizons)),
         rows=tuple(rows),
-        note=(
-            f"{protocol.describe(prediction.cases.system.dt)} {len(prediction.cases.windows)} windows in {blocks} "
-            f"independent blocks of test data; whole episodes from sample {protocol.first}. "
-            "* lowest, or not significantly different from it (paired bootstrap, single comparisons). "
-            "Limited: windows in which a state reached its bounds, and the median time until then."
-            f" {too_little(prediction, prediction.cases.main_horizon)}"
-        ).rstrip(),
+        note=" ".join(filter(None, notes)),
     )
 
 

@@ -51,13 +51,13 @@ def warnings(report: ComparisonResults) -> list[str]:
     if not failures:
         return []
     first = failures[0]
-    return [f"{_failed(report)}. The first: {first.what}: {first.reason.splitlines()[0] if first.reason else 'failed'}"]
+    return [f"{_failed(report)}; all reasons are under This run. The first: {first.what}: {first.reason.splitlines()[0] if first.reason else 'failed'}"]
 
 
 def _failed(report: ComparisonResults) -> str:
     count, steps = len(report.all_failures), len(report.timings)
     of = f"{count} of {steps} steps" if steps >= count else "1 step" if count == 1 else f"{count} steps"
-    return f"{of} failed; all reasons are under This run"
+    return f"{of} failed"
 
 
 def headlines(report: ComparisonResults) -> tuple[Headline, ...]:

@@ -56,15 +56,20 @@ def transfer_sheet(matrix: TransferMatrix) -> TableElement:
         if column in champion.against
     )
     robots = sum(column is not None and column not in matrix.models for column in places)
+    ran = [cell for cell in matrix.cells.values() if not cell.failed]
+    explained = {
+        " Rows are controllers, columns are systems.": True,
+        " = evolved in this model.": bool(own),
+        " Other families: median over the models of families that it was not evolved in.": None in places,
+        " Limited: steps at which a state was held at the state bounds.": any(cell.clipped_share > 0.0 for cell in ran),
+        " Div: trials that diverged.": any(cell.diverged_share > 0.0 for cell in ran),
+        " Missing: trials that the robot did not finish.": any(cell.missing for cell in ran),
+    }
     return TableElement(
         title=f"Transfer matrix: {unit}, mean (standard deviation over trials)",
         columns=("controller", *columns),
         rows=tuple(rows),
-        note=(
-            f"{_trials(matrix)} Rows are controllers, columns are systems; = and a frame: evolved in this model. "
-            "Other families: median over the models of families that it was not evolved in. "
-            "Limited: steps at which a state was held at the state bounds; div: trials that diverged."
-        ),
+        note=_trials(matrix) + "".join(sentence for sentence, needed in explained.items() if needed),
         heat=Shading(shades, own, robots if 0 < robots < len(places) else None),
         sticky=2 if robots else 1,
     )

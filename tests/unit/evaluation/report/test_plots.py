@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from evaluation.plots import (
     plot_trace,
 )
 from evaluation.report.render.svg import inline_svg
-from evaluation.transfer import Trace
+from evaluation.transfer import Estimate, Trace
 from sysid_evo.data import Trajectory
 from sysid_evo.errors import InvalidData
 
@@ -130,6 +131,22 @@ def test_a_drawing_is_an_element_of_the_page_in_its_fonts_and_the_colours_of_its
         assert svg.endswith("</svg>")
         assert "<style" not in svg
         assert "DejaVu" not in svg
+
+
+@pytest.mark.parametrize(("width", "height"), [(3.55, 2.9), (5.6, 4.0)], ids=["phone", "desk"])
+def test_a_long_label_of_claimed_against_measured_breaks_before_it_leaves_the_drawing(report, width, height):
+    """Large values have wide tick labels, which take room from the axes."""
+    far = [replace(one, claimed=Estimate(-12345.6, 1.0), achieved=Estimate(-9876.5, 1.0)) for one in claiming(report)]
+    unit = "reward per second of the episode, mean"
+    with style():
+        figure = new_figure(width, height)
+        ax = plot_claimed_measured(far, figure.add_subplot(), unit=unit, label=f"measured on my_robot:17 ({unit})")
+        figure.draw_without_rendering()
+        page = figure.bbox.padded(1.0)  # pixels
+        for artist in (ax.xaxis.label, ax.yaxis.label, *ax.texts):
+            box = artist.get_window_extent()
+            assert page.x0 <= box.x0 <= box.x1 <= page.x1, artist
+            assert page.y0 <= box.y0 <= box.y1 <= page.y1, artist
 
 
 def test_ids_differ_between_drawings_and_are_found_within_each(inline):

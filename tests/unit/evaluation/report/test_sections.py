@@ -48,6 +48,12 @@ SMALL_ERRORS = "No single step is implausible: small errors add up over a trial.
 HOLDS = Estimate(0.5, 0.1)
 
 
+def with_cells(**changes):
+    """Return a matrix whose cells have these attributes."""
+    made = matrix(FITNESS, against=AGAINST, robot="car")
+    return replace(made, cells={key: replace(cell, **changes) for key, cell in made.cells.items()})
+
+
 @pytest.mark.parametrize(
     "model, said",
     [
@@ -105,6 +111,40 @@ def test_a_matrix_without_a_robot_has_no_line(fitness, shades):
     heat = transfer_sheet(matrix({"a": dict(zip("abc", fitness, strict=False))}, trials=1)).heat
     assert heat.divided is None
     assert heat.shades == (shades,)
+
+
+SAID = {
+    "= evolved": (matrix(FITNESS, against=AGAINST), matrix({"a": FITNESS["a"]}, against={"a": ()})),
+    "Other families:": (matrix(FITNESS, against=AGAINST), matrix(FITNESS, against=AGAINST, robot="car")),
+    "Limited:": (with_cells(clipped_share=0.1), with_cells(clipped_share=0.0)),
+    "Div:": (with_cells(diverged_share=0.1), with_cells(clipped_share=0.1)),
+    "Missing:": (with_cells(missing=("the battery is empty",)), with_cells()),
+}
+
+
+@pytest.mark.parametrize("word", SAID)
+def test_a_note_of_the_matrix_explains_only_what_stands_in_it(word):
+    """A terminal prints the note below the table, where a word on an absent column sends readers on a search."""
+    there, absent = SAID[word]
+    assert word in transfer_sheet(there).note
+    assert word not in transfer_sheet(absent).note
+
+
+def test_a_note_of_the_errors_explains_only_what_stands_in_them():
+    limited = error_table(prediction({"linear": 0.3, "sindy": 0.2}, clipped={"linear": 0.2}))
+    assert "* lowest" in limited.note
+    assert "Limited:" in limited.note
+    plain = error_table(prediction({"linear": 0.3}, failed=["sindy"]))
+    assert "Limited" not in plain.note
+    few = error_table(prediction({"linear": 0.3, "sindy": 0.2}, episodes=2))
+    assert not any("*" in cell for row in few.rows for cell in row)
+    assert "*" not in few.note
+
+
+def test_a_note_of_shares_has_no_second_line_without_one():
+    assert "second line" in outside_range_table((exploited(),)).note
+    alone = replace(exploited(), outside_robot=None)
+    assert "second line" not in outside_range_table((alone,)).note
 
 
 def test_shares_beyond_the_data_are_painted_on_a_logarithmic_scale():

@@ -108,8 +108,8 @@ SENTENCES = {
         lambda: driven(robot_trials=1),
         lambda: driven(robot_trials=2),
     ),
-    "1 step failed; all reasons are under This run.": (lambda: report(failures=1), lambda: report(failures=2)),
-    "2 steps failed; all reasons are under This run.": (lambda: report(failures=2), lambda: scored(GOOD)),
+    "1 step failed.": (lambda: report(failures=1), lambda: report(failures=2)),
+    "2 steps failed.": (lambda: report(failures=2), lambda: scored(GOOD)),
     "Nothing was compared.": (report, lambda: scored(GOOD)),
     "Nothing: no model could be scored. Look at the failures and notes, or record more data.": (
         lambda: scored(steps=5),
