@@ -51,9 +51,8 @@ def warnings(report: ComparisonResults) -> list[str]:
     if not failures:
         return []
     first = failures[0]
-    return [
-        f"{_failed(report)}; all reasons are under This run. The first: {first.what}: {first.reason.splitlines()[0] if first.reason else 'failed'}"
-    ]
+    reason = first.reason.splitlines()[0] if first.reason else "failed"
+    return [f"{_failed(report)}; all reasons are under This run. The first: {first.what}: {reason}"]
 
 
 def _failed(report: ComparisonResults) -> str:
