@@ -34,6 +34,7 @@ from .registry.registry import (
     register_strategy,
     register_task,
 )
+from .rigid_body import RigidBody
 from .system import Channel, System
 from .tasks.point_to_point import PointToPoint
 from .tasks.reward import register_reward
@@ -64,6 +65,7 @@ __all__ = [
     "PointToPoint",
     "Progress",
     "RecurrentNetwork",
+    "RigidBody",
     "Rollouts",
     "Runner",
     "Schedule",

@@ -71,6 +71,10 @@ class Motion(ABC):
     def move(self, pose: Array, before: Array, after: Array, dt: float, names: Sequence[str]) -> Array:
         """Return the pose (..., n_pose) after ``dt``, given the states at both ends (..., nx)."""
 
+    def initial_pose(self, state: Array, names: Sequence[str]) -> Array:
+        """Return the pose (..., n_pose) in the origin of a body with this ``state`` (..., nx); zeros by default."""
+        return np.zeros((*np.shape(state)[:-1], self.n_pose))
+
     def velocities(self, pose: Array, rate: Array) -> dict[str, Array]:
         """Return the values of each role (...,) from a pose (..., n_pose) and its change per second.
 

@@ -1,8 +1,10 @@
-"""The compiled forms of motions: a body on a plane, and a system without a motion."""
+"""The compiled forms of motions: a body on a plane, a rigid body in space, and a system without a motion."""
 
 from __future__ import annotations
 
 import math
+
+import numpy as np
 
 from sysid_evo import angles
 from sysid_evo.angles import TURN
@@ -18,6 +20,7 @@ from sysid_evo.kernels import (
     view,
     where_at_most,
 )
+from sysid_evo.rotations import product, quaternion, rotated, unit
 
 ROLES = Layout("forward", "lateral", "yaw_rate")
 PER_TURN = 1.0 / TURN
@@ -100,3 +103,74 @@ def wrap(angle):
     """Return an angle, or a row of angles, wrapped to (-pi, pi], as `sysid_evo.angles.wrap` does."""
     angle = angle - TURN * nearest(angle * PER_TURN)
     return where_at_most(angle, -math.pi, angle + TURN, angle)
+
+
+def rigid_body_kernel(speeds: list[int], rates: list[int], up: list[int]) -> MotionKernel:
+    """Return the compiled form of `RigidBody` with its vectors in the given rows of the state."""
+    return MotionKernel(integrate_in_space, turn_in_space, move_in_space, np.array([*speeds, *rates, *up], dtype=float))
+
+
+def integrate_in_space(state, after, nx, dt, p):
+    """R(-a) (x + dt acceleration) for the velocities and up, see `RigidBody`."""
+    integrate_straight(state, after, nx, dt, p)
+    roll, pitch, yaw = int(p[3]) * LANES, int(p[4]) * LANES, int(p[5]) * LANES
+    for lane in range(0, LANES, QUARTER):
+        here, there = view(state, lane), view(after, lane)
+        w, x, y, z = quaternion(
+            -0.5 * dt * (load_quarter(here, roll) + load_quarter(there, roll)),
+            -0.5 * dt * (load_quarter(here, pitch) + load_quarter(there, pitch)),
+            -0.5 * dt * (load_quarter(here, yaw) + load_quarter(there, yaw)),
+        )
+        for first in range(0, 9, 6):
+            i, j, k = int(p[first]) * LANES, int(p[first + 1]) * LANES, int(p[first + 2]) * LANES
+            a, b, c = rotated(w, x, y, z, load_quarter(there, i), load_quarter(there, j), load_quarter(there, k))
+            store(there, i, a)
+            store(there, j, b)
+            store(there, k, c)
+
+
+def turn_in_space(state, rate, p):
+    """Add v x r and up x r to the rates of change of v and up."""
+    roll, pitch, yaw = int(p[3]) * LANES, int(p[4]) * LANES, int(p[5]) * LANES
+    for lane in range(0, LANES, QUARTER):
+        here, change = view(state, lane), view(rate, lane)
+        x, y, z = load_quarter(here, roll), load_quarter(here, pitch), load_quarter(here, yaw)
+        for first in range(0, 9, 6):
+            i, j, k = int(p[first]) * LANES, int(p[first + 1]) * LANES, int(p[first + 2]) * LANES
+            a, b, c = load_quarter(here, i), load_quarter(here, j), load_quarter(here, k)
+            store(change, i, load_quarter(change, i) + (b * z - c * y))
+            store(change, j, load_quarter(change, j) + (c * x - a * z))
+            store(change, k, load_quarter(change, k) + (a * y - b * x))
+
+
+def move_in_space(pose, before, after, dt, p):
+    """Move position and attitude as `RigidBody.move` does; the attitude keeps norm 1."""
+    u, v, w = int(p[0]) * LANES, int(p[1]) * LANES, int(p[2]) * LANES
+    roll, pitch, yaw = int(p[3]) * LANES, int(p[4]) * LANES, int(p[5]) * LANES
+    for lane in range(0, LANES, QUARTER):
+        here, start, end = view(pose, lane), view(before, lane), view(after, lane)
+        share = 0.25 * dt
+        hw, hx, hy, hz = quaternion(
+            share * (load_quarter(start, roll) + load_quarter(end, roll)),
+            share * (load_quarter(start, pitch) + load_quarter(end, pitch)),
+            share * (load_quarter(start, yaw) + load_quarter(end, yaw)),
+        )
+        mw, mx, my, mz = product(
+            load_quarter(here, 3 * LANES), load_quarter(here, 4 * LANES),
+            load_quarter(here, 5 * LANES), load_quarter(here, 6 * LANES), hw, hx, hy, hz,
+        )  # fmt: skip
+        dx, dy, dz = rotated(
+            mw, mx, my, mz,
+            load_quarter(start, u) + load_quarter(end, u),
+            load_quarter(start, v) + load_quarter(end, v),
+            load_quarter(start, w) + load_quarter(end, w),
+        )  # fmt: skip
+        store(here, 0, load_quarter(here, 0) + 0.5 * dt * dx)
+        store(here, LANES, load_quarter(here, LANES) + 0.5 * dt * dy)
+        store(here, 2 * LANES, load_quarter(here, 2 * LANES) + 0.5 * dt * dz)
+        qw, qx, qy, qz = product(mw, mx, my, mz, hw, hx, hy, hz)
+        qw, qx, qy, qz = unit(qw, qx, qy, qz)
+        store(here, 3 * LANES, qw)
+        store(here, 4 * LANES, qx)
+        store(here, 5 * LANES, qy)
+        store(here, 6 * LANES, qz)

@@ -373,6 +373,12 @@ class System(Displayed):
             return pose
         return self.motion.move(pose, before, after, self.dt if dt is None else dt, self.state_names)
 
+    def initial_pose(self, state: Array) -> Array:
+        """Return the pose (..., n_pose) in the origin of a body with this ``state`` (..., nx)."""
+        if self.motion is None:
+            return np.zeros((*np.shape(state)[:-1], 0))
+        return self.motion.initial_pose(state, self.state_names)
+
     def relative_pose(self, origin: Array, pose: Array) -> Array:
         """Return ``pose`` (..., n_pose) in the frame of ``origin`` (n_pose,); unchanged without a motion."""
         return pose if self.motion is None else self.motion.relative_pose(origin, pose)

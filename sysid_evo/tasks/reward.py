@@ -85,7 +85,7 @@ class Reward(Task):
         if self.start is not None:
             drawn = [self.start(generator(seed, TASK_STREAM)) for seed in seeds]
             state = check_shape("start of a reward", np.array(drawn), (trials, system.nx))
-        pose, alive = np.zeros((trials, system.n_pose)), np.ones(trials, dtype=bool)
+        pose, alive = system.initial_pose(state), np.ones(trials, dtype=bool)
         return RewardState(state, pose, alive, np.zeros(trials))
 
     def observe(self, task_state: TaskState, state: Array) -> Array:

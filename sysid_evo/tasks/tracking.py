@@ -141,7 +141,7 @@ class TrackingTask(Task):
         state[:, at] = start + off
         return TrackingState(
             state=state,
-            pose=np.zeros((trials, system.n_pose)),
+            pose=system.initial_pose(state),
             alive=np.ones(trials, dtype=bool),
             reference=reference,
             goals=goals,

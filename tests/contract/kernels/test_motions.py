@@ -1,4 +1,4 @@
-"""Motions: the compiled form of the planar body, and NumPy where a plugin brings a motion without one."""
+"""Motions: the compiled forms of the planar and the rigid body, and NumPy where a plugin brings a motion without one."""
 
 from dataclasses import replace
 
@@ -16,6 +16,7 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.models.base import make_model
 from sysid_evo.models.kernels import network_predictor, stepping_kernel, turning_frame
 from sysid_evo.motion import PlanarBody
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.testing import example_dataset
 from tests.fixtures.motions import clockwise
@@ -121,3 +122,23 @@ def test_the_compiled_form_integrates_turns_and_moves_as_the_form_on_arrays(late
     moved = found[:, 3 * nx :] - motion.move(pose, state, after, dt, MIXED)
     moved[:, 2] = wrap(moved[:, 2])
     np.testing.assert_allclose(moved, 0.0, atol=1e-7)
+
+
+def test_the_compiled_rigid_body_integrates_turns_and_moves_as_the_form_on_arrays(rng):
+    motion, dt = RigidBody(), 0.05
+    names = ("up_y", "temperature", *list(RigidBody().roles().values())[:7], "up_z")
+    nx = len(names)
+    state, acceleration = 3.0 * rng.standard_normal((2, 12, nx))
+    state[0], acceleration[0] = 0.0, 0.0
+    pose = rng.standard_normal((12, 7))
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    form = motion.kernel(names)
+    bindings = {"integrate": form.integrate, "turn_frame": form.turn, "move_pose": form.move}
+    kernel = DynamicsKernel(KernelSource(all_three, bindings), HEAD.pack(form.parameters, nx=nx, dt=dt))
+    carry = np.concatenate([state, acceleration, acceleration, pose], axis=1)
+    found = kernel_step(kernel, carry, np.zeros((12, 1)), precision="float64")
+    after = motion.integrate(state, acceleration, dt, names)
+    np.testing.assert_allclose(found[:, nx : 2 * nx], after, atol=1e-7)
+    turned = acceleration + motion.frame_rotation(state, names)
+    np.testing.assert_allclose(found[:, 2 * nx : 3 * nx], turned, atol=1e-7)
+    np.testing.assert_allclose(found[:, 3 * nx :], motion.move(pose, state, after, dt, names), atol=1e-7)
