@@ -138,7 +138,11 @@ class RigidBody(Motion):
         back = (w, -x, -y, -z)
         turning = product(*back, *(2.0 * rate[..., i] for i in range(3, 7)))[1:]
         zero = np.zeros_like(w)
-        found = (*rotated(*back, *(rate[..., i] for i in range(3))), *turning, *rotated(*back, zero, zero, zero + self.up))
+        found = (
+            *rotated(*back, *(rate[..., i] for i in range(3))),
+            *turning,
+            *rotated(*back, zero, zero, zero + self.up),
+        )
         return dict(zip(self.roles().values(), found, strict=True))
 
     def relative_pose(self, origin: Array, pose: Array) -> Array:

@@ -194,7 +194,9 @@ def test_a_system_with_a_registered_motion_is_stored_and_read(car, register):
 
 
 def test_an_unknown_motion_is_refused_with_the_known_ones_and_the_option_that_loads_a_plugin(car):
-    with pytest.raises(InvalidSystem, match=r"expected one of planar_body, rigid_body, got 'hovercraft'.*--plugin FILE"):
+    with pytest.raises(
+        InvalidSystem, match=r"expected one of planar_body, rigid_body, got 'hovercraft'.*--plugin FILE"
+    ):
         System.from_dict({**car.to_dict(), "motion": {"kind": "hovercraft"}})
     with pytest.raises(InvalidSystem, match="motion planar_body: cannot be made from wheels"):
         motion_from_dict({"kind": "planar_body", "wheels": 4})

@@ -82,7 +82,9 @@ def helix_error(dt):
     turned = 2.0 * np.linalg.norm(rates)
     axis = rates / np.linalg.norm(rates)
     once = np.cross(axis, speeds)
-    way = 2.0 * speeds + 2.0 / turned * ((1.0 - np.cos(turned)) * once + (turned - np.sin(turned)) * np.cross(axis, once))
+    way = 2.0 * speeds + 2.0 / turned * (
+        (1.0 - np.cos(turned)) * once + (turned - np.sin(turned)) * np.cross(axis, once)
+    )
     return float(np.linalg.norm(pose[0, :3] - way))
 
 
