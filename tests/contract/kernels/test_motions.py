@@ -1,4 +1,4 @@
-"""Motions: the compiled forms of the planar and the rigid body, and NumPy where a plugin brings a motion without one."""
+"""Motions: the compiled forms of the planar and the rigid body, and NumPy for one of a plugin without any."""
 
 from dataclasses import replace
 

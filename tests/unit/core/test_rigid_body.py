@@ -1,5 +1,7 @@
 """A rigid body in space: against closed forms, its derivative, and its frames."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -36,7 +38,7 @@ def test_a_body_that_tumbles_while_it_coasts_has_no_acceleration_except_of_its_r
     """Velocity and up are constant in the world; the attitude turns by the mean rates of every sample."""
     rates = np.cumsum(rng.uniform(-1.0, 1.0, (101, 3)), axis=0)
     turning = [Rotation.identity()]
-    for first, second in zip(rates[:-1], rates[1:], strict=True):
+    for first, second in pairwise(rates):
         turning.append(turning[-1] * Rotation.from_rotvec(0.5 * MIXED.dt * (first + second)))
     back = Rotation.concatenate(turning).inv()
     seen = np.concatenate([
