@@ -20,9 +20,8 @@ from sysid_evo.types import Array
 FRAMES = {"ENU": 1.0, "NED": -1.0}
 """World frames, and the direction of up along their third axis."""
 
-quaternion, product, unit, rotated = map(
-    array_form, (rotations.quaternion, rotations.product, rotations.unit, rotations.rotated)
-)
+quaternion, product = array_form(rotations.quaternion), array_form(rotations.product)
+unit, rotated = array_form(rotations.unit), array_form(rotations.rotated)
 
 
 @final
