@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
 from functools import cached_property
 from typing import Any
 
@@ -24,10 +25,10 @@ from sysid_evo.system import System
 class ComparisonResults(Displayed):
     """Results of a comparison. Parts that were not computed are None or empty.
 
-    ``failures`` are those outside ``prediction`` and ``matrix``, which contain their own. ``timings`` are in seconds
-    and the only part that differs between two equal runs. ``controllers`` gives the file of each controller, relative
+    ``failures`` are those outside ``prediction`` and ``matrix``, which contain their own. ``timings`` are in seconds;
+    they and ``day`` alone differ between two equal runs. ``controllers`` gives the file of each controller, relative
     to the folder of the run. ``conditions`` are the errors of each model within and across conditions, if these were
-    left out.
+    left out. ``day`` is that of the last computed step, in UTC; ``report.json`` does not contain it.
     """
 
     title: str
@@ -43,6 +44,7 @@ class ComparisonResults(Displayed):
     timings: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     conditions: Mapping[str, tuple[ConditionError, ...]] = field(default_factory=dict)
+    day: date | None = None
 
     def facts(self) -> Mapping[str, str]:
         matrix = self.matrix

@@ -191,6 +191,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
         raise InvalidData(f"no model could be fitted: {reasons}")
     matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
     found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
+    computed = store.last_computed(comparison.plan)
     return PrintedReport(
         title=comparison.title,
         data=DataSummary.of(training, training if test is None else test),
@@ -212,6 +213,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
             if (outcome := store.outcome(cell)).value is not None
         },
         timings={cell.title: store.outcome(cell).seconds for cell in comparison.plan},
+        day=None if computed is None else computed.date(),
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import date
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -83,7 +82,7 @@ def story_of(report: ComparisonResults) -> Page:
         verdict(report) if is_empty(report) else (),
         None,
         sections(report),
-        facts=facts(report, today=date.today()),
+        facts=facts(report),
         warnings=warnings(report),
         figure=overview_picture(report),
     )
@@ -109,7 +108,7 @@ def save_report(
     """
     text = json_text(to_json(report))
     document = write_text(Path(folder) / DOCUMENT, text)
-    made_of = () if of is None else (of, text)
+    made_of = () if of is None else (of, text, str(report.day))
     return document, write_page(Path(folder) / PAGE, lambda: story_of(report), made_of=made_of, afresh=afresh)
 
 

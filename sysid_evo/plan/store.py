@@ -8,8 +8,9 @@ import os
 import re
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -155,6 +156,16 @@ class Store:
         """Return the seconds of the last computation of ``cell``, 0 if unknown."""
         record = self.find(cell.digest)
         return 0.0 if record is None else record.seconds
+
+    def last_computed(self, cells: Iterable[Cell]) -> datetime | None:
+        """Return when the last of ``cells`` was computed, by the log; None if the log lists none of them."""
+        wanted, last = {cell.digest for cell in cells}, None
+        with suppress(OSError):
+            for line in (self.path / LOG).read_bytes().splitlines():
+                with suppress(ValueError, AttributeError):  # a line that another program wrote or cut off
+                    event = json.loads(line)
+                    last = max(last or 0.0, float(event["time"])) if event.get("digest") in wanted else last
+        return None if last is None else datetime.fromtimestamp(last, UTC)
 
     def _why_not(self, cell: Cell) -> str:
         """Return why a cell has no record: a needed cell failed, or it is `WAITING`."""

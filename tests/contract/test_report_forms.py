@@ -9,7 +9,7 @@ import pytest
 from evaluation.experiment import Experiment
 from evaluation.planning import plan_comparison
 from evaluation.report import save_report, tables, to_json
-from evaluation.running import gather_results
+from evaluation.running import gather_results, report_of
 from sysid_evo.plan import Store, execute
 from tests.fixtures.faulty_recordings import Fault, drive
 from tests.fixtures.known_models import Broken, Exploding, Known, Weak, fitted
@@ -72,12 +72,30 @@ def test_the_page_is_self_contained_and_names_every_model_and_controller(runs):
     assert page.index("Which models predict?") < page.index("Error over the horizon")
 
 
-def test_a_comparison_advises_on_the_model_that_predicts_best_and_documents_its_errors(tmp_path):
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A comparison of two models and its store."""
     experiment = Experiment.of({"models": ("near=nearest_neighbour", "late=linear"), "stop_after": "prediction"})
     comparison = plan_comparison(experiment, dataset=drive(Fault(late=6)))
-    store = Store(tmp_path)
+    store = Store(tmp_path_factory.mktemp("compared"))
     execute(comparison.plan, store)
-    made = gather_results(comparison, store)
+    return comparison, store
+
+
+def test_a_page_has_the_day_of_the_run_and_is_drawn_again_with_the_same_bytes(compared):
+    comparison, store = compared
+    log = store.path / "log.jsonl"
+    log.write_text(re.sub(r'"time": [\d.]+', '"time": 1e9', log.read_text()))
+    pages = []
+    for _ in range(2):
+        report_of(comparison, store, afresh=True)
+        pages.append((store.path / "report.html").read_bytes())
+    assert b"9 Sep 2001" in pages[0]
+    assert pages[0] == pages[1]
+
+
+def test_a_comparison_advises_on_the_model_that_predicts_best_and_documents_its_errors(compared):
+    made = gather_results(*compared)
     assert made.advice.model == made.prediction.ranking(20)[0].name == "late"
     assert made.advice.evaluated_on == "the test part"
     assert made.advice.remarks[0].topic == "late controls"

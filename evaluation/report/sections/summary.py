@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import date
-
 from evaluation.formatting import percent
 from evaluation.report.elements import Finding, Headline
 from evaluation.report.sections import controllers, exploitability, prediction
@@ -24,8 +22,8 @@ def page_title(report: ComparisonResults) -> str:
     return f"{settings.get('robot') or report.data.name or 'own data'}, {task}: {counts}"
 
 
-def facts(report: ComparisonResults, *, today: date | None = None) -> str:
-    """Return one line on how the run was made: date, version, preset, seed, data, trials, computing time."""
+def facts(report: ComparisonResults) -> str:
+    """Return one line on how the run was made: day of the run, version, preset, seed, data, trials, computing time."""
     data, settings = report.data, report.settings
     parts = [part for part in (data.training, () if data.test == data.training else data.test) if part]
     seconds = [sum(episode.duration for episode in part) for part in parts]
@@ -34,7 +32,7 @@ def facts(report: ComparisonResults, *, today: date | None = None) -> str:
     trials = [] if report.matrix is None else [cell.trials for cell in report.matrix.cells.values()]
     spent = sum(report.timings.values())
     said = (
-        "" if today is None else f"{today.day} {today:%b %Y}",
+        "" if report.day is None else f"{report.day.day} {report.day:%b %Y}",
         f"sysid-evo {report.versions['sysid-evo']}" if "sysid-evo" in report.versions else "",
         f"preset {settings['preset']}" if "preset" in settings else "",
         f"seed {settings['seed']}" if "seed" in settings else "",

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -55,6 +56,17 @@ def test_results_are_handed_on_and_survive_the_process(tmp_path):
     assert store.load(TOP) == 4 + 2 + 1 + 3 + 1
     assert store.outcome(LEFT).value == 3
     assert [record.title for record in store.records()] == ["count base", "count left", "count right", "count top"]
+
+
+def test_the_log_says_when_the_last_of_some_cells_was_computed(tmp_path):
+    store = Store(tmp_path)
+    assert store.last_computed([BASE]) is None
+    times = [(BASE.digest, 86_400.0), (TOP.digest, 172_799.0), (LEFT.digest, 90_000.0)]
+    lines = [json.dumps({"time": seconds, "digest": digest}) for digest, seconds in times]
+    (tmp_path / "log.jsonl").write_text("\n".join([*lines, "[1]", '{"time": 9e9, "error": "it broke"}', '{"time": 9e']))
+    assert store.last_computed([BASE, LEFT]) == datetime(1970, 1, 2, 1, tzinfo=UTC)
+    assert store.last_computed([BASE, TOP]) == datetime(1970, 1, 2, 23, 59, 59, tzinfo=UTC)
+    assert store.last_computed([RIGHT]) is None
 
 
 def test_a_result_is_found_under_another_label_and_carries_it(tmp_path):

@@ -350,10 +350,11 @@ def test_one_line_gives_date_version_preset_seed_data_and_trials():
     settings, versions = {"preset": "quick", "seed": 3}, {"sysid-evo": "0.1.0"}
     made = replace(judged(), settings=settings, versions=versions, timings={"a": 61.4})
     made = replace(made, data=replace(made.data, test=(replace(made.data.test[0], name="another"),)))
-    assert facts(made, today=date(2026, 11, 24)) == (
+    assert facts(replace(made, day=date(2026, 11, 24))) == (
         "24 Nov 2026 · sysid-evo 0.1.0 · preset quick · seed 3 · 8 s of data at 20 Hz, 50 % held out · 10 trials each "
         "· computed in 61 s"
     )
+    assert facts(made).startswith("sysid-evo 0.1.0")
 
 
 def test_failed_steps_are_counted_above_the_answers_with_the_first_reason():
