@@ -26,7 +26,7 @@ from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
-from evaluation.transfer.matrix import AT_REST, MeasuredResult, kept_traces, load_measured
+from evaluation.transfer.matrix import AT_RANDOM, AT_REST, MeasuredResult, kept_traces, load_measured
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
     ArtefactError,
@@ -342,6 +342,10 @@ def _conditions(experiment: Experiment, dataset: Dataset | None) -> int:
     return len(found)
 
 
+TRIVIAL = {AT_REST: f"rest={AT_REST}", AT_RANDOM: AT_RANDOM}
+"""Baselines that are always run, by the name of their controller: a choice must be better."""
+
+
 def _baselines(
     experiment: Experiment,
     evolution: ControllerEvolution,
@@ -351,13 +355,14 @@ def _baselines(
     """Return the cells of controllers that need no evolution. Raises if one cannot be made, or cannot do the task.
 
     Controllers with a model inside that is still to be fitted are checked when they are made. Controls at rest are
-    included, unless their fitness is known to be zero: a controller that is no better is useless, and shares are
-    measured from there.
+    included, unless their fitness is known to be zero, and so are random commands: a controller that is no better is
+    useless, and shares are measured from rest.
     """
     specs = check_labels(tuple(Spec.parse(text) for text in experiment.baselines))
     task = evolution.make_task(system)
-    if not task.rest_is_zero and all(spec.name != AT_REST for spec in specs):
-        specs = (*specs, Spec.parse(f"rest={AT_REST}"))
+    if not task.rest_is_zero:
+        known = {spec.name for spec in specs}
+        specs = (*specs, *(Spec.parse(text) for name, text in TRIVIAL.items() if name not in known))
     cells = []
     for spec in specs:
         controllers.check(spec)

@@ -10,9 +10,9 @@ from typing import Any
 
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
-from evaluation.exploitability.results import ModelExploitability
+from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.prediction.scores import ConditionError, Prediction, error_of
-from evaluation.transfer.forecast import Forecast, ModelForecast, forecasts, model_forecasts
+from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
@@ -57,7 +57,8 @@ class ComparisonResults(Displayed):
         """Claimed and achieved fitness of every controller, and the recommended one, by its forecast."""
         if self.matrix is None or not self.matrix.champions:
             return None
-        return chosen_by(summarise(self.matrix), self.forecasts)
+        pick = best_choice(self.matrix, self.forecasts, outside_shares(self.exploitability))
+        return chosen_by(summarise(self.matrix), self.forecasts, pick)
 
     @cached_property
     def forecasts(self) -> Mapping[str, Forecast]:

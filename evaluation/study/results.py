@@ -12,12 +12,12 @@ import numpy as np
 from evaluation.cells.controllers import ControllerCell
 from evaluation.cells.plants import labels_of
 from evaluation.experiment import DEFAULT_TASK
-from evaluation.exploitability.results import ModelExploitability
+from evaluation.exploitability.results import ModelExploitability, outside_shares
 from evaluation.planning import Comparison
 from evaluation.prediction.scores import ErrorScore, ModelPrediction, error_of
 from evaluation.study.planning import PlannedStudy
 from evaluation.study.study import Point, Study
-from evaluation.transfer.forecast import Forecast, best_forecast, forecasts
+from evaluation.transfer.forecast import Forecast, best_choice, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from evaluation.transfer.summary import ControllerSummary, summarise
 from sysid_evo.display import Displayed
@@ -273,10 +273,9 @@ class _Gathered:
         summaries = {} if matrix is None else {one.name: one for one in summarise(matrix).controllers}
         rest_fitness = None if matrix is None or resting is None else _achieved(matrix, resting)
         finished = all(self._state(cell) != "missing" for cell in self.comparison.plan)
-        in_models = [
-            cell.name for cell in planned.controllers if self._kind(cell) in ("single", "ensemble", "polished")
-        ]
-        chosen = best_forecast(found, in_models) if finished else None
+        looked = self.comparison.exploitability
+        exploits = None if looked is None else self._value(looked)
+        chosen = best_choice(matrix, found, outside_shares(exploits or ())) if finished and matrix is not None else None
         for cell in planned.controllers:
             if self._state(cell) == "missing":
                 continue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion, FinalistScore
 from sysid_evo.evolution.aggregates import make_aggregate
+from sysid_evo.evolution.margins import NEARLY, has_all_fitness
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.estimates import Estimate
 
@@ -157,9 +158,34 @@ def weighted_median(values: Array, weights: Array) -> Array:
     return np.array(found).reshape(values.shape[1:])
 
 
-def best_forecast(found: Mapping[str, Forecast], names: Iterable[str]) -> str | None:
-    """Return the one of ``names`` with the highest forecast, the first of equals; None if none has one."""
-    return max((name for name in names if name in found), key=lambda name: found[name].value, default=None)
+def best_choice(
+    matrix: TransferMatrix, found: Mapping[str, Forecast], outside: Mapping[str, float] | None = None
+) -> str | None:
+    """Return the controller to use: of those evolved in models and the baselines the one with the highest forecast.
+
+    Of those that have all the fitness there is (see `has_all_fitness`) it is the one that spends the smallest share of
+    its time ``outside`` the data, by name; one without a known share counts as the last of these. Of equals it is the
+    first. None if no controller that was evolved in models has a forecast.
+    """
+    names = [champion.name for champion in matrix.champions if champion.name in found]
+    if not any(champion.against for champion in matrix.champions if champion.name in found):
+        return None
+    best = max(names, key=lambda name: (found[name].value, name not in matrix.baselines))
+    near = [name for name in names if found[name].value >= found[best].value - NEARLY * abs(found[best].value)]
+    full = has_all_fitness(np.stack([_by_trial(matrix, found[name]) for name in near]), 0.0)
+    equal = [name for name, all_of_it in zip(near, full, strict=True) if all_of_it]
+    if best not in equal:
+        return best
+    shares = outside or {}
+    return min(equal, key=lambda name: (shares.get(name, np.inf), -found[name].value))
+
+
+def _by_trial(matrix: TransferMatrix, forecast: Forecast) -> Array:
+    """Return the weighted median over the models of the fitness of a controller in each trial, (E,)."""
+    fitness = [matrix.cell(forecast.controller, model).fitness for model in forecast.weights]
+    trials = min(map(len, fitness))
+    weights = np.array(list(forecast.weights.values()))
+    return weighted_median(np.stack([one[:trials] for one in fitness]), weights)
 
 
 def forecast_judgement(

@@ -32,6 +32,9 @@ from sysid_evo.types import Array, Seeds
 AT_REST = "constant"
 """The registered controller with constant controls; a champion of it that was not evolved is at rest."""
 
+AT_RANDOM = "random"
+"""The registered controller with random commands."""
+
 NOT_RUN = "not run"
 """The reason of a cell that was not tried: a gap in the matrix, not a failure."""
 
@@ -94,6 +97,16 @@ class TransferMatrix(Displayed):
     def at_rest(self) -> tuple[str, ...]:
         """The controllers at rest: shares of fitness are measured from theirs."""
         return tuple(one.name for one in self.champions if one.controller.name == AT_REST and not one.against)
+
+    @property
+    def at_random(self) -> tuple[str, ...]:
+        """The controllers with random commands."""
+        return tuple(one.name for one in self.champions if one.controller.name == AT_RANDOM and not one.against)
+
+    @property
+    def baselines(self) -> tuple[str, ...]:
+        """The controllers that were not evolved."""
+        return tuple(one.name for one in self.champions if not one.against)
 
     @property
     def unit(self) -> str:

@@ -8,7 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from evaluation.transfer.forecast import Forecast, best_forecast, forecasts
+from evaluation.transfer.forecast import Forecast, best_choice, forecasts
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion
 from sysid_evo.evolution.aggregates import Aggregate, make_aggregate, mean, median
@@ -21,8 +21,8 @@ from sysid_evo.validation.estimates import Draws, Estimate, draw_blocks, estimat
 class TransferSummary:
     """All controllers, the one chosen without the robot, and correlations of figures with success on the robot.
 
-    ``pick`` is None until one is chosen, by its forecast: see `chosen_by`. Controllers evolved on the robot itself, and
-    people, are left out of the correlations: the former achieve their claim, the latter have none.
+    ``pick`` is None until one is chosen, see `best_choice`. Controllers evolved on the robot itself, and people, are
+    left out of the correlations: the former achieve their claim, the latter have none.
     """
 
     controllers: tuple[ControllerSummary, ...]
@@ -104,28 +104,25 @@ class RankCorrelation:
 
 
 def summary_of(matrix: TransferMatrix, errors: Mapping[str, float | None] | None = None) -> TransferSummary:
-    """Return the summary of a matrix with the controller of the highest forecast as its pick.
+    """Return the summary of a matrix with the controller of the highest forecast as its pick, see `best_choice`.
 
     Without the prediction ``errors`` of its models (see `error_of`) all models get the same weight.
     """
-    return chosen_by(summarise(matrix), forecasts(matrix, errors or {}))
+    found = forecasts(matrix, errors or {})
+    return chosen_by(summarise(matrix), found, best_choice(matrix, found))
 
 
 FIGURE = "forecast"
 
 
-def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast]) -> TransferSummary:
-    """Return ``summary`` with the evolved controller of the highest forecast as its pick, and their rank correlation.
-
-    If no controller that was evolved in models has one, nothing is picked.
-    """
+def chosen_by(summary: TransferSummary, found: Mapping[str, Forecast], pick: str | None) -> TransferSummary:
+    """Return ``summary`` with this ``pick``, see `best_choice`, and the rank correlation of the forecast."""
     evolved = [one for one in summary.controllers if one.name in found and one.against and not one.evolved_on_robot]
-    if not evolved:
+    if pick is None:
         return replace(summary, pick=None)
-    best = best_forecast(found, [one.name for one in evolved])
     pairs = [(found[one.name].value, one.achieved.value) for one in evolved if one.achieved is not None]
     ranked = (RankCorrelation(FIGURE, rank_correlation(pairs), len(pairs)),) if summary.correlations else ()
-    return replace(summary, pick=best, correlations=(*summary.correlations, *ranked))
+    return replace(summary, pick=pick, correlations=(*summary.correlations, *ranked))
 
 
 def summarise(matrix: TransferMatrix) -> TransferSummary:

@@ -1,4 +1,4 @@
-"""Linear feedback of the observations, and constant controls."""
+"""Linear feedback of the observations, constant controls, and random commands."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import copy
 from collections.abc import Sequence
 from typing import ClassVar, Self
 
-from sysid_evo.controllers.controller import ControllerLaw, LawController, observation_indices
+import numpy as np
+
+from sysid_evo.controllers.controller import Controller, ControllerLaw, LawController, View, observation_indices
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.kernels import Layout
 from sysid_evo.registry.registry import register_controller
 from sysid_evo.tasks.task import Task
+from sysid_evo.types import Array
 
 
 @register_controller("linear")
@@ -82,3 +85,24 @@ def constant(theta, memory, observation, raw, parameters, scratch):
     """y = y_0 + b within [-1, 1], see `Constant`."""
     for i in range(int(parameters[CONSTANT_HEAD.n_outputs])):
         raw[i] = min(max(parameters[CONSTANT_HEAD.size + i] + theta[i], -1.0), 1.0)
+
+
+@register_controller("random")
+class RandomCommands(Controller):
+    """Independent commands in every step, uniform over the range of each control; no parameters, never evolved."""
+
+    is_baseline: ClassVar[bool] = True
+    not_exportable: ClassVar[str] = "its commands are random"
+    n_parameters = n_memory = 0
+
+    def bind(self, n_observations: int, n_outputs: int) -> Self:
+        bound = copy.copy(self)
+        bound.n_noise = n_outputs
+        return bound
+
+    def act(self, parameters: Array, memory: Array, view: View) -> tuple[Array, Array]:
+        from scipy.special import ndtr
+
+        assert view.noise is not None
+        shape = (*view.observation.shape[:2], self.n_noise)
+        return np.broadcast_to(2.0 * ndtr(view.noise) - 1.0, shape), memory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain, product
 
 import numpy as np
@@ -18,6 +18,7 @@ from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Stage
+from sysid_evo.evolution.margins import best_candidate, candidate_margins
 from sysid_evo.evolution.runs import Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
@@ -29,7 +30,7 @@ from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import aggregates, controllers, noises, penalties, strategies, tasks
 from sysid_evo.system import System
 from sysid_evo.tasks.task import Task, make_task
-from sysid_evo.types import Array, Converted, Seeds
+from sysid_evo.types import Array, Converted, IntArray, Seeds
 
 SELECTION = 2**31
 """Generation number of the fresh trials on which champions are chosen; no run reaches it."""
@@ -168,12 +169,17 @@ def evolve_controller(
         easier = [(stage, objective(run, stage_task, labels)) for stage, stage_task, labels in stages]
         return strategy, Schedule(easier, objective(run, task, models), max_fitness=task.max_fitness)
 
+    def margins(candidates: Array, rows: IntArray, scale: float) -> Array:
+        delay = settings.estimator_delay
+        law, goal = settings.controller, settings.task
+        return candidate_margins(candidates[rows], runners, law, goal, system, seeds, scale=scale, delay=delay)
+
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         found, final = [], objective(run, task, models)
         for behaviour_class, candidates in strategy.finals.items():
-            fitness = final.on_trials(candidates, seeds).fitness
-            winner = int(np.argmax(fitness))
-            found.append(Finalist(behaviour_class, run, float(fitness[winner]), candidates[winner]))
+            scores = final.on_trials(candidates, seeds)
+            winner = best_candidate(scores, task.worst, partial(margins, candidates))
+            found.append(Finalist(behaviour_class, run, float(scores.fitness[winner]), candidates[winner]))
         return tuple(found)
 
     runs = Runs(

@@ -57,4 +57,6 @@ class EnsembleObjective:
         fitness = np.stack([check_shape("fitness in every trial", run.fitness, shape) for run in runs])
         described = [run.behaviour.mean(axis=1) for run in runs if run.behaviour.shape[:2] == shape]
         behaviour = np.mean(described, axis=0) if described else None
-        return Scores(make_aggregate(self.aggregate)(fitness), behaviour, fitness.mean(axis=2))
+        return Scores(
+            make_aggregate(self.aggregate)(fitness), behaviour, fitness.mean(axis=2), np.median(fitness, axis=0)
+        )

@@ -21,11 +21,15 @@ from sysid_evo.types import Array, Converted, check_shape
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of P candidates: ``fitness`` (P,), ``behaviour`` descriptors (P, d), fitness ``by_model`` (M, P)."""
+    """Scores of P candidates: ``fitness`` (P,), ``behaviour`` descriptors (P, d), fitness ``by_model`` (M, P).
+
+    ``by_trial`` (P, E) is the median over the models of the fitness in each trial.
+    """
 
     fitness: Array
     behaviour: Array | None = None
     by_model: Array | None = None
+    by_trial: Array | None = None
 
 
 Objective: TypeAlias = Callable[[Array, int], Scores | Array]

@@ -20,14 +20,15 @@ from sysid_evo.evolution.controller_evolution import (
     selection_seeds,
 )
 from sysid_evo.evolution.ensemble import EnsembleObjective
-from sysid_evo.evolution.loop import Schedule
+from sysid_evo.evolution.loop import Schedule, Scores
+from sysid_evo.evolution.margins import NEARLY, best_candidate, candidate_margins
 from sysid_evo.evolution.runs import Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.progress import Checkpoint, Progress, reporting
 from sysid_evo.randomness import derived_seed
 from sysid_evo.tasks.task import make_task
-from sysid_evo.types import Array
+from sysid_evo.types import Array, IntArray, Seeds
 from sysid_evo.validation.acceptance import within_margin
 
 FinalistScore: TypeAlias = Callable[[Champion, tuple[str, ...], Array], Array]
@@ -53,6 +54,7 @@ def choose(
     these should be of *other* families than the models of its evolution: fitness in its own model hardly predicts
     fitness on the robot, and fitness in other families ranks controllers as the robot does. A champion without
     scoring models keeps its fittest finalist; if only some champions have scoring models, only those are compared.
+    Of finalists that have all the fitness there is, the one with the largest margin wins, see `candidate_margins`.
     The result holds the finalists of all contenders with their scores. Raises `InvalidArgument` without a contender.
     """
     if not contenders:
@@ -61,10 +63,49 @@ def choose(
         score_finalists(champion, models, seed=seed, trials=trials, judgement=judgement)
         for champion, models in contenders
     ]
-    ranked = [(finalist, champion) for champion in champions for finalist in champion.finalists]
-    scored = [pair for pair in ranked if pair[0].forecast is not None]
-    best, own = max(scored or ranked, key=lambda pair: ranking_value(pair[0]))  # of equals the first
-    return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _ in ranked))
+    ranked = [
+        (finalist, champion, models)
+        for champion, (_, models) in zip(champions, contenders, strict=True)
+        for finalist in champion.finalists
+    ]
+    scored = [one for one in ranked if one[0].forecast is not None]
+    top = max(ranking_value(one[0]) for one in scored or ranked)
+    near = [one for one in scored or ranked if ranking_value(one[0]) >= top - NEARLY * abs(top)]
+    best, own, _ = near[_largest_margin(near, selection_seeds(seed, trials))]
+    return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _, _ in ranked))
+
+
+def _largest_margin(near: Sequence[tuple[Finalist, Champion, Mapping[str, Runner]]], seeds: Seeds) -> int:
+    """Return the best of these finalists: by ranking value, of those with all the fitness there is by margin."""
+    values = np.array([ranking_value(finalist) for finalist, _, _ in near])
+    if len(near) < 2 or not all(models for _, _, models in near):
+        return int(np.argmax(values))
+
+    def by_trial(finalist: Finalist, champion: Champion, models: Mapping[str, Runner]) -> Array:
+        assert champion.system is not None
+        task = make_task(champion.task).bind(champion.system)
+        delayed = tuple(delayed_runner(label, one, champion.estimator_delay) for label, one in models.items())
+        law = make_controller(champion.controller).bind_to(task)
+        found = EnsembleObjective(delayed, law, task, 0).on_trials(finalist.parameters[None], seeds).by_trial
+        assert found is not None
+        return found[0]
+
+    def margins(rows: IntArray, scale: float) -> Array:
+        found = []
+        for finalist, champion, models in (near[row] for row in rows):
+            assert champion.system is not None
+            found.append(
+                candidate_margins(
+                    finalist.parameters[None], models, champion.controller, champion.task, champion.system, seeds,
+                    scale=scale, delay=champion.estimator_delay,
+                )[0]
+            )  # fmt: skip
+        return np.array(found)
+
+    first = near[0][1]
+    assert first.system is not None
+    worst = make_task(first.task).bind(first.system).worst
+    return best_candidate(Scores(values, by_trial=np.stack([by_trial(*one) for one in near])), worst, margins)
 
 
 def score_finalists(
@@ -150,12 +191,17 @@ def polish(
         )
         return strategy, Schedule((), objective(run), max_fitness=task.max_fitness)
 
+    def margins(candidates: Array, scale: float) -> Array:
+        kept, delay = {label: runners[label] for label in used}, settings.estimator_delay
+        law, goal = settings.controller, settings.task
+        return candidate_margins(candidates, kept, law, goal, task.system, seeds, scale=scale, delay=delay)
+
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
         candidates = np.concatenate([chosen[run].parameters[None], strategy.elite])
-        fitness = objective(run).on_trials(candidates, seeds).fitness
-        winner = int(np.argmax(fitness))
+        scores = objective(run).on_trials(candidates, seeds)
+        winner = best_candidate(scores, task.worst, lambda rows, scale: margins(candidates[rows], scale))
         label = f"{POLISHED} {chosen[run].behaviour_class}".strip()
-        return (Finalist(label, run, float(fitness[winner]), candidates[winner]),)
+        return (Finalist(label, run, float(scores.fitness[winner]), candidates[winner]),)
 
     inputs = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
     runs = Runs(

@@ -365,8 +365,8 @@ def headline(report: ComparisonResults) -> Headline:
     if summary is None:
         return Headline(question, "Not known", _absent(report)[0], "open")
     assert report.matrix is not None
-    if none_beats_rest(report.matrix):
-        return Headline(question, "None", LOOK_AT_THE_REWARD, "warn")
+    if none_beats_rest(report.matrix) or summary.pick in (*report.matrix.at_rest, *report.matrix.at_random):
+        return Headline(question, "None", f"{LOOK_AT_THE_REWARD} {_to_record(report)}".rstrip(), "warn")
     if summary.pick is None:
         return Headline(question, "Not known", NO_OTHER_FAMILY, "open")
     pick = summary.controller(summary.pick)
@@ -379,7 +379,8 @@ def headline(report: ComparisonResults) -> Headline:
     elif pick.other_models is not None:
         parts.append(f"{sized(pick.other_models)} on the other models")
     said = ", ".join(parts)
-    sentences = [_idle(report.matrix, pick.name), f"{said[:1].upper()}{said[1:]}." if said else "", _claim(pick)]
+    sentences = [_idle(report.matrix, pick.name), NO_BETTER.format(pick.name) if not pick.against else ""]
+    sentences += [f"{said[:1].upper()}{said[1:]}." if said else "", _claim(pick)]
     sentences += (
         ["Nothing was run on a robot."] if pick.achieved is None else [_better(pick, report), _share_of(pick, summary)]
     )
@@ -414,6 +415,24 @@ LOOK_AT_THE_REWARD = (
     "No controller does better than controls at rest. Look at the reward, which may not ask for motion, or evolve "
     "longer."
 )
+
+
+NO_BETTER = "No evolved controller has a higher forecast than the baseline {}."
+SHORT_EPISODE = 50
+"""Median steps of an episode below which a recording shows little of what a controller meets later."""
+
+
+def _to_record(report: ComparisonResults) -> str:
+    """Return what to record if no controller does better than a trivial one; empty if that is not known."""
+    steps = [episode.steps for episode in report.data.training]
+    if steps and (middle := int(np.median(steps))) < SHORT_EPISODE:
+        return f"Half of the recorded episodes end within {middle} steps: record under controllers, with --rounds 6."
+    remarks = () if report.advice is None else report.advice.remarks
+    return next((one.sentence for one in remarks if one.topic in TO_RECORD), "")
+
+
+TO_RECORD = ("outside the data", "excitation", "rare commands", "length")
+"""Topics of the remarks on where to record more."""
 
 
 def _idle(matrix: TransferMatrix, name: str) -> str:

@@ -14,6 +14,7 @@ from evaluation.transfer import Cell, Estimate, TransferMatrix
 from evaluation.transfer.forecast import (
     FORECAST_RULE,
     ForecastRule,
+    best_choice,
     forecast_judgement,
     forecast_of,
     forecasts,
@@ -207,12 +208,25 @@ def test_finalists_are_ranked_by_the_same_number():
     assert ranked[0] == pytest.approx(forecasts(matrix(CLAIMS), ERRORS)["poor"].value)
 
 
-def test_what_was_written_by_hand_is_not_chosen_however_high_its_forecast():
+def test_a_baseline_is_chosen_only_if_its_forecast_is_higher_than_that_of_every_evolved_controller():
     rows = {"good": CLAIMS["good"], "hand": {"good": 30.0, "fair": 30.0, "poor": 30.0}}
     made = matrix(rows, against={"hand": ()})
     found = forecasts(made, ERRORS)
     assert found["hand"].value > found["good"].value
-    assert summary_of(made, ERRORS).pick == "good"
+    assert summary_of(made, ERRORS).pick == "hand"
+    level = matrix({name: dict.fromkeys(ERRORS, 5.0) for name in ("hand", "good")}, against={"hand": ()})
+    assert summary_of(level, ERRORS).pick == "good"
+
+
+def test_among_those_with_all_the_fitness_there_is_the_one_inside_the_data_is_chosen():
+    rows = {name: {"a": 100.0, "b": value} for name, value in (("a", 100.0), ("b", 100.0), ("low", 90.0))}
+    made = matrix(rows, against={"low": ("a",)})
+    found = forecasts(made, {})
+    assert best_choice(made, found, {"a": 0.6, "b": 0.2, "low": 0.0}) == "b"
+    assert best_choice(made, found, {"a": 0.1, "b": 0.2, "low": 0.0}) == "a"
+    assert best_choice(made, found) == "a"  # of equals the first
+    poor = matrix({name: {"a": 10.0, "b": 10.0} for name in "ab"})  # the fitness of trials differs: not everything
+    assert best_choice(poor, forecasts(poor, {}), {"a": 0.6, "b": 0.2}) == "a"
 
 
 DATA = GivenData(example_dataset(), HoldOut()).cell()

@@ -189,9 +189,9 @@ def test_conditions_are_left_out_of_recordings_of_several_alone():
 @pytest.mark.parametrize(
     ("name", "baselines", "rows"),
     [
-        ("Pendulum-v1", (), ["linear", "rest"]),
-        ("Pendulum-v1", ("still=constant",), ["linear", "still"]),
-        ("CartPole-v1", (), ["linear", "rest"]),
+        ("Pendulum-v1", (), ["linear", "rest", "random"]),
+        ("Pendulum-v1", ("still=constant",), ["linear", "still", "random"]),
+        ("CartPole-v1", (), ["linear", "rest", "random"]),
     ],
 )
 def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, baselines, rows):
@@ -213,7 +213,7 @@ def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing():
 def test_controls_at_rest_are_a_row_without_a_robot():
     task = 'set_point(channels="forward_speed")'
     without_robot = plan_comparison(Experiment(models=("linear",), task=task), dataset=recording(3, steps=400))
-    assert [champion.name for champion in without_robot.matrix.controllers] == ["linear", "rest"]
+    assert [champion.name for champion in without_robot.matrix.controllers] == ["linear", "rest", "random"]
 
 
 def test_families_that_predict_well_where_an_angle_comes_round_are_the_default_there():

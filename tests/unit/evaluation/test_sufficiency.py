@@ -12,6 +12,7 @@ from evaluation.report.report import brief, to_json
 from evaluation.report.sections.controllers import fitness_table
 from evaluation.report.sections.prediction import difference_table, error_table
 from evaluation.report.sections.summary import headlines
+from evaluation.results import EpisodeSummary
 from evaluation.sufficiency import FEWEST_BLOCKS, beats_rest, none_beats_rest
 from sysid_evo.data import Dataset
 from sysid_evo.models.base import make_model
@@ -118,6 +119,18 @@ def test_that_rest_scores_best_is_the_first_thing_that_is_said(robot):
     assert verdict(useless)[0].answers[-1].startswith("No controller does better than controls at rest")
     assert "at rest" not in verdict(fine)[0].answers[-1]
     assert headline(fine, "Which controller").tone == "good"
+
+
+def test_if_rest_has_the_highest_forecast_there_is_no_choice_and_the_sentence_says_what_to_record():
+    made = on_each((5.0, 5.0, 9.0), (5.0, 5.0, 9.0), (6.0,) * 3)
+    assert made.transfer.pick == "rest"
+    card = headline(made, "Which controller")
+    assert (card.answer, card.command) == ("None", "")
+    assert card.sentence.startswith("No controller does better than controls at rest")
+    short = replace(made, data=replace(made.data, training=(EpisodeSummary("a", 7, 0.1, 1.0),)))
+    assert headline(short, "Which controller").sentence.endswith(
+        "within 7 steps: record under controllers, with --rounds 6."
+    )
 
 
 def test_a_choice_that_is_worse_than_rest_is_no_good_choice_and_the_first_sentence_says_so():

@@ -241,7 +241,7 @@ def below_zero(rest):
     """Return what is told of two controllers whose fitness is negative, with or without one at rest."""
     fitness = {"a": {"a": -200.0, "b": -250.0, "car": -220.0}, "car": {"a": -300.0, "b": -300.0, "car": -200.0}}
     if rest is not None:
-        fitness["rest"] = {"a": rest, "b": rest, "car": rest}
+        fitness["rest"] = rest if isinstance(rest, dict) else {"a": rest, "b": rest, "car": rest}
     made = matrix(fitness, robot="car")
     champions = tuple(replace(c, polished=c.name == "a") for c in made.champions)
     return told(report(transfer=replace(made, champions=champions)))
@@ -249,7 +249,7 @@ def below_zero(rest):
 
 def test_shares_of_a_negative_fitness_are_measured_from_controls_at_rest():
     assert "That is 98 % of the -200.00 of one search" in below_zero(-1200.0)
-    assert "That is 33 % of the -200.00 of one search" in below_zero(-230.0)
+    assert "That is 33 % of the -200.00 of one search" in below_zero({"a": -240.0, "b": -240.0, "car": -230.0})
     assert "%" not in below_zero(None)
 
 
