@@ -69,10 +69,8 @@ def test_the_champion_of_an_evolution_that_reaches_everything_stays_inside_the_d
         generations=3, trials=2, selection_trials=4, controller="linear", task=TASK, strategy="cma_es(sigma=1.0)"
     )
     made = evolve_controller("c", {"a": cart}, CART, settings, seed=0)
-    margin = [
-        float(candidate_margins(one[None], {"a": DynamicsRunner(cart)}, LINEAR, TASK, CART, trial_seeds(5, 8), scale=1.0)[0])
-        for one in (made.parameters, *made.population)
-    ]  # fmt: skip
+    seeds, everyone = trial_seeds(5, 8), np.stack([made.parameters, *made.population])
+    margin = candidate_margins(everyone, {"a": DynamicsRunner(cart)}, LINEAR, TASK, CART, seeds, scale=1.0)
     assert margin[0] > np.median(margin[1:])
 
 
