@@ -27,6 +27,7 @@ from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
 from sysid_evo.files import parsed_toml
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import SHIPPED, declared, source_digest
+from sysid_evo.registry.renamed import RENAMED_GROUPS, refuse_renamed_attributes, warn_of_renamed_group
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -50,10 +51,13 @@ class Registry(Generic[T]):
     def register(self, name: str) -> Callable[[F], F]:
         """Return a decorator that registers a class or a factory as ``name``.
 
-        Raises `RegistrationError`, with both modules, if the name is in use.
+        Raises `RegistrationError`, with both modules, if the name is in use, or if the class uses an old attribute
+        name.
         """
 
         def decorate(factory: F) -> F:
+            if isinstance(factory, type):
+                refuse_renamed_attributes(f"{self.kind} {name!r}", factory)
             lacking = sorted(getattr(factory, "__abstractmethods__", ()))
             if lacking:
                 raise RegistrationError(
@@ -82,7 +86,9 @@ class Registry(Generic[T]):
         self._entries.pop(name, None)
 
     def names(self) -> tuple[str, ...]:
-        """Return all names, sorted; nothing is imported."""
+        """Return all names, sorted; nothing is imported. An entry point in an old group gives a `PluginWarning`."""
+        if (old := RENAMED_GROUPS.get(self.group)) is not None:
+            warn_of_renamed_group(self.group, _installed(tuple(sys.path)).select(group=old))
         return tuple(sorted({*self._entries, *(point.name for point in self._points())}))
 
     @property
@@ -120,7 +126,9 @@ class Registry(Generic[T]):
         Raises the errors of `get`, `check` and the constructor.
         """
         found = self.check(spec, **parameters)
-        return self.get(found.name)(**found.parameters)
+        made = self.get(found.name)(**found.parameters)
+        refuse_renamed_attributes(f"{self.kind} {found.name!r}", type(made), made)
+        return made
 
     def check(self, spec: str | Spec, /, **parameters: Any) -> Spec:
         """Return the spec with ``parameters`` added, if its name is known and the constructor has all parameters.

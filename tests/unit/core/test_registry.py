@@ -7,9 +7,18 @@ from types import ModuleType
 
 import pytest
 
+from hardware.robot import Robot
+from model_zoo.grey_box.model import GreyBox
+from sysid_evo.controllers.controller import Controller
+from sysid_evo.data.readers import Reader
 from sysid_evo.errors import InvalidArgument, MissingExtra, PluginError, PluginWarning, RegistrationError, UnknownName
+from sysid_evo.models import DynamicsModel
+from sysid_evo.models.dynamics import Dynamics
+from sysid_evo.motion import Motion
 from sysid_evo.registry import KINDS, Registry, load_plugin, make_robot, models, robots, source_digest
 from sysid_evo.registry import registry as registry_module
+from sysid_evo.registry.renamed import RENAMED_ATTRIBUTES, RENAMED_GROUPS
+from sysid_evo.tasks.task import Task
 from tests.fixtures.commands import forgetting
 
 GROUP = "sysid_evo.test_things"
@@ -49,11 +58,11 @@ def install(things, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     before = set(sys.modules)
 
-    def install(points, modules, requires="", name="made-up"):
+    def install(points, modules, requires="", name="made-up", group=GROUP):
         info = tmp_path / f"{name}-1.0.dist-info"
         info.mkdir()
         lines = "\n".join(f"{point} = {module}" for point, module in points.items())
-        (info / "entry_points.txt").write_text(f"[{GROUP}]\n{lines}\n")
+        (info / "entry_points.txt").write_text(f"[{group}]\n{lines}\n")
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{requires}")
         for module, source in modules.items():
             (tmp_path / f"{module}.py").write_text(f"from made_up_registry import things\n{source}")
@@ -212,6 +221,49 @@ def test_two_plugin_files_of_one_name_are_not_confused(write):
     load_plugin(first)
     with pytest.raises(PluginError, match=r"b/my_robot.py: .*a/my_robot.py, a file of the same name, is loaded"):
         load_plugin(second)
+
+
+BASES = {base.__name__: base for base in (Controller, Dynamics, DynamicsModel, GreyBox, Motion, Reader, Robot, Task)}
+
+
+@pytest.mark.parametrize(
+    ("base", "old", "new"),
+    [(base, old, new) for base, names in RENAMED_ATTRIBUTES.items() for old, new in names.items()],
+)
+def test_a_plugin_class_with_an_old_attribute_name_is_refused_with_the_new_one(things, base, old, new):
+    assert not hasattr(BASES[base], old)
+    families = [family for _, family in models.load_all()]
+    assert any(hasattr(one, new) or new in vars(one).get("__annotations__", {}) for one in (BASES[base], *families))
+    for body in ({old: 1}, {"__annotations__": {old: int}}):
+        outdated = type("Outdated", (BASES[base],), body)
+        with pytest.raises(RegistrationError) as raised:
+            things.register("outdated")(outdated)
+        assert str(raised.value) == f"thing 'outdated': rename '{old}' of Outdated, it is called '{new}' now"
+    assert things.names() == ()
+
+
+def test_a_robot_that_a_function_makes_is_refused_with_an_old_attribute_name(register):
+    class Outdated(Robot):
+        def __init__(self):
+            self.usual_task = "circuit"
+
+        def connect(self):
+            raise NotImplementedError
+
+    register(robots, "made_up", lambda: Outdated())
+    with pytest.raises(RegistrationError, match=r"robot 'made_up': rename 'usual_task' .* called 'default_task' now"):
+        make_robot("made_up")
+
+
+@pytest.mark.parametrize(("new", "old"), RENAMED_GROUPS.items())
+def test_an_entry_point_in_an_old_group_is_answered_with_the_new_one(install, new, old):
+    install({"mine": "my_module"}, {"my_module": ""}, group=old)
+    registry = Registry("thing", new)
+    reason = rf"entry point mine = 'my_module' is ignored: its group {old} is called {new} now"
+    with pytest.warns(PluginWarning, match=reason):
+        assert "mine" not in registry.names()
+    with pytest.warns(PluginWarning, match=reason), pytest.raises(UnknownName, match="no thing is called 'mine'"):
+        registry.get("mine")
 
 
 def test_a_robot_may_be_named_with_a_seed(register):
