@@ -100,6 +100,10 @@ class Experiment(BaseModel):
         "Controllers", "NAME",
     )  # fmt: skip
     aggregate: str = setting("min", "Combines the fitness on several models", "Controllers", "SPEC", kind="aggregate")
+    starts: str | None = setting(
+        None, "Several ways to begin the search: start(controller=SPEC, strategy=SPEC)", "Controllers",
+        "LIST",
+    )  # fmt: skip
     schedule: str = setting("", "Easier stages first: stage(task=SPEC, until=FITNESS)", "Controllers", "LIST")
     baselines: tuple[str, ...] = setting(
         (), "Baseline controllers, such as pursuit", "Controllers", "LIST", kind="controller"
@@ -181,14 +185,15 @@ Settings = TypedDict("Settings", {  # noqa: UP013  # several in a line
     "models": Sequence[str] | None, "ensembles": Sequence[str] | None, "preset": Literal["quick", "standard", "paper"],
     "stop_after": Literal["fit", "prediction"] | None, "task": str | None, "controller": str | None,
     "baselines": Sequence[str], "strategy": str | None, "procedure": Procedure | None, "aggregate": str,
-    "noise": str | None, "penalty": str, "schedule": str, "generations": int | None, "trials": int | None,
-    "repeats": int | None, "polish_generations": int | None, "selection_trials": int, "estimator_delay": float,
-    "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int, "plugins": Sequence[str | Path],
+    "noise": str | None, "penalty": str, "starts": str | None, "schedule": str, "generations": int | None,
+    "trials": int | None, "repeats": int | None, "polish_generations": int | None, "selection_trials": int,
+    "estimator_delay": float, "transfer_trials": int, "traces": int, "reference": bool | None, "seed": int,
+    "plugins": Sequence[str | Path],
 }, total=False)  # fmt: skip
 """The keywords of `evaluation.compare`, for type checkers; see `Experiment`."""
 
 OF_CONTROLLERS = (
-    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "schedule",
+    "task", "controller", "baselines", "strategy", "procedure", "aggregate", "noise", "penalty", "starts", "schedule",
     "generations", "trials", "repeats", "polish_generations", "selection_trials", "estimator_delay", "transfer_trials",
     "traces", "reference",
     "ensembles",
@@ -202,6 +207,7 @@ MEANINGLESS = (
     Meaningless(("held_out",), "these episodes are held out instead", {"test": ()}),
     Meaningless(("minutes",), "no robot is recorded", {"data": ()}),
     Meaningless(("columns",), "no logs are read", unless=("data",)),
+    Meaningless(("controller", "strategy"), "the starts name their own", {"starts": ()}),
     Meaningless(("polish_generations",), "nothing is polished", {"procedure": ("plain",)}),
 )
 """Settings that others make meaningless: giving both is refused."""

@@ -27,6 +27,7 @@ from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, chec
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.scores import PERSISTENCE
 from evaluation.transfer.matrix import AT_RANDOM, AT_REST, MeasuredResult, kept_traces, load_measured
+from sysid_evo.controllers.controller import make_controller
 from sysid_evo.data import Dataset, check_usable
 from sysid_evo.errors import (
     ArtefactError,
@@ -222,8 +223,9 @@ def unsettled(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _constructible(evolution: ControllerEvolution) -> None:
     """Make everything that needs no system, so that wrong values are found now."""
-    for registry, spec in ((tasks, evolution.task), (controllers, evolution.controller)):
-        made(registry, spec)
+    made(tasks, evolution.task)
+    for start in evolution.all_starts:
+        made(controllers, start.controller)
     make_aggregate(evolution.aggregate)
 
 
@@ -235,7 +237,8 @@ def _check_control(evolution: ControllerEvolution, system: System) -> None:
         raise IncompatibleTask(
             f"{error}. Name a task that fits (--task), or compare --stop-after prediction"
         ) from error
-    evolution.make_strategy(evolution.make_controller(task).n_parameters, 0)
+    for start in evolution.all_starts:
+        evolution.make_strategy(make_controller(start.controller).bind_to(task).n_parameters, 0, start.strategy)
 
 
 def _farthest(dataset: Dataset | None, robot: Spec | None) -> Array | None:

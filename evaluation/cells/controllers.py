@@ -23,6 +23,7 @@ from sysid_evo.artefacts import CheckpointFile
 from sysid_evo.errors import Blocked, InvalidArgument
 from sysid_evo.evolution import Champion, ControllerEvolution, Stage, choose, evolve_controller, polish
 from sysid_evo.evolution.champion import load_champion, save_champion
+from sysid_evo.evolution.halving import Start
 from sysid_evo.plan import CELL_KINDS, Cell, CellContext, CellKind, CellSettings, ResultType, blocked_reason, cell_seed
 from sysid_evo.registry import Spec, aggregates, controllers, strategies, tasks
 from sysid_evo.registry.registry import noises, penalties
@@ -40,7 +41,9 @@ def ensemble_name(members: tuple[str, ...], aggregate: str = "min") -> str:
 
 def identity_of(settings: ControllerEvolution) -> dict[str, Any]:
     """Return the settings of an evolution and the conditions of its trials, as strict JSON."""
+    starts = [[controllers.identity(one.controller), strategies.identity(one.strategy)] for one in settings.starts]
     return {
+        **({"starts": starts} if starts else {}),
         "controller": controllers.identity(settings.controller),
         "task": tasks.identity(settings.task),
         "strategy": strategies.identity(settings.strategy),
@@ -75,7 +78,7 @@ class Evolve(CellSettings):
             labels={"name": self.name, "against": labels_of(self.members)},
             expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
             resumable=True,
-            local_only=any(named_files(evolution.controller)),
+            local_only=any(any(named_files(start.controller)) for start in evolution.all_starts),
         )
 
     @property
@@ -342,7 +345,28 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
         noise="" if noise == NONE else noise,
         penalty=experiment.penalty,
         schedule=Stage.listed(experiment.schedule) if experiment.schedule else (),
+        starts=Start.listed(usual_starts(experiment, task) if experiment.starts is None else experiment.starts),
     )
+
+
+ANY_TASK = (
+    "start(controller=linear, strategy=cma_es(sigma=0.3)), "
+    "start(controller=feed_forward(hidden=16), strategy=cma_es(sigma=0.3)), "
+    "start(controller=recurrent(hidden=10), strategy=niches)"
+)
+"""Starts for a task that is not known here: a law that suffices to balance, a small network from outputs near zero,
+which does not begin with extreme commands that such a task may punish, and the usual search."""
+
+
+ENOUGH = 60
+"""Number of generations below which a search is too short to compare starts."""
+
+
+def usual_starts(experiment: Experiment, task: Spec) -> str:
+    """Return the starts of the task of an environment, unless a controller, a strategy or a schedule is given."""
+    budget, given = experiment.budget, (experiment.controller, experiment.strategy, experiment.schedule or None)
+    free = budget.procedure == "recommended" and budget.generations >= ENOUGH and all(one is None for one in given)
+    return ANY_TASK if free and task.name == "environment" else ""
 
 
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:

@@ -25,8 +25,8 @@ def systems() -> list[str]:
 
 
 EVOLUTION = (
-    "task", "controller", "strategy", "procedure", "aggregate", "schedule", "noise", "penalty", "estimator_delay",
-    "preset", "generations", "trials", "repeats", "seed", "plugins",
+    "task", "controller", "strategy", "procedure", "aggregate", "starts", "schedule", "noise", "penalty",
+    "estimator_delay", "preset", "generations", "trials", "repeats", "seed", "plugins",
 )  # fmt: skip
 """The settings of a comparison that one evolution has, too."""
 

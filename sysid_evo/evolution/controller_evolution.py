@@ -17,9 +17,10 @@ from sysid_evo.engine.rollout import DynamicsRunner, PenalisedRunner, Runner, as
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion, Finalist
 from sysid_evo.evolution.ensemble import EnsembleObjective
+from sysid_evo.evolution.halving import Halving, Start
 from sysid_evo.evolution.loop import Schedule, Stage
 from sysid_evo.evolution.margins import best_candidate, candidate_margins
-from sysid_evo.evolution.runs import Runs, evolution_digest
+from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy, make_strategy
 from sysid_evo.models.disturbances import Disturbed, DomainRandomisation
 from sysid_evo.models.dynamics import Dynamics, started
@@ -46,6 +47,8 @@ class ControllerEvolution:
     - ``selection_trials``: fresh trials on which each behaviour class of each run selects its finalist; the champion
       is one of the finalists, see `Champion`.
     - ``estimator_delay``: delay in s with which controllers observe the state of a model, see `Disturbed`.
+    - ``starts``: several ways to begin, in place of ``controller`` and ``strategy``. They share the generations by
+      successive halving, see `Halving`.
     - ``schedule``: easier stages that precede the task in every run.
     - ``noise``: domain randomisation, a spec (`DomainRandomisation`), empty for none. It acts during evolution and the
       choice of the champion, not when claims are measured.
@@ -64,17 +67,27 @@ class ControllerEvolution:
     strategy: Converted[Spec | str, Spec] = Converted(strategies.check, "mu_plus_lambda")
     noise: str = ""
     penalty: str = ""
+    starts: Converted[Sequence[Start] | str, tuple[Start, ...]] = Converted(Start.listed, ())
 
     def __post_init__(self) -> None:
         for name in ("generations", "trials", "repeats", "selection_trials"):
             number = getattr(self, name)
             if not isinstance(number, (int, np.integer)) or number < 1:
                 raise InvalidArgument(f"evolution: expected {name} as a whole number >= 1, got {number!r}")
+        if self.starts and self.schedule:
+            raise InvalidArgument("evolution: expected either starts or a schedule, got both: omit one of them")
+        if self.starts:
+            Halving(len(self.starts) * self.repeats, self.generations * self.repeats)
         aggregates.check(self.aggregate)
         self.make_noise()
         self.make_penalty()
         if not 0.0 <= self.estimator_delay < np.inf:
             raise InvalidArgument(f"evolution: expected estimator_delay >= 0 s, got {self.estimator_delay}")
+
+    @property
+    def all_starts(self) -> tuple[Start, ...]:
+        """The ``starts``, or ``controller`` and ``strategy`` as the only one."""
+        return self.starts or (Start(self.controller, self.strategy),)
 
     def make_task(self, system: System) -> Task:
         """Return the task, bound to ``system``."""
@@ -110,19 +123,24 @@ class ControllerEvolution:
         """Return the uncertainty penalty, None without one."""
         return penalties.make(self.penalty) if self.penalty else None
 
-    def make_strategy(self, n_parameters: int, seed: int) -> EvolutionStrategy:
-        """Return the strategy. Raises `InvalidArgument` if two candidates or its state do not fit into memory."""
+    def make_strategy(self, n_parameters: int, seed: int, spec: Spec | None = None) -> EvolutionStrategy:
+        """Return the strategy, or that of ``spec``.
+
+        Raises `InvalidArgument` if two candidates or its state do not fit into memory.
+        """
         import psutil
+
+        spec = spec or self.strategy
 
         size, memory = 8e-9 * n_parameters, 1e-9 * psutil.virtual_memory().total
         try:
             if 2.0 * size > memory:
                 raise MemoryError(f"two candidates take {2.0 * size:.3g} of {memory:.3g} GB of memory")
-            return make_strategy(self.strategy, n_parameters=n_parameters, seed=seed)
+            return make_strategy(spec, n_parameters=n_parameters, seed=seed)
         except MemoryError as error:
             raise InvalidArgument(
-                f"evolution: {self.controller} has {n_parameters:,} parameters, too many for {self.strategy} on this "
-                f"machine: {error}. Use a smaller controller"
+                f"evolution: a controller of {n_parameters:,} parameters is too large for {spec} on this machine: "
+                f"{error}. Use a smaller controller"
             ) from error
 
 
@@ -146,70 +164,80 @@ def evolve_controller(
     """
     runners, seed = as_runners(runners, "evolve_controller"), as_seed(seed)
     task = settings.make_task(system)
-    controller = settings.make_controller(task)
+    starts = settings.all_starts * settings.repeats
+    laws = [make_controller(start.controller).bind_to(task) for start in starts]
+    halving = Halving(len(starts), settings.generations * settings.repeats) if settings.starts else None
     disturbed = disturbed_runners(runners, settings)
     seeds = selection_seeds(seed, settings.selection_trials)
     models = tuple(disturbed)
     stages = settings.stages(task, models)
+    start_of: dict[int, int] = {}
+
+    def lineage(run: int, ended: Sequence[FinishedRun]) -> tuple[int, ...]:
+        return (run,) if halving is None else halving.lineage(run, [one.fitness for one in ended])
 
     @cache
-    def objective(run: int, stage_task: Task, labels: tuple[str, ...]) -> EnsembleObjective:
+    def objective(run: int, start: int, stage_task: Task, labels: tuple[str, ...]) -> EnsembleObjective:
         chosen = tuple(disturbed[label] for label in labels)
         return EnsembleObjective(
-            chosen, controller, stage_task, derived_seed(seed, run), settings.trials, settings.aggregate
+            chosen, laws[start], stage_task, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
-    def start_run(run: int) -> tuple[EvolutionStrategy, Schedule]:
-        strategy = settings.make_strategy(controller.n_parameters, derived_seed(seed, run))
+    def start_run(run: int, ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
+        start, *continued = lineage(run, ended)
+        start_of[run] = start
+        strategy = settings.make_strategy(laws[start].n_parameters, derived_seed(seed, start), starts[start].strategy)
         strategy.prepare(
             behaviour_names=behaviour_names(system),
             control_names=system.control_names,
-            generations=settings.generations,
+            generations=settings.generations if halving is None else halving.longest,
         )
-        easier = [(stage, objective(run, stage_task, labels)) for stage, stage_task, labels in stages]
-        return strategy, Schedule(easier, objective(run, task, models), max_fitness=task.max_fitness)
+        if continued:
+            strategy.restore(ended[lineage(run, ended)[-2]].strategy)
+        easier = [(stage, objective(run, start, stage_task, labels)) for stage, stage_task, labels in stages]
+        return strategy, Schedule(easier, objective(run, start, task, models), max_fitness=task.max_fitness)
 
-    def margins(candidates: Array, rows: IntArray, scale: float) -> Array:
+    def margins(start: int, candidates: Array, rows: IntArray, scale: float) -> Array:
         delay = settings.estimator_delay
-        law, goal = settings.controller, settings.task
+        law, goal = starts[start].controller, settings.task
         return candidate_margins(candidates[rows], runners, law, goal, system, seeds, scale=scale, delay=delay)
 
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
-        found, final = [], objective(run, task, models)
+        found, final = [], objective(run, start_of[run], task, models)
         for behaviour_class, candidates in strategy.finals.items():
             scores = final.on_trials(candidates, seeds)
-            winner = best_candidate(scores, task.worst, partial(margins, candidates))
+            winner = best_candidate(scores, task.worst, partial(margins, start_of[run], candidates))
             found.append(Finalist(behaviour_class, run, float(scores.fitness[winner]), candidates[winner]))
         return tuple(found)
 
     runs = Runs(
-        settings.repeats,
-        settings.generations,
+        (settings.generations,) * settings.repeats if halving is None else halving.lengths,
         start_run,
         finalists_of,
         models=(*(labels for _, _, labels in stages), models),
         checkpoint=checkpoint,
-        identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, controller, task, seed),
+        identity="" if checkpoint is None else evolution_digest([repr(settings)], runners, laws[0], task, seed),
     )
     with reporting(progress, f"evolve {name}") as report:
         ended = runs.finish(report)
-    finalists = tuple(chain.from_iterable(run.finalists for run in ended))
-    best = max(finalists, key=lambda one: one.fitness)  # of equals the first
+    best = max(chain.from_iterable(run.finalists for run in ended), key=lambda one: one.fitness)  # of equals the first
+    start, *_ = path = lineage(best.repeat, ended)
+    same = [run for run in range(len(ended)) if starts[lineage(run, ended)[0]].controller == starts[start].controller]
     return Champion(
         name=name,
         parameters=best.parameters,
         against=tuple(runners),
         aggregate=settings.aggregate,
         seed=seed,
-        history=ended[best.repeat].history,
-        controller=settings.controller,
+        history=np.concatenate([ended[run].history for run in path]),
+        controller=starts[start].controller,
         task=settings.task,
         estimator_delay=settings.estimator_delay,
         noise=settings.noise,
         penalty=settings.penalty,
-        seed_fitness=tuple(max(one.fitness for one in run.finalists) for run in ended),
+        seed_fitness=tuple(ended[run].fitness for run in same),
         system=system,
-        finalists=finalists,
+        finalists=tuple(chain.from_iterable(ended[run].finalists for run in same)),
         population=ended[best.repeat].population,
     )
 

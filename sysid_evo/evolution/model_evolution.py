@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -16,7 +16,7 @@ from sysid_evo.engine.compiled.open_loop import final_errors
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution.champion import Finalist
 from sysid_evo.evolution.loop import Schedule
-from sysid_evo.evolution.runs import Runs
+from sysid_evo.evolution.runs import FinishedRun, Runs
 from sysid_evo.evolution.strategies.mu_plus_lambda import MuPlusLambda
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.kernels import DynamicsKernel, Precision
@@ -97,7 +97,7 @@ class ModelEvolution:
                 return -final_error(step, population, chosen, start, weight=weight)
             return -kernel_error(*compiled, chosen, start, weight=weight, precision=precision)
 
-        def start_run(_: int) -> tuple[EvolutionStrategy, Schedule]:
+        def start_run(_run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
             strategy = MuPlusLambda(
                 n_parameters=len(initial),
                 seed=seed,
@@ -117,7 +117,7 @@ class ModelEvolution:
 
         def identity() -> str:
             """Return the digest of the settings, the data, and the fitness of the first candidates."""
-            first = objective(start_run(0)[0].ask(), 0)
+            first = objective(start_run(0, ())[0].ask(), 0)
             inputs = [repr(self), seed, spread, dataset.fingerprint, initial.tolist(), first.tolist()]
             return hashlib.sha256(json.dumps([*inputs, *engine_inputs().items()]).encode()).hexdigest()
 
@@ -126,8 +126,7 @@ class ModelEvolution:
                 progress(done, total)
 
         (run,) = Runs(
-            1,
-            self.generations,
+            (self.generations,),
             start_run,
             finalists_of,
             models=((),),

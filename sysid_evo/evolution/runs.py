@@ -26,16 +26,15 @@ from sysid_evo.types import Array, check_shape
 
 @dataclass(frozen=True)
 class Runs:
-    """``count`` runs of at most ``generations`` each; a run ends earlier when its schedule has converged.
+    """Runs of at most ``generations`` each, one after the other; a run ends earlier when its schedule has converged.
 
-    ``start_run(run)`` makes a new strategy and schedule; ``finalists_of`` selects the finalists of a finished run.
-    ``models`` holds the model labels of each stage, the last for the final task. ``identity`` is the
-    `evolution_digest` under which the ``checkpoint`` is saved.
+    ``start_run(run, ended)`` makes the strategy and schedule of a run, which may continue one of the ``ended`` runs;
+    ``finalists_of`` selects the finalists of a finished run. ``models`` holds the model labels of each stage, the last
+    for the final task. ``identity`` is the `evolution_digest` under which the ``checkpoint`` is saved.
     """
 
-    count: int
-    generations: int
-    start_run: Callable[[int], tuple[EvolutionStrategy, Schedule]]
+    generations: Sequence[int]
+    start_run: Callable[[int, tuple[FinishedRun, ...]], tuple[EvolutionStrategy, Schedule]]
     finalists_of: Callable[[int, EvolutionStrategy], tuple[Finalist, ...]]
     models: Sequence[tuple[str, ...]]
     checkpoint: Checkpoint | None = None
@@ -49,7 +48,7 @@ class Runs:
         """
         state = saved = self._resumed()
         search: _Search | None = None
-        total = self.count * self.generations
+        total = sum(self.generations)
         if progress is not None and state.generations:
             progress(state.generations, total)
         try:
@@ -68,11 +67,12 @@ class Runs:
 
     def _steps(self, state: EvolutionState) -> Iterator[tuple[EvolutionState, _Search, str]]:
         """Yield the state after every generation, with a note, and after every run, with an empty note."""
-        for run in range(len(state.ended), self.count):
-            strategy, schedule = self.start_run(run)
+        for run in range(len(state.ended), len(self.generations)):
+            strategy, schedule = self.start_run(run, state.ended)
             state.restore(strategy, schedule)
             done = len(state.history)
-            for generation in evolve(strategy, schedule, done if schedule.converged else self.generations, start=done):
+            last = done if schedule.converged else self.generations[run]
+            for generation in evolve(strategy, schedule, last, start=done):
                 note = self._note(run, generation, strategy, schedule)
                 if schedule.tell(generation):
                     strategy.forget_fitness()
@@ -88,7 +88,7 @@ class Runs:
                     EvolutionWarning,
                     stacklevel=2,
                 )
-            ended = FinishedRun(self.finalists_of(run, strategy), state.history, strategy.elite)
+            ended = FinishedRun(self.finalists_of(run, strategy), state.history, strategy.elite, strategy.state)
             state = EvolutionState((*state.ended, ended))
             yield state, _Search(strategy, schedule, strategy.updates), ""
 
@@ -99,7 +99,8 @@ class Runs:
             return EvolutionState()
         try:
             state = EvolutionState.of(found)
-            state.restore(*self.start_run(0))
+            if len(state.ended) < len(self.generations):
+                state.restore(*self.start_run(len(state.ended), state.ended))
         except (LookupError, TypeError, ValueError) as error:
             warnings.warn(
                 f"the checkpoint is ignored and the evolution starts again: {error}", CheckpointWarning, stacklevel=2
@@ -115,8 +116,8 @@ class Runs:
         if generation.by_model is not None and len(generation.by_model) > 1:
             of_best = generation.by_model[:, int(np.argmax(generation.fitness))]
             parts.append(", ".join(f"{name} {value:.1f}" for name, value in zip(models, of_best, strict=True)))
-        if self.count > 1:
-            parts.append(f"run {run + 1} of {self.count}")
+        if len(self.generations) > 1:
+            parts.append(f"run {run + 1} of {len(self.generations)}")
         return "; ".join(filter(None, (*parts, schedule.status, strategy.status)))
 
 
@@ -159,11 +160,17 @@ STRATEGY, SCHEDULE = "strategy.", "schedule."
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """Result of one run: finalists, history (G, 3), last candidates (P, n)."""
+    """Result of one run: finalists, history (G, 3), last candidates (P, n), state of its strategy."""
 
     finalists: tuple[Finalist, ...]
     history: Array
     population: Array
+    strategy: StrategyState
+
+    @property
+    def fitness(self) -> float:
+        """Fitness of the best finalist."""
+        return max(one.fitness for one in self.finalists)
 
 
 @dataclass(frozen=True)
@@ -183,7 +190,7 @@ class EvolutionState:
     @property
     def state(self) -> StrategyState:
         """All fields as arrays, numbers and text, see `of`."""
-        ended: dict[str, Array | str] = {}
+        ended: dict[str, Array | int | float | str] = {}
         for i, run in enumerate(self.ended):
             ended |= {
                 f"ended.{i}.behaviour_classes": json.dumps([finalist.behaviour_class for finalist in run.finalists]),
@@ -191,6 +198,7 @@ class EvolutionState:
                 f"ended.{i}.finalists": np.array([finalist.parameters for finalist in run.finalists]),
                 f"ended.{i}.history": run.history,
                 f"ended.{i}.population": run.population,
+                **{f"ended.{i}.{STRATEGY}{name}": value for name, value in run.strategy.items()},
             }
         current = {f"{STRATEGY}{name}": value for name, value in self.strategy.items()}
         current |= {f"{SCHEDULE}{name}": value for name, value in self.schedule.items()}
@@ -233,4 +241,5 @@ def _ended(state: Mapping[str, Array | int | float | str], run: int) -> Finished
         ),
         check_shape("history", history, (None, 3)),
         check_shape("population", population, (None, finalists.shape[1])),
+        _part(state, f"ended.{run}.{STRATEGY}"),
     )

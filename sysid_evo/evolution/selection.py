@@ -22,7 +22,7 @@ from sysid_evo.evolution.controller_evolution import (
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Scores
 from sysid_evo.evolution.margins import NEARLY, best_candidate, candidate_margins
-from sysid_evo.evolution.runs import Runs, evolution_digest
+from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
 from sysid_evo.progress import Checkpoint, Progress, reporting
@@ -156,7 +156,7 @@ def polish(
 ) -> Champion:
     """Return ``champion`` refined by CMA-ES on all ``runners``, starting from its ``starts`` best finalists.
 
-    Aggregate, trials, task and controller are those of ``settings``. The step size ``sigma`` is small because the
+    Aggregate, trials and task are those of ``settings``. The step size ``sigma`` is small because the
     finalists are good already; the refinement removes dependence on faults of single models. A finalist without an
     improvement stays unchanged. Models that underrate the best finalist (by more than `MAX_SHORTFALL`) are omitted, so
     that one bad model does not exclude good controllers; ``against`` names the models that were used. ``checkpoint``
@@ -165,7 +165,7 @@ def polish(
     if not champion.finalists or champion.system is None:
         raise InvalidArgument(f"polish: controller {champion.name!r} has no finalists to start from")
     task = settings.make_task(champion.system)
-    controller = settings.make_controller(task)
+    controller = make_controller(champion.controller).bind_to(task)
     delayed = {label: delayed_runner(label, runner, settings.estimator_delay) for label, runner in runners.items()}
     seeds = selection_seeds(seed, settings.selection_trials)
     chosen = sorted(champion.finalists, key=lambda one: -ranking_value(one))[:starts]
@@ -182,7 +182,7 @@ def polish(
             used_runners, controller, task, derived_seed(seed, run), settings.trials, settings.aggregate
         )
 
-    def start_run(run: int) -> tuple[EvolutionStrategy, Schedule]:
+    def start_run(run: int, _ended: Sequence[FinishedRun]) -> tuple[EvolutionStrategy, Schedule]:
         strategy = CmaEs(
             n_parameters=controller.n_parameters,
             seed=derived_seed(seed, run),
@@ -193,7 +193,7 @@ def polish(
 
     def margins(candidates: Array, scale: float) -> Array:
         kept, delay = {label: runners[label] for label in used}, settings.estimator_delay
-        law, goal = settings.controller, settings.task
+        law, goal = champion.controller, settings.task
         return candidate_margins(candidates, kept, law, goal, task.system, seeds, scale=scale, delay=delay)
 
     def finalists_of(run: int, strategy: EvolutionStrategy) -> tuple[Finalist, ...]:
@@ -205,8 +205,7 @@ def polish(
 
     inputs = [repr(settings), generations, sigma, *(start.parameters.tolist() for start in chosen)]
     runs = Runs(
-        len(chosen),
-        generations,
+        (generations,) * len(chosen),
         start_run,
         finalists_of,
         models=(used,),

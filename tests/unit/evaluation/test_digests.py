@@ -93,6 +93,7 @@ def test_the_plan_has_the_cells_that_the_table_below_speaks_of():
         ({"task": "point_to_point(horizon=61)"}, CONTROLLERS),
         ({"controller": "recurrent(hidden=4)"}, CONTROLLERS),
         ({"strategy": "mu_plus_lambda(children=6)"}, CONTROLLERS),
+        ({"starts": "start(strategy=niches)", "controller": None, "strategy": None}, CONTROLLERS),
         ({"generations": 3}, CONTROLLERS),
         ({"trials": 3}, CONTROLLERS),
         ({"repeats": 2}, CONTROLLERS),

@@ -205,6 +205,27 @@ def test_controls_at_rest_are_a_row_where_they_may_bring_something(name, baselin
     assert only.matrix is None
 
 
+@pytest.mark.parametrize(
+    ("settings", "starts"),
+    [
+        ({}, ["linear", "feed_forward", "recurrent"]),
+        ({"controller": "linear"}, ["linear"]),
+        ({"strategy": "cma_es"}, ["recurrent"]),
+        ({"schedule": "stage(until=1.0)"}, ["recurrent"]),
+        ({"procedure": "plain"}, ["recurrent"]),
+        ({"generations": 59}, ["recurrent"]),
+        ({"starts": "start(controller=pid), start(controller=linear)"}, ["pid", "linear"]),
+        ({"starts": ""}, ["recurrent"]),
+        ({"task": "set_point(channels=angle, low=-1, high=1)"}, ["recurrent"]),
+    ],
+)
+def test_the_task_of_an_environment_is_searched_from_several_starts_unless_one_is_asked_for(settings, starts):
+    robot = 'gymnasium(id="CartPole-v1")'
+    planned = plan_comparison(Experiment(robot=robot, models=("linear",), reference=False, **settings))
+    evolution = planned.matrix.controllers[0].settings.evolution
+    assert [start.controller.name for start in evolution.all_starts] == starts
+
+
 def test_controls_at_rest_are_no_row_where_they_are_known_to_bring_nothing():
     planned = plan_comparison(Experiment(models=("linear",), reference=False))
     assert [champion.name for champion in planned.matrix.controllers] == ["linear"]
