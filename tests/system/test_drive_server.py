@@ -9,7 +9,7 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -17,18 +17,20 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from evaluation.transfer import load_measured
+import hardware
+from evaluation.experiment import FILE, Experiment
+from evaluation.transfer import load_measured, transfer_seeds
 from hardware.connection import GateLimits
 from hardware.driving import server
 from hardware.driving.hand_driving import HandDriving, HandPanel, HandTrial
 from hardware.driving.keyboard import HOLD, Keyboard, key_validity
 from hardware.driving.page_messages import FORWARD, LEFT, Phase
-from hardware.driving.server import PageServer, check_page
+from hardware.driving.server import PageAddress, PageServer, check_page
 from hardware.emulation.simulated_robot import in_real_time
 from hardware.emulation.tracked_robots import ModelRobot
 from hardware.recording.journal import read_journal
 from hardware.run_report import LoopReport, StopReason, StopRequest
-from sysid_evo.cli.robots import DriveTarget, add_row
+from sysid_evo.cli.robots import DriveTarget, add_row, drive_by_hand
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.errors import InvalidArgument, MissingExtra
 from sysid_evo.registry import make_robot
@@ -376,6 +378,22 @@ def trial(number, fitness):
     trajectory = Trajectory(np.zeros((3, 3)), np.zeros((2, 2)), system.dt, np.zeros((3, 3)), f"trial-{number}")
     report = LoopReport(StopReason.PILOT, "", np.zeros(2), np.zeros(1))
     return HandTrial(number, f"trial-{number}", number, fitness, trajectory, state, report, GateLimits())
+
+
+@pytest.mark.parametrize(("asked", "seed"), [(None, 7), (0, 0), (5, 5)])
+def test_trials_by_hand_are_the_fresh_trials_of_the_run_or_of_the_seed(asked, seed, tmp_path, monkeypatch):
+    found = []
+
+    @contextmanager
+    def page(*_, seed_of, **__):
+        found.extend(map(seed_of, range(3)))
+        yield iter(())
+
+    monkeypatch.setattr(hardware, "driven_by_hand", page)
+    Experiment(seed=7).write(tmp_path / FILE)
+    driven = DriveTarget(make_robot("emulated_car"), "car", tmp_path, on_robot=True)
+    drive_by_hand(driven, PageAddress(), None, None, asked, tracker_origin=False)
+    assert found == transfer_seeds(seed, 3).tolist()
 
 
 def test_only_trials_driven_to_their_end_count_in_the_row(tmp_path):

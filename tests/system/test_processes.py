@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky import process_executor
 
 from evaluation.experiment import Experiment, meaningful
 from evaluation.planning import comparison_in, comparison_of, plan_comparison
@@ -58,6 +59,17 @@ def run(folder, plan, count=2):
     watching = Watching()
     execute(plan, Store(folder), observer=watching, jobs=count)
     return watching, Store(folder)
+
+
+def test_no_worker_is_restarted_as_a_memory_leak_because_a_cell_loads_libraries(tmp_path):
+    assert process_executor._USE_PSUTIL, "in this process loky would restart it"
+
+    def watched():
+        assert not process_executor._USE_PSUTIL
+
+    watching, _ = run(tmp_path, Plan.of([number(1, label="a", then=watched), number(2, label="b", then=watched)]))
+    assert not watching.failed
+    assert sorted(watching.computed) == ["a", "b"]
 
 
 def test_the_results_are_the_same_for_any_number_of_jobs_and_nothing_is_computed_twice(tmp_path):

@@ -107,6 +107,17 @@ def test_fine_tuning_must_be_significant_as_one_of_three_amounts(t, accepted):
     assert " ".join(sure) == accepted
 
 
+def test_shares_of_an_error_do_not_depend_on_its_size_and_that_of_none_is_finite():
+    rng = np.random.default_rng(0)
+    plain = [1e-9 * rng.normal(size=(20, 5, 2)) for _ in range(3)]
+    tiny = judged("tiny", [held(one) for one in plain], [held(0.5 * one) for one in plain])
+    assert (tiny.error, *tiny.each) == pytest.approx((0.5,) * 4, rel=1e-6)
+    none = [held(np.zeros((20, 5, 2)))] * 3
+    exact = judged("exact", none, none)
+    assert (exact.error, *exact.each) == (0.0,) * 4
+    assert not judged("worse", none, [held(one) for one in plain]).everywhere
+
+
 def test_half_the_error_in_every_second_is_a_share_of_a_half_and_sure():
     plain = [np.full((8, 5, 2), size) for size in (1.0, 2.0)]
     trial = judged("half", [held(one) for one in plain], [held(0.5 * one) for one in plain])

@@ -48,6 +48,17 @@ def test_what_cannot_be_read_is_computed_again_only_where_that_is_wanted(tmp_pat
     assert Store(tmp_path).load(top) == 3
 
 
+def test_what_a_repaired_cell_needs_is_repaired_as_well(tmp_path):
+    middle = number(2, (ONE,), label="middle")
+    top, watching = number(4, (middle,), label="top"), Watching()
+    execute(Plan.of([middle]), Store(tmp_path))
+    for file in tmp_path.glob("results/*.txt"):
+        file.write_text("[")
+    assert run_cell(Store(tmp_path), top, observer=watching).status == "done"
+    assert watching.computed == ["one", "middle"]
+    assert Store(tmp_path).load(top) == 7
+
+
 def sent(cell, store):
     return run_sent(store, pickled(cell, store), (), lambda *_: None)
 
