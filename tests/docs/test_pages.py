@@ -68,7 +68,6 @@ BUDGETS = {
         "(generations=10, trials=4)": f"({SMALL})",
         "generations=12, trials=4, repeats=2": f"{SMALL}, repeats=2",
         "trials=4, schedule": f"{SMALL}, schedule".removeprefix("generations=1, "),
-        "generations=20)": "generations=2)",
     },
     "grey_box.md": {"duration=60.0": "duration=20.0"},
     "gymnasium.md": {
