@@ -17,6 +17,7 @@ from sysid_evo.errors import InvalidArgument, InvalidSystem
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.motion import Motion, MotionGradient, StraightGradient, motion_from_dict
 from sysid_evo.motion_kernels import STRAIGHT
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.types import Array, check_last, check_shape
 
 LOG = logging.getLogger(__name__)
@@ -407,6 +408,17 @@ class System(Displayed):
             motion=None if value["motion"] is None else motion_from_dict(value["motion"]),
             name=value["name"],
         )
+
+
+def rigid_body_states(motion: RigidBody, *, speed: float = np.inf, rate: float = np.inf) -> tuple[Channel, ...]:
+    """Return the channels of a rigid body: velocities up to ``speed`` m/s, rates up to ``rate`` rad/s, and up."""
+    names = list(motion.roles().values())
+    return (
+        *(Channel(name, "m/s", -speed, speed) for name in names[:3]),
+        *(Channel(name, "rad/s", -rate, rate) for name in names[3:6]),
+        *(Channel(name, low=-1.0, high=1.0) for name in names[6:8]),
+        Channel(names[8], low=-1.0, high=1.0, neutral=motion.up, description="up along the third axis of the body"),
+    )
 
 
 def _described(channel: Channel) -> str:

@@ -190,7 +190,7 @@ class TransferResult:
 
 @dataclass(frozen=True)
 class Trace:
-    """One recorded trial. ``waypoints`` (k, 2) in m are the markers of the task's `Scene`.
+    """One recorded trial. ``waypoints`` (k, 2), in space (k, 3), in m are the markers of the task's `Scene`.
 
     ``waypoint_radius`` is in m; a task without markers has none. ``walls`` and ``targets`` are those of the scene.
     """
@@ -203,7 +203,8 @@ class Trace:
     targets: tuple[Target, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "waypoints", np.reshape(self.waypoints, (-1, 2)))  # an empty list has no shape
+        given = np.asarray(self.waypoints, dtype=np.float64)
+        object.__setattr__(self, "waypoints", given if given.ndim == 2 else given.reshape(-1, 2))  # a list may be empty
 
 
 def transfer(

@@ -30,7 +30,9 @@ from sysid_evo.kernels import (
 from sysid_evo.motion_kernels import wrap as wrap_lanes
 from sysid_evo.randomness import TASK_STREAM, draw
 from sysid_evo.registry.registry import register_task
+from sysid_evo.rigid_body import RigidBody
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.in_space import SpaceState, SpaceWaypoints, waypoint_scene
 from sysid_evo.tasks.task import Scene, Task, TaskState, planar_places
 from sysid_evo.types import Array, IntArray, Seeds
 
@@ -69,7 +71,8 @@ class PointToPoint(Task):
     A waypoint is passed when the centre of the body is within ``waypoint_radius`` of it (0.3 m);
     the next one then appears at a random position, uniform over the disc of ``arena_radius`` (1.5 m)
     around the origin. Trials start at rest in the origin, heading along x (not specified in the paper).
-    Only the next waypoint is known.
+    Only the next waypoint is known. A rigid body in space has a cube with edges of twice the radius instead of a disc,
+    and other observations, see `SpaceTask`; a trial is over when it turns over.
 
     | observation | unit |
     |---|---|
@@ -100,8 +103,17 @@ class PointToPoint(Task):
         self.waypoint_radius = waypoint_radius
         self.arena_radius = arena_radius
 
+    def bind(self, system: System) -> Any:
+        """Return this task on ``system``, or `SpaceWaypoints` if that moves in space."""
+        if not isinstance(system.motion, RigidBody):
+            return super().bind(system)
+        return SpaceWaypoints(
+            horizon=self.horizon, waypoint_radius=self.waypoint_radius, arena_radius=self.arena_radius
+        ).bind(system)
+
     def check_system(self, system: System) -> None:
-        planar_places("point_to_point", system)
+        if not isinstance(system.motion, RigidBody):
+            planar_places("point_to_point", system)
 
     def begin(self, seeds: Seeds) -> PointToPointState:
         trials = len(seeds)
@@ -184,10 +196,8 @@ class PointToPoint(Task):
 
     def scene(self, task_state: TaskState, trial: int) -> Scene:
         """Return the passed waypoints in order, and the next one."""
-        here = cast("PointToPointState", task_state)
-        passed = int(here.passed[trial])
-        markers = here.waypoints[here.trial[trial], : passed + 1].copy()
-        return Scene(markers, reached=passed, radius=self.waypoint_radius, extent=self.arena_radius)
+        here = cast("PointToPointState | SpaceState", task_state)
+        return waypoint_scene(here.waypoints[here.trial[trial]], here.passed[trial], self)
 
     def kernel(self) -> TaskKernel[Any] | None:
         motion = self.system.motion_kernel()

@@ -11,7 +11,9 @@ from sysid_evo.angles import TURN
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.registry.registry import register_task
 from sysid_evo.system import System
-from sysid_evo.tasks.tracking import Goal, Names, Numbers, TrackingTask, goals_of, places
+from sysid_evo.tasks.in_space import PATHS, SpaceReference, SpaceState, check_in_space, path_scene
+from sysid_evo.tasks.task import Scene, TaskState
+from sysid_evo.tasks.tracking import Goal, Names, Numbers, TrackingTask, goals_of, numbers, places
 from sysid_evo.types import Array
 
 
@@ -74,6 +76,9 @@ class TrackReference(TrackingTask):
     "steps" (a new value at random times, ``period`` s apart on average), or "random_walk" (it crosses the range in
     about one ``period``, and is reflected at its ends). ``period`` is by default a quarter of the trial. The
     controller observes the present error only. All else is as for `SetPoint`.
+
+    A rigid body in space follows a "helix" or a "figure_of_eight" with its position, see `SpaceReference`: ``low`` and
+    ``high`` (m) are the edges of its path, -1 and 1 by default, and ``tolerance`` is 0.2 m.
     """
 
     name: ClassVar[str] = "track_reference"
@@ -94,12 +99,45 @@ class TrackReference(TrackingTask):
         horizon: int = 300,
     ) -> None:
         super().__init__(effort=effort, horizon=horizon)
-        if kind not in KINDS or (period is not None and not period > 0.0):
+        if kind not in (*KINDS, *PATHS) or (period is not None and not period > 0.0):
             raise InvalidArgument(
-                f"track_reference: expected kind {', '.join(KINDS)} and period > 0 s, got {kind!r} and {period}"
+                f"track_reference: expected kind {', '.join((*KINDS, *PATHS))} and period > 0 s, "
+                f"got {kind!r} and {period}"
             )
         self.channels, self.low, self.high = channels, low, high
         self.kind, self.period, self.tolerance, self.start_spread = kind, period, tolerance, start_spread
+
+    def bind(self, system: System) -> Any:
+        """Return this task on ``system``; `SpaceReference` for a path in space."""
+        if self.kind not in PATHS:
+            return super().bind(system)
+        self.check_system(system)
+        low, high, tolerance = (
+            numbers(f"track_reference: {name}", given, 1, [default])[0]
+            for name, given, default in zip(
+                ("low", "high", "tolerance"), (self.low, self.high, self.tolerance), (-1.0, 1.0, 0.2), strict=True
+            )
+        )
+        return SpaceReference(
+            kind=self.kind, period=self.period, size=0.5 * (high - low), tolerance=tolerance, horizon=self.horizon
+        ).bind(system)
+
+    def check_system(self, system: System) -> None:
+        if self.kind not in PATHS:
+            super().check_system(system)
+            return
+        check_in_space(f"track_reference(kind={self.kind})", system)
+        if self.channels or self.effort or self.start_spread:
+            raise InvalidArgument(
+                f"track_reference: expected no channels, effort or start_spread for kind {self.kind}, "
+                "which is a path of the position"
+            )
+
+    def scene(self, task_state: TaskState, trial: int) -> Scene:
+        """Return the targets at every sample, or the path in space."""
+        if isinstance(task_state, SpaceState):
+            return path_scene(task_state, trial)
+        return super().scene(task_state, trial)
 
     def goals_on(self, system: System) -> tuple[Goal, ...]:
         return goals_of(

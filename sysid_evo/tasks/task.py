@@ -176,9 +176,9 @@ class Target:
 class Scene:
     """Places in a trial, in m from the task's origin, and targets of states; empty for a task without any.
 
-    ``markers`` (k, 2) are places to reach in order, of which the first ``reached`` have been reached; ``radius`` is
-    that of each marker, 0 for a point. The trial stays within ``extent`` of the origin, None if that is not known.
-    ``walls`` are lines (k, 2), ``targets`` the targets of states.
+    ``markers`` are places (k, 2), or (k, 3) in space, to reach in order, of which the first ``reached`` have been
+    reached; ``radius`` is that of each marker, 0 for a point. The trial stays within ``extent`` of the origin, None if
+    that is not known. ``walls`` are lines (k, 2), in space paths (k, 3); ``targets`` the targets of states.
     """
 
     markers: Array = field(default_factory=lambda: np.empty((0, 2)))

@@ -36,6 +36,8 @@ CANDIDATES, NETWORKS, TRIALS = 3, 6, 4
 SEEDS = trial_seeds(3, TRIALS)
 
 TOLERANCE = 1e-6
+SPACE = 7
+"""Number of coordinates of a pose in space."""
 
 
 @dataclass(frozen=True)
@@ -346,11 +348,11 @@ def an_ended_trial_keeps_its_fitness(example: TaskExample) -> None:
 
 
 def a_scene_can_be_drawn(example: TaskExample) -> None:
-    """scene returns the markers (k, 2) of a trial in m and the number of those reached"""
+    """scene returns the markers (k, 2) of a trial in m, (k, 3) in space, and the number of those reached"""
     task_state, *_ = example.moment()
     for trial in range(TRIALS):
         scene = example.task.scene(task_state, trial)
-        expect_numbers("markers", scene.markers, (len(scene.markers), 2))
+        expect_numbers("markers", scene.markers, (len(scene.markers), 3 if example.system.n_pose == SPACE else 2))
         expect(0 <= scene.reached <= len(scene.markers), f"{scene.reached} of {len(scene.markers)} are reached")
         expect(scene.radius >= 0.0, f"a radius is {scene.radius} m")
 

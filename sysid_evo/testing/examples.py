@@ -8,7 +8,8 @@ from sysid_evo.data.dataset import Dataset
 from sysid_evo.kernels import LANES, DynamicsKernel, KernelSource, Layout
 from sysid_evo.models.dynamics import PlainDynamics
 from sysid_evo.motion import PlanarBody
-from sysid_evo.system import Channel, System
+from sysid_evo.rigid_body import RigidBody
+from sysid_evo.system import Channel, System, rigid_body_states
 from sysid_evo.types import Array
 
 DECAY = 0.9
@@ -18,8 +19,8 @@ PUSH = 0.3
 
 
 def example_systems() -> tuple[System, ...]:
-    """Return a made-up car with switches, one with continuous controls, a pendulum, and a bare system."""
-    return switched_car(), continuous_car(), pendulum(), bare_system()
+    """Return a made-up car with switches, one with continuous controls, a pendulum, a bare system, and a drone."""
+    return switched_car(), continuous_car(), pendulum(), bare_system(), drone()
 
 
 def switched_car() -> System:
@@ -36,6 +37,13 @@ def pendulum() -> System:
     """Return a periodic angle, its rate and a torque, without a motion, at 50 Hz."""
     states = (Channel("angle", "rad", period=2.0 * np.pi), Channel("angular_speed", "rad/s"))
     return System(states, (Channel("torque", "N m", -2.0, 2.0),), dt=0.02, name="made-up pendulum")
+
+
+def drone(frame: str = "ENU") -> System:
+    """Return a rigid body in space with thrust and three torques, at 50 Hz."""
+    motion = RigidBody(frame=frame)
+    controls = [Channel(name, low=-1.0, high=1.0) for name in ("thrust", "roll", "pitch", "yaw")]
+    return System(rigid_body_states(motion), controls, dt=0.02, motion=motion, name="made-up drone")
 
 
 def bare_system() -> System:
