@@ -36,10 +36,15 @@ def check_time(table: Table, column: str, time: Array) -> None:
     bad = np.flatnonzero(np.diff(time) <= 0)
     if len(bad):
         row = int(bad[0]) + 1
-        what = "is the same as" if time[row] == time[row - 1] else "is before"
+        same = time[row] == time[row - 1]
+        restarted = (
+            f"If the logger was restarted there, put the rows from {table.rows[row]} on into a file of their own, with "
+            "the header. If single rows are out of order, leave them out; the log is then split there."
+        )
         raise InvalidData(
-            f"{table.where(column, row)}: expected rising time stamps, but {time[row]:.15g} s {what} "
-            f"{time[row - 1]:.15g} s in row {table.rows[row - 1]}{such_rows(len(bad))}. {LEAVE_OUT}"
+            f"{table.where(column, row)}: expected rising time stamps, but {time[row]:.15g} s is "
+            f"{'the same as' if same else 'before'} {time[row - 1]:.15g} s in row {table.rows[row - 1]}"
+            f"{such_rows(len(bad))}. {LEAVE_OUT if same else restarted}"
         )
 
 

@@ -57,17 +57,24 @@ class TimeColumn(Column):
 
 
 class StateColumn(_Scaled):
-    """A state: from a column, or, without one, by differentiating the pose.
+    """A state: from a column, as the rate of the state ``derivative_of``, or, without both, from the pose.
 
     ``low``, ``high`` and ``neutral``, its value at rest, are in SI units. A ``periodic`` one is an angle
     with the period of a full turn.
     """
 
     column: str | None = None
+    derivative_of: str | None = None
     low: float | None = None
     high: float | None = None
     neutral: float | None = None
     periodic: bool = False
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.column is not None and self.derivative_of is not None:
+            raise ValueError("expected column or derivative_of, not both")
+        return self
 
     @model_validator(mode="after")
     def _angle(self) -> Self:
@@ -83,13 +90,15 @@ class ControlColumn(Column):
 
     ``low`` and ``high``, or ``levels``, or ``neutral`` are in SI units, after factor and gate.
     Without limits the channel gets the lowest and highest value of the recordings. ``words`` maps each text of
-    the column to a number; without limits these numbers are the levels.
+    the column to a number; without limits these numbers are the levels. With ``hold`` an empty cell means the command
+    of the row before it.
     """
 
     unit: str = ""
     gate: str | None = None
     words: Annotated[dict[str, float], Field(min_length=2)] | None = None
     non_negative: bool = False
+    hold: bool = False
     low: float | None = None
     high: float | None = None
     levels: Annotated[tuple[float, ...], Field(strict=False)] | None = None
@@ -170,17 +179,40 @@ class ColumnMap(_Strict):
             raise ValueError(f"pose: expected {wanted}, got {', '.join(self.pose)}")
         for name, unit in pose if self.pose else ():
             _expect_unit(f"pose.{name}", self.pose[name].unit, unit)
-        underived = [n for n, s in self.states.items() if s.column is None and n not in roles.values()]
+        for name, state in self.states.items():
+            if state.derivative_of is not None:
+                self._expect_rate(name, state)
+        from_pose = [name for name in self.differentiated if name not in self.rates]
+        underived = [name for name in from_pose if name not in roles.values()]
         if underived:
-            raise ValueError(f"states {', '.join(underived)}: no column, and no role in [motion] to derive them from")
-        if self.differentiated and not self.pose:
-            raise ValueError(f"states {', '.join(self.differentiated)} have no column, so [pose] is needed")
+            raise ValueError(
+                f"states {', '.join(underived)}: expected a column, derivative_of (the state whose rate it is), or a "
+                "role in [motion]"
+            )
+        if from_pose and not self.pose:
+            raise ValueError(f"states {', '.join(from_pose)} have no column, so [pose] is needed")
         return self
+
+    def _expect_rate(self, name: str, state: StateColumn) -> None:
+        of = self.states.get(state.derivative_of or "")
+        if of is None or of.column is None:
+            measured = ", ".join(other for other, its in self.states.items() if its.column is not None)
+            raise ValueError(
+                f"states.{name}.derivative_of: expected a state with a column ({measured or 'there is none'}), "
+                f"got {state.derivative_of!r}"
+            )
+        if "[" not in of.unit:
+            _expect_unit(f"states.{name}", state.unit, to_si(f"{to_si(of.unit)[0]}/s")[0])
 
     @property
     def differentiated(self) -> tuple[str, ...]:
-        """The states without a column, which are derived from the pose."""
+        """The states without a column, which are derived from the pose or from another state."""
         return tuple(name for name, state in self.states.items() if state.column is None)
+
+    @property
+    def rates(self) -> dict[str, str]:
+        """The state that is differentiated for each state with ``derivative_of``, by its name."""
+        return {name: state.derivative_of for name, state in self.states.items() if state.derivative_of is not None}
 
     @property
     def motion_of_states(self) -> PlanarBody:
@@ -240,8 +272,9 @@ def load_columns(source: str | Path) -> ColumnMap:
     if path.suffix != ".toml" and str(source) in shipped_names():
         return shipped_columns()[str(source)]
     if not path.is_file():
+        found = "it is a folder" if path.is_dir() else "found neither"
         raise InvalidArgument(
-            f"column map {str(source)!r}: expected a TOML file or one of {', '.join(shipped_names())}; found neither"
+            f"column map {str(source)!r}: expected a TOML file or one of {', '.join(shipped_names())}; {found}"
         )
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -298,7 +331,7 @@ def choose_columns(header: Sequence[str], source: str) -> str:
 
 def _expect_unit(where: str, unit: str, si_unit: str) -> None:
     if to_si(unit)[0] != si_unit:
-        raise ValueError(f"{where}.unit: expected one of {', '.join(units_of(si_unit))}, got {unit!r}")
+        raise ValueError(f"{where}.unit: expected one of {', '.join(units_of(si_unit)) or si_unit}, got {unit!r}")
 
 
 def _explain(error: ErrorDetails) -> str:

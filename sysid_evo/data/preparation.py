@@ -22,7 +22,8 @@ class RawLog:
 
     ``time`` (N,) in s; ``pose`` (N, n_pose) in the units of the system's motion; ``controls``
     (N, nu): the command in force from this row on; ``extra``: other columns (N,), by name; ``condition``: the name of
-    the condition in which each row was recorded (N,), or None.
+    the condition in which each row was recorded (N,), or None; ``rates``: the column that is differentiated for a state
+    that has none, by the name of the state.
     """
 
     name: str
@@ -31,6 +32,7 @@ class RawLog:
     controls: Array
     extra: Mapping[str, Array] = field(default_factory=dict)
     condition: npt.NDArray[np.str_] | None = None
+    rates: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         time = check_shape(f"time of {self.name!r}", self.time, (None,))
@@ -178,11 +180,12 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
     steps = np.diff(log.time)
     period = float(np.median(steps))
     ratio = round(system.dt / period)
+    lacking = [name for name in system.state_names if name not in log.extra]
     if ratio < MIN_RATIO:
+        columns = f"log {', '.join(lacking)} and set dt" if lacking else "set dt"
         raise InvalidData(
             f"{log.name}: expected at least {MIN_RATIO} rows for each control period of {system.dt:g} s, but rows are "
-            f"{period:.4g} s apart. Log faster, raise dt to {MIN_RATIO * period:.3g} s, or log every state and set dt "
-            f"to {period:.4g} s."
+            f"{period:.4g} s apart. Log faster, raise dt to {MIN_RATIO * period:.3g} s, or {columns} to {period:.4g} s."
         )
     step = system.dt / ratio
     cutoff = CUTOFF / system.dt if cutoff is None else cutoff
@@ -216,8 +219,9 @@ def prepare(log: RawLog, system: System, *, cutoff: float | None = None, max_gap
             f"{log.name}: expected more than {2 * margin * step + system.dt:.2f} s (the filter and one step) without "
             f"a gap over {max_gap * 1e3:.0f} ms; the longest gap is {steps.max():.3g} s"
         )
-    derived = [name for name in system.state_names if name not in log.extra]
+    derived = [name for name in lacking if name not in log.rates]
     how = f"{', '.join(derived)} from the pose (5-point differences in the body frame); " if derived else ""
+    how += "".join(f"{name} from {log.rates[name]} (5-point differences); " for name in lacking if name in log.rates)
     notes = [
         f"{how}{len(taps)}-tap low-pass at {cutoff:g} Hz without delay, {1 / step:g} Hz decimated to "
         f"{1 / system.dt:g} Hz; controls held; {margin * step:.2f} s left out at both ends of each part",
@@ -293,10 +297,14 @@ def _signals(log: RawLog, system: System, pose: Array, clock: Clock, rows: slice
     columns = []
     periods = {channel.name: channel.period for channel in system.states}
     for name in system.state_names:
-        if name in log.extra:
-            period, values = periods.get(name), log.extra[name]
+        source = name if name in log.extra else log.rates.get(name, "")
+        if source in log.extra:
+            period, values = periods.get(source), log.extra[source]
             smooth = values if period is None else np.unwrap(values, period=period)
-            columns.append(clock.interpolate(smooth[:, None], rows, samples)[REACH:-REACH, 0])
+            even = clock.interpolate(smooth[:, None], rows, samples)[:, 0]
+            columns.append(
+                even[REACH:-REACH] if source == name else np.convolve(even, STENCIL, mode="valid") / clock.step
+            )
         elif name in derived:
             columns.append(derived[name])
         else:

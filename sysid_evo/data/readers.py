@@ -27,7 +27,8 @@ LEAVE_OUT = (
     "Leave such rows out before importing (where a file has time stamps it is then split there), or fill them yourself."
 )
 DROP = (
-    'Give missing = "drop" in the column map to leave such rows out, which splits the log there, or fill them yourself.'
+    'Give missing = "drop" in the column map to leave such rows out, which splits the log there, or fill them '
+    "yourself. If a command is logged less often than the rest, give its control hold = true (docs/data.md)."
 )
 WORDS = "A command in words needs the number of each in the column map: words = {stop = 0.0, go = 1.0} (docs/data.md)."
 

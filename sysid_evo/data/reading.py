@@ -82,7 +82,15 @@ def read_recording(
             )
     if chosen.time is None:
         notes.append(f"no time column: rows are assumed to be {chosen.dt:g} s apart; lost rows cannot be detected")
-    return Recording(chosen.system(control_limits), tuple(logs), tuple(notes), tuple(remarks))
+    system = chosen.system(control_limits)
+    for position, rate in (("m", "m/s"), ("rad", "rad/s")):
+        positions = [state.name for state in system.states if state.unit == position]
+        if positions and not any(state.unit == rate for state in system.states):
+            notes.append(
+                f"no state is the speed of {', '.join(positions)}; a body with inertia needs it. Log it, or add a "
+                f'state with derivative_of = "{positions[0]}" and unit = "{rate}"'
+            )
+    return Recording(system, tuple(logs), tuple(notes), tuple(remarks))
 
 
 def log_files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
@@ -129,16 +137,33 @@ def paths_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
 def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str]) -> tuple[Table, IntArray]:
     """Return the columns of a log, including text, and the index (N,) of each row among all rows of the file.
 
-    Rows without a number or a command are dropped, if the map allows it, and counted in ``notes``.
+    Rows without a number or a command are dropped, if the map allows it, and counted in ``notes``. A held command is
+    that of the last row with one; the rows before the first one are dropped.
     """
     drop = columns.missing == "drop"
-    reader = find_reader(path, encoding=columns.encoding, gaps=drop)
+    held = {control.column for control in columns.controls.values() if control.hold}
+    reader = find_reader(path, encoding=columns.encoding, gaps=drop or bool(held))
     table = reader.read(path, columns.number_columns)
     worded = [control.column for control in columns.controls.values() if control.words is not None]
     texts = {name: reader.texts(path, name) for name in (*worded, *([condition] if condition else []))}
     places = np.arange(len(table), dtype=np.int64)
-    lacking = {name: np.isnan(values) for name, values in table.columns.items()} if drop else {}
-    lacking |= {name: np.isin(texts[name], MISSING) for name in worded} if drop else {}
+    lacking = {name: np.isnan(values) for name, values in table.columns.items()}
+    lacking |= {name: np.isin(texts[name], MISSING) for name in worded}
+    if not drop:
+        if held and any(gaps.any() for name, gaps in lacking.items() if name not in held.union(worded)):
+            strict = [name for name in columns.number_columns if name not in held]
+            find_reader(path, encoding=columns.encoding).read(path, strict)  # raises the error with row and column
+        lacking = {name: gaps for name, gaps in lacking.items() if name in held}
+    numbers = dict(table.columns)
+    for name in sorted(name for name in held if lacking[name].any()):
+        known = np.count_nonzero(~lacking[name])
+        notes.append(f"{path.name}: {name!r} has a value in {known} of {len(table)} rows; held between")
+        last = np.maximum.accumulate(np.where(lacking[name], -1, places))
+        lacking[name] = last < 0
+        if name in texts:
+            texts[name] = [texts[name][row] for row in last]
+        else:
+            numbers[name] = numbers[name][last]
     gone = np.any([*lacking.values(), np.zeros(len(table), dtype=bool)], axis=0)
     if gone.any():
         counts = ", ".join(f"{name} {rows.sum()}" for name, rows in lacking.items() if rows.any())
@@ -149,9 +174,9 @@ def _read(path: Path, columns: ColumnMap, condition: str | None, notes: list[str
         notes.append(f"{path.name}: {gaps} and are left out, the first is row {first}; the log has gaps there")
         places = places[~gone]
         texts = {name: [values[place] for place in places] for name, values in texts.items()}
-        numbers = {name: values[~gone] for name, values in table.columns.items()}
-        table = Table(path, table.rows[~gone], numbers)
-    return replace(table, texts=texts), places
+        numbers = {name: values[~gone] for name, values in numbers.items()}
+        table = replace(table, rows=table.rows[~gone])
+    return replace(table, columns=numbers, texts=texts), places
 
 
 def _log(table: Table, columns: ColumnMap, places: IntArray, condition: str | None, notes: list[str]) -> RawLog:
@@ -191,6 +216,7 @@ def _log(table: Table, columns: ColumnMap, places: IntArray, condition: str | No
         controls=controls,
         extra={**states, **extra},
         condition=labels,
+        rates=columns.rates,
     )
 
 

@@ -173,7 +173,7 @@ IN_MILLISECONDS = ('column = "t"', 'column = "t"\nunit = "ms"')
         ([clockwise, on_the_spot], [], ["one of them is counted clockwise; give it factor = -1"]),
         ([lambda t: t.update(t=0.5 * t["t"])], [],
          ["log: expected at least 3 rows for each control period of 0.05 s, but rows are 0.025 s apart",
-          "raise dt to 0.075 s, or log every state and set dt to 0.025 s"]),
+          "raise dt to 0.075 s, or set dt to 0.025 s"]),
         ([], [("dt = 0.05", "dt = 0.005")],
          ["column 't': the rows are 0.05 s apart, but dt is 0.005 s, 10 times shorter",
           "Set dt = 0.05 in the column map"]),

@@ -31,6 +31,9 @@ from sysid_evo.errors import InvalidArgument, InvalidData
         ((", high = 1.0", ""), "controls.drive", "both low and high, or neither"),
         (('x = { column = "x", unit = "m" }', ""), "map", "pose: expected x, y, heading, got y, heading"),
         (('column = "t"', 'column = "t"\nunit = "min"'), "time.unit", "'s', 'ms', 'us' or 'ns'"),
+        (('column = "u"', 'column = "u", derivative_of = "v"'), "states.forward_speed", "column or derivative_of"),
+        (('column = "u"', 'derivative_of = "x"'), "map", "derivative_of: expected a state with a column (yaw_rate)"),
+        (('column = "u"', 'derivative_of = "yaw_rate"'), "map", "forward_speed.unit: expected one of rad/s^2, got"),
     ],
 )
 def test_a_wrong_map_is_refused_with_the_path_of_the_key(columns_file, change, where, what):
@@ -47,6 +50,8 @@ def test_a_file_that_is_not_toml_and_one_that_is_not_there(columns_file, tmp_pat
         load_columns(columns_file(('name = "test car"', "name = test car")))
     with pytest.raises(InvalidArgument, match=r"expected a TOML file or one of dart_20hz, .*; found neither"):
         load_columns(tmp_path / "nowhere.toml")
+    with pytest.raises(InvalidArgument, match=r"expected a TOML file or one of dart_20hz, .*; it is a folder"):
+        load_columns(tmp_path)
 
 
 def test_units_and_factors_become_si_units(write_csv, table, columns_file):
@@ -188,6 +193,98 @@ def test_a_periodic_angle_in_degrees_comes_round_after_two_pi(write_csv, tmp_pat
     data = Dataset.read(write_csv({"a": angle, "p": np.linspace(-1.0, 1.0, 50)}), columns=path)
     assert data.system.states[0].period == pytest.approx(2.0 * np.pi)
     np.testing.assert_allclose(np.diff(data.episodes[0].states[:, 0]), np.radians(30.0))
+
+
+MOTOR = """
+name = "motor"
+dt = 0.05
+[time]
+column = "t"
+unit = "ms"
+[states]
+angle = { column = "enc", unit = "deg", periodic = true }
+speed = { derivative_of = "angle", unit = "rad/s" }
+[controls]
+volts = { column = "u", low = -1.0, high = 1.0, hold = true }
+"""
+
+
+@pytest.fixture
+def motor(tmp_path):
+    """A function that writes 4 s of a motor at 100 Hz, whose command stands in every fifth row only; it returns the map
+    and the log."""
+
+    def write(*changes, first=0, command="{:g}"):
+        text = MOTOR
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        time = np.arange(401) / 100.0
+        angle = np.degrees(3.0 * time + 0.5 * np.sin(4.0 * time)) % 360.0
+        rows = ["t,enc,u"]
+        for k, (at, value) in enumerate(zip(time, angle, strict=True)):
+            logged = command.format((-1.0) ** (k // 50)) if k % 5 == 0 and k >= first else ""
+            rows.append(f"{1000 * at:g},{value:.9f},{logged}")
+        (tmp_path / "motor.toml").write_text(text)
+        (tmp_path / "run.csv").write_text("\n".join(rows))
+        return {"columns": tmp_path / "motor.toml", "paths": tmp_path / "run.csv"}
+
+    return write
+
+
+def test_the_speed_of_an_encoder_is_the_derivative_of_its_angle(motor):
+    data = Dataset.read(**motor())
+    (episode,) = data.episodes
+    angle, speed = episode.states.T
+    time = (np.unwrap(angle) - np.unwrap(angle)[0]).searchsorted(0.0) + np.arange(len(angle)) * 0.05 + 0.25
+    np.testing.assert_allclose(speed, 3.0 + 2.0 * np.cos(4.0 * time), atol=0.01)  # the filter loses 0.5 % at 1 Hz
+    assert data.system.states[1].unit == "rad/s"
+    assert "speed from angle (5-point differences)" in " ".join(data.notes)
+
+
+def test_a_held_command_is_that_of_the_last_row_with_one(motor):
+    data = Dataset.read(**motor())
+    (episode,) = data.episodes
+    switches = np.flatnonzero(np.diff(episode.controls[:, 0]))
+    np.testing.assert_array_equal(np.diff(switches), 10)
+    assert "run.csv: 'u' has a value in 81 of 401 rows; held between" in data.notes
+    words = Dataset.read(**motor(("low = -1.0, high = 1.0", 'words = { "+1!" = 1.0, "-1!" = -1.0 }'), command="{:+g}!"))
+    np.testing.assert_array_equal(words.episodes[0].controls, episode.controls)
+
+
+def test_rows_before_the_first_held_command_are_left_out_and_other_missing_numbers_are_an_error(motor):
+    files = motor(first=100)
+    (episode,) = Dataset.read(**files).episodes
+    assert len(episode.states) == len(Dataset.read(**motor()).episodes[0].states) - 20
+    path = motor()["paths"]
+    lines = path.read_text().splitlines()
+    lines[7] = "60,,"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InvalidData, match=r"run.csv, row 8, column 'enc': expected a number, got ''\. Give missing"):
+        Dataset.read(**files)
+
+
+def test_an_angle_without_its_speed_is_noted(motor):
+    rate = 'speed = { derivative_of = "angle", unit = "rad/s" }\n'
+    notes = Dataset.read(**motor((rate, ""))).notes
+    assert sum("no state is the speed of angle" in note and 'derivative_of = "angle"' in note for note in notes) == 1
+    assert not any("no state is the speed" in note for note in Dataset.read(**motor()).notes)
+
+
+def test_a_log_too_slow_for_its_dt_is_not_asked_for_states_that_it_has(motor):
+    rate = 'speed = { derivative_of = "angle", unit = "rad/s" }\n'
+    with pytest.raises(InvalidData, match=r"raise dt to 0.03 s, or log speed and set dt to 0.01 s"):
+        Dataset.read(**motor(("dt = 0.05", "dt = 0.02")))
+    with pytest.raises(InvalidData, match=r"raise dt to 0.03 s, or set dt to 0.01 s"):
+        Dataset.read(**motor(("dt = 0.05", "dt = 0.02"), (rate, "")))
+
+
+def test_a_clock_that_restarts_asks_for_another_file(motor):
+    files = motor()
+    lines = files["paths"].read_text().splitlines()
+    files["paths"].write_text("\n".join([*lines, *lines[1:]]))
+    with pytest.raises(InvalidData, match=r"row 403, .* 0 s is before 4 s in row 402\. If the logger was restarted"):
+        Dataset.read(**files)
 
 
 @pytest.mark.parametrize(
