@@ -179,9 +179,8 @@ class ColumnMap(_Strict):
             raise ValueError(f"pose: expected {wanted}, got {', '.join(self.pose)}")
         for name, unit in pose if self.pose else ():
             _expect_unit(f"pose.{name}", self.pose[name].unit, unit)
-        for name, state in self.states.items():
-            if state.derivative_of is not None:
-                self._expect_rate(name, state)
+        for name in self.rates:
+            self._expect_rate(name, self.states[name])
         from_pose = [name for name in self.differentiated if name not in self.rates]
         underived = [name for name in from_pose if name not in roles.values()]
         if underived:
