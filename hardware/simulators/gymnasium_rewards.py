@@ -11,6 +11,7 @@ import math
 from sysid_evo.angles import TURN
 from sysid_evo.kernels import LANES, Layout, nearest, view
 from sysid_evo.motion_kernels import PER_TURN
+from sysid_evo.tasks.learned_reward import judge_lanes
 
 FASTEST_SWING = 8.0  # rad/s, beyond which the pendulum does not turn
 CART_REACH, POLE_REACH = 2.4, 24.0 * math.pi / 360.0  # m, rad
@@ -100,4 +101,20 @@ def advance(task, before, after, control, trials, trial_data, parameters):
     for lane in range(LANES):
         task[ROWS.fitness * LANES + lane] += reward_of(before, control, after, lane)
         if is_over(after, lane) > 0.0:
+            task[ROWS.alive * LANES + lane] = 0.0
+
+
+LEARNED = Layout("least")
+"""After the table of the states; the parameters of the learned reward follow."""
+
+
+def advance_learned(task, before, after, control, trials, trial_data, parameters):
+    """Add the learned reward of the step, and end the trial where an episode was learned to end."""
+    own = view(parameters, HEAD.size + int(parameters[HEAD.nx]) * STATE.size)
+    scratch = view(task, ROWS.size * LANES)
+    judge_lanes(before, control, after, scratch, view(own, LEARNED.size))
+    for lane in range(LANES):
+        reward = scratch[lane]
+        task[ROWS.fitness * LANES + lane] += reward if reward >= own[LEARNED.least] else own[LEARNED.least]
+        if scratch[LANES + lane] > 0.0:
             task[ROWS.alive * LANES + lane] = 0.0

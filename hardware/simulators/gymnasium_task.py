@@ -10,13 +10,24 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hardware.simulators import gymnasium_rewards
-from hardware.simulators.gymnasium_robot import KNOWN, ActionMap, control_channels, make_environment
+from hardware.simulators.gymnasium_robot import KNOWN
+from hardware.simulators.gymnasium_spaces import (
+    ActionMap,
+    ObservationMap,
+    control_channels,
+    make_environment,
+    observation_map,
+)
+from hardware.simulators.gymnasium_state import KeptSettings, StateSetter, random_steps, state_setter
 from hardware.simulators.simulator import LONGEST_SEED
+from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, TaskKernel
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
-from sysid_evo.tasks.task import Task, TaskState
+from sysid_evo.tasks.learned_reward import LearnedReward, scratch_rows
+from sysid_evo.tasks.reward_fit import fit_reward
+from sysid_evo.tasks.task import LearnedTask, Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds
 
 if TYPE_CHECKING:
@@ -72,10 +83,15 @@ class EnvironmentTask(Task):
     A trial begins where the environment begins an episode with the trial's seed. It ends where the environment
     ends it, or after ``horizon`` steps, by default those of the environment. The controller observes a constant 1, then
     every state: the sine and the cosine of an angle, the distance from rest in units of its scale for any other.
-    The rewards of the classic environments are known as functions and compiled. For any other the environment is put
-    into each state and stepped, which takes some hundred times as long; its attribute ``state`` must hold everything
-    that it depends on, in the order of its states. Rewards below ``lowest`` count as that; by default it is slightly
-    below the rewards of random steps. Raises `IncompatibleTask` if the reward cannot be computed, `InvalidArgument`.
+    ``angle`` and ``settings`` are those of the robot.
+
+    The rewards of the classic environments are known as functions and compiled. Others are ``learned`` from a
+    recording, which `compare` does, with the function `learn_task`; they are compiled, too. With ``exact`` the
+    environment itself is put into each state and stepped instead, which takes some hundred times as long; this is the
+    default of a task that has learned nothing, where `state_setter` finds a way. Rewards below ``lowest`` count as
+    that; by default it is slightly below the rewards of random steps or of the recording. On the environment itself
+    fitness is always the sum of its own rewards. Raises `IncompatibleTask` if the reward is not known,
+    `InvalidArgument`.
     """
 
     fitness_unit = "reward"
@@ -84,39 +100,56 @@ class EnvironmentTask(Task):
         self,
         *,
         id: str = "Pendulum-v1",  # noqa: A002  # as the robot
+        angle: str | int | None = None,
+        settings: Mapping[str, Any] | None = None,
         horizon: int | None = None,
         lowest: float | None = None,
+        learned: str = "",
+        exact: bool = False,
     ) -> None:
         self.id, self.rules, self.known = id, RULES.get(id), KNOWN.get(id)
-        self.asked: QueriedReward | None = None if self.rules is not None else QueriedReward.of(id)
-        found = self.rules or self.asked
-        assert found is not None
-        if self.asked is not None and lowest is not None:
-            self.asked = found = replace(self.asked, least=lowest)
-        elif lowest is not None:
-            raise InvalidArgument(f"task environment: the lowest reward of {id} is known, {found.least:g}")
-        self.horizon = found.horizon if horizon is None else horizon
+        self.angle, self.settings = "" if angle is None else str(angle), dict(settings or {})
+        self.learned = LearnedReward.from_text(learned) if learned else None
+        self.tried: TriedEnvironment | None = None
+        least, longest = 0.0, 0
+        if self.rules is not None:
+            if lowest is not None or learned or exact:
+                what = f"the lowest reward of {id} is known, {self.rules.least:g}" if lowest is not None else ""
+                raise InvalidArgument(f"task environment: {what or f'the reward of {id} is known: it is not learned'}")
+            least, longest = self.rules.least, self.rules.horizon
+        else:
+            self.tried = tried = TriedEnvironment.of(id, self.settings, self.angle)
+            least, longest = tried.least if self.learned is None else self.learned.least, tried.horizon
+            if exact and isinstance(tried.setter, str):
+                raise IncompatibleTask(f"task environment: {tried.setter}, so its reward cannot be computed exactly")
+        self.least = least if lowest is None else lowest
+        self.needs_recording = self.rules is None and self.learned is None and not exact
+        self.horizon = longest if horizon is None else horizon
         if self.horizon < 1:
             raise InvalidArgument(f"task environment: expected a horizon of at least one step, got {horizon}")
-        self.worst = min(0.0, found.least) * self.horizon
+        self.worst = min(0.0, self.least) * self.horizon
 
     @property
     def scale(self) -> tuple[float, ...]:
         """Range of each state."""
         if self.known is not None:
             return self.known.scale
-        assert self.asked is not None
-        return self.asked.scale
+        assert self.tried is not None
+        return self.tried.scale
 
     def check_system(self, system: System) -> None:
         if self.known is None:
-            assert self.asked is not None
-            n, controls = len(self.asked.scale), self.asked.controls
+            assert self.tried is not None
+            n, controls = len(self.tried.scale), self.tried.controls
             if system.nx != n or _size(system.controls) != _size(controls):
                 raise IncompatibleTask(
-                    f"the task of {self.id} needs {n} states, those of the environment itself, and its own "
-                    f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
+                    f"the task of {self.id} needs {n} states, those of the environment itself "
+                    f"({', '.join(channel.name for channel in self.tried.states)}), and its own controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
                     f"controls {', '.join(system.control_names) or 'none'}"
+                )
+            if self.learned is not None and not self.learned.fits(system):
+                raise IncompatibleTask(
+                    f"the reward of {self.id} was learned from another recording: its angles were different ones"
                 )
             return
         for what, own, its in (
@@ -142,7 +175,10 @@ class EnvironmentTask(Task):
         return bound
 
     def begin(self, seeds: Seeds) -> EnvironmentTaskState:
-        states = initial_states(self.id, tuple(seeds.tolist()))
+        if self.tried is None:
+            states = initial_states(self.id, tuple(seeds.tolist()))
+        else:
+            states = self.tried.initial_states(tuple(seeds.tolist()))
         alive = np.ones(len(seeds), dtype=bool)
         return EnvironmentTaskState(
             states.copy(), np.zeros((len(seeds), self.system.n_pose)), alive, np.zeros(len(seeds))
@@ -177,30 +213,68 @@ class EnvironmentTask(Task):
     def fitness(self, task_state: TaskState) -> Array:
         return cast("EnvironmentTaskState", task_state).earned
 
+    def learn(self, dataset: Dataset) -> LearnedTask:
+        reward, quality = fit_reward(dataset)
+        return LearnedTask({"learned": reward.to_text()}, quality.sentences)
+
+    def rewarded_by(self, simulator: str) -> bool:
+        return self.rules is None and simulator == self.id
+
+    def advance_rewarded(self, task_state: TaskState, reward: Array) -> TaskState:
+        here = cast("EnvironmentTaskState", task_state)
+        return replace(here, earned=here.earned + np.where(reward >= self.least, reward, self.least))
+
     def kernel(self) -> TaskKernel[Any] | None:
-        if self.rules is None:
+        if self.rules is None and self.learned is None:
+            self._check_known()
             return None
         states = [
             gymnasium_rewards.STATE.pack(periodic=float(i in self.system.periods), centre=centre, scale=scale)
             for i, (centre, scale) in enumerate(zip(self.system.neutral_state, self.scale, strict=True))
         ]
+        if self.rules is not None:
+            functions = {"reward_of": self.rules.reward, "is_over": self.rules.over}
+            advance, further = KernelSource(gymnasium_rewards.advance, functions), 0
+            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), nx=self.system.nx)
+        else:
+            assert self.learned is not None
+            advance, further = KernelSource(gymnasium_rewards.advance_learned), scratch_rows(self.learned)
+            own = gymnasium_rewards.LEARNED.pack(least=self.least), self.learned.parameters(self.system)
+            parameters = gymnasium_rewards.HEAD.pack(np.concatenate(states), *own, nx=self.system.nx)
         return TaskKernel(
             observe=KernelSource(gymnasium_rewards.observe),
-            advance=KernelSource(
-                gymnasium_rewards.advance, {"reward_of": self.rules.reward, "is_over": self.rules.over}
+            advance=advance,
+            n_rows=gymnasium_rewards.ROWS.size + further,
+            rows=lambda state: np.stack(
+                [
+                    cast("EnvironmentTaskState", state).earned,
+                    state.alive.astype(np.float64),
+                    *np.zeros((further, len(state.alive))),
+                ]
             ),
-            n_rows=gymnasium_rewards.ROWS.size,
-            rows=lambda state: np.stack([cast("EnvironmentTaskState", state).earned, state.alive.astype(np.float64)]),
             trial_data=lambda state: np.zeros((len(state.alive), 1)),
             state=lambda state, rows: replace(cast("EnvironmentTaskState", state), earned=rows[0], alive=rows[1] > 0.0),
-            parameters=gymnasium_rewards.HEAD.pack(np.concatenate(states), nx=self.system.nx),
+            parameters=parameters,
         )
+
+    def _check_known(self) -> None:
+        """Raise `IncompatibleTask` if the reward is neither known nor learned, and cannot be asked."""
+        if self.tried is not None and self.learned is None and isinstance(self.tried.setter, str):
+            raise IncompatibleTask(
+                f"task environment: the reward of {self.id} must be learned from a recording. sysid-evo compare does "
+                "so; in Python learn_task(task, dataset) returns the task. Or write it as a function, register_reward, "
+                f"in a file for --plugin FILE. It cannot be computed exactly: {self.tried.setter}"
+            )
 
     def _judged(self, before: Array, control: Array, after: Array) -> tuple[Array, BoolArray]:
         """Return the rewards of a step (B,), and whether it was the last."""
+        if self.learned is not None:
+            rewards, ended = self.learned.judge(self.system, before, control, after)
+            return np.where(rewards >= self.least, rewards, self.least), ended
         if self.rules is None:
-            assert self.asked is not None
-            return self.asked.judge(before, control, self.system.controls)
+            assert self.tried is not None
+            self._check_known()
+            return self.tried.judge(before, control, self.system.controls, self.least)
         reward, over = np.zeros(len(after)), np.zeros(len(after), dtype=bool)
         for first in range(0, len(after), LANES):
             part = slice(first, first + LANES)
@@ -245,59 +319,46 @@ LONGEST = 500
 
 
 @dataclass(frozen=True)
-class QueriedReward:
-    """The environment called ``id``, whose attribute ``state`` (n,) holds all that its steps depend on.
+class TriedEnvironment:
+    """What some hundred random steps show of the environment called ``id``.
 
-    ``least`` is the lowest reward of some hundred random steps, minus a tenth of their range; ``scale`` (n,) is the
-    range of its states; ``horizon`` the number of steps until its time is up.
+    ``least`` is the lowest reward, minus a tenth of their range; ``scale`` (nx,) is the range of its states;
+    ``horizon`` the number of steps until its time is up; ``setter`` puts it into a state, or is the reason why it
+    cannot be put there.
     """
 
     id: str
     least: float
     scale: tuple[float, ...]
     horizon: int
+    states: tuple[Channel, ...]
+    observations: ObservationMap
+    setter: StateSetter | str
     environment: gymnasium.Env[Any, Any]
 
     @classmethod
-    def of(cls, name: str) -> QueriedReward:
-        """Try the environment called ``name``. Raises `IncompatibleTask` if its reward cannot be computed."""
-        env = make_environment(name, {})
-        inner: Any = env.unwrapped
-        rng = np.random.default_rng(0)
-        env.action_space.seed(0)
-        env.reset(seed=0)
-        kept: Any = getattr(inner, "state", None)
-        if kept is None or np.ndim(kept) != 1:
-            raise IncompatibleTask(
-                f"task environment: {name} has no attribute state, a row of numbers that can be set, so "
-                "its reward cannot be computed. Write it as a function: register_reward"
-            )
-        rewards, seen = [], []
-        for _ in range(TRIED):
-            before, action = np.array(inner.state, dtype=np.float64), env.action_space.sample()
-            seen.append(before)
-            first, again = (_stepped(inner, before, action) for _ in range(2))
-            if not np.array_equal(first, again):
-                raise IncompatibleTask(
-                    f"task environment: {name}, put into the same state twice, continued differently: it depends on "
-                    "more than its state, so its reward cannot be computed. Write it as a function: register_reward"
-                )
-            rewards.append(float(first[-2]))
-            if first[-1]:
-                env.reset(seed=int(rng.integers(2**31)))
-        spread = np.ptp(np.array(seen), axis=0)
-        spec = env.spec
-        horizon = LONGEST if spec is None or spec.max_episode_steps is None else spec.max_episode_steps
-        least = min(rewards) - 0.1 * (max(rewards) - min(rewards))
-        return cls(name, least, tuple(np.where(spread > 0.0, spread, 1.0).tolist()), horizon, env)
+    def of(cls, name: str, settings: Mapping[str, Any], angle: str) -> TriedEnvironment:
+        """Try the environment called ``name``, once in a process."""
+        return _tried(name, angle, KeptSettings.of(settings))
 
-    def judge(self, before: Array, control: Array, controls: tuple[Channel, ...]) -> tuple[Array, BoolArray]:
+    def judge(
+        self, before: Array, control: Array, controls: tuple[Channel, ...], least: float
+    ) -> tuple[Array, BoolArray]:
         """Return the rewards (B,) of steps from states (B, n) under controls (B, nu), and which were the last."""
-        actions = ActionMap(self.environment.action_space, controls)
-        inner: Any = self.environment.unwrapped
-        results = [_stepped(inner, x, actions.action(u))[-2:] for x, u in zip(before, control, strict=True)]
-        rewards, over = np.array(results, dtype=np.float64).reshape(-1, 2).T
-        return np.where(rewards >= self.least, rewards, self.least), over > 0.0
+        assert isinstance(self.setter, StateSetter)
+        actions, env = ActionMap(self.environment.action_space, controls), self.environment
+        rewards, over = np.zeros(len(before)), np.zeros(len(before), dtype=bool)
+        for i, (state, values) in enumerate(zip(before, control, strict=True)):
+            env.reset(seed=0)
+            self.setter.put(env, state)
+            _, reward, over[i], _, _ = env.step(actions.action(values))
+            rewards[i] = float(reward)
+        return np.where(rewards >= least, rewards, least), over
+
+    def initial_states(self, seeds: tuple[int, ...]) -> Array:
+        """Return the state (E, nx) in which it begins with each of the seeds."""
+        begun = [self.environment.reset(seed=seed % LONGEST_SEED)[0] for seed in seeds]
+        return self.observations.state(np.array(begun))
 
     @property
     def controls(self) -> tuple[Channel, ...]:
@@ -305,8 +366,15 @@ class QueriedReward:
         return control_channels(f"task environment: {self.id}", self.environment.action_space)
 
 
-def _stepped(inner: Any, state: Array, action: Any) -> Array:
-    """Return the next state, the reward, and whether it was the last step, of an environment put into ``state``."""
-    inner.state = np.array(state, dtype=np.float64)
-    _, reward, ended, _, _ = inner.step(action)
-    return np.array([*np.ravel(inner.state), float(reward), float(ended)], dtype=np.float64)
+@lru_cache(maxsize=32)
+def _tried(name: str, angle: str, settings: KeptSettings) -> TriedEnvironment:
+    env = make_environment(name, settings.values)
+    observations, channels = observation_map(f"task environment: {name}", env.observation_space, angle)
+    steps = list(random_steps(env, observations, TRIED))
+    rewards, states = [one.reward for one in steps], np.array([one.before for one in steps])
+    spread = np.ptp(states, axis=0)
+    horizon = LONGEST if env.spec is None or env.spec.max_episode_steps is None else env.spec.max_episode_steps
+    least = min(rewards) - 0.1 * (max(rewards) - min(rewards))
+    scale = tuple(np.where(spread > 0.0, spread, 1.0).tolist())
+    setter = state_setter(name, settings.values, observations)
+    return TriedEnvironment(name, least, scale, horizon, channels, observations, setter, env)

@@ -113,6 +113,7 @@ class _Trials:
         seeds: Seeds,
     ) -> None:
         self.system, self.task, self.controller, self.parameters = simulator.system, task, controller, parameters
+        self.rewarded = task.rewarded_by(simulator.name)
         self.seeds, self.grid = seeds, (len(parameters), len(seeds))
         batch = len(parameters) * len(seeds)
         self.sessions = sessions[:batch]
@@ -148,9 +149,12 @@ class _Trials:
             control = self.system.actuate(raw.reshape(len(self.state), self.system.nu))
             if results.sampled(k):
                 self.counts += results.above_and_below(self.state, control, centre) & going[:, None]
-            after, ended = self._step(control, going)
+            after, reward, ended = self._step(control, going)
             going = going & ~self.diverged
-            advanced, _ = self.task.advance(self.task_state, self.state, after, control=control)
+            if self.rewarded:
+                advanced = self.task.advance_rewarded(self.task_state, reward)
+            else:
+                advanced, _ = self.task.advance(self.task_state, self.state, after, control=control)
             self.task_state = self.task_state.updated_where(advanced, going)
             self.state = np.where(going[:, None], after, self.state)
             over |= ended
@@ -160,16 +164,17 @@ class _Trials:
                     self.states[i].append(self.state[i])
                     self.controls[i].append(control[i])
 
-    def _step(self, control: Array, going: BoolArray) -> tuple[Array, BoolArray]:
-        """Return the states after one step (B, nx), and which trials the simulator ended."""
-        after, ended = self.state.copy(), np.zeros(len(going), dtype=bool)
+    def _step(self, control: Array, going: BoolArray) -> tuple[Array, Array, BoolArray]:
+        """Return states (B, nx) and rewards (B,) after one step, and which trials the simulator ended."""
+        after, rewards, ended = self.state.copy(), np.zeros(len(going)), np.zeros(len(going), dtype=bool)
         for i in np.flatnonzero(going):
-            after[i], reward, over, late = self.sessions[i].step(control[i])
+            after[i], rewards[i], over, late = self.sessions[i].step(control[i])
             ended[i] = over or late
-            self.rewards[i].append(reward)
+            self.rewards[i].append(rewards[i])
             self.endings[i] = ending_of(over, late)
         self.diverged |= ~np.isfinite(after).all(axis=1)
-        return self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state), ended
+        after = self.system.unwrap_towards(np.where(np.isfinite(after), after, self.state), self.state)
+        return after, rewards, ended
 
     def trajectories(self) -> list[Trajectory]:
         """Return the recordings of the trials with at least one step."""

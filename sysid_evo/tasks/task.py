@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleTask
 from sysid_evo.kernels import TaskKernel
 from sysid_evo.registry.grammar import Spec
@@ -67,6 +68,9 @@ class Task(ABC):
 
     default_noise: ClassVar[str] = ""
     """Noise of models in evolution, unless the user names another, see `DomainRandomisation`; empty for none."""
+
+    needs_recording: bool = False
+    """Whether the reward is learned from a recording before controllers are evolved, see `learn`."""
 
     horizon: int
     worst: float = 0.0
@@ -154,9 +158,39 @@ class Task(ABC):
         """
         return Scene()
 
+    def learn(self, dataset: Dataset) -> LearnedTask:
+        """Return the parameters with which this task has learned its reward from ``dataset``; none by default."""
+        return LearnedTask({}, ())
+
+    def rewarded_by(self, simulator: str) -> bool:
+        """Return whether fitness on the simulator called ``simulator`` is the sum of the simulator's own rewards."""
+        return False
+
+    def advance_rewarded(self, task_state: Any, reward: Array) -> TaskState:
+        """Return the trials after one step of a simulator with ``reward`` (B,), see `rewarded_by`."""
+        raise NotImplementedError
+
     def kernel(self) -> TaskKernel[Any] | None:
         """Return the compiled form of a bound task, if it has one."""
         return None
+
+
+@dataclass(frozen=True)
+class LearnedTask:
+    """The ``parameters`` that a task has learned from a recording, and ``sentences`` on their held-out errors."""
+
+    parameters: Mapping[str, str]
+    sentences: tuple[str, ...]
+
+
+def learn_task(task: Spec | str, dataset: Dataset) -> Spec:
+    """Return the spec of ``task`` with what it learns from ``dataset``, such as the reward of an environment.
+
+    A task that needs no recording is returned as it is. Raises `InvalidData` if the recording has no rewards.
+    """
+    spec = tasks.check(task)
+    made = make_task(spec)
+    return spec.with_parameters(**made.learn(dataset).parameters) if made.needs_recording else spec
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import pytest
 from hardware.preflight import check_recording
 from hardware.robot import find_robot
 from hardware.run_report import StopReason, StopRequest
-from hardware.simulators.gymnasium_robot import GymnasiumRobot, parse_angles
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_spaces import parse_angles
 from hardware.simulators.gymnasium_task import RULES, EnvironmentTask
 from hardware.testing import check_robot
 from sysid_evo.angles import TURN
@@ -433,10 +434,12 @@ def test_what_is_below_the_least_counts_as_the_least():
     [
         ({"horizon": 0}, InvalidArgument, "a horizon of at least one step, got 0"),
         ({"id": "CartPole-v1"}, IncompatibleTask, "needs the states position, speed, angle, angular_speed"),
-        ({"id": ROTOR}, IncompatibleTask, r"has no attribute state.*register_reward"),
-        ({"id": "Forgetful-v0"}, IncompatibleTask, r"continued differently.*register_reward"),
+        ({"id": ROTOR, "exact": True}, IncompatibleTask, r"has no attribute state.*cannot be computed exactly"),
+        ({"id": "Forgetful-v0", "exact": True}, IncompatibleTask, "continued differently: it depends on more"),
         ({"id": "Nothing-v9"}, InvalidArgument, "cannot make the environment 'Nothing-v9'"),
         ({"id": "CartPole-v1", "lowest": -1.0}, InvalidArgument, "the lowest reward of CartPole-v1 is known, 0"),
+        ({"id": "CartPole-v1", "exact": True}, InvalidArgument, "the reward of CartPole-v1 is known"),
+        ({"id": SLIDER, "learned": "nothing"}, InvalidArgument, "expected the text that was stored with it"),
         ({"id": SLIDER}, IncompatibleTask, "needs 2 states, those of the environment itself"),
     ],
 )

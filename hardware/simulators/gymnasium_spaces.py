@@ -1,0 +1,191 @@
+"""Spaces of Gymnasium environments as channels: observations to states, controls to actions; making environments."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from sysid_evo.angles import TURN
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument
+from sysid_evo.system import Channel
+from sysid_evo.types import Array
+
+if TYPE_CHECKING:
+    import gymnasium
+
+
+def make_environment(name: str, settings: Mapping[str, Any]) -> gymnasium.Env[Any, Any]:
+    """Return the environment called ``name``. Raises `InvalidArgument` with the reason if there is none."""
+    import gymnasium
+
+    try:
+        return gymnasium.make(name, disable_env_checker=True, **settings)
+    except (gymnasium.error.Error, ImportError, TypeError, ValueError) as error:
+        raise InvalidArgument(
+            f"robot gymnasium: cannot make the environment {name!r}: {error}. An environment of your own must be "
+            "registered with Gymnasium: name the file that does so with --plugin FILE"
+        ) from error
+
+
+LARGEST = 1e6
+"""A limit beyond this counts as none."""
+MOST = 64
+"""More observations than this are not a state of a small model but an image."""
+NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+
+
+@dataclass(frozen=True)
+class ObservationMap:
+    """Conversion of observations (n,) to states: each state is one observation, or an angle.
+
+    ``places`` has for each state its observation, or the cosine and the sine of its angle; ``wrapped`` are the states
+    that are angles, from one number or two.
+    """
+
+    places: tuple[tuple[int, ...], ...]
+    wrapped: frozenset[int]
+
+    def state(self, observation: npt.ArrayLike) -> Array:
+        """Return the states (..., nx) of ``observation`` (..., n); angles are in (-pi, pi]."""
+        seen = np.asarray(observation, dtype=np.float64)
+        columns = [
+            np.arctan2(seen[..., place[1]], seen[..., place[0]]) if len(place) == 2 else seen[..., place[0]]
+            for place in self.places
+        ]
+        return np.stack(columns, axis=-1)
+
+
+def parse_angles(what: str, text: str, n: int) -> tuple[tuple[int, ...], ...]:
+    """Return the groups of observations that are angles: ``"0,1; 4"`` is a cosine and its sine, and an angle in rad.
+
+    ``n`` is the number of observations. Raises `InvalidArgument`.
+    """
+    groups = []
+    for part in filter(str.strip, str(text).split(";")):
+        try:
+            group = tuple(int(number) for number in part.split(","))
+        except ValueError:
+            group = ()
+        if len(group) not in (1, 2) or not all(0 <= number < n for number in group):
+            raise InvalidArgument(
+                f"{what}: angle: expected the numbers of a cosine and of its sine, '0,1', or of one angle in rad, '2', "
+                f"several separated by ';', from 0 to {n - 1}; got {part.strip()!r}"
+            )
+        groups.append(group)
+    used = [number for group in groups for number in group]
+    if len(set(used)) < len(used):
+        raise InvalidArgument(f"{what}: angle: an observation occurs in two angles of {text!r}")
+    return tuple(groups)
+
+
+def observation_map(what: str, space: gymnasium.Space[Any], angle: str) -> tuple[ObservationMap, tuple[Channel, ...]]:
+    """Return the conversion of observations in ``space`` to states, and their channels, named by their numbers.
+
+    Raises `IncompatibleSystem` if they are not a plain vector of numbers.
+    """
+    from gymnasium import spaces
+
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1 or not 1 <= space.shape[0] <= MOST:
+        raise IncompatibleSystem(
+            f"{what}: expected a Box of at most {MOST} observations in a row, got {space}. "
+            "Wrap the environment, for example in gymnasium.wrappers.FlattenObservation, and register that"
+        )
+    n = int(space.shape[0])
+    groups = parse_angles(what, angle, n)
+    grouped = {min(group): group for group in groups}
+    inside = {number for group in groups for number in group}
+    places = tuple(grouped.get(i, (i,)) for i in range(n) if i in grouped or i not in inside)
+    wrapped = frozenset(k for k, place in enumerate(places) if place in groups)
+    return ObservationMap(places, wrapped), tuple(
+        Channel(f"angle_{place[0]}", "rad", period=TURN)
+        if k in wrapped
+        else _limited(f"observation_{place[0]}", float(space.low[place[0]]), float(space.high[place[0]]))
+        for k, place in enumerate(places)
+    )
+
+
+def control_channels(what: str, space: gymnasium.Space[Any]) -> tuple[Channel, ...]:
+    """Return the channels of the actions in ``space``; those of discrete actions have the actions as levels.
+
+    Raises `IncompatibleSystem`.
+    """
+    from gymnasium import spaces
+
+    if isinstance(space, spaces.Discrete):
+        return (_levels("control", int(space.n), int(space.start)),)
+    if isinstance(space, spaces.MultiDiscrete) and space.nvec.ndim == 1:
+        starts = np.broadcast_to(getattr(space, "start", 0), space.nvec.shape)
+        return tuple(
+            _levels(f"control_{i}", int(n), int(first))
+            for i, (n, first) in enumerate(zip(space.nvec, starts, strict=True))
+        )
+    if isinstance(space, spaces.MultiBinary) and len(space.shape) == 1:
+        return tuple(_levels(f"control_{i}", 2, 0) for i in range(space.shape[0]))
+    if isinstance(space, spaces.Box) and np.isfinite(space.low).all() and np.isfinite(space.high).all():
+        low, high = space.low.ravel().tolist(), space.high.ravel().tolist()
+        names = ["control"] if len(low) == 1 else [f"control_{i}" for i in range(len(low))]
+        return tuple(Channel(name, low=a, high=b) for name, a, b in zip(names, low, high, strict=True))
+    raise IncompatibleSystem(
+        f"{what}: expected discrete actions or a Box of them with finite limits, got {space}. "
+        "Wrap the environment, for example in gymnasium.wrappers.RescaleAction, and register that"
+    )
+
+
+@dataclass(frozen=True)
+class ActionMap:
+    """Conversion of a control (nu,) in the units of ``controls`` to an action of ``space``."""
+
+    space: gymnasium.Space[Any]
+    controls: tuple[Channel, ...]
+
+    def action(self, control: Array) -> Any:
+        """Return the action of ``control``; a discrete one is rounded to its nearest level."""
+        from gymnasium import spaces
+
+        if isinstance(self.space, spaces.Box):
+            return np.asarray(control, dtype=self.space.dtype).reshape(self.space.shape)
+        chosen = [
+            int(np.abs(np.asarray(channel.levels) - value).argmin())
+            for channel, value in zip(self.controls, control, strict=True)
+        ]
+        if isinstance(self.space, spaces.Discrete):
+            return int(self.space.start) + chosen[0]
+        first = np.asarray(getattr(self.space, "start", 0))
+        return (np.array(chosen) + first).astype(self.space.dtype)
+
+
+def named_channels(what: str, given: str, channels: tuple[Channel, ...]) -> tuple[Channel, ...]:
+    """Return ``channels`` with the names ``given``, separated by commas, each with its unit in brackets if it has one.
+
+    Raises `InvalidArgument` for another number of names.
+    """
+    found = [NAME.fullmatch(name.strip()) for name in given.split(",")]
+    if len(found) != len(channels) or not all(found):
+        raise InvalidArgument(
+            f"{what}: expected {len(channels)} names, as 'position [m], velocity [m/s]', for "
+            f"{', '.join(channel.name for channel in channels)}; got {given!r}"
+        )
+    return tuple(
+        replace(channel, name=match["name"], unit=match["unit"] or channel.unit)
+        for match, channel in zip(found, channels, strict=True)
+        if match is not None
+    )
+
+
+def _limited(name: str, low: float, high: float) -> Channel:
+    """Return a channel with those limits that are finite and not huge."""
+    if not low < high:
+        return Channel(name)
+    return Channel(name, low=low if low > -LARGEST else -np.inf, high=high if high < LARGEST else np.inf)
+
+
+def _levels(name: str, n: int, first: int) -> Channel:
+    if n < 2:
+        raise IncompatibleSystem(f"{name}: expected two or more actions to choose from, got {n}")
+    levels = tuple(float(first + i) for i in range(n))
+    return Channel(name, levels=levels, neutral=levels[0])

@@ -1,0 +1,229 @@
+"""Reward and end of an episode as polynomials of state, control and next state; their reference and compiled forms."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from sysid_evo.angles import TURN
+from sysid_evo.errors import InvalidArgument
+from sysid_evo.kernels import LANES, Layout, nearest, view
+from sysid_evo.system import System
+from sysid_evo.types import Array, BoolArray
+
+
+@dataclass(frozen=True)
+class LearnedReward:
+    """The reward of a step, the end of the episode, and the reward of the step that ends it.
+
+    The features (m,) of a step are the next state (sine and cosine of a periodic one), r of them, then the controls,
+    then the change of each state, all minus ``centre`` and divided by ``scale`` (m,). Polynomials of degree 2 have the
+    coefficients of 1, of the features, and of the products i <= j:
+
+    - ``step`` of all features: the reward of a step that does not end the episode;
+    - ``end``, of the first r: the episode ends where it is positive, and where one of the ``limits`` (k, 3) is passed:
+      sign * (feature - value) > 0, with the columns feature, sign, value;
+    - ``last``, of the first r: the reward of the step that ends it. With two ``levels`` (2,) it is the second of these
+      where the polynomial is positive, else the first.
+
+    ``range`` (4,) are the lowest and highest reward of a step and of the last one.
+    """
+
+    centre: Array
+    scale: Array
+    step: Array
+    end: Array
+    last: Array
+    limits: Array
+    levels: Array
+    range: Array
+
+    @property
+    def n_reached(self) -> int:
+        """The number r of features of the next state."""
+        return _features_in(len(self.end))
+
+    @property
+    def least(self) -> float:
+        """The lowest reward."""
+        return float(min(self.range[0], self.range[2]))
+
+    def judge(self, system: System, before: Array, control: Array, after: Array) -> tuple[Array, BoolArray]:
+        """Return the rewards (B,) of steps, and whether each ended its episode (B,)."""
+        features = (raw_features(system, before, control, after) - self.centre) / self.scale
+        reached = features[:, : self.n_reached]
+        over = polynomial(self.end, reached) > 0.0
+        for place, sign, value in self.limits:
+            over |= sign * (reached[:, int(place)] - value) > 0.0
+        last = polynomial(self.last, reached)
+        if len(self.levels):
+            last = np.where(last > 0.0, self.levels[1], self.levels[0])
+        step = polynomial(self.step, features).clip(*self.range[:2])
+        return np.where(over, last.clip(*self.range[2:]), step), over
+
+    def parameters(self, system: System) -> Array:
+        """Return the parameters of `judge_lanes`, flat."""
+        m, r = len(self.centre), self.n_reached
+        periods = [system.periods.get(i, 0.0) for i in range(system.nx)]
+        tables = (periods, self.centre, 1.0 / self.scale, self.step, self.end, self.last, self.limits)
+        levels = self.levels if len(self.levels) else (0.0, 0.0)
+        starts = np.cumsum([HEAD.size, *(np.size(table) for table in tables)])
+        return HEAD.pack(
+            *tables,
+            **{"nx": system.nx, "nu": system.nu, "m": m, "r": r, "limits": len(self.limits)},
+            **dict(zip(OFFSETS, starts[:-1], strict=True)),
+            **{"two": float(len(self.levels) > 0), "first": levels[0], "second": levels[1]},
+            **dict(zip(("low", "high", "last_low", "last_high"), self.range, strict=True)),
+        )
+
+    def to_text(self) -> str:
+        """Return all arrays as text, for the spec of a task."""
+        arrays = {name: np.asarray(getattr(self, name), dtype=np.float32) for name in ARRAYS}
+        return base64.b64encode(save(arrays)).decode()
+
+    @classmethod
+    def from_text(cls, text: str) -> LearnedReward:
+        """Inverse of `to_text`. Raises `InvalidArgument`."""
+        try:
+            arrays = load(base64.b64decode(text, validate=True))
+            found = cls(**{name: arrays[name].astype(np.float64) for name in ARRAYS})
+        except (binascii.Error, SafetensorError, KeyError, ValueError) as error:
+            raise InvalidArgument(f"learned reward: expected the text that was stored with it: {error}") from error
+        m, r = len(found.centre), found.n_reached
+        shapes = [getattr(found, name).shape for name in ARRAYS]
+        wanted = [(m,), (m,), (n_terms(m),), (n_terms(r),), (n_terms(r),), (len(found.limits), 3), None, (4,)]
+        if any(b is not None and a != b for a, b in zip(shapes, wanted, strict=True)) or r > m:
+            raise InvalidArgument(f"learned reward: its arrays do not fit each other: {shapes}")
+        if not all(np.isfinite(getattr(found, name)).all() for name in ARRAYS):
+            raise InvalidArgument("learned reward: expected finite numbers")
+        return found
+
+    def fits(self, system: System) -> bool:
+        """Return whether it was learned on a system with as many states, controls and periodic states."""
+        r = system.nx + len(system.periods)
+        return self.n_reached == r and len(self.centre) == r + system.nu + system.nx
+
+
+ARRAYS = ("centre", "scale", "step", "end", "last", "limits", "levels", "range")
+
+
+def raw_features(system: System, before: Array, control: Array, after: Array) -> Array:
+    """Return next state, control and change of state (B, m), before they are scaled."""
+    return np.concatenate([system.regressors(after), control, system.difference(after, before)], axis=1)
+
+
+def n_terms(n: int) -> int:
+    """Return the number of terms of a polynomial of degree 2 in ``n`` features."""
+    return 1 + n + n * (n + 1) // 2
+
+
+def _features_in(terms: int) -> int:
+    return int((np.sqrt(8.0 * terms + 1.0) - 3.0) / 2.0 + 0.5)
+
+
+def terms_of(features: Array) -> Array:
+    """Return 1, the features, and their products i <= j, (B, n_terms)."""
+    rows, columns = np.triu_indices(features.shape[1])
+    return np.concatenate([np.ones((len(features), 1)), features, features[:, rows] * features[:, columns]], axis=1)
+
+
+def polynomial(coefficients: Array, features: Array) -> Array:
+    """Return the values (B,) of a polynomial of degree 2 at ``features`` (B, n)."""
+    n = features.shape[1]
+    square = np.zeros((n, n))
+    square[np.triu_indices(n)] = coefficients[1 + n :]
+    values: Array = coefficients[0] + features @ coefficients[1 : 1 + n] + ((features @ square) * features).sum(axis=1)
+    return values
+
+
+OFFSETS = ("periods", "centre", "factor", "step", "end", "last", "bounds")
+HEAD = Layout(
+    "nx", "nu", "m", "r", "limits", *OFFSETS, "two", "first", "second", "low", "high", "last_low", "last_high"
+)
+SUMS = 3
+"""Rows for the values of the three polynomials, before those for the features."""
+
+
+def scratch_rows(learned: LearnedReward) -> int:
+    """Return the number of rows of 64 numbers that `judge_lanes` needs."""
+    return SUMS + len(learned.centre)
+
+
+def polynomial_lanes(value, features, n, coefficients):
+    """Write the values of a polynomial of ``n`` rows of features to the row ``value``."""
+    for lane in range(LANES):
+        value[lane] = coefficients[0]
+    for i in range(n):
+        factor, one = coefficients[1 + i], view(features, i * LANES)
+        if factor != 0.0:
+            for lane in range(LANES):
+                value[lane] += factor * one[lane]
+    place = 1 + n
+    for i in range(n):
+        one = view(features, i * LANES)
+        for j in range(i, n):
+            factor, other = coefficients[place], view(features, j * LANES)
+            if factor != 0.0:
+                for lane in range(LANES):
+                    value[lane] += factor * one[lane] * other[lane]
+            place += 1
+
+
+def judge_lanes(before, control, after, scratch, p):
+    """Write the rewards to row 0 of ``scratch``, and to row 1 a number that is positive where the episode ends."""
+    nx, nu, m, r = int(p[HEAD.nx]), int(p[HEAD.nu]), int(p[HEAD.m]), int(p[HEAD.r])
+    periods, centre, factor = view(p, int(p[HEAD.periods])), view(p, int(p[HEAD.centre])), view(p, int(p[HEAD.factor]))
+    features = view(scratch, SUMS * LANES)
+    row = 0
+    for i in range(nx):
+        value, shown = view(after, i * LANES), view(features, row * LANES)
+        if periods[i] > 0.0:
+            turn = TURN / periods[i]
+            for lane in range(LANES):
+                shown[lane] = math.sin(turn * value[lane])
+                shown[LANES + lane] = math.cos(turn * value[lane])
+            row += 2
+        else:
+            for lane in range(LANES):
+                shown[lane] = value[lane]
+            row += 1
+    for i in range(nu * LANES):
+        features[row * LANES + i] = control[i]
+    row += nu
+    for i in range(nx):
+        value, old, shown = view(after, i * LANES), view(before, i * LANES), view(features, row * LANES)
+        for lane in range(LANES):
+            shown[lane] = value[lane] - old[lane]
+        if periods[i] > 0.0:
+            for lane in range(LANES):
+                shown[lane] -= periods[i] * nearest(shown[lane] / periods[i])
+        row += 1
+    for i in range(m):
+        shown, middle, inverse = view(features, i * LANES), centre[i], factor[i]
+        for lane in range(LANES):
+            shown[lane] = (shown[lane] - middle) * inverse
+    end, last = view(scratch, LANES), view(scratch, 2 * LANES)
+    polynomial_lanes(scratch, features, m, view(p, int(p[HEAD.step])))
+    polynomial_lanes(end, features, r, view(p, int(p[HEAD.end])))
+    polynomial_lanes(last, features, r, view(p, int(p[HEAD.last])))
+    bounds = view(p, int(p[HEAD.bounds]))
+    for k in range(int(p[HEAD.limits])):
+        shown, sign, limit = view(features, int(bounds[3 * k]) * LANES), bounds[3 * k + 1], bounds[3 * k + 2]
+        for lane in range(LANES):
+            beyond = sign * (shown[lane] - limit)
+            end[lane] = beyond if beyond > end[lane] else end[lane]
+    low, high, last_low, last_high = p[HEAD.low], p[HEAD.high], p[HEAD.last_low], p[HEAD.last_high]
+    two, first, second = p[HEAD.two], p[HEAD.first], p[HEAD.second]
+    for lane in range(LANES):
+        final = last[lane]
+        if two > 0.0:
+            final = second if final > 0.0 else first
+        final = min(max(final, last_low), last_high)
+        usual = min(max(scratch[lane], low), high)
+        scratch[lane] = final if end[lane] > 0.0 else usual

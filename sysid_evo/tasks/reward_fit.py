@@ -1,0 +1,352 @@
+"""Fit of the reward and the end of episodes to the recording of an environment, with held-out errors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sysid_evo.data import Dataset
+from sysid_evo.data.trajectory import TERMINATED
+from sysid_evo.errors import InvalidData
+from sysid_evo.tasks.learned_reward import LearnedReward, n_terms, polynomial, raw_features, terms_of
+from sysid_evo.types import Array, BoolArray, IntArray
+
+FOLDS = 5
+EPISODES = 2 * FOLDS
+"""Minimum number of episodes from which whole ones are held out; blocks of time are held out of fewer."""
+MOST_STEPS = 20_000
+"""Number of steps that are used; of more, a random part, but every step that ended an episode."""
+MOST_TERMS = 800
+"""Products are left out of polynomials with more terms."""
+STEPS_PER_TERM = 3
+RIDGES = (1e-6, 1e-3, 1e-1)
+"""Penalties of the coefficients of scaled features, times the number of steps."""
+MARGIN = 1.0
+"""Range of learned rewards beyond the recorded ones, on both sides, as a share of their range."""
+SIMPLER = 1.02
+"""A simpler form is used if its held-out error is at most this multiple of the lowest."""
+FEWEST_ENDS = 3
+HORIZON = 100.0
+"""Steps over which wrong ends are counted when forms of the end are compared."""
+
+
+@dataclass(frozen=True)
+class RewardQuality:
+    """Held-out errors of a learned reward.
+
+    ``error`` and ``last_error`` are root mean squares over the standard deviation, of rewards of steps and of those
+    that ended an episode (nan without ends); ``found`` is the share of recorded ends that were predicted, nan without
+    ends, ``wrong`` the number of wrong ends in 1,000 steps. ``forms`` name what was fitted.
+    """
+
+    steps: int
+    episodes: int
+    ends: int
+    error: float
+    last_error: float
+    found: float
+    wrong: float
+    forms: tuple[str, str, str]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The errors in words."""
+        step, end, last = self.forms
+        said = [
+            f"Learned reward: {step} of state, control and next state; held-out error {100.0 * self.error:.2g} % of "
+            f"its standard deviation ({self.steps:,} steps of {self.episodes:,} episodes)."
+        ]
+        if not self.ends:
+            return (*said, "Learned end: none; no recorded episode was terminated.")
+        said.append(
+            f"Learned end: {end}, from {self.ends} recorded ends; held out, {100.0 * self.found:.0f} % of the ends are "
+            f"found, with {self.wrong:.2g} wrong ones in 1,000 steps."
+        )
+        said.append(f"Reward of the last step: {last}; held-out error {100.0 * self.last_error:.2g} %.")
+        return tuple(said)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """N steps: scaled ``features`` (N, m), ``rewards``, whether they ``ended`` the episode, and their ``fold`` (N,)."""
+
+    features: Array
+    rewards: Array
+    ended: BoolArray
+    fold: IntArray
+    n_reached: int
+
+    @property
+    def reached(self) -> Array:
+        return self.features[:, : self.n_reached]
+
+
+def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
+    """Return reward and end of the episodes of ``dataset``, and their held-out errors.
+
+    Steps that terminated an episode are modelled apart: where episodes end, and the reward there. Truncated episodes
+    have no end. Every part is the form with the lowest error in cross-validation over episodes. Raises `InvalidData`
+    without recorded rewards.
+    """
+    steps, centre, scale = _steps_of(dataset)
+    going, r = ~steps.ended, steps.n_reached
+    step, step_form, error = _fitted(steps.features[going], steps.rewards[going], steps.fold[going])
+    end, limits, end_form, found, wrong = _end(steps)
+    last, levels, last_form, last_error = _last(steps)
+    paid, final = steps.rewards[going], steps.rewards[steps.ended]
+    low, high = (paid.min(), paid.max()) if len(paid) else (final.min(), final.max())
+    final_low, final_high = (final.min(), final.max()) if len(final) else (low, high)
+    wider, final_wider = MARGIN * (high - low), 0.5 * MARGIN * (final_high - final_low)
+    reward = LearnedReward(
+        centre=centre,
+        scale=scale,
+        step=step,
+        end=end,
+        last=last,
+        limits=limits,
+        levels=levels,
+        range=np.array([low - wider, high + wider, final_low - final_wider, final_high + final_wider]),
+    )
+    assert reward.n_reached == r
+    quality = RewardQuality(
+        steps=len(steps.rewards),
+        episodes=len(dataset),
+        ends=int(steps.ended.sum()),
+        error=error,
+        last_error=last_error,
+        found=found,
+        wrong=wrong,
+        forms=(step_form, end_form, last_form),
+    )
+    return LearnedReward.from_text(reward.to_text()), quality  # as it will be read
+
+
+def _steps_of(dataset: Dataset) -> tuple[_Steps, Array, Array]:
+    """Return the steps of all episodes with rewards, scaled, and the centre and scale of their features."""
+    system, parts = dataset.system, []
+    paid = [episode for episode in dataset if episode.rewards is not None]
+    if not paid:
+        raise InvalidData(
+            "the reward of the environment cannot be learned: the recording has no rewards. Record the environment "
+            "again (sysid-evo record --robot 'gymnasium(id=...)'), or give the table a column named reward"
+        )
+    for number, episode in enumerate(paid):
+        rewards, count = episode.rewards, len(episode)
+        assert rewards is not None
+        ended = np.zeros(count, dtype=bool)
+        ended[-1] = episode.ending == TERMINATED
+        fold = np.full(count, number % FOLDS) if len(paid) >= EPISODES else FOLDS * np.arange(count) // count
+        features = raw_features(system, episode.states[:-1], episode.controls, episode.states[1:])
+        parts.append((features, rewards, ended, fold.astype(np.int64)))
+    features, rewards, ended, fold = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    if len(rewards) > MOST_STEPS:
+        kept = np.random.default_rng(0).random(len(rewards)) < MOST_STEPS / len(rewards)
+        kept |= ended
+        features, rewards, ended, fold = features[kept], rewards[kept], ended[kept], fold[kept]
+    centre, scale = features.mean(axis=0), features.std(axis=0)
+    scale = np.where(scale > 1e-9 * np.maximum(1.0, np.abs(centre)), scale, 1.0)
+    n_reached = system.nx + len(system.periods)
+    return _Steps((features - centre) / scale, rewards, ended, fold, n_reached), centre, scale
+
+
+FORMS = ("constant", "linear", "polynomial of degree 2 without products", "polynomial of degree 2")
+
+
+def _columns(form: int, n: int) -> IntArray:
+    """Return the terms of a form, by its place in `FORMS`."""
+    rows, columns = np.triu_indices(n)
+    products = np.flatnonzero(rows == columns) if form == 2 else np.arange(len(rows))
+    parts = [np.zeros(1), 1 + np.arange(n), 1 + n + products]
+    return np.concatenate(parts[: min(form, 2) + 1]).astype(np.int64)
+
+
+def _usable_forms(n: int, count: int) -> list[int]:
+    sizes = [1, 1 + n, 1 + 2 * n, n_terms(n)]
+    return [
+        form
+        for form, size in enumerate(sizes)
+        if form == 0 or (size * STEPS_PER_TERM <= count and (form < 3 or size <= MOST_TERMS))
+    ]
+
+
+def _fitted(features: Array, targets: Array, fold: IntArray) -> tuple[Array, str, float]:
+    """Return coefficients, form and held-out error of a polynomial, chosen by that error."""
+    n = features.shape[1]
+    if not len(targets):
+        return np.zeros(n_terms(n)), FORMS[0], np.nan
+    spread = float(targets.std())
+    if spread <= 1e-9 * max(1.0, float(np.abs(targets).max())):
+        coefficients = np.zeros(n_terms(n))
+        coefficients[0] = targets.mean()
+        return coefficients, FORMS[0], 0.0
+    found: list[tuple[float, int, float]] = []
+    forms = _usable_forms(n, len(targets))
+    whole = terms_of(features)
+    for form in forms:
+        columns = _columns(form, n)
+        for ridge, error in _ridge_errors(whole[:, columns], targets, fold):
+            found.append((error, form, ridge))
+    lowest = min(error for error, *_ in found)
+    error, form, ridge = next(
+        one for one in sorted(found, key=lambda one: (one[1], one[0])) if one[0] <= SIMPLER * lowest
+    )
+    columns = _columns(form, n)
+    coefficients = np.zeros(n_terms(n))
+    chosen = whole[:, columns]
+    coefficients[columns] = _solved(chosen.T @ chosen, chosen.T @ targets, ridge, len(targets))
+    return coefficients, FORMS[form], error / spread
+
+
+def _solved(gram: Array, products: Array, ridge: float, count: int) -> Array:
+    """Return the coefficients of a ridge regression; that of 1, the first, is hardly penalised."""
+    penalty = np.full(len(gram), ridge * count)
+    penalty[0] = 1e-9 * count
+    solution: Array = np.linalg.solve(gram + np.diag(penalty), products)
+    return solution
+
+
+def _ridge_errors(terms: Array, targets: Array, fold: IntArray) -> Iterator[tuple[float, float]]:
+    """Yield each penalty and its root mean square error over the folds."""
+    rows = [np.flatnonzero(fold == k) for k in np.unique(fold)]
+    grams = [(terms[held].T @ terms[held], terms[held].T @ targets[held]) for held in rows]
+    gram, products = sum(one for one, _ in grams), sum(one for _, one in grams)
+    for ridge in RIDGES:
+        squares = 0.0
+        for held, (own, own_products) in zip(rows, grams, strict=True):
+            if len(held) == len(targets):
+                continue
+            w = _solved(gram - own, products - own_products, ridge, len(targets) - len(held))
+            squares += float(((terms[held] @ w - targets[held]) ** 2).sum())
+        yield ridge, float(np.sqrt(squares / len(targets)))
+
+
+NEVER = "none"
+
+
+def _end(steps: _Steps) -> tuple[Array, Array, str, float, float]:
+    """Return score, limits, form, share of the ends found and wrong ends in 1,000 steps of the end of an episode."""
+    r, ended = steps.n_reached, steps.ended
+    never = np.zeros(n_terms(r))
+    never[0] = -1.0
+    none = np.zeros((0, 3))
+    if ended.sum() < FEWEST_ENDS:
+        return never, none, NEVER, 0.0 if ended.any() else np.nan, 0.0
+    results = []
+    for form in END_FORMS:
+        over = np.zeros(len(ended), dtype=bool)
+        for k in np.unique(steps.fold):
+            held = steps.fold == k
+            if held.all() or not ended[~held].any():
+                continue
+            score, limits = _end_of(form, steps.reached[~held], ended[~held])
+            over[held] = _is_over(score, limits, steps.reached[held])
+        found, wrong = float(over[ended].mean()), float(over[~ended].mean()) if (~ended).any() else 0.0
+        results.append((1.0 - found + HORIZON * wrong, form, found, wrong))
+    lowest = min(results)[0]
+    _, form, found, wrong = next(one for one in results if one[0] <= lowest + 0.01)
+    score, limits = _end_of(form, steps.reached, ended)
+    return score, limits, form, found, 1000.0 * wrong
+
+
+END_FORMS = ("limits of states", "linear limit", "quadratic limit")
+
+
+def _is_over(score: Array, limits: Array, reached: Array) -> BoolArray:
+    over: BoolArray = polynomial(score, reached) > 0.0
+    for place, sign, value in limits:
+        over |= sign * (reached[:, int(place)] - value) > 0.0
+    return over
+
+
+def _end_of(form: str, reached: Array, ended: BoolArray) -> tuple[Array, Array]:
+    r = reached.shape[1]
+    score = np.zeros(n_terms(r))
+    score[0] = -1.0
+    if form == END_FORMS[0]:
+        return score, _limits(reached, ended)
+    return _classified(reached, ended, 1 if form == END_FORMS[1] else 3), np.zeros((0, 3))
+
+
+def _limits(reached: Array, ended: BoolArray) -> Array:
+    """Return the limits (k, 3) beyond which all recorded steps ended an episode, until all ends are beyond one."""
+    left, limits = ended.copy(), []
+    enough = max(FEWEST_ENDS - 1, int(0.05 * ended.sum()))
+    while left.any() and len(limits) < 2 * reached.shape[1]:
+        best: tuple[int, int, float, float] | None = None
+        for place in range(reached.shape[1]):
+            for sign in (1.0, -1.0):
+                inside = sign * reached[~ended, place]
+                edge = inside.max() if len(inside) else -np.inf
+                beyond = sign * reached[left, place]
+                beyond = beyond[beyond > edge]
+                if len(beyond) and (best is None or len(beyond) > best[0]):
+                    best = (len(beyond), place, sign, 0.5 * (edge + beyond.min()))
+        if best is None or best[0] < enough:
+            break
+        _, place, sign, edge = best
+        limits.append((place, sign, sign * edge))
+        left &= ~(sign * reached[:, place] > edge)
+    return np.array(limits).reshape(-1, 3)
+
+
+MOST_OTHERS = 5000
+"""Number of steps without an end that a limit is fitted to."""
+
+
+def _classified(reached: Array, positive: BoolArray, form: int) -> Array:
+    """Return the coefficients of a polynomial that is positive where ``positive`` (N,), by logistic regression."""
+    from sklearn.linear_model import LogisticRegression
+
+    r = reached.shape[1]
+    columns = _columns(form, r)
+    coefficients = np.zeros(n_terms(r))
+    if positive.all() or not positive.any():
+        coefficients[0] = 1.0 if positive.all() else -1.0
+        return coefficients
+    others = np.flatnonzero(~positive)
+    kept = np.random.default_rng(0).permutation(others)[:MOST_OTHERS]
+    rows = np.concatenate([np.flatnonzero(positive), kept])
+    weights = np.where(positive[rows], 1.0, len(others) / len(kept))
+    terms = terms_of(reached[rows])[:, columns[1:]]
+    law = LogisticRegression(C=100.0, max_iter=300, tol=1e-3)
+    law.fit(terms, positive[rows], sample_weight=weights)
+    coefficients[columns[1:]] = law.coef_[0]
+    coefficients[0] = law.intercept_[0]
+    return coefficients
+
+
+def _last(steps: _Steps) -> tuple[Array, Array, str, float]:
+    """Return polynomial, levels, form and held-out error of the reward of the step that ends an episode."""
+    ended = steps.ended
+    reached, rewards, fold = steps.reached[ended], steps.rewards[ended], steps.fold[ended]
+    last, form, error = _fitted(reached, rewards, fold)
+    if len(rewards) < 2 * FEWEST_ENDS or error == 0.0:
+        return last, np.zeros(0), form, error
+    order = np.sort(rewards)
+    gap = int(np.argmax(np.diff(order)))
+    edge = 0.5 * (order[gap] + order[gap + 1])
+    upper = rewards > edge
+    if min(upper.sum(), (~upper).sum()) < FEWEST_ENDS:
+        return last, np.zeros(0), form, error
+    held_out = np.zeros(len(rewards))
+    for k in np.unique(fold):
+        held = fold == k
+        if held.all():
+            return last, np.zeros(0), form, error
+        law = _classified(reached[~held], upper[~held], 1)
+        levels = _levels(rewards[~held], edge)
+        held_out[held] = np.where(polynomial(law, reached[held]) > 0.0, levels[1], levels[0])
+    of_two = float(np.sqrt(np.mean((held_out - rewards) ** 2)) / rewards.std())
+    if of_two >= error:
+        return last, np.zeros(0), form, error
+    law = _classified(reached, upper, 1)
+    levels = _levels(rewards, edge)
+    return law, levels, f"{levels[0]:.4g} or {levels[1]:.4g} by a linear limit", of_two
+
+
+def _levels(rewards: Array, edge: float) -> Array:
+    """Return the mean rewards below and above ``edge``, which are equal if there are none on one side."""
+    sides = [rewards[rewards <= edge], rewards[rewards > edge]]
+    return np.array([side.mean() if len(side) else rewards.mean() for side in sides])
