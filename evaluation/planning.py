@@ -21,6 +21,7 @@ from evaluation.cells.controllers import (
     labels_inside,
 )
 from evaluation.cells.data import GivenData, HoldOut, RecordedData
+from evaluation.cells.learned_task import LearnTask, learning_cell, needed
 from evaluation.cells.models import Fit, JudgeFit, LeaveConditionsOut, Predict
 from evaluation.cells.plants import Plant, runner_of
 from evaluation.experiment import BUDGETS, DEFAULT_ROBOT, FILE, Experiment, check_settings, with_task
@@ -78,6 +79,7 @@ class Comparison:
     exploitability: Cell[AssessExploitability] | None = None
     conditions: Mapping[str, Cell[LeaveConditionsOut]] = field(default_factory=dict)
     judged: Mapping[str, Cell[JudgeFit]] = field(default_factory=dict)
+    learned: Cell[LearnTask] | None = None
 
     @property
     def title(self) -> str:
@@ -120,10 +122,11 @@ def plan_comparison(
         predictions[PERSISTENCE] = Predict(PERSISTENCE, PERSISTENCE, data).cell()
         for label, fit in fits.items():
             predictions[label] = Predict(label, fit.settings.spec.name, data, fit).cell()
-    matrix, exploitability = None, None
+    matrix, exploitability, learned = None, None, None
     if experiment.stop_after is None:
         column = _robot_column(experiment, robot, system, remarks)
         _check_control(evolution, system)
+        learned = learning_cell(evolution.task, data, dataset)
         farthest = _farthest(dataset, robot)
         if farthest is not None:
             remarks += evolution.make_task(system).feasibility_warnings(farthest)
@@ -139,7 +142,8 @@ def plan_comparison(
             column,
             ensembles,
             tuple(measured),
-            _baselines(experiment, evolution, system, fits),
+            _baselines(experiment, evolution, system, fits, learned),
+            learned,
             reference=reference,
         )
         if column is not None and column.timed:
@@ -159,11 +163,12 @@ def plan_comparison(
     )
     advice = Advise(data, fits, predictions, matrix, experiment.seed).cell()
     wanted: list[Cell] = [data, *fits.values(), *predictions.values(), *without.values(), *judged.values()]
+    wanted += needed(learned)
     if matrix is not None and exploitability is not None:
         wanted += [*matrix.controllers, *matrix.runs, exploitability]
     wanted.append(advice)
     plan = Plan.of(wanted, remarks=remarks)
-    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged)
+    return Comparison(settled, plan, data, fits, predictions, advice, matrix, exploitability, without, judged, learned)
 
 
 def comparison_of(run: Path) -> tuple[Comparison, tuple[str, ...]]:
@@ -354,6 +359,7 @@ def _baselines(
     evolution: ControllerEvolution,
     system: System,
     fits: Mapping[str, Cell[Fit]],
+    learned: Cell[LearnTask] | None,
 ) -> tuple[ControllerCell, ...]:
     """Return the cells of controllers that need no evolution. Raises if one cannot be made, or cannot do the task.
 
@@ -377,7 +383,7 @@ def _baselines(
                 Champion.baseline(spec, evolution.task, system)
             except UnknownName as error:
                 raise UnknownName(f"baselines: {spec}: {error}; the models compared are {', '.join(fits)}") from error
-        cells.append(Baseline(spec, evolution.task, system, inside).cell())
+        cells.append(Baseline(spec, evolution.task, system, inside, learned).cell())
     return tuple(cells)
 
 
@@ -389,6 +395,7 @@ def _matrix(
     ensembles: tuple[tuple[str, ...], ...],
     measured: tuple[MeasuredResult, ...],
     baselines: tuple[ControllerCell, ...],
+    learned: Cell[LearnTask] | None,
     *,
     reference: bool,
 ) -> PlannedMatrix:
@@ -398,14 +405,18 @@ def _matrix(
     groups += [tuple(by_label[member] for member in members) for members in ensembles]
     if robot is not None and reference:
         groups.append((robot,))
-    evolved = tuple(Evolve(members, evolution_on(experiment, members), experiment.seed).cell() for members in groups)
+    evolved = tuple(
+        Evolve(members, evolution_on(experiment, members), experiment.seed, learned).cell() for members in groups
+    )
     champions: tuple[ControllerCell, ...] = evolved
     if experiment.budget.procedure == "recommended":
         champions = tuple(chosen_cell(experiment, (cell,), models) for cell in evolved)
         if len(models) > 1:
             several = tuple(cell for cell in evolved if len(cell.settings.members) > 1)
             champions += (
-                controller_cell(experiment, models, judges=models, label=POLISHED, sift=True, further=several),
+                controller_cell(
+                    experiment, models, judges=models, label=POLISHED, sift=True, further=several, learned=learned
+                ),
             )
     champions += baselines
     names = [champion.name for champion in champions]

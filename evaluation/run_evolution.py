@@ -10,6 +10,8 @@ from evaluation.advice.evidence import Remark
 from evaluation.advice.regions import driven_outside
 from evaluation.cells.assessment import Run, SearchExploit
 from evaluation.cells.controllers import Choose, ControllerCell, Polish, controller_cell, evolution_settings
+from evaluation.cells.data import DATA
+from evaluation.cells.learned_task import LearnTask, learning_cell
 from evaluation.cells.plants import Plant
 from evaluation.experiment import Experiment, with_task
 from evaluation.exploitability.assessment import assess_exploitability
@@ -37,6 +39,7 @@ from sysid_evo.evolution import Champion, delayed_runner
 from sysid_evo.evolution.champion import load_champion
 from sysid_evo.models import Dynamics, DynamicsModel
 from sysid_evo.plan import Cell, Plan, Store
+from sysid_evo.registry import Spec
 from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 
@@ -96,7 +99,8 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     experiment = with_task(experiment, [column.robot for column in columns])
     remarks = check_evolution(store, columns, evolution_settings(experiment))
     others = other_models(store, columns)
-    champion = controller_cell(experiment, columns, judges=columns + others)
+    learned = _learned(evolution_settings(experiment).task, (*columns, *others))
+    champion = controller_cell(experiment, columns, judges=columns + others, learned=learned)
 
     def on(column: Plant) -> Cell[Run]:
         return Run(champion, column, experiment.estimator_delay, CLAIM_TRIALS, 0, experiment.seed).cell()
@@ -110,6 +114,12 @@ def plan_evolution(experiment: Experiment, store: Store, members: Sequence[str])
     predictions = [found for run in judged if (found := run.settings.column.prediction) is not None]
     plan = Plan.of([champion, *claims, *elsewhere, *predictions])
     return EvolutionPlan(columns, champion, claims, elsewhere, plan, remarks)
+
+
+def _learned(task: Spec, columns: Sequence[Plant]) -> Cell[LearnTask] | None:
+    """Return the cell in which ``task`` learns its reward from the data of the first model that was fitted to some."""
+    data = [need for column in columns for cell in column.needs for need in cell.needs if need.kind == DATA]
+    return learning_cell(task, data[0]) if data else None
 
 
 def evolution_result(planned: EvolutionPlan, store: Store) -> EvolutionResult:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeAlias
 
+from evaluation.cells.learned_task import LearnTask, learned_task, needed, with_learned_task
 from evaluation.cells.models import file_digests, files_of, named_files
 from evaluation.cells.plants import (
     ACCURATE,
@@ -64,6 +65,7 @@ class Evolve(CellSettings):
     members: tuple[Plant, ...]
     evolution: ControllerEvolution
     seed: int
+    learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Evolve]:
         """Return the cell of the controller."""
@@ -74,7 +76,7 @@ class Evolve(CellSettings):
             name=self.name,
             title=f"evolve {self.name}",
             settings=self,
-            needs=tuple(cell for member in self.members for cell in member.needs),
+            needs=(*(cell for member in self.members for cell in member.needs), *needed(self.learned)),
             labels={"name": self.name, "against": labels_of(self.members)},
             expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
             resumable=True,
@@ -119,7 +121,7 @@ class Evolve(CellSettings):
             self.name,
             runners(self.members, work),
             self.members[0].system(work),
-            self.evolution,
+            with_learned_task(self.evolution, self.learned, work),
             seed=cell_seed(self.seed, f"evolve {names}"),
             checkpoint=CheckpointFile(work.checkpoint),
             progress=work.progress,
@@ -204,6 +206,7 @@ class Polish(CellSettings):
     seed: int
     label: str = POLISHED
     sift: bool = False
+    learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Polish]:
         """Return the cell of the controller."""
@@ -216,6 +219,7 @@ class Polish(CellSettings):
             needs=(
                 self.chosen,
                 *(cell for m in self.members for cell in (m.needs_with_prediction if self.sift else m.needs)),
+                *needed(self.learned),
             ),
             labels={"name": self.label, "against": labels_of(self.members)},
             expected_seconds=rollouts * STEPS * sum(member.step_seconds() for member in self.members),
@@ -241,7 +245,7 @@ class Polish(CellSettings):
             self.label,
             champion,
             runners(accurate_plants(members, work) if self.sift else members, work),
-            self.evolution,
+            with_learned_task(self.evolution, self.learned, work),
             seed=cell_seed(self.seed, "polish"),
             starts=self.starts,
             generations=self.generations,
@@ -267,6 +271,7 @@ class Baseline(CellSettings):
     task: Spec
     system: System
     models: Mapping[str, Cell] = field(default_factory=dict)
+    learned: Cell[LearnTask] | None = None
 
     def cell(self) -> Cell[Baseline]:
         """Return the cell of the controller."""
@@ -275,7 +280,7 @@ class Baseline(CellSettings):
             name=self.spec.label,
             title=f"make {self.spec.label}",
             settings=self,
-            needs=tuple(self.models.values()),
+            needs=(*self.models.values(), *needed(self.learned)),
             labels={"name": self.spec.label},
             local_only=bool(self.models) or any(named_files(self.spec)),
         )
@@ -291,7 +296,8 @@ class Baseline(CellSettings):
 
     def compute(self, work: CellContext) -> Champion:
         files = {label: f"{work.path_of(cell).resolve()}.json" for label, cell in self.models.items()}
-        return Champion.baseline(named_models(self.spec, files), self.task, self.system)
+        task = learned_task(self.task, self.learned, work)
+        return Champion.baseline(named_models(self.spec, files), task, self.system)
 
 
 ControllerCell: TypeAlias = Cell[Evolve | Choose | Polish | Baseline]
@@ -390,25 +396,37 @@ def controller_cell(
     label: str | None = None,
     sift: bool = False,
     further: tuple[Cell[Evolve], ...] = (),
+    learned: Cell[LearnTask] | None = None,
 ) -> ControllerCell:
     """Return the cell of one controller against all of ``members``, by the procedure of ``experiment``.
 
     The recommended procedure searches in each member alone, chooses the best by their median on those of ``judges``
     that are models of other families and predict well, and polishes them on all members at once; with ``sift`` on
     those that predict well. Such a controller is called ``label``, by default after its members. The finalists of
-    ``further`` evolutions, in several models at once, can be chosen, too.
+    ``further`` evolutions, in several models at once, can be chosen, too. ``learned`` is the cell in which the task
+    learns its reward, if it does.
     """
     evolution = evolution_on(experiment, members)
     if experiment.budget.procedure == "plain":
-        return Evolve(members, evolution, experiment.seed).cell()
+        return Evolve(members, evolution, experiment.seed, learned).cell()
     models = tuple(column for column in judges if column.robot is None)
-    singles = tuple(Evolve((one,), evolution_on(experiment, (one,)), experiment.seed).cell() for one in members)
+    singles = tuple(
+        Evolve((one,), evolution_on(experiment, (one,)), experiment.seed, learned).cell() for one in members
+    )
     if len(members) == 1:
         return chosen_cell(experiment, singles, models)
     chosen = Choose((*singles, *further), models, experiment.selection_trials, experiment.seed).cell()
     name = label or ensemble_name(labels_of(members), experiment.aggregate)
     polished = Polish(
-        chosen, members, evolution, experiment.budget.polish_generations, MOST_POLISHED, experiment.seed, name, sift
+        chosen,
+        members,
+        evolution,
+        experiment.budget.polish_generations,
+        MOST_POLISHED,
+        experiment.seed,
+        name,
+        sift,
+        learned,
     )
     return polished.cell()
 

@@ -63,8 +63,9 @@ class GymnasiumRobot(SimulatorRobot):
         check_text("robot gymnasium: id", id)
         check_installed("robot 'gymnasium'", self.requires)
         angle = None if angle is None else str(angle)
-        changed = {"id": id, **({"angle": angle} if angle else {}), **({"settings": dict(settings)} if settings else {})}
-        self.default_task = Spec("environment", changed).text
+        further = {name: value for name, value in (("angle", angle), ("settings", dict(settings or {}))) if value}
+        inside = Spec("", further).text.removeprefix("(").removesuffix(")")
+        self.default_task = f'environment(id="{id}"{", " if further else ""}{inside})'
         super().__init__(
             GymnasiumSimulator.describe(
                 id, angle=angle, channels=channels, controls=controls, dt=dt, settings=dict(settings or {})

@@ -29,8 +29,8 @@ class LearnedReward:
     - ``step`` of all features: the reward of a step that does not end the episode;
     - ``end``, of the first r: the episode ends where it is positive, and where one of the ``limits`` (k, 3) is passed:
       sign * (feature - value) > 0, with the columns feature, sign, value;
-    - ``last``, of the first r: the reward of the step that ends it. With two ``levels`` (2,) it is the second of these
-      where the polynomial is positive, else the first.
+    - ``last``, of the first r, or of all: the reward of the step that ends it. With two ``levels`` (2,) it is the
+      second of these where the polynomial is positive, else the first.
 
     ``range`` (4,) are the lowest and highest reward of a step and of the last one.
     """
@@ -61,7 +61,7 @@ class LearnedReward:
         over = polynomial(self.end, reached) > 0.0
         for place, sign, value in self.limits:
             over |= sign * (reached[:, int(place)] - value) > 0.0
-        last = polynomial(self.last, reached)
+        last = polynomial(self.last, features[:, : _features_in(len(self.last))])
         if len(self.levels):
             last = np.where(last > 0.0, self.levels[1], self.levels[0])
         step = polynomial(self.step, features).clip(*self.range[:2])
@@ -77,6 +77,7 @@ class LearnedReward:
         return HEAD.pack(
             *tables,
             **{"nx": system.nx, "nu": system.nu, "m": m, "r": r, "limits": len(self.limits)},
+            n_last=_features_in(len(self.last)),
             **dict(zip(OFFSETS, starts[:-1], strict=True)),
             **{"two": float(len(self.levels) > 0), "first": levels[0], "second": levels[1]},
             **dict(zip(("low", "high", "last_low", "last_high"), self.range, strict=True)),
@@ -97,7 +98,8 @@ class LearnedReward:
             raise InvalidArgument(f"learned reward: expected the text that was stored with it: {error}") from error
         m, r = len(found.centre), found.n_reached
         shapes = [getattr(found, name).shape for name in ARRAYS]
-        wanted = [(m,), (m,), (n_terms(m),), (n_terms(r),), (n_terms(r),), (len(found.limits), 3), None, (4,)]
+        last = (n_terms(m if len(found.last) == n_terms(m) else r),)
+        wanted = [(m,), (m,), (n_terms(m),), (n_terms(r),), last, (len(found.limits), 3), None, (4,)]
         if any(b is not None and a != b for a, b in zip(shapes, wanted, strict=True)) or r > m:
             raise InvalidArgument(f"learned reward: its arrays do not fit each other: {shapes}")
         if not all(np.isfinite(getattr(found, name)).all() for name in ARRAYS):
@@ -144,7 +146,7 @@ def polynomial(coefficients: Array, features: Array) -> Array:
 
 OFFSETS = ("periods", "centre", "factor", "step", "end", "last", "bounds")
 HEAD = Layout(
-    "nx", "nu", "m", "r", "limits", *OFFSETS, "two", "first", "second", "low", "high", "last_low", "last_high"
+    "nx", "nu", "m", "r", "n_last", "limits", *OFFSETS, "two", "first", "second", "low", "high", "last_low", "last_high"
 )
 SUMS = 3
 """Rows for the values of the three polynomials, before those for the features."""
@@ -211,7 +213,7 @@ def judge_lanes(before, control, after, scratch, p):
     end, last = view(scratch, LANES), view(scratch, 2 * LANES)
     polynomial_lanes(scratch, features, m, view(p, int(p[HEAD.step])))
     polynomial_lanes(end, features, r, view(p, int(p[HEAD.end])))
-    polynomial_lanes(last, features, r, view(p, int(p[HEAD.last])))
+    polynomial_lanes(last, features, int(p[HEAD.n_last]), view(p, int(p[HEAD.last])))
     bounds = view(p, int(p[HEAD.bounds]))
     for k in range(int(p[HEAD.limits])):
         shown, sign, limit = view(features, int(bounds[3 * k]) * LANES), bounds[3 * k + 1], bounds[3 * k + 2]

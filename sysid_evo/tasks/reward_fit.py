@@ -28,7 +28,7 @@ MARGIN = 1.0
 SIMPLER = 1.02
 """A simpler form is used if its held-out error is at most this multiple of the lowest."""
 FEWEST_ENDS = 3
-HORIZON = 100.0
+HORIZON = 20.0
 """Steps over which wrong ends are counted when forms of the end are compared."""
 
 
@@ -94,7 +94,7 @@ def fit_reward(dataset: Dataset) -> tuple[LearnedReward, RewardQuality]:
     going, r = ~steps.ended, steps.n_reached
     step, step_form, error = _fitted(steps.features[going], steps.rewards[going], steps.fold[going])
     end, limits, end_form, found, wrong = _end(steps)
-    last, levels, last_form, last_error = _last(steps)
+    last, levels, last_form, last_error = _last(steps, step)
     paid, final = steps.rewards[going], steps.rewards[steps.ended]
     low, high = (paid.min(), paid.max()) if len(paid) else (final.min(), final.max())
     final_low, final_high = (final.min(), final.max()) if len(final) else (low, high)
@@ -291,6 +291,8 @@ def _limits(reached: Array, ended: BoolArray) -> Array:
     return np.array(limits).reshape(-1, 3)
 
 
+SHARPNESS = 1e4
+"""Inverse penalty of logistic regression: limits are sharp."""
 MOST_OTHERS = 5000
 """Number of steps without an end that a limit is fitted to."""
 
@@ -310,18 +312,23 @@ def _classified(reached: Array, positive: BoolArray, form: int) -> Array:
     rows = np.concatenate([np.flatnonzero(positive), kept])
     weights = np.where(positive[rows], 1.0, len(others) / len(kept))
     terms = terms_of(reached[rows])[:, columns[1:]]
-    law = LogisticRegression(C=100.0, max_iter=300, tol=1e-3)
+    law = LogisticRegression(C=SHARPNESS, max_iter=2000, tol=1e-4)
     law.fit(terms, positive[rows], sample_weight=weights)
     coefficients[columns[1:]] = law.coef_[0]
     coefficients[0] = law.intercept_[0]
     return coefficients
 
 
-def _last(steps: _Steps) -> tuple[Array, Array, str, float]:
+def _last(steps: _Steps, step: Array) -> tuple[Array, Array, str, float]:
     """Return polynomial, levels, form and held-out error of the reward of the step that ends an episode."""
     ended = steps.ended
     reached, rewards, fold = steps.reached[ended], steps.rewards[ended], steps.fold[ended]
     last, form, error = _fitted(reached, rewards, fold)
+    if error > 0.0:
+        off = polynomial(step, steps.features[ended]) - rewards
+        of_step = float(np.sqrt(np.mean(off**2)) / rewards.std())
+        if of_step <= error:
+            return step, np.zeros(0), "as of any other step", of_step
     if len(rewards) < 2 * FEWEST_ENDS or error == 0.0:
         return last, np.zeros(0), form, error
     order = np.sort(rewards)

@@ -1,0 +1,162 @@
+"""Environments of others: their state is set where that can be checked, else their reward is learned."""
+
+import numpy as np
+import pytest
+
+from hardware.simulators.gymnasium_robot import GymnasiumRobot
+from hardware.simulators.gymnasium_state import AttributeState, MethodState, MujocoState
+from hardware.simulators.gymnasium_task import EnvironmentTask
+from sysid_evo.controllers import RecurrentNetwork
+from sysid_evo.engine import DynamicsRunner
+from sysid_evo.errors import IncompatibleTask
+from sysid_evo.models.base import make_model
+from sysid_evo.randomness import trial_seeds
+from sysid_evo.tasks.reward_fit import fit_reward
+from sysid_evo.tasks.task import learn_task, make_task
+from sysid_evo.testing import check_task
+from tests.fixtures import environments
+
+ROTOR, SLIDER = "Rotor-v0", "Slider-v0"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    environments.register()
+
+
+def robot_of(name, **parameters):
+    return GymnasiumRobot(id=name, **parameters)
+
+
+def learned(robot, steps=4000):
+    data = robot.record(seed=1, duration=steps * robot.system.dt).dataset
+    return learn_task(robot.default_task, data), data
+
+
+def network(task, system, candidates):
+    controller = RecurrentNetwork(hidden=3)
+    size = controller.bind(len(task.bind(system).observations), system.nu).n_parameters
+    return controller, np.random.default_rng(0).standard_normal((candidates, size))
+
+
+def test_a_learned_task_keeps_the_contract_and_its_compiled_form_agrees():
+    for robot in (robot_of(ROTOR), robot_of(ROTOR, angle="1,2"), robot_of(SLIDER)):
+        task, _ = learned(robot, 1000)
+        check_task("environment", robot.system, **task.parameters, horizon=30)
+
+
+def test_the_task_of_a_robot_has_its_angles_and_settings():
+    task = make_task(robot_of(ROTOR, angle="1,2", settings={"limit": 2.0}).default_task)
+    assert (task.angle, task.settings) == ("1,2", {"limit": 2.0})
+    assert task.tried.controls[0].high == 2.0
+    assert [channel.name for channel in task.tried.states] == ["observation_0", "angle_1"]
+
+
+def test_claims_with_a_learned_reward_are_what_the_environment_pays():
+    robot = robot_of(ROTOR, angle="1,2")
+    spec, data = learned(robot, 16_000)
+    model, task = make_model("linear").fit(data), make_task(spec)
+    controller, parameters = network(task, robot.system, candidates=8)
+    runners = DynamicsRunner(model), robot.runner()
+    own, paid = (one.bind(controller, task)(parameters, trial_seeds(3, 5)).fitness.mean(axis=1) for one in runners)
+    np.testing.assert_allclose(own, paid, atol=0.03 * np.ptp(paid))
+
+
+def test_on_the_environment_itself_fitness_is_the_sum_of_its_own_rewards():
+    robot = robot_of(ROTOR, angle="1,2")
+    task = make_task(learned(robot, 1000)[0])
+    controller, parameters = network(task, robot.system, candidates=2)
+    run = robot.runner().bind(controller, task)(parameters, trial_seeds(8, 3), record=True)
+    for episode, fitness in zip(run.trajectories, run.fitness.ravel(), strict=True):
+        assert fitness == pytest.approx(episode.total_reward, abs=1e-9)
+        assert fitness == pytest.approx(-(episode.states[1:, 0] ** 2).sum(), abs=1e-4)
+
+
+def test_a_trial_begins_where_an_episode_of_the_environment_does_with_its_seed():
+    robot, seeds = robot_of(ROTOR, angle="1,2"), trial_seeds(4, 3)
+    starts = make_task(robot.default_task).bind(robot.system).begin(seeds).state
+    with robot.simulator.open() as session:
+        np.testing.assert_array_equal(starts, [session.reset(int(seed)) for seed in seeds])
+
+
+def test_a_task_that_has_learned_nothing_and_cannot_ask_says_what_to_do():
+    robot = robot_of(ROTOR)
+    task = make_task(robot.default_task).bind(robot.system)
+    assert task.needs_recording
+    with pytest.raises(IncompatibleTask, match=r"must be learned from a recording.*learn_task.*--plugin FILE"):
+        task.kernel()
+
+
+class Held(environments.Slider):
+    """A block with methods in place of the attribute."""
+
+    def get_state(self):
+        return self.state
+
+    def set_state(self, state):
+        self.state = state
+
+
+class Hidden(environments.Slider):
+    """A block whose ``state`` has an offset."""
+
+    def reset(self, **options):
+        observation, info = super().reset(**options)
+        return observation + 1.0, info
+
+    def step(self, action):
+        observation, *others = super().step(action)
+        return observation + 1.0, *others
+
+
+def test_an_environment_is_put_into_a_state_by_what_it_offers_if_it_then_makes_the_same_steps():
+    import gymnasium
+
+    for name, kind in (("Held-v0", Held), ("Hidden-v0", Hidden)):
+        if name not in gymnasium.registry:
+            gymnasium.register(name, entry_point=kind, max_episode_steps=40)
+    assert robot_of(SLIDER).simulator.setter == AttributeState()
+    assert isinstance(robot_of("Held-v0").simulator.setter, AttributeState | MethodState)
+    for name in ("Hidden-v0", "Forgetful-v0", ROTOR):
+        assert robot_of(name).simulator.setter is None
+
+
+@pytest.mark.parametrize(
+    "name", ["InvertedPendulum-v5", "InvertedDoublePendulum-v5", "Reacher-v5", "Swimmer-v5", "Hopper-v5"]
+)
+def test_a_mujoco_simulation_is_put_into_the_state_of_its_observation(name):
+    pytest.importorskip("mujoco")
+    robot = robot_of(name)
+    assert isinstance(robot.simulator.setter, MujocoState)
+    task = EnvironmentTask(id=name, exact=True).bind(robot.system)
+    rng, paid, asked = np.random.default_rng(0), [], []
+    with robot.simulator.open() as session:
+        state = session.reset(5)
+        for _ in range(40):
+            control = robot.system.actuate(rng.uniform(-1.0, 1.0, robot.system.nu))
+            after, reward, over, _ = session.step(control)
+            trial, _ = task.advance(task.begin(trial_seeds(0, 1)), state[None], after[None], control=control[None])
+            assert trial.alive[0] == (not over)
+            paid.append(max(reward, task.least))
+            asked.append(task.fitness(trial)[0])
+            state = session.reset(6) if over else after
+    np.testing.assert_allclose(asked, paid, atol=1e-3 * (np.ptp(paid) + 0.01))
+
+
+@pytest.mark.parametrize("name", ["InvertedPendulum-v5", "InvertedDoublePendulum-v5", "Reacher-v5"])
+def test_the_reward_and_the_end_of_a_mujoco_environment_are_learned_from_a_recording(name):
+    pytest.importorskip("mujoco")
+    robot = robot_of(name)
+    spec, data = learned(robot)
+    _, quality = fit_reward(data)
+    assert quality.error < 0.05
+    assert np.isnan(quality.found) or quality.found > 0.8
+    check_task("environment", robot.system, **spec.parameters, horizon=20)
+
+
+def test_an_environment_of_box2d_is_learned_too():
+    pytest.importorskip("Box2D")
+    robot = robot_of("LunarLander-v3", settings={"continuous": True})
+    spec, _ = learned(robot, 1600)
+    assert make_task(spec).learned is not None
+    assert robot.system.nu == 2

@@ -1,0 +1,136 @@
+"""A learned reward recovers what made it: the reward of a step, where episodes end, and the reward there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sysid_evo.data import Dataset, Trajectory
+from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.system import Channel, System
+from sysid_evo.tasks.learned_reward import LearnedReward, terms_of
+from sysid_evo.tasks.reward_fit import fit_reward
+
+SYSTEM = System((Channel("x"), Channel("v")), (Channel("u", low=-1.0, high=1.0),), 0.1)
+
+
+def made(reward, ends=None, last=None, episodes=40, steps=60, seed=0, system=SYSTEM):
+    """Return episodes of a block that is pushed, with ``reward(x, u, x')``, ended where ``ends(x')``."""
+    rng, found = np.random.default_rng(seed), []
+    for number in range(episodes):
+        states, controls, rewards, ending = [rng.uniform(-1.0, 1.0, 2)], [], [], "truncated"
+        for _ in range(steps):
+            x, u = states[-1], rng.uniform(-1.0, 1.0, 1)
+            after = np.array([x[0] + 0.1 * x[1], 0.95 * x[1] + u[0]])
+            over = ends is not None and bool(ends(after))
+            states.append(after)
+            controls.append(u)
+            rewards.append(last(after) if over and last else reward(x, u, after))
+            if over:
+                ending = "terminated"
+                break
+        found.append(
+            Trajectory(np.array(states), np.array(controls), 0.1, name=f"{number}", rewards=rewards, ending=ending)
+        )
+    return Dataset(system, tuple(found))
+
+
+def quadratic(x, u, after):
+    return 1.0 - x[0] ** 2 + 0.5 * (after[0] - x[0]) / 0.1 - 0.1 * u[0] ** 2 + 0.2 * x[0] * u[0]
+
+
+def judged(learned, x, u, after):
+    rewards, over = learned.judge(SYSTEM, *(np.array([part], dtype=float) for part in (x, u, after)))
+    return rewards[0], bool(over[0])
+
+
+def test_a_reward_of_degree_two_in_state_control_and_next_state_is_recovered():
+    learned, quality = fit_reward(made(quadratic))
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        x, u = rng.uniform(-0.8, 0.8, 2), rng.uniform(-1.0, 1.0, 1)
+        after = np.array([x[0] + 0.1 * x[1], 0.95 * x[1] + u[0]])
+        reward, over = judged(learned, x, u, after)
+        assert reward == pytest.approx(quadratic(x, u, after), abs=5e-3)
+        assert not over
+    assert quality.error < 2e-3
+    assert quality.sentences[-1] == "Learned end: none; no recorded episode was terminated."
+
+
+def test_a_reward_that_is_noise_has_a_held_out_error_of_one():
+    rng = np.random.default_rng(1)
+    _, quality = fit_reward(made(lambda *_: rng.standard_normal()))
+    assert quality.error == pytest.approx(1.0, abs=0.03)
+
+
+def test_episodes_end_where_recorded_ones_were_terminated_and_pay_what_the_last_step_paid():
+    data = made(lambda *_: 1.0, ends=lambda after: abs(after[0]) > 1.2, last=lambda after: -10.0)
+    learned, quality = fit_reward(data)
+    assert judged(learned, [1.1, 2.0], [0.0], [1.3, 1.9]) == (-10.0, True)
+    assert judged(learned, [-1.1, -2.0], [0.0], [-1.3, -1.9]) == (-10.0, True)
+    assert judged(learned, [1.1, 0.0], [0.0], [1.1, 0.0]) == (1.0, False)
+    ends = sum(episode.ending == "terminated" for episode in data)
+    assert quality.found > 0.95
+    assert f"Learned end: limits of states, from {ends} recorded ends" in quality.sentences[1]
+
+
+def test_an_end_that_is_no_limit_of_one_state_is_learned_too():
+    _, quality = fit_reward(made(lambda *_: 1.0, ends=lambda after: after[0] ** 2 + 0.2 * after[1] ** 2 > 2.0))
+    assert quality.forms[1] == "quadratic limit"
+    assert quality.found > 0.9
+    assert quality.wrong < 10.0
+
+
+def test_where_the_data_stop_or_the_time_is_up_nothing_ends():
+    learned, quality = fit_reward(made(lambda *_: 1.0))
+    assert quality.ends == 0
+    assert judged(learned, [100.0, 0.0], [0.0], [100.0, 0.0]) == (1.0, False)
+
+
+def test_a_crash_and_a_goal_are_told_apart_by_where_they_are():
+    data = made(
+        lambda *_: -0.1, ends=lambda after: abs(after[0]) > 1.2, last=lambda after: 100.0 if after[0] > 0 else -50.0
+    )
+    learned, quality = fit_reward(data)
+    assert judged(learned, [1.1, 2.0], [0.0], [1.3, 1.9])[0] == pytest.approx(100.0, abs=1e-3)
+    assert judged(learned, [-1.1, -2.0], [0.0], [-1.3, -1.9])[0] == pytest.approx(-50.0, abs=1e-3)
+    assert quality.last_error < 0.05
+
+
+def test_an_angle_is_learned_by_its_sine_and_cosine_and_its_change_by_the_shorter_way():
+    system = System((Channel("x", "rad", period=2.0 * np.pi), Channel("v")), SYSTEM.controls, 0.1)
+    learned, quality = fit_reward(made(lambda x, u, after: np.cos(after[0]), system=system))
+    assert learned.fits(system)
+    assert not learned.fits(SYSTEM)
+    assert quality.error < 1e-3
+    before, after = np.array([[3.1, 0.4]]), np.array([[-3.14, 0.4]])
+    reward, _ = learned.judge(system, before, np.zeros((1, 1)), after)
+    assert reward[0] == pytest.approx(-1.0, abs=5e-3)
+
+
+def test_rewards_stay_near_the_recorded_ones_far_outside_of_the_data():
+    learned, _ = fit_reward(made(quadratic))
+    paid = np.concatenate([episode.rewards for episode in made(quadratic)])
+    reward, _ = judged(learned, [1e3, 0.0], [0.0], [1e3, 0.0])
+    assert reward == pytest.approx(paid.min() - np.ptp(paid), abs=1e-3)
+
+
+def test_the_text_of_a_learned_reward_holds_all_of_it():
+    learned, _ = fit_reward(made(lambda *_: 1.0, ends=lambda after: abs(after[0]) > 1.2))
+    again = LearnedReward.from_text(learned.to_text())
+    for name, value in vars(learned).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+    for text in ("nothing", learned.to_text()[:-8], replace(learned, step=np.zeros(3)).to_text()):
+        with pytest.raises(InvalidArgument, match="learned reward"):
+            LearnedReward.from_text(text)
+
+
+def test_without_rewards_nothing_is_learned_and_the_message_says_what_to_record():
+    data = made(quadratic)
+    bare = data.with_episodes([replace(episode, rewards=None) for episode in data])
+    with pytest.raises(InvalidData, match="the recording has no rewards"):
+        fit_reward(bare)
+
+
+def test_the_terms_of_a_polynomial_are_one_the_features_and_their_products():
+    np.testing.assert_array_equal(terms_of(np.array([[2.0, 3.0]])), [[1.0, 2.0, 3.0, 4.0, 6.0, 9.0]])
