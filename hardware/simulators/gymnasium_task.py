@@ -142,9 +142,9 @@ class EnvironmentTask(Task):
             assert self.tried is not None
             n, controls = len(self.tried.scale), self.tried.controls
             if system.nx != n or _size(system.controls) != _size(controls):
-                own = ", ".join(channel.name for channel in self.tried.states)
+                names = ", ".join(channel.name for channel in self.tried.states)
                 raise IncompatibleTask(
-                    f"the task of {self.id} needs {n} states, those of the environment itself ({own}), and its own "
+                    f"the task of {self.id} needs {n} states, those of the environment itself ({names}), and its own "
                     f"controls; {system.name or 'this system'} has the states {', '.join(system.state_names)} and the "
                     f"controls {', '.join(system.control_names) or 'none'}"
                 )
