@@ -157,10 +157,10 @@ class EnvironmentTask(Task):
             ("states", self.known.states, system.state_names),
             ("controls", self.known.controls, system.control_names),
         ):
-            names = tuple(channel.name for channel in own)
-            if names != tuple(its):
+            wanted = tuple(channel.name for channel in own)
+            if wanted != tuple(its):
                 raise IncompatibleTask(
-                    f"the task of {self.id} needs the {what} {', '.join(names)}; "
+                    f"the task of {self.id} needs the {what} {', '.join(wanted)}; "
                     f"{system.name or 'this system'} has {', '.join(its) or 'none'}"
                 )
 
