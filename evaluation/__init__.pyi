@@ -37,7 +37,16 @@ from .run_folder import (
     summary_of_run,
     unneeded_files,
 )
-from .running import compare, plan_run, report_again, report_of, run_study, study_folder, write_study
+from .running import (
+    compare,
+    plan_run,
+    report_again,
+    report_of,
+    run_study,
+    study_folder,
+    with_further_families,
+    write_study,
+)
 from .storage import plain
 from .study.planning import PlannedStudy, plan_study, seconds_about
 from .study.results import StudyResults
@@ -147,5 +156,6 @@ __all__ = [
     "unneeded_files",
     "unsettled",
     "write_format",
+    "with_further_families",
     "write_study",
 ]

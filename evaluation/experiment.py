@@ -139,6 +139,7 @@ class Experiment(BaseModel):
     )
     seed: int = setting(0, "Seed of all random numbers", "Run", "N", ge=0)
     plugins: tuple[str, ...] = setting((), "Python file with plugins; repeatable", "Run", "FILE", option="--plugin")
+    tried_models: tuple[str, ...] = setting((), "Written by the program: families tried because no other predicted")
     data_digest: str | None = setting(None, "Written by the program: identifies the data of a run")
 
     @classmethod
@@ -166,6 +167,11 @@ class Experiment(BaseModel):
     def write(self, path: str | Path) -> Path:
         """Write the experiment to a TOML file."""
         return write_toml(self.model_dump(mode="json", exclude_none=True), Path(path))
+
+    @property
+    def chooses_families(self) -> bool:
+        """True if the families are left open, so that further ones may be tried."""
+        return self.models is None and self.stop_after != "fit"
 
     @property
     def budget(self) -> Budget:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
 
+from evaluation.cells.models import Fit, Predict
 from evaluation.experiment import FILE, Experiment, Settings
-from evaluation.planning import Comparison, check_experiment, plan_comparison
+from evaluation.planning import Comparison, check_experiment, models_of, plan_comparison
 from evaluation.prediction.cases import measured_cases
-from evaluation.prediction.scores import ModelPrediction, Prediction
+from evaluation.prediction.scores import PERSISTENCE, ModelPrediction, Prediction
 from evaluation.report.report import PrintedReport, save_report
 from evaluation.report.study import save_study
 from evaluation.results import ComparisonResults, DataSummary, Failure, ModelSummary
@@ -21,9 +22,10 @@ from evaluation.run_folder import CHOSEN, check_run_folder
 from evaluation.study.planning import PlannedStudy, plan_study
 from evaluation.study.results import StudyResults, gather_study, save_parquet
 from evaluation.study.study import STUDY_FILE, Study
+from evaluation.sufficiency import beats_mean, tells_apart
 from evaluation.transfer.matrix import load_measured
 from sysid_evo.data import Dataset
-from sysid_evo.errors import InvalidArgument, InvalidData
+from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, MissingExtra
 from sysid_evo.evolution.champion import load_champion, save_champion
 from sysid_evo.plan import Cell, Observer, Plan, Scheduler, Store, execute
 from sysid_evo.plan.store import WAITING
@@ -73,11 +75,68 @@ def compare(
     for plugin in experiment.plugins:
         load_plugin(plugin)
     comparison, _ = plan_run(experiment, folder, dataset)
-    comparison.experiment.write(folder / FILE)
     store = Store(folder)
     with _observed(observer, progress, "compare") as observer:
-        execute(comparison.plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
+
+        def compute(plan: Plan) -> None:
+            execute(plan, store, observer=observer, jobs=jobs, scheduler=scheduler)
+
+        if experiment.chooses_families:
+            comparison = with_further_families(comparison, store, compute, dataset)
+        comparison.experiment.write(folder / FILE)
+        compute(comparison.plan)
     return report_of(comparison, store)
+
+
+FURTHER_FAMILIES = ("linear", "k_neighbours", "gaussian_process", "nonlinear_state_space", "auto")
+"""Families that are tried where no default family predicts, those with the shortest fit first."""
+
+
+def with_further_families(
+    comparison: Comparison, store: Store, compute: Callable[[Plan], object], dataset: Dataset | None = None
+) -> Comparison:
+    """Return ``comparison`` with a further family, if none of its own is better than predicting the mean.
+
+    Fits and predictions of ``comparison`` are computed by ``compute``, then those of `FURTHER_FAMILIES` until one
+    predicts; ``tried_models`` of its experiment names them. Nothing is added if the test data do not suffice for a
+    decision. ``dataset`` is that of `plan_run`.
+    """
+    experiment = comparison.experiment
+    known = [fit.settings.spec.name for fit in comparison.fits.values()]
+    further = [name for name in FURTHER_FAMILIES if name not in known]
+    found, tried = comparison, list[str]()
+    compute(_predictions_only(found))
+    while further and _none_predicts(found, store):
+        name = further.pop(0)
+        system = store.outcome(found.data).value.training.system
+        try:
+            (spec,) = models_of(experiment.model_copy(update={"models": (name,)}), system, [])
+        except (MissingExtra, IncompatibleSystem):
+            continue
+        fit = Fit(spec, found.data, experiment.seed, experiment.preset).cell()
+        predict = Predict(name, spec.name, found.data, fit).cell()
+        found = replace(found, fits={**found.fits, name: fit}, predictions={**found.predictions, name: predict})
+        tried.append(name)
+        compute(_predictions_only(found))
+    if not tried:
+        return comparison
+    added = () if _none_predicts(found, store) else tried[-1:]
+    update = {"models": (*(experiment.models or ()), *added), "tried_models": tuple(tried)}
+    return plan_run(experiment.model_copy(update=update), store.path, dataset)[0]
+
+
+def _predictions_only(comparison: Comparison) -> Plan:
+    return Plan.of([comparison.data, *comparison.fits.values(), *comparison.predictions.values()])
+
+
+def _none_predicts(comparison: Comparison, store: Store) -> bool:
+    """Whether every model is known to be no better than the mean, at the horizon of the headline."""
+    prediction = None if store.outcome(comparison.data).value is None else _prediction(comparison, store)
+    if prediction is None or not prediction.horizons:
+        return False
+    horizon = prediction.cases.main_horizon
+    models = [model for model in prediction.ranking(horizon) if model.name != PERSISTENCE]
+    return tells_apart(prediction, horizon) and not any(beats_mean(model.score(horizon)) for model in models)
 
 
 def plan_run(

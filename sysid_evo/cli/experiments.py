@@ -45,6 +45,8 @@ def compare(
     stored = Experiment.read(config) if config is not None else {}
     if stored.pop("data_digest", None) and not {"data", "robot"} & {*stored, *settings}:
         raise InvalidArgument(f"{config} was run on a data set given in Python: name its recordings with --data")
+    if "models" in settings:
+        stored.pop("tried_models", None)  # those of the stored models
     named = () if config is None else load_named_plugins(stored.get("plugins", ()), config)
     if "preset" in settings and stored:
         stored = evaluation.unsettled(stored)
@@ -99,8 +101,15 @@ def run_experiment(
     session.run = store
     store_experiment(comparison, path)
     go_on = f"--out {shlex.quote(str(path))}"
-    with PlanProgress(go_on, cells=comparison.plan, elsewhere=scheduler is not None) as bars:
-        outcomes = sysid_evo.plan.execute(comparison.plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+
+    def compute(plan: sysid_evo.plan.Plan) -> dict[str, Any]:
+        with PlanProgress(go_on, cells=plan, elsewhere=scheduler is not None) as bars:
+            return sysid_evo.plan.execute(plan, store, observer=bars, jobs=jobs, scheduler=scheduler)
+
+    if experiment.chooses_families:
+        comparison = evaluation.with_further_families(comparison, store, compute)
+        comparison.experiment.write(path / FILE)
+    outcomes = compute(comparison.plan)
     failed = [cell for cell in comparison.plan if outcomes[cell.digest].failed]
     count = sum(store.find(cell.digest) is not None for cell in failed)  # the others depend on these
     stopped = outcomes[comparison.data.digest].error

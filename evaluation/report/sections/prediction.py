@@ -46,6 +46,7 @@ from evaluation.sufficiency import (
     tells_apart,
     too_little,
 )
+from sysid_evo.display import listed
 from sysid_evo.validation.estimates import CONFIDENCE
 from sysid_evo.validation.measures import mean_over_channels
 
@@ -356,7 +357,7 @@ def headline(report: ComparisonResults) -> Headline:
             why = "No model is significantly better than no change (persistence)"
         else:
             why = "No model is significantly better than predicting the mean, which has 1"
-        lowest = f"{where}, the lowest error N is {size}, of {best.name}. {why}."
+        lowest = f"{where}, the lowest error N is {size}, of {best.name}. {why}.{_tried(report)}"
         return Headline(question, "None", lowest, "bad")
     equal = [m.name for m in models[1:] if m.name in good and no_worse(prediction, m, best, horizon)]
     leaders = [best.name, *equal]
@@ -365,7 +366,17 @@ def headline(report: ComparisonResults) -> Headline:
     count += f", not {few(beaten)}." if count and beaten else "." if count else ""
     same = "; no significant difference between them" if len(leaders) > 1 else ""
     whose = "the lowest error N" if len(leaders) > 1 else "its error N"
-    return Headline(question, few(leaders), f"{where}, {whose} is {size}{same}.{count}", "good")
+    return Headline(question, few(leaders), f"{where}, {whose} is {size}{same}.{count}{_tried(report)}", "good")
+
+
+def _tried(report: ComparisonResults) -> str:
+    """Return a sentence on the families that were tried because no default family predicted, with a space before it."""
+    tried = report.settings.get("tried_models", ())
+    if not tried:
+        return ""
+    added = [name for name in tried if name in {model.name for model in report.models}]
+    result = f"{added[0]} is, and was added" if added else "none is"
+    return f" No default family is better than predicting the mean; of {listed(tried)}, tried in this order, {result}."
 
 
 def scored(prediction: Prediction, horizon: int | None) -> tuple[ModelPrediction, ...]:

@@ -1,0 +1,84 @@
+"""Where no default family predicts, others are tried before anything is evolved."""
+
+from dataclasses import replace
+
+import pytest
+
+from evaluation import compare, plan_run, planning, running, with_further_families
+from evaluation.experiment import Experiment
+from evaluation.report.sections.prediction import headline
+from model_zoo.linear import Linear
+from sysid_evo.data import Dataset
+from sysid_evo.plan import Store, execute
+from sysid_evo.registry import models
+from tests.fixtures.recordings import oscillator_data
+
+FAR = "far"
+
+
+class Far(Linear):
+    """A linear model that simulates far from everything that was measured."""
+
+    def fit(self, dataset, **settings):
+        fitted = super().fit(dataset, **settings)
+        fitted.intercept_ = fitted.intercept_ + 100.0
+        return fitted
+
+
+@pytest.fixture
+def useless_default(register, monkeypatch):
+    """One family that predicts nothing is the only default one; linear and k_neighbours are the further ones."""
+    register(models, FAR, Far)
+    monkeypatch.setattr(planning, "OTHER_FAMILIES", (FAR,))
+    monkeypatch.setattr(running, "FURTHER_FAMILIES", ("linear", "k_neighbours"))
+
+
+def many_episodes():
+    """The episodes of the oscillator six times, enough to compare models."""
+    data = oscillator_data()
+    episodes = [episode for _ in range(6) for episode in data]
+    states, controls = ([getattr(one, name) for one in episodes] for name in ("states", "controls"))
+    return Dataset.from_arrays(data.system, states, controls)
+
+
+def settled(folder, data=None, **settings):
+    """Return the labels and the tried models of a comparison whose families are settled."""
+    data = many_episodes() if data is None else data
+    experiment = Experiment.of({"stop_after": "prediction", "held_out": 0.5, **settings})
+    comparison, _ = plan_run(experiment, folder, data)
+    if experiment.chooses_families:
+        store = Store(folder)
+        comparison = with_further_families(comparison, store, lambda plan: execute(plan, store), data)
+    return list(comparison.fits), list(comparison.experiment.tried_models)
+
+
+@pytest.mark.usefixtures("useless_default")
+def test_the_first_further_family_that_predicts_is_added_and_the_report_says_so(tmp_path):
+    report = compare(many_episodes(), out=tmp_path, stop_after="prediction", held_out=0.5)
+    assert [model.name for model in report.models] == [FAR, "linear"]
+    assert Experiment.read(tmp_path)["tried_models"] == ["linear"]
+    assert "of linear, tried in this order, linear is, and was added" in (tmp_path / "report.html").read_text()
+    assert settled(tmp_path) == ([FAR, "linear"], ["linear"])
+    in_vain = replace(report, settings={"tried_models": ("k_neighbours",)})
+    assert "of k_neighbours, tried in this order, none is." in repr(headline(in_vain))
+
+
+@pytest.mark.usefixtures("useless_default")
+def test_families_that_were_tried_in_vain_are_named_and_left_out(tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "FURTHER_FAMILIES", ("far2=far",))
+    assert settled(tmp_path) == ([FAR], ["far2=far"])
+
+
+@pytest.mark.usefixtures("useless_default")
+def test_families_that_are_named_are_compared_as_they_are(tmp_path):
+    assert settled(tmp_path, models=(FAR,)) == ([FAR], [])
+
+
+@pytest.mark.usefixtures("useless_default")
+def test_nothing_is_added_if_the_test_data_are_too_few_to_decide(tmp_path):
+    assert settled(tmp_path, data=oscillator_data()) == ([FAR], [])
+
+
+def test_nothing_is_tried_where_a_default_family_predicts(tmp_path, monkeypatch):
+    monkeypatch.setattr(planning, "OTHER_FAMILIES", ("linear",))
+    assert settled(tmp_path) == (["linear"], [])
