@@ -18,6 +18,7 @@ from evaluation.transfer.summary import TransferSummary, chosen_by, summarise
 from sysid_evo.data import Dataset
 from sysid_evo.display import Displayed, listed
 from sysid_evo.models import DynamicsModel
+from sysid_evo.plan.store import WAITING
 from sysid_evo.system import System
 
 
@@ -87,6 +88,11 @@ class ComparisonResults(Displayed):
         if self.matrix is not None:
             found += [Failure(f"{cell.champion} on {cell.column}", cell.reason) for cell in self.matrix.failures()]
         return tuple(found)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every step was computed or failed; False if the run was interrupted."""
+        return all(failure.reason != WAITING for failure in self.all_failures)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -65,9 +65,9 @@ PANELS = {
     "Runs and plugins": {
         "runs": Entry("List, show, compare and clean run folders.", {
             "list": Entry("List the runs in a folder, the oldest first.", "runs:list_runs"),
-            "show": Entry("Show the cells of a run: result, time and file of each.", "runs:show"),
+            "show": Entry("Show the steps of a run: result, time and file of each.", "runs:show"),
             "diff": Entry("Show the settings and main results that differ between two runs.", "runs:diff"),
-            "clean": Entry("Remove failed cells, damaged records and unused files.", "runs:clean"),
+            "clean": Entry("Remove failed steps, damaged records and unused files.", "runs:clean"),
         }),
         "names": Entry("List the names that a SPEC may use, with their parameters.", "plugins:list_names"),
         "plugin": Entry("Create a plugin; check one against its contract.", {
@@ -79,7 +79,7 @@ PANELS = {
 """The commands by panel of ``sysid-evo --help`` and by name."""
 COMMANDS = {name: entry for entries in PANELS.values() for name, entry in entries.items()}
 
-JOBS = Meaningless(("jobs",), "the workers of the cluster compute the cells", {"scheduler": ()})
+JOBS = Meaningless(("jobs",), "the workers of the cluster compute the steps", {"scheduler": ()})
 
 REFUSED = {
     "compare": (JOBS,),

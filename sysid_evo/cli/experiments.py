@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -147,7 +148,21 @@ def print_differences(file: Path, found: Mapping[str, Any], wanted: Mapping[str,
     """Report the settings in which the replaced ``file`` differs."""
     differing = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
     if differing:
-        note(f"{file} had other {', '.join(differing)}; results that both need are kept")
+        changes = [_change(key, found.get(key), wanted.get(key)) for key in differing if key != "data_digest"]
+        note(f"{file} had other settings: {'; '.join(changes) or 'other recordings'}. Results that both need are kept")
+
+
+LONGEST_VALUE = 60
+"""Characters of a setting in a note."""
+
+
+def _change(key: str, before: object, after: object) -> str:
+    """Return both values of a setting, without the parameters of names if the names differ."""
+    texts = ["default" if value is None else ",".join(map(str, value)) if isinstance(value, list) else str(value)
+             for value in (before, after)]  # fmt: skip
+    names = [re.sub(r"\([^()]*\)", "", text) for text in texts]
+    first, second = ((text or "none")[:LONGEST_VALUE] for text in (texts if names[0] == names[1] else names))
+    return f"{key.replace('_', ' ')} {first}, now {second}"
 
 
 def print_report(
@@ -305,7 +320,7 @@ def study(
     print_study(results, path, as_json=as_json, verbose=verbose)
     if results.failures:
         print_status(
-            f"{len(results.failures)} of {len(planned.plan)} cells failed, see {path / 'log.jsonl'}", label="failed: "
+            f"{len(results.failures)} of {len(planned.plan)} steps failed, see {path / 'log.jsonl'}", label="failed: "
         )
         raise typer.Exit(SOME_FAILED)
 

@@ -47,7 +47,7 @@ def run_plan(
 
 
 def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
-    """Print the cells, their expected duration, and which are done."""
+    """Print the steps, their expected duration, and which are done; those of a group on one line."""
     done = {cell.digest for cell in plan if store.done(cell)}
     rows = [(cell.title, 0.0 if cell.digest in done else cell.expected_seconds, cell.digest in done) for cell in plan]
     total = sum(seconds for _, seconds, _ in rows)
@@ -56,11 +56,16 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
         document = {"cells": cells, "seconds": round(total, 1), "remarks": list(plan.remarks)}
         out.print_json(data=document)
         return
-    table = table_of("cell", "about", numbers=("about",), whole=("about",))
-    for title, about, kept in rows:
-        table.add_row(title, "kept" if kept else f"{about:.1f} s")
+    table = table_of("step", "about", numbers=("about",), whole=("about",))
+    groups: dict[str, list[tuple[float, bool]]] = {}
+    for cell, (title, about, kept) in zip(plan, rows, strict=True):
+        groups.setdefault(cell.group or title, []).append((about, kept))
+    for title, parts in groups.items():
+        count = "" if len(parts) == 1 else f", {len(parts)} steps"
+        about = "kept" if all(kept for _, kept in parts) else f"{sum(seconds for seconds, _ in parts):.1f} s"
+        table.add_row(f"{title}{count}", about)
     out.print(table)
-    out.print(f"{len(rows)} cells, {len(done)} kept, about {duration(total)}", highlight=False)
+    out.print(f"{len(rows)} steps, {len(done)} kept, about {duration(total)}", highlight=False)
 
 
 class PlanProgress(Observer):
@@ -107,20 +112,20 @@ class PlanProgress(Observer):
         if kind is not None and issubclass(kind, KeyboardInterrupt):
             titles = [one.title for one in self._current.values()]
             further = f" and {len(titles) - NAMED} more" if len(titles) > NAMED else ""
-            what = ", ".join(titles[:NAMED]) + further or "between two cells"
+            what = ", ".join(titles[:NAMED]) + further or "between two steps"
             kept = "Unfinished work is not kept"
             resumable = [one for one in self._current.values() if one.resumable and one.done and not self._elsewhere]
             if len(self._current) > 1 and resumable:
                 kept = f"The finished generations of {', '.join(one.title for one in resumable)} are kept"
             elif resumable:
                 kept = f"The {resumable[0].done} of {resumable[0].total} finished generations are kept"
-            on = "" if self._go_on is None else f"; continue with {self._go_on}"
+            on = "" if self._go_on is None else f"; to continue, repeat the command with {self._go_on}"
             print_status(f"interrupted: {what}. {kept}{on}")
 
     def plan(self, cells: int, kept: int, seconds: float) -> None:
         self._cells, self._left = cells, seconds
         if kept:
-            print_status(f"{kept} of {cells} cells are done already", label="kept: ", style="dim")
+            print_status(f"{kept} of {cells} steps are done already", label="kept: ", style="dim")
         self._all = self._bars.add_task("all", total=cells, completed=0, note="")
 
     def start(self, cell: Cell) -> None:
@@ -214,8 +219,8 @@ class PlanProgress(Observer):
             self._print_group(group, len(seconds), sum(seconds))
 
     def _print_group(self, group: str, count: int, seconds: float) -> None:
-        cells = f"{group}, {count} {'cell' if count == 1 else 'cells'}, {seconds:.1f} s"
-        print_status(f"{self._count()}{cells}", label="done ", style="green")
+        steps = f"{group}, {count} {'step' if count == 1 else 'steps'}, {seconds:.1f} s"
+        print_status(f"{self._count()}{steps}", label="done ", style="green")
 
     def remark(self, sentence: str) -> None:
         note(sentence)

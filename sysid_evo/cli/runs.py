@@ -38,13 +38,13 @@ def list_runs(
 
 
 def show(run: Folder, as_json: Json = False) -> None:
-    """Show the cells of a run: result, time and file of each."""
+    """Show the steps of a run: result, time and file of each."""
     store = evaluation.store_of_run(run)
     records = store.records()
     if as_json:
         out.print_json(data=[record.model_dump(mode="json") for record in records])
         return
-    table = table_of("cell", "s", "result", numbers=("s",))
+    table = table_of("step", "s", "result", numbers=("s",))
     for record in records:
         where = Text(record.artefact) if record.status == "done" else Text(f"failed: {record.reason}", style="red")
         table.add_row(record.title, f"{record.seconds:.1f}", where)
@@ -60,7 +60,7 @@ def diff(
 ) -> None:  # fmt: skip
     """Show the settings and main results that differ between two runs.
 
-    With --json also the cells that only one of them has.
+    With --json also the steps that only one of them has.
     """
     settings, figures = zip(*((evaluation.settings_of_run(run), _figures(run)) for run in (first, second)), strict=True)
     stores = [evaluation.store_of_run(run) for run in (first, second)]
@@ -83,7 +83,7 @@ def diff(
         table.add_row(key, *("-" if value is None else str(value) for value in values))
     for key, values in known.items():
         table.add_row(key, *("-" if value is None else f"{value:.4g}" for value in values))
-    table.add_row("cells of this run only", *(str(len(titles)) for titles in alone))
+    table.add_row("steps of this run only", *(str(len(titles)) for titles in alone))
     out.print(table)
 
 
@@ -91,7 +91,7 @@ def clean(
     run: Folder,
     dry_run: Annotated[bool, option("List the files without removing them", "", "--dry-run")] = False,
 ) -> None:  # fmt: skip
-    """Remove failed cells, damaged records and unused files."""
+    """Remove failed steps, damaged records and unused files."""
     unneeded = evaluation.unneeded_files(run)
     size = sum(file.stat().st_size for file in unneeded)
     for file in unneeded:

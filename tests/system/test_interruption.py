@@ -142,7 +142,7 @@ def test_ctrl_c_ends_fits_in_good_order_and_the_same_command_goes_on(jobs, last,
     assert stopped.code == 130
     assert "fit linear" in stopped.stderr
     assert "interrupted: fit waiting" in stopped.stderr
-    assert "Unfinished work is not kept; continue with --out out" in stopped.stderr
+    assert "Unfinished work is not kept; to continue, repeat the command with --out out" in stopped.stderr
     assert "Traceback" not in stopped.stderr
     assert "do not know" not in stopped.stderr
     assert (call.folder / "ran").read_text().count("ran") == {1: 1, 2: 3}[jobs]
@@ -153,7 +153,7 @@ def test_ctrl_c_ends_fits_in_good_order_and_the_same_command_goes_on(jobs, last,
         with pytest.raises(ProcessLookupError):
             os.kill(int(waits.read_text()), 0)
     (call.folder / "second").touch()
-    assert f"{kept} of 6 cells are done already" in call.works(*command, "1").stderr
+    assert f"{kept} of 6 steps are done already" in call.works(*command, "1").stderr
     assert len(list((call.folder / "out" / "models").glob("waiting-*.json"))) == 1
 
 
@@ -223,7 +223,10 @@ def test_an_interrupted_evolution_is_kept_and_the_same_command_goes_on_to_the_sa
     diary.pressed_in = 3
     stopped = call("evolve", "--run", "out", "--against", "linear", *budget)
     assert stopped.code == 130
-    assert stopped.says("interrupted: evolve linear. The 3 of 6 finished generations are kept; continue with --run out")
+    assert stopped.says(
+        "interrupted: evolve linear. The 3 of 6 finished generations are kept; to continue, repeat the "
+        "command with --run out"
+    )
     champions = call.folder / "out" / "controllers"
     assert [file.suffix for file in champions.iterdir()] == [".checkpoint"]
     assert call("runs", "clean", "out").stdout.startswith("0 files")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import tempfile
 from contextlib import contextmanager
@@ -81,7 +82,10 @@ def test_a_dry_run_prints_cells_and_seconds_and_writes_nothing(call, run_copy, s
     lines = call.works(*AGAIN, "--models", f"{BOTH},k_neighbours", "--dry-run").stdout.splitlines()
     assert any("fit linear" in line and line.rstrip().endswith("kept") for line in lines)
     assert any("fit k_neighbours" in line and line.rstrip().endswith("s") for line in lines)
-    assert "cells," in lines[-1]
+    assert re.fullmatch(r"\d+ steps, \d+ kept, about .* s", lines[-1].strip())
+    assert any(
+        re.fullmatch(r"run linear, \d+ steps +\S+( s)?", line.strip()) for line in lines
+    )  # one line for all models
     new = call("compare", "--data", stored_data, "--models", "linear", "--out", "new", "--dry-run", "--json")
     assert json.loads(new.stdout)["seconds"] > 0
     assert not any(cells_of(new).values())
@@ -160,7 +164,7 @@ def test_runs_are_listed_shown_and_compared(call, run_copy, stored_data):
     ended = call("runs", "diff", "out", "second")
     (line,) = [line for line in ended.stdout.splitlines() if line.startswith("N at 1 s, k_neighbours")]
     assert line.split()[-2:] == ["-", f"{in_second[1]:.4g}"]
-    (line,) = [line for line in ended.stdout.splitlines() if line.startswith("cells of this")]
+    (line,) = [line for line in ended.stdout.splitlines() if line.startswith("steps of this")]
     assert line.split()[-2:] == [str(len(difference["only_first"])), "3"]
     assert "no difference" in call("runs", "diff", "out", "out").stdout
     (call.folder / "second" / "report.json").unlink()
@@ -203,9 +207,9 @@ def test_the_report_of_a_run_that_cannot_be_written_is_printed(finished_run, cap
 
 def test_another_experiment_in_a_folder_is_reported_and_shared_results_are_kept(call, run_copy):
     ended = call.works(*AGAIN, "--models", "near=linear(ridge=0.5),mine=linear", *PREDICTION)
-    assert ended.says("out/experiment.toml had other ")
-    assert ended.says("models, ")
-    assert ended.says("results that both need are kept")
+    assert ended.says("out/experiment.toml had other settings: ")
+    assert ended.says("models linear,near=nearest_neighbour, now near=linear,mine=linear")
+    assert ended.says("Results that both need are kept")
     records = {record.title: record for record in Store(run_copy).records()}
     assert "fit near" in records
     assert "fit mine" not in records  # it is "fit linear"
@@ -249,7 +253,7 @@ def test_a_family_that_fails_is_exit_code_3_with_a_report_its_reason_and_a_trace
     assert said.endswith("failed: 6 steps; see out/log.jsonl")
     assert "absent is a physical robot: its column is filled by sysid-evo drive --controller" in said
     printed = " ".join((failed_run.parent / "stdout").read_text().split())
-    assert "What failed? 6 of 39 steps failed;" in printed
+    assert "What failed? 6 of 39 steps failed." in printed
     report = report_in(failed_run)
     rows = ("linear", "near", "linear+near", "polished", "pursuit")
     assert [one["what"] for one in report["failures"]] == ["fit never_fits", *(f"{row} on never_fits" for row in rows)]

@@ -224,7 +224,7 @@ def test_a_study_that_is_killed_and_interrupted_goes_on_to_the_same_tables_and_c
     assert 0.25 * cells - 1 < len(finished(study)) < cells
     code, said = stopped_after(round(0.6 * cells), tmp_path, signal.SIGINT)
     assert code == 130
-    assert re.search(r"interrupted: \S.*; continue with --out runs/tiny", said)
+    assert re.search(r"interrupted: \S.*; to continue, repeat the command with --out runs/tiny", said)
     assert "Traceback" not in said
     assert 0.6 * cells - 1 < len(finished(study)) < cells
     assert not [*study.rglob("*.tmp"), *study.rglob("*.json.*"), *study.glob("study.json")]

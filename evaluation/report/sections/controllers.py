@@ -78,6 +78,7 @@ def _absent(report: ComparisonResults) -> list[str]:
     if matrix is None or report.transfer is None:
         stage = report.settings.get("stop_after")
         why = f"this run stops after {stage}" if stage else "none was asked for"
+        why = why if report.finished else "the run is not finished"
         return [f"No controller was evolved, because {why}."]
     if matrix.robot is None:
         return [

@@ -9,6 +9,7 @@ from evaluation.report.sections.advice import limits_question
 from evaluation.report.sections.controllers import open_questions
 from evaluation.report.sections.prediction import scored
 from evaluation.results import ComparisonResults
+from sysid_evo.plan.store import WAITING
 
 
 def page_title(report: ComparisonResults) -> str:
@@ -44,7 +45,7 @@ def facts(report: ComparisonResults) -> str:
 
 
 def warnings(report: ComparisonResults) -> list[str]:
-    """Return a sentence on the steps that failed; empty if none did."""
+    """Return a sentence on the steps that failed or are missing; empty if there are none."""
     failures = report.all_failures
     if not failures:
         return []
@@ -54,7 +55,10 @@ def warnings(report: ComparisonResults) -> list[str]:
 
 
 def _failed(report: ComparisonResults) -> str:
-    count, steps = len(report.all_failures), len(report.timings)
+    count, steps = sum(failure.reason != WAITING for failure in report.all_failures), len(report.timings)
+    if not report.finished:
+        failed = f", and {count} of {steps} steps failed" if count else ""
+        return f"the run is not finished{failed}; repeat its command with the same --out to compute the rest"
     of = f"{count} of {steps} steps" if steps >= count else "1 step" if count == 1 else f"{count} steps"
     return f"{of} failed"
 
@@ -83,7 +87,9 @@ def verdict(report: ComparisonResults) -> tuple[Finding, ...]:
         remarks = tuple(remark.sentence for remark in report.advice.remarks[:SAID])
         findings.append(Finding(limits_question(report.advice), remarks))
     if report.all_failures:
-        findings.append(Finding("What failed?", (f"{_failed(report)}.",)))
+        sentence = _failed(report)
+        question = "What failed?" if report.finished else "What is missing?"
+        findings.append(Finding(question, (f"{sentence[0].upper()}{sentence[1:]}.",)))
     return tuple(findings)
 
 

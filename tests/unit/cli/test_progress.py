@@ -104,8 +104,9 @@ def test_an_interruption_reports_the_running_cells_and_the_kept_results(shown):
         finish(bars, cells[2])
         bars.__exit__(KeyboardInterrupt, None, None)
     line = written.getvalue().splitlines()[-1]
-    assert (
-        line == "interrupted: count a, count b. The finished generations of count a are kept; continue with --out here"
+    assert line == (
+        "interrupted: count a, count b. The finished generations of count a are kept; "
+        "to continue, repeat the command with --out here"
     )
 
 
@@ -118,7 +119,7 @@ def test_an_interruption_keeps_nothing_of_cells_that_were_computed_elsewhere(sho
         bars.__exit__(KeyboardInterrupt, None, None)
     assert written.getvalue().splitlines()[-1] == (
         "interrupted: count 0, count 1, count 2, count 3 and 2 more. "
-        "Unfinished work is not kept; continue with --out here"
+        "Unfinished work is not kept; to continue, repeat the command with --out here"
     )
 
 
@@ -180,9 +181,9 @@ def test_cells_of_one_group_have_one_line_and_a_failed_one_its_own(shown):
             finish(bars, cell, reason="it broke" if cell.name == "b1" else None)
     assert written.getvalue().splitlines() == [
         "failed count b1: it broke",
-        "done 3 of 6: count a, 2 cells, 0.0 s",
+        "done 3 of 6: count a, 2 steps, 0.0 s",
         "done 4 of 6: count c, 0.0 s",
-        "done 5 of 6: count b, 1 cell, 0.0 s",  # the end of what was done
+        "done 5 of 6: count b, 1 step, 0.0 s",  # the end of what was done
     ]
 
 

@@ -7,10 +7,11 @@ import pytest
 
 from evaluation.exploitability.results import UnderratedController
 from evaluation.prediction import PredictionProtocol, measured_cases
-from evaluation.report import is_empty, verdict
+from evaluation.report import Failure, is_empty, verdict
 from evaluation.report.sections.summary import facts, headlines, page_title, warnings
 from evaluation.transfer import Estimate
 from sysid_evo.data import Dataset
+from sysid_evo.plan.store import WAITING
 from tests.fixtures.known_models import recording
 from tests.fixtures.reports import exploited, matrix, prediction, report
 
@@ -337,6 +338,21 @@ def test_without_a_part_the_answer_is_open_and_says_why():
         answers(report())["Which controller to use?"].sentence
         == "No controller was evolved, because none was asked for."
     )
+
+
+def test_a_run_that_is_not_finished_is_not_called_a_failure():
+    made = replace(scored(GOOD), failures=(Failure("evolve linear", WAITING),), timings={"a": 1.0, "b": 0.0})
+    assert answers(made)["Which controller to use?"].sentence == (
+        "No controller was evolved, because the run is not finished."
+    )
+    said = {finding.question: " ".join(finding.answers) for finding in verdict(made)}
+    assert said["What is missing?"] == (
+        "The run is not finished; repeat its command with the same --out to compute the rest."
+    )
+    assert "What failed?" not in said
+    both = replace(made, failures=(*made.failures, Failure("fit sindy", "it broke")))
+    assert "The run is not finished, and 1 of 2 steps failed;" in told(both)
+    assert "repeat its command" in warnings(made)[0]
 
 
 def test_the_title_names_robot_task_models_and_controllers_unless_a_title_was_chosen():
