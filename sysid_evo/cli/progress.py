@@ -62,8 +62,8 @@ def print_plan(plan: Plan, store: Store, *, as_json: bool) -> None:
         groups.setdefault(cell.group or title, []).append((about, kept))
     for title, parts in groups.items():
         count = "" if len(parts) == 1 else f", {len(parts)} steps"
-        about = "kept" if all(kept for _, kept in parts) else f"{sum(seconds for seconds, _ in parts):.1f} s"
-        table.add_row(f"{title}{count}", about)
+        needed = "kept" if all(kept for _, kept in parts) else f"{sum(seconds for seconds, _ in parts):.1f} s"
+        table.add_row(f"{title}{count}", needed)
     out.print(table)
     out.print(f"{len(rows)} steps, {len(done)} kept, about {duration(total)}", highlight=False)
 
