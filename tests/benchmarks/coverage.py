@@ -19,9 +19,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from sysid_evo.types import Array
 from sysid_evo.validation.intervals import SHARE
+from tests.benchmarks.markdown import add_markdown, per_cents, print_tables, thousandths
 
 if TYPE_CHECKING:
     from evaluation.prediction import MeasuredCases
@@ -47,28 +50,29 @@ def uncertain(name: str, preset: str) -> DynamicsModel:
     return make_model(with_preset(Spec(name, {"stochastic": True}), preset))
 
 
-def line(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
-    """Return the shares inside at each horizon, over all channels and of each, and N."""
+def covered(label: str, model: DynamicsModel, cases: MeasuredCases) -> str:
+    """Write the shares inside at each horizon, over all channels and of each, and N; return those over all channels."""
     from evaluation.prediction import score_model
 
     scores = score_model(label, model, cases, family=label)
-    figures = "  ".join(
-        f"{100 * np.mean(held.inside):3.0f} ({', '.join(f'{100 * one:.0f}' for one in held.inside)})"
-        for held in scores.coverage
-    )
-    return f"  {label:20s} {figures}  N {' '.join(f'{score.n:.3f}' for score in scores.scores)}"
+    shares = per_cents(np.mean(held.inside) for held in scores.coverage)
+    channels = "  ".join(f"({per_cents(held.inside)})" for held in scores.coverage)
+    sys.stdout.write(f"  {label:20s} {shares}  {channels}  N {thousandths(score.n for score in scores.scores)}\n")
+    sys.stdout.flush()
+    return shares
 
 
-def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> None:
-    """Write the coverage of the intervals on the test part of each log."""
+def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str]) -> Table:
+    """Return the coverage of the intervals on the test part of each log, a row for each family."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.errors import IncompatibleSystem
     from tests.benchmarks.cars import recording
 
+    found: dict[tuple[str, str], list[str]] = {}
     for log in logs:
         training, test = recording(log)
         cases = measured_cases(training, test, PredictionProtocol())
-        sys.stdout.write(f"\n{log}: share inside 90 % intervals (each channel), N after {cases.horizons} steps\n")
+        sys.stdout.write(f"\n{log}: % inside 90 % intervals (each channel), N after {cases.horizons} steps\n")
         for name in families:
             for seed in range(seeds):
                 model, began = uncertain(name, preset), time.process_time()
@@ -77,35 +81,46 @@ def on_logs(families: Sequence[str], preset: str, seeds: int, logs: Sequence[str
                 except IncompatibleSystem as error:
                     sys.stdout.write(f"  {name:20s} {error}\n")
                     continue
-                sys.stdout.write(f"{line(name, model, cases)}  fit {time.process_time() - began:.1f} s\n")
-                sys.stdout.flush()
+                taken = time.process_time() - began
+                found.setdefault((name, log), []).append(covered(name, model, cases))
+                sys.stdout.write(f"    fit {taken:.1f} s\n")
+    table = Table("family", *logs)
+    for name in families:
+        table.add_row(f"`{name}`", *("\n".join(found.get((name, log), [])) for log in logs))
+    return table
 
 
-def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> None:
-    """Write the coverage in the condition of the fit and in others, before and after adaptation."""
+def across_conditions(families: Sequence[str], preset: str, seeds: int, groups: Sequence[str]) -> Table:
+    """Return the coverage in the condition of the fit and in others: a row for each, and one after adaptation."""
     from evaluation.prediction import PredictionProtocol, measured_cases
     from sysid_evo.models.adaptation import NONE
     from tests.benchmarks.shift.recordings import cases
 
+    found: dict[str, dict[str, list[str]]] = {}
     for name in families:
         fitted: dict[tuple[int, str], DynamicsModel] = {}
         for case in (case for group in groups for case in cases(group)):
             measured = measured_cases(case.training, case.test, PredictionProtocol())
-            sys.stdout.write(f"\n{case.name}, {name}: share inside 90 % intervals after {measured.horizons} steps\n")
+            sys.stdout.write(f"\n{case.name}, {name}: % inside 90 % intervals after {measured.horizons} steps\n")
+            before, after = (found.setdefault(f"{case.name}{word}", {}) for word in ("", ", adapted"))
             for seed in range(seeds):
                 key = seed, case.training.fingerprint
                 if key not in fitted:
                     fitted[key] = uncertain(name, preset).fit(case.training, rng=seed)
                 there = fitted[key].adapt(case.first(ADAPTED), rng=seed)
-                sys.stdout.write(f"{line('as it was', fitted[key], measured)}\n")
+                before.setdefault(name, []).append(covered("as it was", fitted[key], measured))
                 if vars(there)["chosen_"] == NONE:
                     sys.stdout.write("  nothing was learned there\n")
                 else:
-                    sys.stdout.write(f"{line('adapted', there, measured)}\n    {there.fit_note}\n")
-                sys.stdout.flush()
+                    after.setdefault(name, []).append(covered("adapted", there, measured))
+                    sys.stdout.write(f"    {there.fit_note}\n")
+    table = Table("fitted in -> used in", *(f"`{name}`" for name in families))
+    for condition, row in found.items():
+        table.add_row(condition, *("\n".join(row.get(name, [])) for name in families))
+    return table
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     from tests.benchmarks.cars import EMULATED, TEST_EPISODE
     from tests.benchmarks.shift.recordings import GROUPS
@@ -116,11 +131,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--logs", nargs="+", default=[*TEST_EPISODE, EMULATED], choices=[*TEST_EPISODE, EMULATED])
     parser.add_argument("--conditions", nargs="+", default=[], choices=GROUPS)
-    arguments = parser.parse_args()
-    if arguments.conditions:
-        across_conditions(arguments.families, arguments.preset, arguments.seeds, arguments.conditions)
+    add_markdown(parser)
+    given = parser.parse_args(arguments)
+    if given.conditions:
+        table = across_conditions(given.families, given.preset, given.seeds, given.conditions)
     else:
-        on_logs(arguments.families, arguments.preset, arguments.seeds, arguments.logs)
+        table = on_logs(given.families, given.preset, given.seeds, given.logs)
+    print_tables([table], given.markdown, Console(width=140))
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ from rich.table import Table
 
 from sysid_evo.plan import Store, execute
 from sysid_evo.processors import usable_processors
+from tests.benchmarks.markdown import add_markdown, print_tables
 from tests.fixtures.dask_cluster import Processes
 from tests.fixtures.deeds import planned
 
@@ -181,11 +182,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cells", type=int, default=200, help="that do nothing (200); 0 leaves them out")
     parser.add_argument("--before", type=Path, help="checkout of an earlier state")
     parser.add_argument("--repeats", type=int, default=1)
+    add_markdown(parser)
     parser.add_argument("further", nargs="*", help="options of compare")
     given = parser.parse_args(arguments)
     rows = measured(["--preset", given.preset, *given.further], given.jobs, given.workers, given.before, given.repeats)
     out = Console(highlight=False)
-    out.print(times(rows))
+    print_tables([times(rows)], given.markdown, out)
     ours = [row for row in rows if row.checkout == ROOT]
     out.print(costs(ours[-1]))
     out.print(f"Results that other cells need, each sent to the workers once: {ours[-1].sent / 1e6:.2f} MB.")
@@ -205,8 +207,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def times(rows: Sequence[Row]) -> Table:
     """Return the times of all rows."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in ("", "wall s", "processor s", "wall, first / this", "processor, first / this", "again, s"):
-        table.add_column(heading, justify="right" if heading else "left")
+    for heading in ("run", "wall s", "processor s", "wall, first / this", "processor, first / this", "again, s"):
+        table.add_column(heading, justify="left" if heading == "run" else "right")
     first = rows[0]
     for row in rows:
         ratios = (min(first.wall) / min(row.wall), min(first.processor) / min(row.processor))

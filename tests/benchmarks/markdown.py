@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -27,6 +27,16 @@ def print_tables(tables: Sequence[Table], file: Path | None, console: Console | 
         (console or Console()).print(table)
     if file is not None:
         write_markdown(file, "\n\n".join(to_markdown(table) for table in tables))
+
+
+def thousandths(values: Iterable[float]) -> str:
+    """Return numbers in one cell, to three places and without a leading zero: ``.129 .466 1.250``."""
+    return " ".join(f"{value:.3f}".removeprefix("0") for value in values)
+
+
+def per_cents(shares: Iterable[float]) -> str:
+    """Return shares in one cell, in whole per cent: ``93 / 94 / 88``."""
+    return " / ".join(f"{100.0 * share:.0f}" for share in shares)
 
 
 def to_markdown(table: Table) -> str:

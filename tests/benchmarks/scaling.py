@@ -5,9 +5,10 @@ The input is the records of the run, ``cells/*.json``: needs, seconds and files 
 takes longer because of process starts, the making of plan and report (``--around`` adds them), and shared memory and
 caches.
 
-``--copies 200`` simulates this number of independent runs, like the points of a study. ``--client 0.001`` simulates one
-process that distributes all cells one after the other, with this number of seconds each. ``RUN`` may be a store of
-several comparisons, whose shared cells count once; ``--point 3`` selects the third of them.
+``--copies 1 200`` simulates these numbers of independent runs, like the points of a study. ``--client 0.001`` simulates
+one process that distributes all cells one after the other, with this number of seconds each. ``RUN`` may be a store of
+several comparisons, whose shared cells count once; ``--point 3`` selects the third of them. The other tables are of one
+copy: the cells by kind, those that take longest, and fit, evolution and trials of each family (medians).
 """
 
 from __future__ import annotations
@@ -25,9 +26,13 @@ from rich.console import Console
 from rich.table import Table
 
 from sysid_evo.plan.store import CellRecord, Store
+from tests.benchmarks.markdown import add_markdown, print_tables
 
-END, ASIDE = "advise", "exploit"
-"""The kinds of the last cells of a comparison; of the same one the second needs nothing that the first does not."""
+END, ASIDE, RUN = "advise", "exploit", "run"
+"""The kinds of the last cells of a comparison; of the same one the second needs nothing that the first does not.
+And that of the trials of one controller on one system.
+"""
+TABLES = ("kinds", "longest", "families", "times")
 LONGEST = 8
 """Titles that are shown of all that have seconds of their own."""
 
@@ -182,14 +187,40 @@ def longest(cells: Sequence[Recorded]) -> Table:
     return table
 
 
-def times(cells: Sequence[Recorded], processes: Sequence[int], client: float, around: float) -> Table:
-    """Return the predicted seconds on each number of processes."""
-    total = sum(cell.seconds for cell in cells)
-    table = _table("processes", "predicted s", "times as fast", "share of processors at work %")
-    alone = around + makespan(cells, 1, client)
-    for count in processes:
-        taken = around + makespan(cells, count, client)
-        table.add_row(str(count), f"{taken:.1f}", f"{alone / taken:.2f}", f"{100 * total / (count * taken):.0f}")
+def families(cells: Sequence[Recorded], steps: float | None) -> Table:
+    """Return the median seconds of a fit, an evolution in the model, and the trials of one controller, by family.
+
+    ``steps`` is the number of steps of one evolution, for its speed.
+    """
+    groups: dict[str, list[float]] = defaultdict(list)
+    for cell in cells:
+        groups[cell.title.rpartition(" on ")[2] if cell.kind == RUN else cell.title].append(cell.seconds)
+    middle = {title: sorted(seconds)[len(seconds) // 2] for title, seconds in groups.items()}
+    names = [title.removeprefix("evolve ") for title in middle if title.startswith("evolve ") and "+" not in title]
+    table = _table("family", "fit, s", "evolution in it, s", "million steps a second", "trials of one controller, s")
+    for name in sorted(names, key=lambda name: middle[f"evolve {name}"]):
+        fit, evolution = middle.get(f"fit {name}"), middle[f"evolve {name}"]
+        table.add_row(
+            f"`{name}`",
+            "" if fit is None else f"{fit:.1f}",
+            f"{evolution:.1f}",
+            "" if steps is None else f"{steps / evolution / 1e6:.0f}",
+            f"{middle[name]:.3f}" if name in middle else "",
+        )
+    return table
+
+
+def times(one: Sequence[Recorded], given: argparse.Namespace) -> Table:
+    """Return the predicted seconds for each number of copies, each client, and each number of processes."""
+    table = _table("copies", "client, s a cell", "processes", "predicted s", "processors at work %")
+    for copies in given.copies:
+        cells = copied(one, copies)
+        total = sum(cell.seconds for cell in cells)
+        for client in given.client:
+            for count in given.processes:
+                taken = given.around + makespan(cells, count, client)
+                busy = 100 * total / (count * taken)
+                table.add_row(str(copies), f"{client:g}", str(count), f"{taken:.0f}", f"{busy:.0f}")
     return table
 
 
@@ -205,23 +236,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.scaling", description=__doc__)
     parser.add_argument("run", type=Path, help="folder of a finished run, or a store of several")
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2, 4, 8, 16])
-    parser.add_argument("--copies", type=int, default=1, help="independent runs like this one (1)")
-    parser.add_argument("--client", type=float, default=0.0, help="seconds to hand out one cell (0)")
+    parser.add_argument("--copies", type=int, nargs="+", default=[1], help="independent runs like this one (1)")
+    parser.add_argument("--client", type=float, nargs="+", default=[0.0], help="seconds to hand out one cell (0)")
     parser.add_argument("--around", type=float, default=0.0, help="seconds before the first and after the last (0)")
     parser.add_argument("--point", type=int, help="take one of several comparisons in a store, from 1")
+    parser.add_argument("--steps", type=float, help="steps of one evolution, for its speed")
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=TABLES, help="only these")
+    add_markdown(parser)
     given = parser.parse_args(arguments)
     try:
         one = recorded(given.run)
         one = one if given.point is None else point(one, given.point)
     except ValueError as error:
         parser.error(str(error))
-    cells = copied(one, given.copies)
-    path = critical_path(one)
+    made = {
+        "kinds": lambda: kinds(one),
+        "longest": lambda: longest(one),
+        "families": lambda: families(one, given.steps),
+        "times": lambda: times(one, given),
+    }
     out = Console(highlight=False, width=120)
-    out.print(kinds(one), longest(one))
-    out.print(times(cells, given.processes, given.client, given.around))
+    print_tables([made[name]() for name in given.tables], given.markdown, out)
+    path = critical_path(one)
     out.print(
-        f"{len(cells)} cells, {sum(cell.seconds for cell in cells):.0f} s of one processor, {_bytes(cells)}; "
+        f"{len(one)} cells, {sum(cell.seconds for cell in one):.0f} s of one processor, {_bytes(one)}; "
         f"the longest chain takes {sum(cell.seconds for cell in path):.1f} s: "
         + ", ".join(f"{cell.title} {cell.seconds:.1f}" for cell in path)
         + ".",

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from sysid_evo.plan import Plan, Store, execute
-from tests.benchmarks.scaling import Recorded, copied, critical_path, main, makespan, point, recorded
+from tests.benchmarks.scaling import Recorded, copied, critical_path, families, main, makespan, point, recorded
 from tests.fixtures.cells import number
 
 
-def cell(name: str, seconds: float, *needs: str, kind: str = "number") -> Recorded:
-    return Recorded(name, kind, name, needs, seconds, 1000, 2)
+def cell(name: str, seconds: float, *needs: str, kind: str = "number", title: str = "") -> Recorded:
+    return Recorded(name, kind, title or name, needs, seconds, 1000, 2)
 
 
 CHAIN = [cell("a", 1.0), cell("b", 2.0, "a"), cell("c", 3.0, "b")]
@@ -66,8 +66,18 @@ def test_the_records_of_a_run_are_the_plan_with_the_seconds_it_took(
     assert all(one.size > 0 and one.seconds > 0.0 for one in found)
     assert main([str(tmp_path), "--processes", "1", "2", "--copies", "2", "--client", "0.1"]) == 0
     shown = capsys.readouterr().out
-    assert "6 cells" in shown
+    assert shown.count("| 2      |              0.1 |") == 2
+    assert "3 cells" in shown
     assert "count data 0.0, count fit 0.0, count end 0.0" in shown
+
+
+def test_the_table_of_families_has_medians_of_their_fits_evolutions_and_trials() -> None:
+    cells = [cell(f"fit {i}", i, kind="fit", title="fit narx") for i in (1.0, 2.0, 9.0)]
+    cells += [cell("a", 4.0, kind="evolve", title="evolve narx"), cell("b", 9.0, kind="evolve", title="evolve x+narx")]
+    cells += [cell("c", 0.5, kind="run", title="run pid on narx"), cell("d", 5.0, kind="evolve", title="evolve robot")]
+    table = families(cells, 2e8)
+    rows = list(zip(*(column.cells for column in table.columns), strict=True))
+    assert rows == [("`narx`", "2.0", "4.0", "50", "0.500"), ("`robot`", "", "5.0", "40", "")]
 
 
 def test_a_folder_without_records_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ The table begins with `auto` and its note for each seed, and the processor time 
 ``--alone`` seeds (0: none), every candidate fitted alone to the same data; the best in hindsight has the lowest N after
 20 steps. A difference is marked if its 95 % interval (paired block bootstrap, pooled over the seeds) excludes zero.
 With ``--keep`` fitted models are stored in a folder and reused; ``--seeds 0`` fits the candidates only.
+The last table has all recordings, after 10, 20 and 60 steps.
 """
 
 from __future__ import annotations
@@ -20,10 +21,13 @@ import os
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import psutil
+from rich.console import Console
+from rich.table import Table
 
 from evaluation.planning import with_preset
 from evaluation.prediction import ModelPrediction, PredictionProtocol, assess_model, measured_cases
@@ -36,9 +40,12 @@ from sysid_evo.registry import Spec, make_robot
 from tests.benchmarks.cars import SECOND, TEST_EPISODE, pooled
 from tests.benchmarks.cars import recording as car_recording
 from tests.benchmarks.choosing.systems import SIMULATED
+from tests.benchmarks.markdown import add_markdown, print_tables, thousandths
 
 PEERS = {"slippery_20hz": {10: 0.266, 20: 0.296, 60: 0.305}, "free_20hz": {10: 0.192, 20: 0.204, 60: 0.212}}
 """The lowest N of any peer at each horizon, under the same rules."""
+HORIZONS = (10, 20, 60)
+"""Those of the peers, in steps."""
 ROBOTS = ("emulated_car", "pendulum", "cart_pole", "thermal")
 FLOORS = ("DS1", "DS3", "DS4", "DS5")
 RECORDED_TIME, TESTED_TIME = 360.0, 720.0
@@ -99,14 +106,17 @@ def difference(first: list[ModelPrediction], second: list[ModelPrediction], hori
     return f"{100.0 * (own.value / other.value - 1.0):+.1f} %{mark}"
 
 
-def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | None) -> None:
-    """Write the errors of `auto` and of every single candidate on one recording."""
+def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | None) -> tuple[str, str, str, str]:
+    """Write the errors of `auto` and of every single candidate on one recording.
+
+    Return the row of the table, with `HORIZONS`.
+    """
     write, fits = sys.stdout.write, Fits(name, folder)
     horizons = [horizon for horizon in fits.cases.horizons if horizon is not None]
     write(f"\n{name}: N after {', '.join(map(str, horizons))} steps\n")
 
-    def line(rows: list[ModelPrediction]) -> str:
-        return "  ".join(f"{pooled(rows, horizon).value:.3f}" for horizon in horizons)
+    def line(rows: list[ModelPrediction], shown: Sequence[int] = horizons) -> str:
+        return thousandths(pooled(rows, horizon).value for horizon in shown)
 
     auto = with_preset(Spec("auto"), preset)
     found = []
@@ -126,25 +136,35 @@ def benchmark(name: str, preset: str, seeds: int, alone: int, folder: Path | Non
             rivals[candidate.name] = [fits.score(candidate.spec, seed)[0] for seed in range(alone)]
             write(f"  {line(rivals[candidate.name])}  {candidate.name}\n")
             sys.stdout.flush()
-    if rivals and found:
-        best = min(rivals, key=lambda one: pooled(rivals[one], SECOND).value)
+    best = min(rivals, key=lambda one: pooled(rivals[one], SECOND).value) if rivals else None
+    if best is not None and found:
         told = ", ".join(f"{horizon}: {difference(found, rivals[best], horizon)}" for horizon in horizons)
         write(f"  auto against the best alone in hindsight, {best}: {told}\n")
+    return (
+        f"{name}, `{preset}`",
+        line(found, HORIZONS) if found else "",
+        thousandths(PEERS.get(name, {}).values()),
+        "" if best is None else line(rivals[best], HORIZONS),
+    )
 
 
-def main() -> None:
+def main(arguments: list[str] | None = None) -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "recordings", nargs="*", metavar="RECORDING", help=", ".join([*TEST_EPISODE, *FLOORS, *ROBOTS, *SIMULATED])
     )
-    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--preset", nargs="+", default=["standard"], help="one or more")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--alone", type=int, default=1)
     parser.add_argument("--keep", type=Path)
-    arguments = parser.parse_args()
-    for name in arguments.recordings or TEST_EPISODE:
-        benchmark(name, arguments.preset, arguments.seeds, arguments.alone, arguments.keep)
+    add_markdown(parser)
+    given = parser.parse_args(arguments)
+    table = Table("recording", "`auto`", "best peer at each horizon", "best single candidate, in hindsight")
+    for name in given.recordings or TEST_EPISODE:
+        for preset in given.preset:
+            table.add_row(*benchmark(name, preset, given.seeds, given.alone, given.keep))
+    print_tables([table], given.markdown, Console(width=120))
 
 
 if __name__ == "__main__":

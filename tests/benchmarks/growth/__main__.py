@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from evaluation.plot_style import COLOURS, new_figure, style
 from tests.benchmarks.growth.cases import PARTS, cases
 from tests.benchmarks.growth.measuring import WORSE, Curve, measured
+from tests.benchmarks.markdown import add_markdown, print_tables
 
 MOST_SECONDS = 6.0
 PANELS = 3
@@ -87,6 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="two small sizes each: does it run?")
     parser.add_argument("--without-memory", action="store_true")
     parser.add_argument("--out", type=Path, help="folder for growth.svg, growth.png and growth.json")
+    add_markdown(parser)
     chosen = parser.parse_args(arguments)
     parts = chosen.parts.split(",")
     unknown = sorted(set(parts) - set(PARTS))
@@ -121,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 (chosen.out / "growth.json").write_text(json.dumps(rows, indent=1))
     if not curves:
         parser.error(f"--only: nothing in {', '.join(parts)} has {chosen.only!r} in its name")
-    console.print(table(curves))
+    print_tables([table(curves)], chosen.markdown, console)
     for note in dict.fromkeys(f"{c.growth.name}: {c.growth.note}" for c in curves if c.growth.note):
         console.print(note, highlight=False)
     if chosen.out is not None:

@@ -13,12 +13,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from rich.console import Console
-
+from tests.benchmarks.markdown import add_markdown, print_tables
 from tests.benchmarks.robot.blinding import blind
 from tests.benchmarks.robot.cutting import cut
 from tests.benchmarks.robot.killing import kill
-from tests.benchmarks.robot.outcome import Row, save, show
+from tests.benchmarks.robot.outcome import Row, save, table_of
 from tests.benchmarks.robot.pacing import pace_busy, pace_disk, pace_idle
 from tests.benchmarks.robot.stopping import stop
 from tests.benchmarks.robot.suspending import suspend
@@ -44,6 +43,7 @@ def main() -> int:
     parser.add_argument("--duration", type=float, default=DURATION, help="of the runs that last, in s")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--json", type=Path, default=Path("robot-stress.json"))
+    add_markdown(parser)
     options = parser.parse_args()
     rows: list[Row] = []
     for name in REPEATED if options.name == "all" else [options.name]:
@@ -53,7 +53,7 @@ def main() -> int:
             else:
                 test, repeats = REPEATED[name]
                 rows += test(Path(folder), repeats=options.repeats or repeats, seed=options.seed)
-    show(rows, Console())
+    print_tables([table_of(rows)], options.markdown)
     save(rows, options.json)
     return 0 if all(row.holds for row in rows) else 1
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -36,13 +35,13 @@ def spread(values: Sequence[float]) -> dict[str, float]:
     return {"median_ms": round(1000.0 * float(np.median(values)), 1), "worst_ms": round(1000.0 * max(values), 1)}
 
 
-def show(rows: Sequence[Row], console: Console) -> None:
-    """Print ``rows`` as a table."""
+def table_of(rows: Sequence[Row]) -> Table:
+    """Return ``rows`` as a table."""
     table = Table("case", "demand", "passed", "figures")
     for row in rows:
         figures = ", ".join(f"{name.replace('_', ' ')} {_shown(value)}" for name, value in row.figures.items())
         table.add_row(row.case, row.demand, f"{row.passed} of {row.count}", Text(figures))
-    console.print(table)
+    return table
 
 
 def save(rows: Sequence[Row], path: Path) -> None:

@@ -26,6 +26,7 @@ from sysid_evo.models import Disturbed, Dynamics
 from sysid_evo.randomness import trial_seeds
 from sysid_evo.tasks import PointToPoint
 from sysid_evo.types import Array
+from tests.benchmarks.markdown import add_markdown, print_tables
 from tests.benchmarks.rollout.families import Case, cases, recording
 from tests.benchmarks.rollout.timing import in_turn
 
@@ -103,6 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--models", nargs="*", default=[], help="only models whose names contain one of these")
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    add_markdown(parser)
     chosen = parser.parse_args(arguments)
     candidates, generations, repeats = (10, 2, 1) if chosen.quick else (100, 60, chosen.repeats)
     task = PointToPoint(horizon=50 if chosen.quick else 500)
@@ -115,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 continue
             population = evolved(case.dynamics, task, candidates, generations)
             rows.append(measure(case, task, population, repeats))
-    console.print(speeds(rows))
+    print_tables([speeds(rows)], chosen.markdown, console)
     console.print(
         "goals: mean fitness; thr.: threads. zero: time with nothing that disturbs to time without. "
         "Processor time, but 2 thr. and 2/1 by the clock; "
