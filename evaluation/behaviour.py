@@ -60,7 +60,7 @@ def driving_summaries(matrix: TransferMatrix) -> tuple[DrivingSummary, ...]:
     if system is None or not kept:
         return ()
     states = [trace.trajectory.states for traces in kept.values() for trace in traces]
-    fastest = np.quantile([np.quantile(np.abs(one), 0.99, axis=0) for one in states], USUAL, axis=0)
+    fastest = np.quantile([np.quantile(np.abs(one), 0.99, axis=0) for one in states], SPEED_QUANTILE, axis=0)
     found = []
     for champion in matrix.champions:
         robots = [column for column in matrix.columns if column not in matrix.models]
@@ -71,7 +71,7 @@ def driving_summaries(matrix: TransferMatrix) -> tuple[DrivingSummary, ...]:
     return tuple(found)
 
 
-USUAL = 0.75
+SPEED_QUANTILE = 0.75
 """Quantile of the trials that defines a high speed: a single exploited model may be faster than all others."""
 
 
@@ -201,11 +201,11 @@ def _stops(resting: BoolArray, least: int) -> int:
 
 NEAR = 2.5
 """A marker is missed if a body that approached it passes within this distance (radii of the marker) and leaves."""
-CAME = 0.5
+MIN_APPROACH = 0.5
 """Minimum distance (radii) by which it must have approached before, and have left afterwards."""
-AFTER = 2.0
+REACTION_TIME = 2.0
 """Time (s) after a miss in which the reaction is observed."""
-LONGEST = 10.0
+MAX_ORBIT_TIME = 10.0
 """Longest time (s) of a full turn around a marker that counts as an orbit."""
 
 Reaction: TypeAlias = Literal["drives on", "stops", "turns back"]
@@ -246,11 +246,11 @@ def chase(place: Array, markers: Array, radius: float, forward: Array, dt: float
         leg = slice(begin, end + 1)
         misses = [begin + step for step in _misses(distance[: end - begin + 1], radius)]
         for step in misses:
-            reactions.append(_reaction(forward[step : step + 1 + round(AFTER / dt)], still))
+            reactions.append(_reaction(forward[step : step + 1 + round(REACTION_TIME / dt)], still))
             if there:
                 after.append((end - step) * dt)
         missed += bool(misses)
-        around[leg] |= _orbits(off[: end - begin + 1], max(2, round(LONGEST / dt)))
+        around[leg] |= _orbits(off[: end - begin + 1], max(2, round(MAX_ORBIT_TIME / dt)))
         reached += there
         begin = end
         if not there or begin >= len(place) - 1:
@@ -272,11 +272,11 @@ def _misses(distance: Array, radius: float) -> list[int]:
     for k, now in enumerate(distance):
         if not coming:
             farthest = max(farthest, now)
-            if now < farthest - CAME * radius:
+            if now < farthest - MIN_APPROACH * radius:
                 coming, nearest, step = True, now, k
         elif now < nearest:
             nearest, step = now, k
-        elif now > nearest + CAME * radius:
+        elif now > nearest + MIN_APPROACH * radius:
             if radius <= nearest < NEAR * radius:
                 found.append(step)
             coming, farthest = False, now
@@ -304,11 +304,11 @@ def _orbits(off: Array, longest: int) -> BoolArray:
     return marked
 
 
-MOSTLY, HARDLY = 0.5, 0.1
+MENTIONED_SHARE, RARE_SHARE = 0.5, 0.1
 """Shares from which something is mentioned, and below which it is rare."""
-SIDED = 0.75
+ONE_SIDED_SHARE = 0.75
 """Share of the turns to one side from which it is mentioned."""
-APART = 0.15
+MENTIONED_DIFFERENCE = 0.15
 """Difference of two shares, or relative difference of two rates, that is mentioned between two systems."""
 
 
@@ -342,16 +342,18 @@ def _driving(summary: DrivingSummary) -> list[str]:
         return []
     parts = []
     if np.isfinite(back):
-        way = "backwards" if back > MOSTLY else "forwards"
+        way = "backwards" if back > MENTIONED_SHARE else "forwards"
         parts.append(f"drives {way} {percent(max(back, 1.0 - back))} of the time at {speed:.2f} m/s")
     else:
         parts.append("hardly moves")
-    if np.isfinite(left) and max(left, 1.0 - left) >= SIDED:
-        parts.append(f"turns {'left' if left > MOSTLY else 'right'} in {percent(max(left, 1.0 - left))} of its turns")
+    if np.isfinite(left) and max(left, 1.0 - left) >= ONE_SIDED_SHARE:
+        parts.append(
+            f"turns {'left' if left > MENTIONED_SHARE else 'right'} in {percent(max(left, 1.0 - left))} of its turns"
+        )
     stops, resting = summary.value("stops per minute"), summary.value("at rest")
     if stops >= 1.0:
         parts.append(f"stops {stops:.0f} times a minute")
-    if resting >= HARDLY:
+    if resting >= RARE_SHARE:
         parts.append(f"is at rest {percent(resting)} of the time")
     return parts
 
@@ -360,11 +362,11 @@ def _chasing(summary: DrivingSummary) -> list[str]:
     missed, orbiting = summary.value("missed at first"), summary.value("orbiting")
     parts = []
     if np.isfinite(missed):
-        if missed < HARDLY / 2:
+        if missed < RARE_SHARE / 2:
             parts.append("hardly ever misses a waypoint")
         else:
             parts.append(f"misses {percent(missed)} of the waypoints at first{_after(summary)}")
-    if np.isfinite(orbiting) and orbiting > HARDLY / 10:
+    if np.isfinite(orbiting) and orbiting > RARE_SHARE / 10:
         parts.append(f"orbits a waypoint {percent(orbiting)} of the time")
     return parts
 
@@ -372,7 +374,7 @@ def _chasing(summary: DrivingSummary) -> list[str]:
 def _after(summary: DrivingSummary) -> str:
     """Return the reactions to a miss, the most frequent first."""
     shares = {what: summary.value(f"{what} after a miss") for what in REACTIONS}
-    known = {what: share for what, share in shares.items() if np.isfinite(share) and share >= HARDLY}
+    known = {what: share for what, share in shares.items() if np.isfinite(share) and share >= RARE_SHARE}
     parts = [f"{what} ({percent(share)})" for what, share in sorted(known.items(), key=lambda pair: -pair[1])]
     delay = summary.value("reached after a miss in")
     back = f", and reaches it {delay:.1f} s later" if np.isfinite(delay) else ""
@@ -384,7 +386,7 @@ def _settling(summary: DrivingSummary) -> list[str]:
     if not np.isfinite(settled):
         return []
     parts = [f"is within tolerance {percent(within)} of the time"]
-    if settled < HARDLY:
+    if settled < RARE_SHARE:
         return [*parts, "never settles" if settled == 0.0 else f"settles in only {percent(settled)} of the trials"]
     return [*parts, f"settles after {seconds:.1f} s in {percent(settled)} of the trials"]
 
@@ -392,11 +394,11 @@ def _settling(summary: DrivingSummary) -> list[str]:
 def _switching(summary: DrivingSummary) -> list[str]:
     ending = " switches per second"
     rates = {name.removesuffix(ending): one.value for name, one in summary.measures.items() if name.endswith(ending)}
-    parts = [f"{name} {rate:.1f} times" for name, rate in rates.items() if rate >= HARDLY]
+    parts = [f"{name} {rate:.1f} times" for name, rate in rates.items() if rate >= RARE_SHARE]
     parts = [f"switches {' and '.join(parts)} a second"] if parts else []
     for name in rates:
         limit = summary.value(f"{name} at a limit")
-        if HARDLY <= limit < 1.0:
+        if RARE_SHARE <= limit < 1.0:
             parts.append(f"holds {name} at a limit {percent(limit)} of the time")
     return parts
 
@@ -411,7 +413,7 @@ def _otherwise(here: DrivingSummary, other: DrivingSummary) -> str:
         size = abs(one.value - own.value)
         if unit_of(name):
             size /= max(one.value, own.value)
-        if size >= APART:
+        if size >= MENTIONED_DIFFERENCE:
             found.append((size, f"{name} {_value_text(name, one.value)} instead of {_value_text(name, own.value)}"))
     listed = [text for _, text in sorted(found, key=lambda pair: -pair[0])[:3]]
     return f"In {other.column}: {', '.join(listed)}." if listed else ""
@@ -424,7 +426,7 @@ def _value_text(name: str, value: float) -> str:
     return f"{value:.1f} {unit}" if unit else percent(value)
 
 
-STILL = "are at rest"
+AT_REST = "are at rest"
 QUIET = 0.05
 """A state is neutral within this share of its largest absolute value in the data."""
 
@@ -467,7 +469,7 @@ def behaviour(system: System, trajectories: Sequence[Trajectory], largest: Array
     shares = above_and_below(np.where(quiet, 0.0, off), controls, centre).mean(axis=0)
     verbs = ["have"] * (2 * system.nx) + ["hold"] * (2 * system.nu)
     named = zip(verbs, behaviour_names(system), shares, strict=True)
-    return {STILL: float(quiet.all(axis=1).mean())} | {
+    return {AT_REST: float(quiet.all(axis=1).mean())} | {
         f"{verb} {name} neutral": float(one) for verb, name, one in named
     }
 

@@ -17,7 +17,7 @@ from sysid_evo.data.units import spelled_range
 from sysid_evo.system import Channel, System
 from sysid_evo.types import Array, BoolArray
 
-MOST = 5
+MAX_REGIONS = 5
 """Maximum number of regions that are returned."""
 LEAST_SHARE = 0.002
 """A region that is visited less than this is left out."""
@@ -53,7 +53,7 @@ class UncoveredBox:
 
 
 def suggest_recordings(
-    support: Support, driven: Steps | Iterable[Trajectory], *, most: int = MOST
+    support: Support, driven: Steps | Iterable[Trajectory], *, most: int = MAX_REGIONS
 ) -> tuple[UncoveredBox, ...]:
     """Return the boxes of states and controls in which ``driven`` is most often outside the data.
 
@@ -107,9 +107,9 @@ def _rounded(width: float) -> float:
     return float(power * ROUND[width / power * (1.0 + 1e-9) >= ROUND].max())
 
 
-ASKED = 0.05
+MIN_SHARE = 0.05
 """Share of the steps in one region from which it matters: a twentieth."""
-RARELY = 0.1
+RARE_RATIO = 0.1
 """A region is missing if its share of the data is below this part of that share: a tenth of uniform data."""
 
 EDGES = (1.0, 20.0, 50.0, 80.0, 99.0)
@@ -143,7 +143,7 @@ def largest_gap(seen: Steps, asked: Steps) -> CoverageGap | None:
     regions = _regions(seen.system, _columns(seen))
     wanted, channels = _together(regions, asked), np.array([region.channel for region in regions])
     other = (channels[:, None] != channels[None, :]) | np.eye(len(regions), dtype=bool)
-    return _largest(regions, other & (wanted >= ASKED), wanted, _together(regions, seen))
+    return _largest(regions, other & (wanted >= MIN_SHARE), wanted, _together(regions, seen))
 
 
 UNTRIED = 0.03
@@ -169,7 +169,7 @@ def _largest(regions: Sequence[Region], candidates: BoolArray, wanted: Array, th
 
     All three are (regions, regions). A single region is simpler, and returned if its share is nearly as large.
     """
-    size = np.where(candidates & (there <= RARELY * wanted), wanted, 0.0)
+    size = np.where(candidates & (there <= RARE_RATIO * wanted), wanted, 0.0)
     if not size.any():
         return None
     single = np.diag(size)

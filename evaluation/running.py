@@ -276,7 +276,7 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
     )
 
 
-HELD_BY_THE_MATRIX = ("run",)
+MATRIX_KINDS = ("run",)
 """Kinds of cells whose failures are listed in the transfer matrix."""
 
 
@@ -312,7 +312,7 @@ def _failures(comparison: Comparison, store: Store) -> list[Failure]:
     found = []
     for cell in comparison.plan:
         record = store.find(cell.digest)
-        listed_there = cell.kind in HELD_BY_THE_MATRIX or cell.kind == "predict"
+        listed_there = cell.kind in MATRIX_KINDS or cell.kind == "predict"
         if record is not None and record.status == "failed" and not listed_there:
             found.append(Failure(cell.title, record.reason or ""))
         elif (

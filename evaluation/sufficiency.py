@@ -118,7 +118,7 @@ def none_beats_rest(matrix: TransferMatrix) -> bool:
     return bool(judged) and not any(one is None or one for one in judged)
 
 
-GUESSED, MOSTLY_GUESSED = 0.1, 0.5
+EXTRAPOLATED, MOSTLY_EXTRAPOLATED = 0.1, 0.5
 """Shares of the time outside the data that make a forecast an extrapolation.
 
 The first if it is also three times the share in held-out data, the second always. Round numbers, not measured.
@@ -128,7 +128,7 @@ The first if it is also three times the share in held-out data, the second alway
 def guessed_share(models: Sequence[ModelExploitability], controller: str) -> float | None:
     """Return the share of the time outside the data of a controller in the models that it was evolved in.
 
-    None if that is below the limits `GUESSED` and `MOSTLY_GUESSED`, or unknown.
+    None if that is below the limits `EXTRAPOLATED` and `MOSTLY_EXTRAPOLATED`, or unknown.
     """
     found = [
         (share, one.outside_held_out or 0.0) for one in models for name, share in one.outside if name == controller
@@ -136,7 +136,7 @@ def guessed_share(models: Sequence[ModelExploitability], controller: str) -> flo
     if not found:
         return None
     share, normal = np.mean(found, axis=0)
-    return float(share) if share >= max(GUESSED, min(TIMES_NORMAL * normal, MOSTLY_GUESSED)) else None
+    return float(share) if share >= max(EXTRAPOLATED, min(TIMES_NORMAL * normal, MOSTLY_EXTRAPOLATED)) else None
 
 
 def guess_warning(models: Sequence[ModelExploitability], controller: str) -> str:

@@ -63,7 +63,7 @@ class Robot(ABC):
         if self.dynamics is None or (self.dynamics.kernel() is not None and resolve() != "reference"):
             return 0.0
         alone = self._step_seconds(1)
-        trials = int(np.clip(LOOK / alone, 1, AT_ONCE))
+        trials = int(np.clip(MAX_TIMING / alone, 1, TIMED_TRIALS))
         return self._step_seconds(trials) / trials
 
     def _step_seconds(self, trials: int) -> float:
@@ -133,9 +133,9 @@ class Robot(ABC):
         return record_through_loop(self, manoeuvres, job)
 
 
-AT_ONCE = 300
+TIMED_TRIALS = 300
 """Number of trials that are stepped together in a timing: about those of a generation."""
-LOOK = 2.0
+MAX_TIMING = 2.0
 """Longest time (s) of a timing, if that many trials take as long as one after the other."""
 
 

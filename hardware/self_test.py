@@ -182,7 +182,7 @@ STEPS = 300
 """Number of steps for which the equations are run under each control."""
 BATCH = 64
 """Number of trials whose step is timed."""
-LONG = 2.0
+MAX_TIMING = 2.0
 """Time (s) after which the timing is ended."""
 
 
@@ -345,7 +345,7 @@ def _speed(dynamics: Dynamics, stop: StopRequest) -> SelfTestFinding:
         with stop.answer("the robot's equations"):
             dynamics.step(carry, control, noise)
         steps += 1
-        if stop.reason is not None or time.perf_counter() - began > LONG:
+        if stop.reason is not None or time.perf_counter() - began > MAX_TIMING:
             break
     seconds = (time.perf_counter() - began) * STEPS / steps
     form = "NumPy (a kernel() makes it ten times as fast)" if dynamics.kernel() is None else "compiled"

@@ -223,7 +223,7 @@ class ChannelFunction(NamedTuple):
         return FUNCTIONS[self.function](values if self.factor == 1.0 else self.factor * values)
 
 
-FAR = 10.0
+MAX_OFFSET = 10.0
 """Distance from zero, in standard deviations, above which the monomials of a channel are too collinear.
 
 On a simulated vehicle and tank (1,800 samples) errors rose from 0.02 to 0.31 at 12 deviations (`sindy_discrete`), from
@@ -235,13 +235,13 @@ effect.
 def offsets_of(dataset: Dataset) -> tuple[float, ...]:
     """Return the offsets (nx + nu) to subtract from states and controls before monomials are formed; () if all are 0.
 
-    A channel further than `FAR` from zero has its mean as offset, rounded to the leading digit of its standard
+    A channel further than `MAX_OFFSET` from zero has its mean as offset, rounded to the leading digit of its standard
     deviation. Periodic states have none.
     """
     values = np.concatenate([np.column_stack([e.states[:-1], e.controls]) for e in dataset])
     mean, spread = values.mean(axis=0), deviation(values)
     digit = 10.0 ** np.floor(np.log10(spread))
-    far = np.abs(mean) > FAR * spread
+    far = np.abs(mean) > MAX_OFFSET * spread
     far[list(dataset.system.periods)] = False
     return tuple(np.where(far, np.round(mean / digit) * digit, 0.0).tolist()) if far.any() else ()
 

@@ -38,9 +38,9 @@ class Counter:
             self.progress(self.done, self.total)
 
 
-LONG = 600.0
+REPORTED_SECONDS = 600.0
 """A fit that is estimated to take longer than this (s) is reported."""
-WATCHED = 5.0
+MIN_SECONDS = 5.0
 """Processor time (s) before the remaining time is estimated; wall time would depend on the load of the machine."""
 
 
@@ -52,13 +52,13 @@ class TimeLeft:
         self.reported = False
 
     def long(self, done: int, total: int) -> float | None:
-        """Return the remaining time (s), once, as soon as the estimate exceeds `LONG`; else None."""
+        """Return the remaining time (s), once, as soon as the estimate exceeds `REPORTED_SECONDS`; else None."""
         now = time.process_time()
         if self.first is None:  # the first part is not counted, because it includes work done once, such as compiling
             self.first = (now, done) if done > 0 else None
-        elif done > self.first[1] and now - self.first[0] > WATCHED and not self.reported:
+        elif done > self.first[1] and now - self.first[0] > MIN_SECONDS and not self.reported:
             left = (now - self.first[0]) / (done - self.first[1]) * (total - done)
-            self.reported = left > LONG
+            self.reported = left > REPORTED_SECONDS
             return left if self.reported else None
         return None
 
@@ -93,7 +93,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
         yield update
 
 
-EVERY = 5.0
+LINE_INTERVAL = 5.0
 """Seconds between two lines without a progress bar."""
 
 
@@ -104,7 +104,7 @@ def _lines(title: str) -> Progress:
     def update(done: int, total: int, note: str = "") -> None:
         nonlocal last
         now = time.monotonic()
-        if now - last >= EVERY or done == total:
+        if now - last >= LINE_INTERVAL or done == total:
             last = now
             sys.stderr.write(printable(f"{title}: {done} of {total}{f', {note}' if note else ''}") + "\n")
             sys.stderr.flush()

@@ -26,7 +26,7 @@ from sysid_evo.data import Dataset, RecordingQuality, Trajectory, recording_qual
 from sysid_evo.errors import InvalidData
 from sysid_evo.models import DynamicsModel
 
-MOST = 5
+MAX_REMARKS = 5
 """Maximum number of remarks: longer lists are not read."""
 
 FEWEST = 20
@@ -34,10 +34,10 @@ FEWEST = 20
 HELD_OUT_SHARE = 0.25
 """Share of each episode, at its end, on which a refitted copy is evaluated if there is no test part."""
 NEGLIGIBLE = 0.05
-"""Error N at the main horizon up to which only the topics of `EVEN_THEN` are reported."""
-EVEN_THEN = ("noise", "excitation", "outside the data", "test part", "dead command")
+"""Error N at the main horizon up to which only the topics of `ALWAYS_REPORTED` are reported."""
+ALWAYS_REPORTED = ("noise", "excitation", "outside the data", "test part", "dead command")
 """Topics that are reported even for such an accurate model: the noise floor and missing data."""
-EXPLAINS = {
+EXPLAINED_TOPICS = {
     "shift": ("hidden state", "noise"),
     "late controls": ("noise", "shift"),
     "form": ("shift", "hidden state"),
@@ -51,14 +51,14 @@ EXPLAINS = {
 A recording that differs makes residuals correlated. A model of the wrong form makes recordings with other controls seem
 to differ. An error counts as noise only if nothing else explains it. A region of one or two channels is simpler than a
 box of all channels."""
-BY_INTERVAL = ("shift", "overfit", "few data", "weak region")
+INTERVAL_TOPICS = ("shift", "overfit", "few data", "weak region")
 """Remarks based on a block-bootstrap interval; left out if there are too few blocks."""
-OF_PLACES: tuple[Callable[[Recordings], Remark | None], ...] = (
+PLACE_CHECKS: tuple[Callable[[Recordings], Remark | None], ...] = (
     missing_excitation,
     other_states,
     dead_command,
 )
-OF_MODELS: tuple[Callable[[Evidence], Remark | None], ...] = (
+MODEL_CHECKS: tuple[Callable[[Evidence], Remark | None], ...] = (
     noise_floor,
     late_controls,
     hidden_state,
@@ -73,7 +73,7 @@ OF_MODELS: tuple[Callable[[Evidence], Remark | None], ...] = (
 def ranked(remarks: Iterable[Remark | None]) -> tuple[Remark, ...]:
     """Return the ``remarks`` that no other remark explains, the most important first."""
     made = [remark for remark in remarks if remark is not None]
-    explained = {topic for remark in made for topic in EXPLAINS.get(remark.topic, ())}
+    explained = {topic for remark in made for topic in EXPLAINED_TOPICS.get(remark.topic, ())}
     return tuple(sorted((one for one in made if one.topic not in explained), key=lambda remark: -remark.weight))
 
 
@@ -86,7 +86,7 @@ def advise_recording(
     trajectories of controllers in models and on robots.
     """
     where = Recordings(training=dataset, visited=Steps.of(dataset.system, visited) or None, known=quality)
-    return ranked(look(where) for look in (*CHECKS, late_answers, outside_the_data, *OF_PLACES))
+    return ranked(look(where) for look in (*CHECKS, late_answers, outside_the_data, *PLACE_CHECKS))
 
 
 def advise_model(
@@ -119,15 +119,15 @@ def advise_model(
     if not where.varying.any():
         sentence = f"No state varies in the data that {name} is evaluated on: excite the controls."
         return ModelAdvice(name, evaluated_on, (Remark("variation", sentence, 1.0),))
-    looks = (*CHECKS, *OF_PLACES, *OF_MODELS)
+    looks = (*CHECKS, *PLACE_CHECKS, *MODEL_CHECKS)
     remarks = [remark for look in looks if (remark := look(where)) is not None]
     if where.test is not None and where.model.fast_fit and (more := _with_half(where, seed)) is not None:
         remarks.append(more)
     if len(where.test_windows.errors) and where.test_windows.n(where.std) <= NEGLIGIBLE:
-        remarks = [remark for remark in remarks if remark.topic in EVEN_THEN]
+        remarks = [remark for remark in remarks if remark.topic in ALWAYS_REPORTED]
     if not enough_blocks(len(np.unique(where.test_windows.blocks))):
-        remarks = [remark for remark in remarks if remark.topic not in BY_INTERVAL]
-    return ModelAdvice(name, evaluated_on, ranked(remarks)[:MOST])
+        remarks = [remark for remark in remarks if remark.topic not in INTERVAL_TOPICS]
+    return ModelAdvice(name, evaluated_on, ranked(remarks)[:MAX_REMARKS])
 
 
 def _held_out(evidence: Evidence, seed: int) -> tuple[Evidence, str]:

@@ -14,11 +14,11 @@ from sysid_evo.models import DynamicsModel
 from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.estimates import Draws, drawn_rms
 
-WORSE = 1.25
+MIN_ERROR_RATIO = 1.25
 """Ratio of test to training error that must be exceeded with certainty: similar recordings differ by less."""
-REMEMBERED = 0.02
+MEMORISED_ERROR = 0.02
 """A training error N below this belongs to a model that memorises its data; it is not compared."""
-HELPS = 1.05
+MIN_GAIN_RATIO = 1.05
 """Ratio of the error with half the data to that with all data which must be exceeded with certainty."""
 BLOCK_STEPS = 200
 """Steps of each block; every other block is left out."""
@@ -32,10 +32,10 @@ def overfit(evidence: Evidence) -> Remark | None:
     if not len(seen.errors) or not len(new.errors):
         return None
     before, after = seen.n(evidence.std), new.n(evidence.std)
-    if before < REMEMBERED:
+    if before < MEMORISED_ERROR:
         return None
     ratio = new.drawn_n(evidence.std, seed=1).times(seen.drawn_n(evidence.std, seed=2))
-    if not ratio.low >= WORSE:
+    if not ratio.low >= MIN_ERROR_RATIO:
         return None
     return Remark(
         "overfit",
@@ -54,7 +54,7 @@ def too_few_data(evidence: Evidence, half: DynamicsModel) -> Remark | None:
     if evidence.test is None or not paired:
         return None
     with_all, with_half = whole.n(evidence.std), fewer.n(evidence.std)
-    if not fewer.drawn_n(evidence.std).times(whole.drawn_n(evidence.std)).low >= HELPS:
+    if not fewer.drawn_n(evidence.std).times(whole.drawn_n(evidence.std)).low >= MIN_GAIN_RATIO:
         return None
     return Remark(
         "few data",
@@ -80,7 +80,7 @@ def _ahead(evidence: Evidence) -> str:
     return f"{evidence.horizon * evidence.system.dt:g} s ahead"
 
 
-BETTER = 0.1
+MIN_CORRECTION = 0.1
 """Share of the error that a correction must remove; below it adaptation does not pay."""
 FEWEST, FEWEST_BLOCKS = 40, 4
 """Minimum number of windows to fit a correction to and to evaluate it on, and of blocks to evaluate it on."""
@@ -144,7 +144,7 @@ def shift(evidence: Evidence) -> Remark | None:
         gain = _gain(windows, windows.recordings == name, len(names))
         if gain is not None:
             gains[str(name)] = gain
-    found = {name: gain for name, gain in gains.items() if gain >= BETTER}
+    found = {name: gain for name, gain in gains.items() if gain >= MIN_CORRECTION}
     if not found:
         return None
     worst = max(found, key=lambda name: found[name])

@@ -18,13 +18,13 @@ from sysid_evo.types import Array, BoolArray
 FEWEST = 250
 """Minimum number of steps with the whole history that a model uses; with fewer there is no remark."""
 
-LITTLE = 1.25
+MAX_NOISE_RATIO = 1.25
 """Ratio of the one-step error to the noise up to which little is left to gain: differences between families that matter
 are larger."""
-FORM = 0.2
+MIN_FORM_SHARE = 0.2
 """Share of the residual variance, explained by a plain regression on the model's own inputs, from which the form of the
 model limits it: a tenth of the error."""
-NEIGHBOURS, APART = 4, 20
+NEIGHBOURS, MIN_PAIR_DISTANCE = 4, 20
 """Neighbours of a step that form pairs with it, and their minimum distance in steps: correlated noise is in both."""
 
 MOST_PAIRS = 4000
@@ -45,7 +45,7 @@ def noise_floor(evidence: Evidence) -> Remark | None:
     if found is None:
         return None
     figures = {"n": found.n, "noise": found.floor, "explained": found.explained}
-    if found.explained >= FORM:
+    if found.explained >= MIN_FORM_SHARE:
         return Remark(
             "form",
             f"The form of {evidence.name} limits it: a plain regression on the same inputs explains "
@@ -54,7 +54,7 @@ def noise_floor(evidence: Evidence) -> Remark | None:
             1.0 - np.sqrt(1.0 - found.explained),
             figures,
         )
-    if found.n <= LITTLE * found.floor:
+    if found.n <= MAX_NOISE_RATIO * found.floor:
         return Remark(
             "noise",
             f"The one-step error of {evidence.name}, N {found.n:.3f}, is {found.n / found.floor:.2f} times the noise, "
@@ -89,9 +89,9 @@ def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
     now, earlier, places = now[known], earlier[known], np.flatnonzero(rows)[known]
     some = evenly_spaced(len(left), MOST_PAIRS, nearest=True)
     points, places = standardised(np.concatenate([now, earlier], axis=1))[some], places[some]
-    count = min(len(points), NEIGHBOURS + 2 * APART + 1)
+    count = min(len(points), NEIGHBOURS + 2 * MIN_PAIR_DISTANCE + 1)
     near = np.asarray(cKDTree(points).query(points, k=count)[1], dtype=np.int64)
-    apart = np.abs(places[near] - places[:, None]) > APART  # in time
+    apart = np.abs(places[near] - places[:, None]) > MIN_PAIR_DISTANCE  # in time
     pairs = near[np.arange(len(near)), apart.argmax(axis=1)]
     floor = np.sqrt(0.5 * np.mean((left[some] - left[some][pairs]) ** 2, axis=0))
     features = np.concatenate([with_products(now), earlier], axis=1)
@@ -103,13 +103,13 @@ def estimate_noise(evidence: Evidence) -> NoiseEstimate | None:
 SHARE = 0.1
 """Share of the residual variance that the past must explain: a twentieth of the error, the least that a paired
 comparison of a few minutes can detect."""
-LOOKED_BACK = (1, 2, 3, 4, 6, 8, 12, LAGS)
+TESTED_LAGS = (1, 2, 3, 4, 6, 8, 12, LAGS)
 """Lags beyond the memory of a model that are tested together."""
-NEARLY = 0.9
+MIN_GAIN_SHARE = 0.9
 """Share of the gain of all lags that the reported number of lags must reach."""
-COUNTS = 0.1
+MIN_ERROR_SHARE = 0.1
 """A channel whose squared error in standard deviations is below this share of the largest is ignored."""
-EARLIER = 4
+N_EARLIER_ERRORS = 4
 """Number of earlier errors, from which a hidden state could be estimated."""
 
 
@@ -123,7 +123,7 @@ def late_controls(evidence: Evidence) -> Remark | None:
         return None
     base, left, controls, earlier = found
     inputs = controls.shape[1] // (LAGS - memory)
-    counts = [count for count in LOOKED_BACK if count <= LAGS - memory]
+    counts = [count for count in TESTED_LAGS if count <= LAGS - memory]
     tried = [controls[:, : inputs * count] for count in counts]
     gains = [_gain(base, np.concatenate([base, some], axis=1), left)[0] for some in tried]
     extended = np.concatenate([base, earlier], axis=1)
@@ -131,7 +131,7 @@ def late_controls(evidence: Evidence) -> Remark | None:
     best = max(gains)
     if min(best, max(own)) < SHARE:
         return None
-    latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= NEARLY * best)
+    latest = memory + next(count for count, gain in zip(counts, gains, strict=True) if gain >= MIN_GAIN_SHARE * best)
     _, channel = _gain(base, np.concatenate([base, tried[gains.index(best)]], axis=1), left)
     dt = evidence.system.dt
     knows = f"the controls of the last {spelled_time(memory * dt)}" if memory else "only the present controls"
@@ -197,7 +197,7 @@ def _beyond(evidence: Evidence) -> tuple[Array, Array, Array, Array] | None:
         [lagged(states, range(1, state_lags + 1), rows), lagged(controls, range(1, control_lags + 1), rows)], axis=1
     )
     older_controls = lagged(controls, range(control_lags + 1, LAGS + 1), rows)
-    earlier = lagged(steps.errors, range(1, EARLIER + 1), rows)
+    earlier = lagged(steps.errors, range(1, N_EARLIER_ERRORS + 1), rows)
     known = np.isfinite(np.concatenate([inside, older_controls, earlier], axis=1)).all(axis=1)
     if known.sum() < FEWEST:
         return None
@@ -213,11 +213,11 @@ def _gain(before: Array, after: Array, left: Array) -> tuple[float, int]:
     remaining = np.minimum(unexplained(before, left), 1.0)
     gains = 1.0 - unexplained(after, left) / np.maximum(remaining, 1e-12)
     size = np.mean(left**2, axis=0)
-    gains = np.where(size >= COUNTS * size.max(), gains, -np.inf)
+    gains = np.where(size >= MIN_ERROR_SHARE * size.max(), gains, -np.inf)
     return float(gains.max()), int(gains.argmax())
 
 
-FOLDS, STRETCH = 5, 50
+FOLDS, BLOCK_ROWS = 5, 50
 """Number of folds and rows of a contiguous block: every fifth block is held out in turn."""
 RIDGES = (1.0, 30.0, 1000.0)
 
@@ -228,7 +228,7 @@ def explained(features: Array, targets: Array) -> float:
     Both are in order of time; each block is predicted from the others, by ridge regression with the best of three
     penalties. 0 if nothing is explained or there are too few rows.
     """
-    if len(targets) < FOLDS * STRETCH:
+    if len(targets) < FOLDS * BLOCK_ROWS:
         return 0.0
     left = unexplained(features, targets)
     return max(0.0, 1.0 - float(np.mean(left)))
@@ -240,7 +240,7 @@ def unexplained(features: Array, targets: Array) -> Array:
     y = targets - targets.mean(axis=0)
     total = np.mean(y**2, axis=0)
     total = np.where(total > 0.0, total, np.inf)
-    fold = (np.arange(len(y)) // STRETCH) % FOLDS
+    fold = (np.arange(len(y)) // BLOCK_ROWS) % FOLDS
     squares = np.zeros((len(RIDGES), y.shape[1]))
     whole = x.T @ x, x.T @ y
     for number in range(FOLDS):

@@ -8,9 +8,9 @@ from evaluation.advice.evidence import Recordings, Remark
 from evaluation.formatting import few, percent
 from sysid_evo.data.units import spelled, spelled_time
 
-RULE = 0.3
+RULE_WEIGHT = 0.3
 """Weight of a rule of thumb, per share of time that it concerns: measured findings come first."""
-TIMES_PER_CHANNEL, NEARLY = 30.0, 0.9
+TIMES_PER_CHANNEL, MIN_LENGTH_SHARE = 30.0, 0.9
 """Recommended length of a recording in slowest time scales, for each state and control (a rule of thumb), and the share
 of it that is accepted."""
 
@@ -25,7 +25,7 @@ def too_short(recordings: Recordings) -> Remark | None:
             "The response time of the states cannot be estimated from this recording: excite the controls more, and "
             "record episodes several times as long as the slowest response."
         )
-        return Remark("time scale", sentence, RULE)
+        return Remark("time scale", sentence, RULE_WEIGHT)
     driven, slowest = quality.duration * quality.moving, quality.scales[-1]
     channels = len(quality.states) + len(quality.controls)
     wanted = TIMES_PER_CHANNEL * channels * slowest
@@ -34,7 +34,11 @@ def too_short(recordings: Recordings) -> Remark | None:
         f"the slowest time scale of the states ({spelled_time(slowest)}). Recommended are {TIMES_PER_CHANNEL:.0f} "
         f"times for each of the {channels} states and controls: record {spelled_time(wanted)} in all."
     )
-    return Remark("length", sentence, RULE * (1.0 - driven / wanted)) if driven < NEARLY * wanted else None
+    return (
+        Remark("length", sentence, RULE_WEIGHT * (1.0 - driven / wanted))
+        if driven < MIN_LENGTH_SHARE * wanted
+        else None
+    )
 
 
 IDLE = 0.3
@@ -53,7 +57,7 @@ def standstill(recordings: Recordings) -> Remark | None:
         "leave it out."
     )
     sentence = " ".join([in_episodes] * bool(idle) + [for_long] * (still > IDLE))
-    return Remark("standstill", sentence, RULE * max(still, len(idle) / episodes)) if sentence else None
+    return Remark("standstill", sentence, RULE_WEIGHT * max(still, len(idle) / episodes)) if sentence else None
 
 
 RARE, RARE_TOGETHER = 0.02, 0.01
@@ -79,10 +83,10 @@ def rare_commands(recordings: Recordings) -> Remark | None:
         listed = "; ".join(", ".join(map(spelled, command.levels)) for command in together)
         sentences.append(f"Less than {100 * RARE_TOGETHER:.0f} % of the time at ({names}) near: {listed}.")
         missing = max(missing, len(together) / len(recordings.quality.commands))
-    return Remark("rare commands", " ".join(sentences), RULE * missing) if sentences else None
+    return Remark("rare commands", " ".join(sentences), RULE_WEIGHT * missing) if sentences else None
 
 
-SETTLED = 5.0
+SETTLING_SCALES = 5.0
 """A control held for this many time scales lets the states settle; holding it longer adds no information."""
 FEW_SWITCHES = 10
 """Number of changes of a control that is accepted if no time scale is known."""
@@ -91,7 +95,7 @@ FEW_SWITCHES = 10
 def slow_switching(recordings: Recordings) -> Remark | None:
     """Return a remark on controls that are held so long that the states have settled most of the time."""
     quality = recordings.quality
-    settled = SETTLED * quality.scales[-1] if quality.scales else quality.duration / (FEW_SWITCHES + 1)
+    settled = SETTLING_SCALES * quality.scales[-1] if quality.scales else quality.duration / (FEW_SWITCHES + 1)
     held = {use.name: quality.duration / (use.switches + 1) for use in quality.controls}
     slow = sorted((name for name in held if held[name] > settled), key=lambda name: -held[name])
     if not slow:
@@ -101,7 +105,7 @@ def slow_switching(recordings: Recordings) -> Remark | None:
         f"{slow[0]} stays near a level for {spelled_time(held[slow[0]])} on average{known}: change it more often, so "
         f"that the data contain transients.{f' Likewise {few(slow[1:])}.' if slow[1:] else ''}"
     )
-    return Remark("slow switching", sentence, RULE * (1.0 - settled / held[slow[0]]))
+    return Remark("slow switching", sentence, RULE_WEIGHT * (1.0 - settled / held[slow[0]]))
 
 
 def late_stamps(recordings: Recordings) -> Remark | None:
@@ -109,7 +113,7 @@ def late_stamps(recordings: Recordings) -> Remark | None:
     early = [delay for delay in recordings.delays if delay.steps < 0]
     named = ", ".join(f"{one.state} moves {spelled_time(-one.seconds)} before {one.control} is logged" for one in early)
     sentence = f"{named}: commands are stamped late, or a fast loop controls the state."
-    return Remark("late stamps", sentence, RULE * max(abs(one.strength) for one in early)) if early else None
+    return Remark("late stamps", sentence, RULE_WEIGHT * max(abs(one.strength) for one in early)) if early else None
 
 
 def late_answers(recordings: Recordings) -> Remark | None:
@@ -119,7 +123,7 @@ def late_answers(recordings: Recordings) -> Remark | None:
         return None
     named = ", ".join(f"{one.state} responds to {one.control} {spelled_time(one.seconds)} later" for one in late)
     sentence = f"{named}: set control_lags of the models to {max(one.steps for one in late)} or more."
-    return Remark("late answers", sentence, RULE)
+    return Remark("late answers", sentence, RULE_WEIGHT)
 
 
 NOISY_BAND = 0.6
@@ -141,7 +145,7 @@ def fast_states(recordings: Recordings) -> Remark | None:
         f"95 % of {worst.name} lies below {worst.bandwidth:.2g} Hz, close to half the control rate ({half:g} Hz), "
         f"{noisy if worst.explained < EXPLAINED else quick}{f' Likewise {others}.' if others else ''}"
     )
-    return Remark("fast states", sentence, RULE * (1.0 - worst.explained))
+    return Remark("fast states", sentence, RULE_WEIGHT * (1.0 - worst.explained))
 
 
 JITTER = 0.1
@@ -163,7 +167,7 @@ def uneven_stamps(recordings: Recordings) -> Remark | None:
         f"The time stamps of {few(list(scatter))} scatter by up to {percent(worst)} of a step, but rows are treated as "
         "equal steps: stamp each row where its sensor is read."
     )
-    return Remark("time stamps", sentence, RULE * min(1.0, worst)) if scatter else None
+    return Remark("time stamps", sentence, RULE_WEIGHT * min(1.0, worst)) if scatter else None
 
 
 CHECKS: tuple[Callable[[Recordings], Remark | None], ...] = (

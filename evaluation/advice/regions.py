@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from evaluation.advice.evidence import Evidence, Recordings, Remark
-from evaluation.coverage import ASKED, MOST_STEPS, largest_gap, suggest_recordings, untried_pair
+from evaluation.coverage import MIN_SHARE, MOST_STEPS, largest_gap, suggest_recordings, untried_pair
 from evaluation.formatting import percent
 from evaluation.prediction.cases import PredictionProtocol, measured_cases
 from evaluation.prediction.regions import Region, candidate_regions, region_errors, worst_region
@@ -57,7 +57,7 @@ def outside_the_data(recordings: Recordings) -> Remark | None:
 def often_outside(evidence: Evidence) -> Remark | None:
     """Return the same if it is a twentieth or more: held-out data, too, are sometimes outside the training data."""
     remark = outside_the_data(evidence)
-    return remark if remark is not None and remark.weight >= ASKED else None
+    return remark if remark is not None and remark.weight >= MIN_SHARE else None
 
 
 def driven_outside(visited: Steps, support: Support) -> Remark | None:
@@ -106,15 +106,15 @@ def _share(share: float) -> str:
     return "none" if share == 0.0 else percent(share)
 
 
-DEAD = 0.25
+MAX_DEAD_RATIO = 0.25
 """Upper bound of an effect, relative to that elsewhere, that counts as none: lag and noise alone do not cause it."""
-SURE = 3.0
+MIN_STANDARD_ERRORS = 3.0
 """Required size of an effect in standard errors; those of a regression on neighbouring samples are half too small."""
 
 FEWEST_ROWS = 60
 """Minimum number of steps inside and outside a region to estimate an effect."""
 
-TRIED = 0.3
+MIN_COMMAND_SPREAD = 0.3
 """Spread of a command, relative to that elsewhere, below which its effect is not estimated."""
 
 
@@ -161,11 +161,11 @@ def _dead(dataset: Dataset, delay: Delay) -> list[tuple[float, float, Delay, Reg
         if (region.channel == delay.control and delay.at_speed) or region.kind == "at":
             continue
         here, elsewhere = _effect(change, control, others, inside), _effect(change, control, others, ~inside)
-        if here is None or elsewhere is None or abs(elsewhere[0]) < SURE * elsewhere[1]:
+        if here is None or elsewhere is None or abs(elsewhere[0]) < MIN_STANDARD_ERRORS * elsewhere[1]:
             continue
-        ratio = (abs(here[0]) + SURE * here[1]) / abs(elsewhere[0])
-        tried = control[inside].std() >= TRIED * control[~inside].std()
-        if ratio <= DEAD and tried:
+        ratio = (abs(here[0]) + MIN_STANDARD_ERRORS * here[1]) / abs(elsewhere[0])
+        tried = control[inside].std() >= MIN_COMMAND_SPREAD * control[~inside].std()
+        if ratio <= MAX_DEAD_RATIO and tried:
             found.append((float(inside.mean()), float(ratio), delay, region))
     return found
 

@@ -325,9 +325,9 @@ def named_models(spec: Spec, names: Mapping[str, str]) -> Spec:
     return Spec(spec.name, {**spec.parameters, MODEL: found[0] if one else found}, spec.label)
 
 
-ALONE = "min"
+SINGLE_MODEL_AGGREGATE = "min"
 """Aggregate used (and stored) for a controller of a single model, where these aggregates are equivalent."""
-MEAN_OF_ONE = ("min", "mean", "median")
+EQUIVALENT_AGGREGATES = ("min", "mean", "median")
 """Aggregates that equal the mean over trials if there is a single model."""
 MOST_POLISHED = 2
 """Number of finalists that the recommended procedure polishes."""
@@ -355,7 +355,7 @@ def evolution_settings(experiment: Experiment) -> ControllerEvolution:
     )
 
 
-ANY_TASK = (
+DEFAULT_STARTS = (
     "start(controller=linear, strategy=cma_es(sigma=0.3)), "
     "start(controller=feed_forward(hidden=16), strategy=cma_es(sigma=0.3)), "
     "start(controller=recurrent(hidden=10), strategy=niches)"
@@ -364,15 +364,19 @@ ANY_TASK = (
 which does not begin with extreme commands that such a task may punish, and the usual search."""
 
 
-ENOUGH = 60
+FEW_GENERATIONS = 60
 """Number of generations below which a search is too short to compare starts."""
 
 
 def usual_starts(experiment: Experiment, task: Spec) -> str:
     """Return the starts of the task of an environment, unless a controller, a strategy or a schedule is given."""
     budget, given = experiment.budget, (experiment.controller, experiment.strategy, experiment.schedule or None)
-    free = budget.procedure == "recommended" and budget.generations >= ENOUGH and all(one is None for one in given)
-    return ANY_TASK if free and task.name == "environment" else ""
+    free = (
+        budget.procedure == "recommended"
+        and budget.generations >= FEW_GENERATIONS
+        and all(one is None for one in given)
+    )
+    return DEFAULT_STARTS if free and task.name == "environment" else ""
 
 
 def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> ControllerEvolution:
@@ -381,8 +385,8 @@ def evolution_on(experiment: Experiment, members: tuple[Plant, ...]) -> Controll
     Aggregates that are equivalent on a single model are replaced by one of them there.
     """
     evolution = evolution_settings(experiment)
-    if len(members) == 1 and Spec.parse(evolution.aggregate).name in MEAN_OF_ONE:
-        evolution = replace(evolution, aggregate=ALONE)
+    if len(members) == 1 and Spec.parse(evolution.aggregate).name in EQUIVALENT_AGGREGATES:
+        evolution = replace(evolution, aggregate=SINGLE_MODEL_AGGREGATE)
     if experiment.noise is None and any(member.robot is not None for member in members):
         return replace(evolution, noise="")
     return evolution

@@ -21,7 +21,7 @@ CONTROLLER = "controller"
 """Key in ``compare_with`` of the controller that others are compared with."""
 REPEATED = ("robot", "data", "seed")
 """Axes over which means and intervals are computed; the others distinguish rows of a table."""
-USUAL = "usual"
+DEFAULT_LABEL = "usual"
 """Label of an axis in a grid that does not set it."""
 
 
@@ -163,7 +163,7 @@ class Study(Displayed):
             for labels in itertools.product(*(axis.values for axis in grid.values())):
                 named = dict(zip(grid, labels, strict=True))
                 values = {name: axis.values[named[name]] for name, axis in grid.items()}
-                ordered = {name: named.get(name, USUAL) for name in self.axes}
+                ordered = {name: named.get(name, DEFAULT_LABEL) for name in self.axes}
                 try:
                     yield Point(ordered, Experiment.of(meaningful(self.experiment, values)))
                 except InvalidArgument as error:

@@ -10,7 +10,7 @@ import numpy as np
 from evaluation.transfer.matrix import TransferMatrix
 from sysid_evo.evolution import Champion, FinalistScore
 from sysid_evo.evolution.aggregates import make_aggregate
-from sysid_evo.evolution.margins import NEARLY, has_all_fitness
+from sysid_evo.evolution.margins import EQUAL_SHARE, has_all_fitness
 from sysid_evo.types import Array, BoolArray
 from sysid_evo.validation.estimates import Estimate
 
@@ -171,7 +171,7 @@ def best_choice(
     if not any(champion.against for champion in matrix.champions if champion.name in found):
         return None
     best = max(names, key=lambda name: (found[name].value, name not in matrix.baselines))
-    near = [name for name in names if found[name].value >= found[best].value - NEARLY * abs(found[best].value)]
+    near = [name for name in names if found[name].value >= found[best].value - EQUAL_SHARE * abs(found[best].value)]
     full = has_all_fitness(np.stack([_by_trial(matrix, found[name]) for name in near]), 0.0)
     equal = [name for name, all_of_it in zip(near, full, strict=True) if all_of_it]
     if best not in equal:

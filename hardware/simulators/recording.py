@@ -143,7 +143,7 @@ FASTEST, SLOWEST = 4.0, 100.0
 """Samples in one period at either end of a sweep."""
 FEEDBACK = 0.2
 """Mean share of the samples of a feedback that are replaced by steps."""
-FEW, AGAIN, NEAR = 20, 0.5, 0.1
+MIN_FEEDBACKS, REUSE_SHARE, WEIGHT_CHANGE = 20, 0.5, 0.1
 """Number of feedbacks before one is reused, share of episodes with a reused one, and change of its weights."""
 
 
@@ -233,8 +233,8 @@ class RandomFeedback(ExcitationScript):
     def _drawn(self) -> Array:
         """Return new weights, or weights near those that lasted longest."""
         drawn = self._rng.standard_normal(self._weights.shape)
-        if len(self._tried) >= FEW and self._rng.random() < AGAIN:
+        if len(self._tried) >= MIN_FEEDBACKS and self._rng.random() < REUSE_SHARE:
             longest = sorted(self._tried, key=lambda one: -one[0])[: max(1, len(self._tried) // 20)]
             weights: Array = longest[self._rng.integers(len(longest))][1] / self._scale
-            return weights + NEAR * np.abs(weights) * drawn
+            return weights + WEIGHT_CHANGE * np.abs(weights) * drawn
         return float(np.exp(self._rng.uniform(-1.5, 1.5))) * drawn

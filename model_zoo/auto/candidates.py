@@ -17,9 +17,9 @@ from sysid_evo.system import System
 STEPS = 7200.0
 NUMBERS = 5.0
 """Steps of six minutes at 20 Hz, and states and controls of a car: the data for which `Candidate.seconds` holds."""
-ALONE = 0.25
+FIXED_TIME_SHARE = 0.25
 """Fixed share of the training time of a four-network ensemble, independent of its size."""
-OF_A_PLUGIN = 5.0
+PLUGIN_SECONDS = 5.0
 """Expected fit time in s of a family that is not listed."""
 
 
@@ -36,7 +36,7 @@ class Candidate:
     """
 
     spec: Spec
-    seconds: float = OF_A_PLUGIN
+    seconds: float = PLUGIN_SECONDS
     by_steps: float = 1.0
     judged_with: dict[str, Any] = field(default_factory=dict)
     successor_of: str = ""
@@ -59,7 +59,7 @@ class Candidate:
         size = 1.0 - self.by_channels + self.by_channels * (system.nx + system.nu) / NUMBERS
         most = self.spec.parameters.get("members", 1)
         members = self.judged_with.get("members", most) if rough else most
-        share = ALONE + (1.0 - ALONE) * members / most
+        share = FIXED_TIME_SHARE + (1.0 - FIXED_TIME_SHARE) * members / most
         return self.seconds * share * size * (1.0 - self.by_steps + self.by_steps * steps / STEPS)
 
     def cost(self, system: System, steps: int, folds: int) -> float:
@@ -142,5 +142,5 @@ def plugins() -> list[Candidate]:
         except PluginError:  # reported when the families are listed
             continue
         if getattr(family, "model_class", ""):
-            found.append(Candidate(Spec(name), getattr(family, "typical_fit_seconds", OF_A_PLUGIN)))
+            found.append(Candidate(Spec(name), getattr(family, "typical_fit_seconds", PLUGIN_SECONDS)))
     return found

@@ -20,11 +20,11 @@ from sysid_evo.registry import models
 from sysid_evo.types import Array
 from sysid_evo.validation.simulation_error import HeldOutTest
 
-WORTH = 10.0
+SECONDS_PER_PROCESS = 10.0
 """Seconds of work that justify starting one more process."""
-IDLE = 60
+IDLE_TIMEOUT = 60
 """Seconds after which idle processes end."""
-LARGE = ("numba", "pysindy")
+LARGE_LIBRARIES = ("numba", "pysindy")
 """Libraries of candidates that take 60 and 170 MB.
 
 Loaded after the first task of a process they look like a leak to joblib (300 MB), which ends the process with a
@@ -93,7 +93,7 @@ class FitWork:
     def outcomes(self, tasks: Sequence[FitTask]) -> dict[tuple[int, int], FitOutcome]:
         """Return the outcome of each task by its key, independent of the number of processes."""
         seconds = sum(task.cost for task in tasks)
-        processes = min(available_processors(), int(seconds / WORTH), len(tasks))
+        processes = min(available_processors(), int(seconds / SECONDS_PER_PROCESS), len(tasks))
         ordered = sorted(tasks, key=lambda task: -task.cost)
         # another process cannot load a family from a file that is not installed
         ours = __name__.partition(".")[0]
@@ -148,9 +148,9 @@ def _in_processes(tasks: Sequence[FitTask], processes: int) -> Generator[tuple[F
         return_as="generator_unordered",
         batch_size=1,
         max_nbytes=None,
-        idle_worker_timeout=IDLE,
+        idle_worker_timeout=IDLE_TIMEOUT,
         initializer=load,
-        initargs=(LARGE,),
+        initargs=(LARGE_LIBRARIES,),
     )
     outcomes = pool(call(number, task) for number, task in enumerate(tasks))
     try:

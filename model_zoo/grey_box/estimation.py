@@ -23,15 +23,15 @@ from sysid_evo.types import Array, IntArray
 
 STEP = 1e-3
 """Step of a difference quotient, as a share of the bounds: far above the rounding of float32."""
-LOOSE = 0.02
+INITIAL_STATE_WEIGHT = 0.02
 """Weight of the prior of a hidden initial state, whose deviation is a quarter of its range, against one error."""
-VAGUE = 0.5
+GUESS_STD = 0.5
 """Standard deviation of a guess in the cube: undetermined parameters stay near it, and the search converges."""
 NOISE = 0.1
 """Assumed error, in spreads of the state, before it is estimated."""
-WORST = 1e3
+MAX_ERROR = 1e3
 """Errors are limited to this many spreads of the state."""
-ROBUST_AT = 1.5
+HUBER_ERROR = 1.5
 """In a robust fit, errors above this many deviations count linearly (Huber's rule of thumb, rounded up)."""
 
 
@@ -89,7 +89,7 @@ class LeastSquares:
         parameters, box = self.structure.parameters, self.structure.box
         places = box.places(np.array([p.guess for p in parameters]))
         known = np.array([p.spread or np.inf for p in parameters]) / box.slopes(places)
-        return places, np.minimum(known, VAGUE)
+        return places, np.minimum(known, GUESS_STD)
 
     def cost(self, places: Array) -> Array:
         """Return the mean square error (P,) at points (P, n), with hidden states propagated through the history."""
@@ -122,7 +122,7 @@ class LeastSquares:
             bounds=(lower, upper),
             x_scale="jac",
             loss="soft_l1" if self.robust else "linear",
-            f_scale=ROBUST_AT * size,
+            f_scale=HUBER_ERROR * size,
             max_nfev=evaluations,
             xtol=1e-5,
             ftol=1e-5,
@@ -130,7 +130,7 @@ class LeastSquares:
         )
         errors, jacobian, by_hidden = self._parts(found.x)
         if self.robust:
-            weight = (1.0 + (errors / (ROBUST_AT * size)) ** 2) ** -0.25
+            weight = (1.0 + (errors / (HUBER_ERROR * size)) ** 2) ** -0.25
             errors, jacobian = weight * errors, weight[..., None] * jacobian
             by_hidden = weight[..., None] * by_hidden
         own, offsets, zeta = self._split(found.x)
@@ -161,7 +161,7 @@ class LeastSquares:
 
     @staticmethod
     def _bounded(errors: Array) -> Array:
-        return np.clip(np.nan_to_num(errors, nan=WORST, posinf=WORST, neginf=-WORST), -WORST, WORST)
+        return np.clip(np.nan_to_num(errors, nan=MAX_ERROR, posinf=MAX_ERROR, neginf=-MAX_ERROR), -MAX_ERROR, MAX_ERROR)
 
     def _values(self, x: Array) -> Array:
         places, offsets, zeta = self._split(x)
@@ -177,7 +177,7 @@ class LeastSquares:
             [
                 weight * (places - guesses) / spreads,
                 (weight * offsets / np.where(self.spreads > 0.0, self.spreads, 1.0)).ravel(),
-                LOOSE * zeta.ravel(),
+                INITIAL_STATE_WEIGHT * zeta.ravel(),
             ]
         )
 
@@ -217,7 +217,7 @@ class LeastSquares:
         hidden = len(x) - self.n - k
         each = np.where(self.spreads > 0.0, self.spreads, 1.0)
         weight = self.noise * np.sqrt(self.inflation)
-        pulls = [weight / spreads, np.tile(weight / each, self.n_groups)[:k], np.full(hidden, LOOSE)]
+        pulls = [weight / spreads, np.tile(weight / each, self.n_groups)[:k], np.full(hidden, INITIAL_STATE_WEIGHT)]
         return np.diag(np.concatenate(pulls))
 
 
@@ -331,7 +331,7 @@ class FitWindows:
 SCREENED = 48
 """Random points of the cube that are evaluated; the best are starts."""
 FIRST_EVALUATIONS, LAST_EVALUATIONS = 40, 100
-KEPT = 2
+FINAL_STARTS = 2
 """Starts of the last fit: the best results of the first one."""
 
 
@@ -349,7 +349,7 @@ def best_of(last: LeastSquares, results: Sequence[Array]) -> LeastSquaresFit:
     costs = [float(last.cost(place[None])[0]) for place in results]
     found: list[LeastSquaresFit] = []
     for i in np.argsort(costs, kind="stable"):
-        if all(np.abs(results[i] - one.places).max() > 1e-3 for one in found) and len(found) < KEPT:
+        if all(np.abs(results[i] - one.places).max() > 1e-3 for one in found) and len(found) < FINAL_STARTS:
             found.append(last.solve(results[i], evaluations=LAST_EVALUATIONS))
     return min(found, key=lambda one: one.cost)
 
@@ -371,7 +371,7 @@ ROUNDS = 6
 FIRST_SPREAD = 0.05
 """Initial standard deviation of the offsets in the cube."""
 EVALUATIONS = 12
-LEAST = 1e-4
+MIN_STD = 1e-4
 """Standard deviation, as a share of the bounds, that counts as zero."""
 
 
@@ -391,7 +391,7 @@ def fit_random_effects(
         )
         found = varying.solve(found.places, evaluations=EVALUATIONS, hidden=found.hidden)
         unknown = _unknown(varying, found)
-        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), LEAST)
+        spreads = np.maximum(np.sqrt(np.mean(found.offsets**2 + unknown, axis=0)), MIN_STD)
     return found, spreads
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from model_zoo.grey_box.equation import GreyBoxEquation, estimate_hidden, structure_kernel
 from model_zoo.grey_box.estimation import (
+    FINAL_STARTS,
     FIRST_EVALUATIONS,
-    KEPT,
     LAST_EVALUATIONS,
     SCREENED,
     FitWindows,
@@ -46,14 +46,14 @@ from sysid_evo.types import Array
 from sysid_evo.validation.folds import time_fold
 from sysid_evo.validation.simulation_error import error_windows, simulation_error
 
-SHORT = 5
+FIRST_FIT_DIVISOR = 5
 """The first fit uses simulations of one part in this many of the final length."""
-PAST = 20
+WARM_UP_SAMPLES = 20
 """Samples before a window from which its actuator and hidden states are initialised, if episodes are long enough."""
 
 SHARES = (0.0, 0.5, 1.0)
 """Shares of a residual that may be kept."""
-BETTER = 0.98
+MAX_ERROR_RATIO = 0.98
 """A residual is kept only if it reduces the simulation error to this share or less."""
 HIDDEN_SHARE = 0.3
 """Share of the windows that is used if each has hidden states to be estimated, which takes longer."""
@@ -212,7 +212,7 @@ class GreyBox(DynamicsModel):
 
     def fit(self, dataset: Dataset, *, rng: np.random.Generator, progress: Progress | None = None) -> Self:
         structure = self._with_priors(self._structure_on(dataset.system), dataset)
-        total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + KEPT * LAST_EVALUATIONS * 2
+        total = SCREENED + self.starts * FIRST_EVALUATIONS * 2 + FINAL_STARTS * LAST_EVALUATIONS * 2
         counter = Counter(progress, total)
 
         def report() -> None:
@@ -221,12 +221,12 @@ class GreyBox(DynamicsModel):
 
         horizon = max(10, round(self.seconds / dataset.system.dt))
         longest = max(len(episode) for episode in dataset.episodes)
-        history = min(PAST, longest // 4) if self._needs_history else 0
+        history = min(WARM_UP_SAMPLES, longest // 4) if self._needs_history else 0
         history = max(structure.delay, self.past_samples if self._needs_history else 0, history)
         most = max(1, round(self.windows * HIDDEN_SHARE)) if structure.hidden else self.windows
         windows = [
             FitWindows.of(dataset, steps, history=history, most=most, limits=self.state_bounds_)
-            for steps in (-(-horizon // SHORT), horizon)
+            for steps in (-(-horizon // FIRST_FIT_DIVISOR), horizon)
         ]
         first, last = (LeastSquares(structure, some, report, self.robust) for some in windows)
         results = [
@@ -318,7 +318,7 @@ class GreyBox(DynamicsModel):
             report()
             self._keep(tried.times(share))
             errors.append(simulation_error(self, windows))
-        better = np.array(errors) * np.where(np.array(SHARES) == 0.0, BETTER, 1.0)
+        better = np.array(errors) * np.where(np.array(SHARES) == 0.0, MAX_ERROR_RATIO, 1.0)
         self.residual_share_ = SHARES[int(np.argmin(better))]
         self.residual_errors_ = [float(errors[SHARES.index(self.residual_share_)]), float(errors[SHARES.index(0.0)])]
         self._keep(conditioned(shape, noise, *self._residual_data(dataset)).times(self.residual_share_))

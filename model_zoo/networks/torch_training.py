@@ -44,7 +44,7 @@ MAX_STEPS = 10_000
 SOLVER_FAILED = AssertionError
 """Exception of torchdiffeq for more steps, or for values that are not finite."""
 
-ON_SINGLE_STEPS = 2 / 3
+SINGLE_STEP_SHARE = 2 / 3
 """Share of the updates on single steps."""
 CHECKS = 12
 """How often the running mean of the weights is scored."""
@@ -176,7 +176,7 @@ class Equation:
         history, module = self.layout.n_lags, self.module
         training, windows = TrainingWindows.of(learned, horizon, history), error_windows(held, history)
         batches, scale = Batches([training], history), torch.from_numpy(standard.state_scale)
-        single = round(ON_SINGLE_STEPS * updates)
+        single = round(SINGLE_STEP_SHARE * updates)
         plan = TrainingSchedule(single, updates - single, horizon, learning_rate=learning_rate)
 
         def running(mean: Tensor, now: Tensor, count: Tensor | int) -> Tensor:

@@ -116,7 +116,7 @@ class PolynomialModel(StochasticModel):
         seen, nx = len(self.features.names), self.system.nx
         return {
             "coefficients_": ("terms", nx),
-            "exponents_": Numbers("terms", seen, whole=True, least=0, most=HIGHEST),
+            "exponents_": Numbers("terms", seen, whole=True, least=0, most=MAX_EXPONENT),
             "low_": (seen,),
             "high_": (seen,),
             "added_": (nx,),
@@ -196,7 +196,7 @@ class PolynomialModel(StochasticModel):
         ]
 
 
-HIGHEST = 99
+MAX_EXPONENT = 99
 """Largest exponent accepted from a file, far beyond any degree that data support."""
 DEGREES = (2, 3)
 """Degrees that are tried if none is given."""
@@ -255,15 +255,15 @@ def equation(
     return f"{left} = {right.removeprefix('+ ')}"
 
 
-TRIAL = 25.0
+SIMULATED_SECONDS = 25.0
 """Length of a simulation in s."""
 MAX_STEPS = 1000
-RUNS = 32
-HELD = 10
+N_SIMULATIONS = 32
+HOLD_STEPS = 10
 """Steps for which a simulation holds each control."""
 STATES = 64
 """Recorded states at which the equation is linearised."""
-GROWS = 0.1
+REPORTED_GROWTH = 0.1
 """Growth rate in 1/s above which it is reported."""
 MOST = 0.5
 """Share of recorded states with such growth above which it is reported."""
@@ -293,9 +293,9 @@ class Stability:
                 f"unstable: {100 * self.escaped:.0f} % of simulations of {self.seconds:g} s from recorded states "
                 "reach the state bounds"
             )
-        if self.at_rest > GROWS:
+        if self.at_rest > REPORTED_GROWTH:
             found.append(f"small disturbances at rest grow by {self.at_rest:.1f} 1/s")
-        share = float((self.visited > GROWS).mean())
+        share = float((self.visited > REPORTED_GROWTH).mean())
         if share > MOST:
             found.append(f"small disturbances grow at {100 * share:.0f} % of recorded states")
         return "; ".join(found)
@@ -308,12 +308,12 @@ def stability(model: DynamicsModel) -> Stability:
     states, controls = model.training_sample_[:, :nx], model.training_sample_[:, nx:]
     some = rng.integers(len(states), size=STATES)
     rest = growth(model, system.neutral_state[None], system.neutral_control[None])
-    steps = min(MAX_STEPS, max(1, round(TRIAL / system.dt)))
-    began = rng.integers(len(states), size=RUNS)
-    pieces = rng.integers(len(controls), size=(RUNS, -(-steps // HELD)))
+    steps = min(MAX_STEPS, max(1, round(SIMULATED_SECONDS / system.dt)))
+    began = rng.integers(len(states), size=N_SIMULATIONS)
+    pieces = rng.integers(len(controls), size=(N_SIMULATIONS, -(-steps // HOLD_STEPS)))
     history = np.repeat(states[began][:, None], model.n_lags + 1, axis=1)
-    past = np.tile(system.neutral_control, (RUNS, model.n_lags, 1))
-    runs = model.simulate(history, past, np.repeat(controls[pieces], HELD, axis=1)[:, :steps])
+    past = np.tile(system.neutral_control, (N_SIMULATIONS, model.n_lags, 1))
+    runs = model.simulate(history, past, np.repeat(controls[pieces], HOLD_STEPS, axis=1)[:, :steps])
     low, high = model.state_bounds_
     with np.errstate(invalid="ignore"):
         escaped = ~np.isfinite(runs) | (runs <= low) | (runs >= high)

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from model_zoo.state_space.recordings import ScaledEpisode, Scales, ShootingWindows
-from model_zoo.state_space.shooting import FAR, StateSpaceBatch, Trained, train
+from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch, Trained, train
 from model_zoo.state_space.subspace import Subspace, flowing, linear_space
 from sysid_evo.data import Dataset, Trajectory
 from sysid_evo.data.trajectory import WindowIndex, Windows
@@ -20,16 +20,16 @@ SHORT, MIDDLE = 100, 300
 """Steps of the first and the following simulations: long ones of a poor model carry little information."""
 UNSTABLE, STABLE = 1.0005, 0.999
 """Spectral radius above which a linear space is unstable, and its value after stabilisation."""
-MAX_REORDERED, BLOCK, SHUFFLES, BEYOND = 3000, 25, 8, 1.5
+MAX_REORDERED, BLOCK, SHUFFLES, OUTPUT_MULTIPLE = 3000, 25, 8, 1.5
 """Steps under reordered controls, length of the permuted blocks, number of permutations, and the multiple of the
 largest recorded output that counts as divergence."""
-SLOWER, LOUDER = 2, 1.25
+HOLD_FACTOR, AMPLITUDE_FACTOR = 2, 1.25
 """Factors by which controls are held longer, and by which their distance from the mean is larger, within their
 range."""
-ALONE, APART = 5.0, 0.1
+OUTLIER_MULTIPLE, MIN_OUTLIER_DISTANCE = 5.0, 0.1
 """A space diverges if its distance from the median exceeds this multiple of the typical one, and this many
 deviations."""
-LOST = 1.0
+RESTART_ERROR = 1.0
 """Root mean square residual, in deviations, above which training restarts from the linear space."""
 
 
@@ -111,7 +111,7 @@ class EstimationProblem:
             spaces = trained.spaces
             runs = spaces.run(starts, windows.controls)[..., : windows.outputs.shape[2]]
             off = ((runs - windows.outputs) ** 2 * windows.counts[:, :, None]).sum(axis=(1, 2, 3))
-            lost = off > LOST**2 * windows.counts.sum() * runs.shape[3]
+            lost = off > RESTART_ERROR**2 * windows.counts.sum() * runs.shape[3]
             if lost.any():
                 outer = spaces.outer.copy()
                 outer[lost] = 0.0
@@ -149,7 +149,9 @@ class EstimationProblem:
         states = (outputs[:, 0] @ own.first[:, :ny].T + own.first[:, ny])[None]
         for k in range(history + 1):
             off = outputs[:, k] - states[..., :ny]
-            states = np.clip(space.step(states, controls[:, k]) + off @ own.gain.T, -FAR, FAR)
+            states = np.clip(
+                space.step(states, controls[:, k]) + off @ own.gain.T, -DIVERGED_DISTANCE, DIVERGED_DISTANCE
+            )
         runs = space.run(states, controls[:, history + 1 :])[0, ..., :ny]
         counts = self.long.counts[:, history + 1 :, None]
         off = (runs - outputs[:, history + 1 :]) ** 2 * counts
@@ -170,20 +172,20 @@ class EstimationProblem:
         for seed in range(SHUFFLES):
             places = np.random.default_rng(seed).permutation(len(blocks))
             orders.append(np.concatenate([blocks[place] for place in places]))
-        slower = np.array_split(controls.repeat(SLOWER, axis=0), SLOWER)
+        slower = np.array_split(controls.repeat(HOLD_FACTOR, axis=0), HOLD_FACTOR)
         low, middle, high = controls.min(axis=0), controls.mean(axis=0), controls.max(axis=0)
-        louder = np.clip(middle + LOUDER * (controls - middle), low, high)
+        louder = np.clip(middle + AMPLITUDE_FACTOR * (controls - middle), low, high)
         first = np.stack([own.first[:, ny] for own in observers])[:, None]
 
         def runs(driven: list[Array]) -> Array:
             return spaces.run(first.repeat(len(driven), axis=1), np.stack(driven))[..., :ny]
 
         reordered = runs([controls[order] for order in orders])
-        limit = BEYOND * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
+        limit = OUTPUT_MULTIPLE * np.max([np.abs(part.outputs).max(axis=0) for part in self.parts], axis=0)
         diverged = (np.abs(reordered) > limit).any(axis=(1, 2, 3))
         for found in (reordered, runs(slower), runs([louder])):  # two spaces are equally far from the median
             apart = np.sqrt(((found - np.median(found, axis=0)) ** 2).mean(axis=(1, 2, 3)))
-            diverged |= apart > max(ALONE * float(np.median(apart)), APART)
+            diverged |= apart > max(OUTLIER_MULTIPLE * float(np.median(apart)), MIN_OUTLIER_DISTANCE)
         return np.asarray(diverged)
 
 
@@ -226,7 +228,7 @@ RATIOS = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Ratios of state noise in one step (in units of its typical change) to output noise (in units of its deviation)."""
 RICCATI_STEPS, SETTLED = 400, 1e-6
 HORIZON, MAX_WINDOWS = 30, 300
-FORGOTTEN = 0.02
+MAX_REMAINING_SHARE = 0.02
 """Share of an error of the first guess that may remain after the history."""
 SHORTEST, LONGEST = 4, 64
 """Shortest and longest history in samples."""
@@ -269,7 +271,7 @@ def observer(space: StateSpaceBatch, runs: Array, outputs: Array, parts: list[Sc
     closed = slope.copy()
     closed[:, :ny] -= gains[best]
     kept = float(np.abs(np.linalg.eigvals(closed)).max())  # share of an error that remains after a sample
-    memory = LONGEST if kept >= 1.0 else np.log(FORGOTTEN) / np.log(max(kept, 1e-3))
+    memory = LONGEST if kept >= 1.0 else np.log(MAX_REMAINING_SHARE) / np.log(max(kept, 1e-3))
     return StateObserver(gains[best], first, int(min(max(np.ceil(memory), SHORTEST), room)))
 
 
@@ -297,6 +299,6 @@ def _errors(space: StateSpaceBatch, gains: Array, first: Array, windows: Windows
     for k in range(history + 1):
         control = windows.past_controls[:, k] if k < history else windows.controls[:, 0]
         off = past[:, k] - states[..., :ny]
-        states = np.clip(many.step(states, control) + off @ gains.swapaxes(1, 2), -FAR, FAR)
+        states = np.clip(many.step(states, control) + off @ gains.swapaxes(1, 2), -DIVERGED_DISTANCE, DIVERGED_DISTANCE)
     runs = many.run(states, windows.controls[:, 1:])[..., :ny]
     return np.asarray(((runs - windows.states) ** 2).mean(axis=(1, 2, 3)))

@@ -11,7 +11,7 @@ import numpy as np
 from model_zoo.state_space.estimation import StateObserver
 from model_zoo.state_space.kernel import state_space_kernel
 from model_zoo.state_space.recordings import Scales
-from model_zoo.state_space.shooting import FAR, StateSpaceBatch
+from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch
 from model_zoo.state_space.units import UNITS, values
 from sysid_evo.carry import REST_BAND
 from sysid_evo.errors import ShapeError
@@ -141,7 +141,7 @@ class StateSpaceModel(DynamicsModel):
             output=self.output_,
             offset=self.offset_,
             gain=self.gain_,
-            far=FAR,
+            far=DIVERGED_DISTANCE,
             flow=self.flows,
             rest=np.concatenate([band, rest, self.system.neutral_control]) if self.dead_band else None,
         )
@@ -160,7 +160,7 @@ class StateSpaceModel(DynamicsModel):
         """Return the next hidden states (B, n), corrected by the errors of ``outputs`` (B, ny)."""
         off = outputs - hidden @ self.output_.T - self.offset_
         after = rk4(lambda at: self._rates(at, control), hidden, 1.0) if self.flows else self._rates(hidden, control)
-        return np.clip(after + off @ self.gain_.T, -FAR, FAR)
+        return np.clip(after + off @ self.gain_.T, -DIVERGED_DISTANCE, DIVERGED_DISTANCE)
 
     def _rates(self, hidden: Array, control: Array) -> Array:
         """Return the next states (B, n) before any correction, or the rates of a flow."""

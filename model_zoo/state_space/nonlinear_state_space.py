@@ -23,11 +23,11 @@ from sysid_evo.validation.simulation_error import error_windows, simulation_erro
 
 MIN_STATES, MAX_STATES, ORDERS = 2, 6, 3
 """Lowest and highest order that is tried, and how many are tried in any case."""
-FINALISTS, FURTHER = 2, 3
+FINALISTS, N_CONTINUED = 2, 3
 """Orders whose networks are trained longer, and how many of those networks continue with long simulations."""
-WIDER = 3
+MAX_WIDENINGS = 3
 """How often networks may become wider."""
-LIKELY = 4
+N_MIXTURES = 4
 """Number of unit mixtures from which further networks start, and of networks scored per order."""
 SHARPNESS = 40.0
 """How fast the weight of a member falls with its criterion per sample."""
@@ -36,7 +36,7 @@ DIVERGED = 10.0
 NEGLIGIBLE = 0.08
 """Weight, as a share of the largest, below which a member is left out."""
 
-FEW, BETTER = 600, 0.9
+FEW_SAMPLES, REQUIRED_RATIO = 600, 0.9
 """With fewer samples, networks must have this much lower an error on held-out blocks of time."""
 
 LEARNED = ("outer_", "inner_", "kinds_", "output_", "offset_", "gain_", "first_", "n_lags_", "rest_")
@@ -68,7 +68,11 @@ class NetworkStateSpace(StateSpaceModel):
         ny = dataset.system.nx
         least = max(MIN_STATES, ny)
         orders = [max(self.order, ny)] if self.order else list(range(least, max(MAX_STATES, least + ORDERS - 1) + 1))
-        parts = (3 * len(orders) + 3 * FINALISTS + 3 + 2 * WIDER) * self.screening_iterations + 2 * self.iterations + 1
+        parts = (
+            (3 * len(orders) + 3 * FINALISTS + 3 + 2 * MAX_WIDENINGS) * self.screening_iterations
+            + 2 * self.iterations
+            + 1
+        )
         counter = Counter(progress, parts)
         problem = EstimationProblem.of(dataset, self.horizon, flow=self.continuous)
         tried = self._of_orders(problem, orders, rng, counter)
@@ -82,7 +86,7 @@ class NetworkStateSpace(StateSpaceModel):
         trained = problem.lengthened(trained, finalist.linear.spaces, self.iterations, counter.advance)
         trained = self._wide_enough(problem, trained, likely, rng, counter)
         self._mean_of(problem, trained, [one.linear for one in tried])
-        if self.gated and not self.linear_order_ and dataset.n_steps < FEW:
+        if self.gated and not self.linear_order_ and dataset.n_steps < FEW_SAMPLES:
             self._gate(dataset, rng)
         counter.advance()
         return self
@@ -111,7 +115,7 @@ class NetworkStateSpace(StateSpaceModel):
                 order, self.screening_iterations, self.screening_iterations, counter.advance
             )
             own = self._started(problem, linear, mixtures, rng, counter)
-            tried.append(OrderCandidate(linear, own, from_history(best_networks(own, problem, LIKELY), problem)))
+            tried.append(OrderCandidate(linear, own, from_history(best_networks(own, problem, N_MIXTURES), problem)))
             if len(tried) - int(np.argmin([one.found for one in tried])) >= ORDERS:
                 break
         counter.advance(3 * self.screening_iterations * (len(orders) - len(tried)))
@@ -122,10 +126,10 @@ class NetworkStateSpace(StateSpaceModel):
         finalists = tried[:FINALISTS] if len(tried) > 1 else []
         scores = []
         for one in finalists:
-            own = best_networks(one.networks, problem, LIKELY)
+            own = best_networks(one.networks, problem, N_MIXTURES)
             own = problem.learned(own.spaces, own.starts, 2 * self.screening_iterations, counter.advance)
             own = problem.lengthened(
-                best_networks(own, problem, FURTHER), one.linear.spaces, self.screening_iterations, counter.advance
+                best_networks(own, problem, N_CONTINUED), one.linear.spaces, self.screening_iterations, counter.advance
             )
             scores.append(from_history(own, problem))
         counter.advance(3 * self.screening_iterations * (FINALISTS - len(scores)))
@@ -141,7 +145,7 @@ class NetworkStateSpace(StateSpaceModel):
     ) -> Trained:
         """Return the best of these networks and of wider ones that start from them, as long as wider is better."""
         mixtures = list(islice(cycle(likely), len(trained.spaces)))
-        for left in range(WIDER, 0, -1):
+        for left in range(MAX_WIDENINGS, 0, -1):
             spaces = widened(trained.spaces, mixtures, self.hidden, rng)
             wider = train(spaces, problem.long, trained.starts, 2 * self.screening_iterations, counter.advance)
             both = joined(replace(trained, spaces=padded(trained.spaces, self.hidden)), wider)
@@ -176,7 +180,7 @@ class NetworkStateSpace(StateSpaceModel):
                 model.fit(learned, rng=np.random.default_rng(seed))
                 windows = error_windows(held, model.n_lags, fewest=STEPS)
                 errors[i] += float(np.nan_to_num(simulation_error(model, windows), nan=np.inf))
-        if errors[0] <= BETTER * errors[1]:
+        if errors[0] <= REQUIRED_RATIO * errors[1]:
             return
         plain.fit(dataset, rng=np.random.default_rng(seed))
         for name in LEARNED:
@@ -288,7 +292,7 @@ class OrderCandidate:
     def likely(self, problem: EstimationProblem) -> list[Mixture]:
         """Return the mixtures of the best networks, the best first."""
         scores = criterion(self.networks.error, self.networks.spaces, problem)
-        return [MIXTURES[i] for i in np.argsort(scores)[:LIKELY]]
+        return [MIXTURES[i] for i in np.argsort(scores)[:N_MIXTURES]]
 
 
 def best_networks(trained: Trained, problem: EstimationProblem, count: int) -> Trained:
@@ -311,7 +315,7 @@ def criterion(errors: Array, spaces: StateSpaceBatch, problem: EstimationProblem
 
 SPREAD = 0.7
 """Standard deviation of the initial weights into the units."""
-STEEPER = 2.0
+CONTROL_UNIT_FACTOR = 2.0
 """Factor of that deviation for units of the controls only, which have few inputs."""
 
 
@@ -344,7 +348,7 @@ def widened(
                 continue
             kinds[s, h] = UNITS.index(unit.kind)
             if unit.controls:
-                inner[s, h] *= np.where(np.arange(seen) < n, 0.0, STEEPER)
+                inner[s, h] *= np.where(np.arange(seen) < n, 0.0, CONTROL_UNIT_FACTOR)
     return _appended(spaces, inner, kinds)
 
 

@@ -20,16 +20,16 @@ from model_zoo.state_space.units import slopes, values
 from sysid_evo.models.dynamics import rk4
 from sysid_evo.types import Array, BoolArray, IntArray
 
-FAR = 30.0
+DIVERGED_DISTANCE = 30.0
 """Distance from the centre, in deviations, at which a simulation has diverged."""
 START_PRIOR = 0.05
 """Weight of squared initial states relative to that of residuals in units of the noise."""
 LINEAR_PRIOR = 1e-4
 MAX_MEMORY = 3.0
 """Largest number of correlated residuals that count as one."""
-EASIER, HARDER = 0.3, 5.0
+DAMPING_DECREASE, DAMPING_INCREASE = 0.3, 5.0
 STIFFEST = 1e8
-SAME, LOOSE = 1e-5, 1e-2
+MIN_IMPROVEMENT, MAX_FINAL_DAMPING = 1e-5, 1e-2
 """Relative improvement of the objective below which training stops, unless steps are damped more than the second."""
 
 
@@ -111,7 +111,7 @@ class StateSpaceBatch:
         compiled = compiled_run(flow=self.flow)
         for s in range(len(self)):
             own = self._arguments(s, states[s], controls, 0)
-            compiled(*own, np.array([FAR]), out[s].reshape(-1), room)
+            compiled(*own, np.array([DIVERGED_DISTANCE]), out[s].reshape(-1), room)
         return out
 
     def jacobian(self, states: Array, controls: Array) -> Array:
@@ -246,7 +246,7 @@ def train(
     return Trained(spaces, starts, objective.error(objective.residuals(outputs)))
 
 
-TRIES = 6
+MAX_DAMPINGS = 6
 """Dampings that are tried in one iteration."""
 
 
@@ -270,7 +270,7 @@ def _improve(
         for member, own in enumerate(zip(tangents, residuals, scale, strict=True))
     ]
     left, going = np.ones(len(spaces), dtype=bool), np.ones(len(spaces), dtype=bool)
-    for _ in range(TRIES):
+    for _ in range(MAX_DAMPINGS):
         rows = np.flatnonzero(left).astype(np.int64)
         if not len(rows):
             break
@@ -283,11 +283,11 @@ def _improve(
         for i, s in enumerate(rows):
             if tried[i] < value[s]:
                 flat[s], starts[s] = new_flat[i], new_starts[i]
-                going[s] = value[s] - tried[i] > SAME * value[s] or damping[s] > LOOSE
-                damping[s] *= EASIER
+                going[s] = value[s] - tried[i] > MIN_IMPROVEMENT * value[s] or damping[s] > MAX_FINAL_DAMPING
+                damping[s] *= DAMPING_DECREASE
                 left[s] = False
             else:
-                damping[s] *= HARDER
+                damping[s] *= DAMPING_INCREASE
     return flat, starts, damping, going & (damping < STIFFEST)
 
 

@@ -25,7 +25,7 @@ REPORT_EVERY = 10.0  # s, between lines where there is no terminal to draw on
 SHORTEST = 20  # characters of a title
 SHOWN = 10
 """Cells that have a bar of their own at the same time: a cluster may run hundreds."""
-TOO_EARLY = 0.1
+MIN_DONE_SHARE = 0.1
 """Share of the work after which the time left is shown: the first steps compile kernels, or are quick."""
 NAMED = 4
 """Cells that an interruption names."""
@@ -181,7 +181,7 @@ class PlanProgress(Observer):
         pace = (time.monotonic() - self._began) / self._expected_done if self._expected_done else 1.0
         running = f", {len(self._current)} running" if len(self._current) > 1 else ""
         failed = f", {self._failed} failed" if self._failed else ""
-        begun = self._expected_done >= TOO_EARLY * (self._expected_done + self._left)
+        begun = self._expected_done >= MIN_DONE_SHARE * (self._expected_done + self._left)
         note = f"{self._ended} of {self._cells}{f', {duration(self._left * pace)} left' if begun else ''}"
         self._bars.update(self._all, description=f"all{running}{failed}", completed=self._ended, note=note)
 
@@ -279,7 +279,7 @@ class _Current:
         if steps < 1 or seconds <= 0.0:
             return ""
         rate = f"{steps / seconds:,.1f}/s"
-        if self.done < TOO_EARLY * self.total:
+        if self.done < MIN_DONE_SHARE * self.total:
             return rate
         return f"{rate}, {duration((self.total - self.done) * seconds / steps)} left"
 

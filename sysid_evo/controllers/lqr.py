@@ -23,9 +23,9 @@ from sysid_evo.tasks.tracking import OBSERVED_TOLERANCES, TrackingState, Trackin
 from sysid_evo.types import Array, check_shape
 
 SAMPLES = 200
-NEAR = 0.01
+FIT_DISTANCE = 0.01
 """Distance from the targets, in sizes of the states, within which the feedback is fitted to observations."""
-MISFIT = 0.05
+MAX_UNEXPLAINED = 0.05
 """Largest share of the feedback that may remain unexplained by observations."""
 
 
@@ -120,7 +120,7 @@ def _in_observations(
     at_rest = [linear.at_rest(target, led) for target in began.target]
     states, controls = (np.array(part) for part in zip(*at_rest, strict=True))
     sizes = np.array([channel_scale(channel) for channel in system.states])
-    off = NEAR * sizes * np.random.default_rng(0).standard_normal(states.shape)
+    off = FIT_DISTANCE * sizes * np.random.default_rng(0).standard_normal(states.shape)
     shown = task.observe(began, states + off)
     shown = np.concatenate([shown, np.ones((len(shown), 1))], axis=1)
     span = np.array([0.5 * (channel.high - channel.low) for channel in system.controls])
@@ -129,7 +129,7 @@ def _in_observations(
     tables = [np.linalg.lstsq(shown, outputs, rcond=1e-10)[0] for outputs in wanted]
     for what, outputs, table in zip(("targets", "states"), wanted, tables, strict=True):
         misfit = np.abs(shown @ table - outputs).max()
-        if misfit > MISFIT * max(np.abs(outputs).max(), 1e-9) and misfit > 1e-3:
+        if misfit > MAX_UNEXPLAINED * max(np.abs(outputs).max(), 1e-9) and misfit > 1e-3:
             raise IncompatibleTask(f"lqr: the observations of {type(task).__name__} do not determine all {what}")
     return cast("Array", tables[0]), cast("Array", tables[1])
 

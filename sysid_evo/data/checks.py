@@ -21,10 +21,10 @@ from sysid_evo.types import Array, IntArray
 FROZEN_ROWS, FROZEN_TIME, FROZEN_JUMP = 5, 0.1, 0.02  # rows, s, m
 STILL = 0.05  # rad/s: slower turns are not used to check the yaw rate
 EXPLAINED = 0.5  # misfit if a rate is 1.6 times the change or the reverse, or if they correlate by 0.87
-FAR_APART, AS_LARGE = np.log(10.0), 0.15
+FAR_APART, SIZE_TOLERANCE = np.log(10.0), 0.15
 """A rate may belong to another state. Units are therefore inferred from its size only for degrees, cm and mm, whose
 factors are large, and only if it agrees within the noise of a differentiated encoder."""
-UNUSED = 0.02
+MIN_USED_RANGE = 0.02
 """A recorded range below this share of the limits suggests another unit: the factor is 0.017 for degrees, 0.001 for mA.
 """
 TURNS = 2.0 * TURN
@@ -131,8 +131,8 @@ def unused_limits(logs: Sequence[RawLog], tables: Sequence[Table], columns: Colu
             continue
         low, high = min(float(part.min()) for part in parts), max(float(part.max()) for part in parts)
         (si_unit, factor), share = to_si(column.unit), (high - low) / (column.high - column.low)
-        meant = factor < UNUSED and column.low * factor <= low and high <= column.high * factor
-        if not 0.0 < share < UNUSED or not (meant or name in columns.controls):
+        meant = factor < MIN_USED_RANGE and column.low * factor <= low and high <= column.high * factor
+        if not 0.0 < share < MIN_USED_RANGE or not (meant or name in columns.controls):
             continue
         converted = f"low = {column.low * factor:g}, high = {column.high * factor:g}"
         question = f"Are they in {column.unit}? Then give {converted}" if meant else "Are they right?"
@@ -273,7 +273,7 @@ class _Pair:
     def is_near(self, factor: float, rate_factor: float) -> bool:
         """Whether change and rate have the same size with these factors, which are far from 1."""
         ratio = rate_factor * _rms(self.rate) / max(_rms(self.change(factor)), 1e-300)
-        return abs(np.log(factor / rate_factor)) > FAR_APART and abs(ratio - 1.0) < AS_LARGE
+        return abs(np.log(factor / rate_factor)) > FAR_APART and abs(ratio - 1.0) < SIZE_TOLERANCE
 
     def explained(self, factors: Mapping[str, tuple[float, float]]) -> str:
         """Return the sentences of the factors with the smallest misfit of rate and change; none if it is large."""
@@ -336,13 +336,13 @@ def _wrap(angle: Array) -> Array:
 
 UNITS = ("s", "ms", "us", "ns")
 
-FAR = 20.0
+TIME_UNIT_RATIO = 20.0
 """A time between rows of at least this many ``dt`` suggests a wrong unit of time, a shorter one a wrong ``dt``."""
 
 FASTEST = 200.0
 """Largest expected number of rows per ``dt``."""
 
-STRAY = 0.05
+MAX_IRREGULAR_SHARE = 0.05
 """With a larger share of irregular steps a log is refused instead of split at each of them."""
 
 
@@ -357,7 +357,7 @@ def check_rate(table: Table, column: TimeColumn, time: Array, dt: float, *, row_
     period = float(np.median(steps))
     where = f"{table.path.name}, column {column.column!r}"
     if period > (1.0 + RATE_TOLERANCE) * dt:
-        unit = _unit_of(column.unit, period, dt) if period >= FAR * dt else None
+        unit = _unit_of(column.unit, period, dt) if period >= TIME_UNIT_RATIO * dt else None
         if unit is not None:
             raise InvalidData(
                 f"{where}: declared in {column.unit}, the rows are {period:.4g} s apart, {period / dt:.0f} times "
@@ -393,7 +393,7 @@ def _check_scatter(where: str, steps: Array, dt: float) -> None:
     broken = (steps < SHORTEST * dt) | (steps > LONGEST * dt)
     lost = (steps > LONGEST * dt) & (np.abs(steps / dt - np.round(steps / dt)) < RATE_TOLERANCE)
     stray = float(np.mean(broken & ~lost))
-    if stray > STRAY:
+    if stray > MAX_IRREGULAR_SHARE:
         near = steps[steps < 3.0 * dt]
         raise InvalidData(
             f"{where}: the time between rows scatters by {1e3 * near.std():.3g} ms around {1e3 * dt:g} ms; "

@@ -438,7 +438,7 @@ def subsample(dataset: Dataset, most: int, rng: np.random.Generator) -> Dataset:
     return dataset.with_episodes(blocks)
 
 
-EVEN = 1e-3
+MAX_STEP_DEVIATION = 1e-3
 """Largest deviation of a time step from the mean, as a share of the mean, in equally spaced times."""
 
 
@@ -499,7 +499,7 @@ def _step(t: float | npt.ArrayLike | Sequence[npt.ArrayLike], runs: Sequence[Arr
         raise InvalidData("t: expected at least two samples, got one")
     dt = float(steps.mean())
     worst = float(steps[np.argmax(np.abs(steps - dt))])
-    if not abs(worst - dt) <= EVEN * abs(dt):
+    if not abs(worst - dt) <= MAX_STEP_DEVIATION * abs(dt):
         raise InvalidData(
             f"t: expected equally spaced times, got a mean step of {dt:g} s and one of {worst:g} s; write "
             "the log to a file and resample it with `sysid-evo import`"

@@ -29,7 +29,7 @@ MOST_COMMANDS = 81
 BAND_SHARE = 0.95
 """Share of the power of a signal that lies within its bandwidth."""
 
-STANDING, STILL, FEWEST = 0.1, 0.01, 10
+MIN_MOVING_SHARE, REST_RANGE_SHARE, FEWEST = 0.1, 0.01, 10
 """An episode is idle if less than the first share of its time is in motion, or if every state stays within the second
 share of its range over all episodes. Episodes of fewer steps are never called idle."""
 
@@ -162,11 +162,12 @@ def _idle(dataset: Dataset) -> tuple[str, ...]:
     """Return the names of the episodes without motion."""
     lowest = np.min([episode.states.min(axis=0) for episode in dataset], axis=0)
     highest = np.max([episode.states.max(axis=0) for episode in dataset], axis=0)
-    still = STILL * (highest - lowest)
+    still = REST_RANGE_SHARE * (highest - lowest)
     return tuple(
         episode.name
         for episode, moving in zip(dataset, dataset.moving, strict=True)
-        if len(episode) >= FEWEST and (moving.mean() < STANDING or (np.ptp(episode.states, axis=0) <= still).all())
+        if len(episode) >= FEWEST
+        and (moving.mean() < MIN_MOVING_SHARE or (np.ptp(episode.states, axis=0) <= still).all())
     )
 
 

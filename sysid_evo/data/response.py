@@ -25,7 +25,7 @@ A negative lag means that the body moved before the command was logged, so the c
 driver cannot be the cause, because reactions take more than 0.1 s.
 """
 
-CLEAR, WEAK = 4.0, 0.1
+CLEAR_PEAK, MIN_CORRELATION = 4.0, 0.1
 """A peak is clear above this many standard deviations of the correlation of unrelated series, and above this
 correlation."""
 
@@ -95,7 +95,7 @@ def _delay(
     control: str, state: str, curve: Array, at_speed: bool, lags: range, episodes: list[Trajectory], dt: float
 ) -> Delay:
     samples = sum(len(episode) - ORDER for episode in episodes)
-    clear = max(CLEAR / np.sqrt(samples), WEAK)
+    clear = max(CLEAR_PEAK / np.sqrt(samples), MIN_CORRELATION)
     peak = _first_peak(curve, clear)
     return Delay(
         control,
@@ -269,9 +269,9 @@ def acting_controls(system: System, states: Array, controls: Array) -> Array:
     return np.concatenate([controls, controls * states[:, [forward]]], axis=1)
 
 
-STEADY = 0.3
+STEADY_SHARE = 0.3
 """Share of the command's time, at its end, that counts as steady."""
-RISEN = 1.0 - np.exp(-1.0)
+RISE_SHARE = 1.0 - np.exp(-1.0)
 SLOW = 0.15
 """Share of the speed at its beginning below which a coast-down is over."""
 LEAST = 1e-9
@@ -319,7 +319,7 @@ def _commanded(system: System, episode: Trajectory) -> tuple[int, int]:
 
 def _steady(values: Array) -> tuple[float, float]:
     """Return mean and standard error of the last part; five neighbouring samples count as one (correlation)."""
-    last = values[-max(3, round(STEADY * len(values))) :]
+    last = values[-max(3, round(STEADY_SHARE * len(values))) :]
     return float(last.mean()), float(last.std() / np.sqrt(max(1.0, len(last) / 5.0)))
 
 
@@ -343,16 +343,16 @@ def _step(system: System, episode: Trajectory) -> Iterator[ManoeuvreResult]:
         run = episode.states[first : last + 1, i]
         value, error = _steady(run)
         change, unit = value - run[0], system.states[i].unit
-        noise = float(np.std(np.diff(run[-max(3, round(STEADY * len(run))) :])))
+        noise = float(np.std(np.diff(run[-max(3, round(STEADY_SHARE * len(run))) :])))
         if abs(change) <= 5.0 * noise + LEAST:
             continue
         what = f"steady {system.states[i].name}" if forward is None else f"top speed {_direction(value)}"
         yield ManoeuvreResult(what, abs(value) if forward is not None else value, error, unit, name)
         share = (run - run[0]) / change
-        after = int(np.argmax(share >= RISEN))
+        after = int(np.argmax(share >= RISE_SHARE))
         if after == 0:
             continue
-        steps = after - (share[after] - RISEN) / max(share[after] - share[after - 1], LEAST)
+        steps = after - (share[after] - RISE_SHARE) / max(share[after] - share[after - 1], LEAST)
         what = f"time constant of {system.states[i].name}" if forward is None else f"time constant {_direction(value)}"
         yield ManoeuvreResult(what, float(steps * system.dt), 0.5 * system.dt, "s", name)
         if forward is not None:

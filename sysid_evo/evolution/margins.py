@@ -17,12 +17,12 @@ from sysid_evo.system import System
 from sysid_evo.tasks.task import make_task
 from sysid_evo.types import Array, BoolArray, IntArray, Seeds
 
-NEARLY = 0.01
+EQUAL_SHARE = 0.01
 """Share of the highest fitness within which fitness counts as equal."""
-OFTEN = 0.9
+MIN_TRIAL_SHARE = 0.9
 """Share of the trials that must have nearly the highest fitness."""
 NOISE = DomainRandomisation(sensor=0.1, process=0.02)
-LONGER = 2
+HORIZON_MULTIPLE = 2
 """Multiple of the horizon over which margins are measured."""
 MARGIN_TRIALS = 20
 
@@ -33,7 +33,7 @@ def has_all_fitness(by_trial: Array, worst: float) -> BoolArray:
     Then fitness does not rank them: the task has no more to give. None has if all have the ``worst`` fitness.
     """
     top = float(by_trial.max())
-    found: BoolArray = ((by_trial >= top - NEARLY * abs(top)).mean(axis=1) >= OFTEN) & (top > worst)
+    found: BoolArray = ((by_trial >= top - EQUAL_SHARE * abs(top)).mean(axis=1) >= MIN_TRIAL_SHARE) & (top > worst)
     return found
 
 
@@ -47,7 +47,7 @@ def best_candidate(scores: Scores, worst: float, margins: Callable[[IntArray, fl
     best = int(np.argmax(fitness))  # of equals the first
     if scores.by_trial is None:
         return best
-    near = fitness >= fitness[best] - NEARLY * abs(fitness[best])
+    near = fitness >= fitness[best] - EQUAL_SHARE * abs(fitness[best])
     equal = np.flatnonzero(has_all_fitness(scores.by_trial, worst) & near)
     return int(equal[np.argmax(margins(equal, float(fitness[best])))]) if best in equal and len(equal) > 1 else best
 
@@ -67,12 +67,12 @@ def candidate_margins(
 
     Both are means over the trials ``seeds`` in those of ``runners`` that are models. Fitness is in units of ``scale``,
     the fitness that all candidates have; a trial outside the training data, see `UncertaintyPenalty`, loses 1.
-    The horizon is `LONGER` times that of the task, if the task has such a parameter. Zeros without a model.
+    The horizon is `HORIZON_MULTIPLE` times that of the task, if the task has such a parameter. Zeros without a model.
     """
     horizon = make_task(task).bind(system).horizon
     lasting = task
     if "horizon" in tasks.parameters(task.name):
-        lasting = Spec(task.name, {**task.parameters, "horizon": LONGER * horizon}, task.label)
+        lasting = Spec(task.name, {**task.parameters, "horizon": HORIZON_MULTIPLE * horizon}, task.label)
     goal, law = make_task(lasting).bind(system), make_controller(controller)
     fitness, outside = [], []
     for runner in runners.values():

@@ -21,7 +21,7 @@ from sysid_evo.evolution.controller_evolution import (
 )
 from sysid_evo.evolution.ensemble import EnsembleObjective
 from sysid_evo.evolution.loop import Schedule, Scores
-from sysid_evo.evolution.margins import NEARLY, best_candidate, candidate_margins
+from sysid_evo.evolution.margins import EQUAL_SHARE, best_candidate, candidate_margins
 from sysid_evo.evolution.runs import FinishedRun, Runs, evolution_digest
 from sysid_evo.evolution.strategies.cma_es import CmaEs
 from sysid_evo.evolution.strategies.strategy import EvolutionStrategy
@@ -70,7 +70,7 @@ def choose(
     ]
     scored = [one for one in ranked if one[0].forecast is not None]
     top = max(ranking_value(one[0]) for one in scored or ranked)
-    near = [one for one in scored or ranked if ranking_value(one[0]) >= top - NEARLY * abs(top)]
+    near = [one for one in scored or ranked if ranking_value(one[0]) >= top - EQUAL_SHARE * abs(top)]
     best, own, _ = near[_largest_margin(near, selection_seeds(seed, trials))]
     return replace(own, parameters=best.parameters, finalists=tuple(finalist for finalist, _, _ in ranked))
 

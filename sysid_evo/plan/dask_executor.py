@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     import distributed
     from distributed import Client
 
-LOOK = 1.0  # s, between two checks of the workers
+POLL_INTERVAL = 1.0  # s, between two checks of the workers
 ALONE = 5.0  # s without workers, after which a remark is made
 PATIENCE = 5.0  # s, time limit for sending data to a worker
-LOST = 20
+MAX_LOST_ATTEMPTS = 20
 """Number of attempts at a cell whose data are lost in the cluster."""
 AHEAD = 2
 """Cells sent per thread of the workers, so that no thread waits for this process."""
@@ -191,8 +191,8 @@ class DaskExecutor:
         """Send a cell again that was lost in the cluster, with its needs."""
         self._last_look = 0.0  # check the scheduler at the next call
         self._lost[cell.digest] += 1
-        if self._lost[cell.digest] > LOST:
-            return self._failed(cell, f"the cell or its inputs were lost in the cluster {LOST} times")
+        if self._lost[cell.digest] > MAX_LOST_ATTEMPTS:
+            return self._failed(cell, f"the cell or its inputs were lost in the cluster {MAX_LOST_ATTEMPTS} times")
         for needed in cell.needs:
             self._sent.pop(needed.digest, None)
         self._listen()  # the scheduler may be a new one
@@ -206,9 +206,9 @@ class DaskExecutor:
         return CellEnd("busy") if set(self._threads) - unable else end
 
     def _look(self) -> None:
-        """Update the list of workers, at most once per `LOOK`. Raises `SchedulerLost`."""
+        """Update the list of workers, at most once per `POLL_INTERVAL`. Raises `SchedulerLost`."""
         now = time.monotonic()
-        if now - self._last_look < LOOK:
+        if now - self._last_look < POLL_INTERVAL:
             return
         self._last_look = now
         if self._client.status not in (RUNNING, "connecting"):

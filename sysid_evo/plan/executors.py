@@ -66,8 +66,8 @@ def execute(
 
 
 PATIENCE = 0.1  # s, between two checks of cells that another process computes
-LOOK = 0.2  # s, between two reports of the workers' progress
-TRIES = 2
+POLL_INTERVAL = 0.2  # s, between two reports of the workers' progress
+MAX_ATTEMPTS = 2
 """Number of attempts at a cell whose worker dies."""
 
 
@@ -204,7 +204,7 @@ class Execution:
 
     def _collect(self, workers: Workers) -> None:
         """Collect finished cells, with a short wait if there are none, and report the workers' progress."""
-        patience = 0.0 if self.ready_here else PATIENCE if self.busy else LOOK
+        patience = 0.0 if self.ready_here else PATIENCE if self.busy else POLL_INTERVAL
         ended, _ = wait(self.sent, timeout=patience, return_when=FIRST_COMPLETED)
         for future in ended:
             cell = self.sent.pop(future)
@@ -214,7 +214,7 @@ class Execution:
                 self._retry(cell, error)
             else:
                 self._finish(cell, end)
-        if time.monotonic() - self.last_progress >= LOOK:
+        if time.monotonic() - self.last_progress >= POLL_INTERVAL:
             self.last_progress = time.monotonic()
             for cell, done, total, note in workers.progress():
                 self._start(cell)
@@ -226,13 +226,13 @@ class Execution:
             self.observer.start(cell)
 
     def _retry(self, cell: Cell, error: CellLost) -> None:
-        """Try a lost cell again; after `TRIES` attempts it has failed."""
+        """Try a lost cell again; after `MAX_ATTEMPTS` attempts it has failed."""
         self.attempts[cell.digest] += 1
-        if self.attempts[cell.digest] < TRIES:
+        if self.attempts[cell.digest] < MAX_ATTEMPTS:
             self.remark(f"{cell.title} is computed again: {error}")
             self._push(cell)
             return
-        reason = f"{error}, {TRIES} times"
+        reason = f"{error}, {MAX_ATTEMPTS} times"
         self.store.fail(cell, reason=reason, traceback="", seconds=0.0)
         self._finish(cell, CellEnd("failed", reason=reason))
 
@@ -261,7 +261,7 @@ class Execution:
 
 VARIABLE = "SYSID_EVO_JOBS"
 """Environment variable with the default number of jobs."""
-WORTH = 5.0
+SECONDS_PER_PROCESS = 5.0
 """Seconds of work per process: with less work, starting another process does not pay."""
 MEMORY = 2**30
 """Bytes that one process may need; most of it is library code."""
@@ -293,7 +293,7 @@ def number_of_jobs(wanted: int | None, left: Collection[Cell]) -> tuple[int, str
 def _by_default(seconds: float) -> int:
     text = os.environ.get(VARIABLE, "")
     if not text:
-        return min(usable_processors(), int(seconds / WORTH))
+        return min(usable_processors(), int(seconds / SECONDS_PER_PROCESS))
     if not text.isdecimal() or int(text) < 1:
         raise InvalidArgument(f"{VARIABLE}: expected a number of jobs, at least 1, got {text!r}")
     return int(text)

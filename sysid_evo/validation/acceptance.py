@@ -12,20 +12,20 @@ from sysid_evo.types import Array, BoolArray, IntArray
 from sysid_evo.validation.estimates import Estimate, paired
 from sysid_evo.validation.simulation_error import error_of
 
-BETTER = 0.15
+MIN_IMPROVEMENT = 0.15
 """Required reduction of the error over all blocks, as a share of the uncorrected error."""
-IN_EACH = 0.05
+MIN_BLOCK_IMPROVEMENT = 0.05
 """Required reduction in every block; the difference second by second must also be significant, see `paired`."""
-BETTER_OF_TRAINING = 1.0
+TRAINING_IMPROVEMENT = 1.0
 """Required reduction for fine-tuned models and means with them, which can learn much from little data: this divided by
-the square root of the compared seconds (19 % for 28 s, 38 % for 7 s), but at least `BETTER`."""
-AMOUNTS = 3
+the square root of the compared seconds (19 % for 28 s, 38 % for 7 s), but at least `MIN_IMPROVEMENT`."""
+N_AMOUNTS = 3
 """Number of amounts of fine-tuning that are tested together (Bonferroni); each needs a probability of about 99 %."""
 
-FEWEST = 3
+MIN_SECONDS = 3
 """Least number of seconds to compare."""
 
-LEAST = 1e-12
+MIN_ERROR = 1e-12
 """Lower bound of an error in a denominator."""
 
 AND = " and "
@@ -49,7 +49,7 @@ class HeldOutErrors:
 
     def share_of(self, before: HeldOutErrors) -> float:
         """Return the error as a share of the error ``before``."""
-        return error_of(self.errors) / max(error_of(before.errors), LEAST)
+        return error_of(self.errors) / max(error_of(before.errors), MIN_ERROR)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class AcceptanceResult:
     each: tuple[float, ...]
     sure: bool
     kind: Kind = "fit"
-    required: float = BETTER
+    required: float = MIN_IMPROVEMENT
 
     @property
     def other(self) -> str:
@@ -80,7 +80,7 @@ class AcceptanceResult:
     @property
     def everywhere(self) -> bool:
         """Whether every block is improved."""
-        return max(self.each) <= 1.0 - IN_EACH
+        return max(self.each) <= 1.0 - MIN_BLOCK_IMPROVEMENT
 
 
 def judged(
@@ -95,16 +95,19 @@ def judged(
     for one, other in pairs:
         first, second = one.squares(), other.squares()
         gains += [first[key] - second[key] for key in first.keys() & second.keys()]
-    required, tried = BETTER, 1
+    required, tried = MIN_IMPROVEMENT, 1
     if kind in ("fine_tuned", "fine_tuned_mean"):
-        required, tried = max(BETTER, BETTER_OF_TRAINING / np.sqrt(max(1, len(gains)))), AMOUNTS
-    sure = len(gains) >= FEWEST and surely_more(paired(np.array(gains), figures=tried))
-    return AcceptanceResult(name, whole / max(before, LEAST), each, sure, kind, float(required))
+        required, tried = max(MIN_IMPROVEMENT, TRAINING_IMPROVEMENT / np.sqrt(max(1, len(gains)))), N_AMOUNTS
+    sure = len(gains) >= MIN_SECONDS and surely_more(paired(np.array(gains), figures=tried))
+    return AcceptanceResult(name, whole / max(before, MIN_ERROR), each, sure, kind, float(required))
 
 
 def failed(uncorrected: Sequence[HeldOutErrors], corrected: Sequence[HeldOutErrors]) -> bool:
     """Whether the improvement is too small in one of the blocks in ``corrected``."""
-    return any(after.share_of(before) > 1.0 - IN_EACH for before, after in zip(uncorrected, corrected, strict=False))
+    return any(
+        after.share_of(before) > 1.0 - MIN_BLOCK_IMPROVEMENT
+        for before, after in zip(uncorrected, corrected, strict=False)
+    )
 
 
 def surely_more(gain: Estimate, margin: float = 0.0) -> bool:

@@ -17,9 +17,9 @@ from sysid_evo.validation.simulation_error import STRIDE, Simulator, error_windo
 DIVERGED = 1e6
 """Error added for a fold in which a simulation diverges."""
 
-AS_GOOD = 0.05
+EQUAL_SHARE = 0.05
 """A smaller model may be worse than the best by this share of its error."""
-GOOD = 0.02
+NEGLIGIBLE_ERROR = 0.02
 """Smaller simulation errors, in standard deviations, count as this."""
 Choice = TypeVar("Choice")
 
@@ -56,16 +56,17 @@ class HeldOutError:
     ) -> float:
         """Return the sum over folds of the simulation error on held-out data of the model that ``learn`` returns.
 
-        Each error is at least `GOOD`: without noise, a model with lags can have an even smaller error but fail at the
-        start of a trial or at a limit, where its history differs from the recordings. A fold in which a simulation
-        diverges adds 1e6, so that such a setting is chosen only if all diverge. ``report`` is called after each fold.
+        Each error is at least `NEGLIGIBLE_ERROR`: without noise, a model with lags can have an even smaller error but
+        fail at the start of a trial or at a limit, where its history differs from the recordings. A fold in which a
+        simulation diverges adds 1e6, so that such a setting is chosen only if all diverge. ``report`` is called after
+        each fold.
         """
         total = 0.0
         for learned, held in self.folds:
             model = learn(learned)
             windows = error_windows(held, model.n_lags, stride=stride)
             simulated = model.simulate(windows.past_states, windows.past_controls, windows.controls)
-            total += max(GOOD, relative_error(model.system, simulated, windows))
+            total += max(NEGLIGIBLE_ERROR, relative_error(model.system, simulated, windows))
             total += DIVERGED if self.diverges(model, simulated) else 0.0
             report()
         return total
@@ -90,7 +91,7 @@ def best_candidate(
     if size is None:
         return candidates[int(np.argmin(errors))]
     sizes = np.array([size(candidate) for candidate in candidates])
-    return candidates[int(np.argmin(np.where(errors <= (1.0 + AS_GOOD) * errors.min(), sizes, np.inf)))]
+    return candidates[int(np.argmin(np.where(errors <= (1.0 + EQUAL_SHARE) * errors.min(), sizes, np.inf)))]
 
 
 def count_fits(candidates: Sequence[Choice]) -> int:

@@ -33,14 +33,14 @@ MAX_WINDOWS, FEWEST = 120, 20
 
 SAMPLES, ROUNDS = 16, 2
 
-POOLED = 0.5
+POOLED_WEIGHT = 0.5
 """Weight of the spread of all windows in that of a single one, which is estimated from few samples."""
 SMALLEST, LARGEST = 0.02, 20.0
 """Range of factors by which a round may change a scale."""
 LAGS = range(2, 6)
 """Lags at which residuals are correlated by model errors but not by measurement noise."""
 
-APART = 10
+RECORDING_GAP = 10
 """Gap between the sample numbers of two recordings, larger than `LAGS`."""
 
 
@@ -107,7 +107,7 @@ def step_spread(
         carry = model.initial_carry(windows.past_states, windows.past_controls)
         after = step(model, carry, windows.controls[:, 0])
         errors.append(part.system.difference(windows.states[:, 0], after[:, : part.system.nx]))
-        longest = max(len(episode) for episode in part) + APART
+        longest = max(len(episode) for episode in part) + RECORDING_GAP
         numbers.append(begin + windows.start + windows.episode * longest)
         begin += longest * len(part)
     pooled = np.concatenate(errors)
@@ -163,7 +163,7 @@ def horizon_scales(
             wanted = []
             for run, square, earlier in zip(runs, squares, before, strict=True):
                 variance = run.to(first, last, scale)[1]
-                variance = (1.0 - POOLED) * variance + POOLED * variance.mean(axis=0)
+                variance = (1.0 - POOLED_WEIGHT) * variance + POOLED_WEIGHT * variance.mean(axis=0)
                 added = np.maximum(variance - earlier, 1e-6 * variance + np.finfo(float).tiny)
                 wanted.append(((square - earlier) / added)[run.counts(last)])
             scale = scale * _factor(np.concatenate(wanted), share)

@@ -11,7 +11,7 @@ from distributed import KilledWorker
 
 from sysid_evo.errors import InvalidArgument, SchedulerLost
 from sysid_evo.plan import Plan, Store, dask_executor, execute
-from sysid_evo.plan.dask_executor import AHEAD, FIRST, LOST, DaskExecutor, address_of, connected
+from sysid_evo.plan.dask_executor import AHEAD, FIRST, MAX_LOST_ATTEMPTS, DaskExecutor, address_of, connected
 from sysid_evo.plan.run_cell import CellEnd, CellLost
 from sysid_evo.processors import resolve
 from tests.fixtures.cells import number
@@ -213,11 +213,14 @@ def test_a_result_is_sent_once_as_long_as_a_cell_needs_it_and_again_if_it_is_los
 
 def test_what_is_lost_is_sent_again_but_not_for_ever(here):
     here.look()
-    for _ in range(LOST):
+    for _ in range(MAX_LOST_ATTEMPTS):
         assert here.answered(TOP, CancelledError()).status == "busy"
     assert here.cluster._last_look == 0.0  # it is seen at once who is there
     assert here.answered(TOP, CancelledError()).status == "failed"
-    assert here.store.find(TOP.digest).reason == f"the cell or its inputs were lost in the cluster {LOST} times"
+    assert (
+        here.store.find(TOP.digest).reason
+        == f"the cell or its inputs were lost in the cluster {MAX_LOST_ATTEMPTS} times"
+    )
 
 
 def test_a_result_is_stored_if_it_is_that_of_the_cell_and_whole(here, tmp_path):

@@ -16,9 +16,9 @@ from sysid_evo.types import Array, check_shape
 
 ANYTHING = "anything"
 QUANTILE = 0.8
-LAST = 20
+AVERAGED_GENERATIONS = 20
 """Generations over which the 80 % quantile of an island is averaged."""
-KEPT = 15
+N_KEPT = 15
 """Candidates of an island among which its finalist is chosen."""
 DEFAULT_GENERATIONS = 300
 INITIAL_SHARE = 0.2
@@ -28,7 +28,7 @@ PATIENCE = 150
 """An island without improvement in this number of generations has stagnated, and a restart takes its slot."""
 PATIENCE_SHARE = 0.125
 """The same as a share of all generations; the larger of the two numbers counts."""
-RISE = 0.01
+MIN_RISE = 0.01
 """Relative increase of the smoothed quantile that counts as an improvement."""
 TOLERANCE = 0.03
 """Several islands of one class have converged to the same fitness if it differs by at most this share."""
@@ -77,13 +77,13 @@ class Island:
         span = highest - lowest if -np.inf < lowest < highest else 1.0
         ranked = np.where(inside, fitness, lowest - span * (1.0 + off))
         order = np.argsort(-ranked, kind="stable")
-        self.best, self.scores = population[order[:KEPT]].copy(), ranked[order[:KEPT]].copy()
+        self.best, self.scores = population[order[:N_KEPT]].copy(), ranked[order[:N_KEPT]].copy()
         reached = np.sort(fitness[inside])
         finite = inside.any() and reached[int(QUANTILE * (len(reached) - 1))] > -np.inf  # np.quantile of -inf is nan
         quantile = float(np.quantile(reached, QUANTILE)) if finite else -np.inf
-        self.quantiles = [*self.quantiles, quantile][-LAST:]
+        self.quantiles = [*self.quantiles, quantile][-AVERAGED_GENERATIONS:]
         self.age += 1
-        if self.smoothed_quantile > self.peak + RISE * abs(self.peak) or not np.isfinite(self.peak):
+        if self.smoothed_quantile > self.peak + MIN_RISE * abs(self.peak) or not np.isfinite(self.peak):
             self.peak, self.peak_age = self.smoothed_quantile, self.age
         self.behaviour = behaviour[order[: max(1, int(inside.sum()) // 2)]].mean(axis=0)
         self.strategy.tell(population, ranked)

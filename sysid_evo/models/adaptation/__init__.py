@@ -3,7 +3,7 @@
 from sysid_evo.models.adaptation.adapted import as_of
 from sysid_evo.models.adaptation.correction import CorrectionTerms
 from sysid_evo.models.adaptation.selection import (
-    ANEW,
+    NEW_FIT,
     NONE,
     REFIT,
     Adaptation,
@@ -15,7 +15,7 @@ from sysid_evo.models.adaptation.selection import (
 from sysid_evo.validation.acceptance import AcceptanceResult
 
 __all__ = [
-    "ANEW",
+    "NEW_FIT",
     "NONE",
     "REFIT",
     "AcceptanceResult",

@@ -17,7 +17,7 @@ from sysid_evo.data.trajectory import evenly_spaced
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument
 from sysid_evo.kernels import DynamicsKernel
 from sysid_evo.models.adaptation.correction import CorrectionTerms
-from sysid_evo.models.adaptation.selection import ANEW, NONE, REFIT, LearnedCorrection, adaptation
+from sysid_evo.models.adaptation.selection import NEW_FIT, NONE, REFIT, LearnedCorrection, adaptation
 from sysid_evo.models.base import DynamicsModel, make_model
 from sysid_evo.models.kernels.correction import correction_kernel
 from sysid_evo.models.learned import Declared
@@ -88,7 +88,7 @@ class Adapted(DynamicsModel):
         self.candidates_ = [trial.name for trial in found.decision.trials]
         self._widen()
         base = self.base_
-        if isinstance(base, StochasticModel) and base.timed and self.chosen_ not in (NONE, ANEW, REFIT):
+        if isinstance(base, StochasticModel) and base.timed and self.chosen_ not in (NONE, NEW_FIT, REFIT):
             self.base_ = calibrated_elsewhere(base, found.fold_results, rng)
         return self
 

@@ -20,9 +20,9 @@ from sysid_evo.models.dynamics import Dynamics
 from sysid_evo.system import System
 from sysid_evo.types import Array, BoolArray, IntArray
 
-FAR = 1.0
+COEFFICIENT_TIME = 1.0
 """Time in s within which a coefficient of 1 moves a state by its standard deviation."""
-OF_PRODUCTS = 10.0
+PRODUCT_RIDGE_FACTOR = 10.0
 """Factor of the ridge penalty for products."""
 
 
@@ -79,7 +79,7 @@ class CorrectionTerms:
         if pushes is not None:
             weakest, strongest, spread = pushes.min(axis=0), pushes.max(axis=0), pushes.std(axis=0)
             strength = np.where(spread > 1e-9 * np.abs(pushes).max(axis=0), spread, 1.0)
-        unit = state_scale(system, states) / FAR
+        unit = state_scale(system, states) / COEFFICIENT_TIME
         return cls(system, low, high, centre, scale, unit, least, most, weakest, strongest, strength)
 
     @property
@@ -121,7 +121,7 @@ class CorrectionTerms:
     @property
     def weight(self) -> Array:
         """Ridge weight of each coefficient, (size, nx); that of a gain is relative to the predicted acceleration."""
-        plain = np.repeat([1.0, OF_PRODUCTS], [1 + self.n_inputs, len(self.least)])
+        plain = np.repeat([1.0, PRODUCT_RIDGE_FACTOR], [1 + self.n_inputs, len(self.least)])
         of_gains = np.ones((len(self.strength), 1)) * (self.unit / self.strength if self.gains else self.unit) ** 2
         return np.concatenate([plain[:, None] * np.ones(self.system.nx), of_gains])
 
@@ -214,7 +214,7 @@ def state_scale(system: System, states: Array) -> Array:
 
 SECOND, FEWEST_STEPS, MOST_STEPS = 1.0, 10, 20
 STRIDE = 3
-FARTHEST = 10.0
+MAX_ERROR = 10.0
 """Upper bound of an error, in standard deviations."""
 ROWS = 2**14
 """Number of simulations in one batch."""
@@ -273,9 +273,9 @@ class AdaptationWindows:
         return int(self.controls.shape[1])
 
     def errors(self, runs: Array) -> Array:
-        """Return the errors (..., B, H, nx) of ``runs`` in standard deviations, clipped to `FARTHEST`."""
+        """Return the errors (..., B, H, nx) of ``runs`` in standard deviations, clipped to `MAX_ERROR`."""
         wrong = self.system.difference(runs, np.broadcast_to(self.truth, runs.shape)) / self.scale
-        return np.where(np.isfinite(wrong), np.clip(wrong, -FARTHEST, FARTHEST), FARTHEST)
+        return np.where(np.isfinite(wrong), np.clip(wrong, -MAX_ERROR, MAX_ERROR), MAX_ERROR)
 
 
 def simulate_corrections(
@@ -307,7 +307,7 @@ def _simulate_batch(model: Dynamics, terms: CorrectionTerms, candidates: Array, 
 ROUNDS = 2
 """Linearisations for each ridge; the first starts from the coefficients of the stronger one."""
 SHORTENINGS = (1.0, 0.3, 0.1)
-TOLERATED = 1.5
+HUBER_ERROR = 1.5
 """Error, in standard deviations, beyond which the loss is linear instead of quadratic (Huber)."""
 
 
@@ -336,8 +336,8 @@ def _improved(
     size = start.size
     runs, derivatives = sensitivities(model, terms, start, windows)
     here = windows.errors(runs[None]).ravel()
-    slopes = np.where(np.abs(here) < FARTHEST, (derivatives / windows.scale).reshape(size, -1), 0.0)
-    weights = np.minimum(1.0, TOLERATED / np.maximum(np.abs(here), 1e-12))
+    slopes = np.where(np.abs(here) < MAX_ERROR, (derivatives / windows.scale).reshape(size, -1), 0.0)
+    weights = np.minimum(1.0, HUBER_ERROR / np.maximum(np.abs(here), 1e-12))
     share = seconds / here.size
     normal = share * (slopes * weights) @ slopes.T + np.diag(ridge.ravel())
     step = np.linalg.solve(normal, -share * slopes @ (weights * here) - (ridge * start).ravel()).reshape(start.shape)
@@ -352,7 +352,7 @@ def _improved(
 
 def _cost(errors: Array, coefficients: Array, ridge: Array, seconds: float) -> float:
     size = np.abs(errors)
-    huber = np.where(size <= TOLERATED, size**2, TOLERATED * (2.0 * size - TOLERATED))
+    huber = np.where(size <= HUBER_ERROR, size**2, HUBER_ERROR * (2.0 * size - HUBER_ERROR))
     return float(seconds * huber.mean() + np.sum(ridge * coefficients**2))
 
 

@@ -34,7 +34,7 @@ RIDGES = (3.0, 0.3, 0.03, 0.003)
 NONE = "none"
 """The choice if the model is not changed."""
 
-ANEW, REFIT = "fit to the new data", "refit"
+NEW_FIT, REFIT = "fit to the new data", "refit"
 """Names of a fit of the family to the new data alone, and of one to old and new data."""
 FINE_TUNED = {f"fine-tuned, {updates} updates": updates for updates in (50, 200, 800)}
 """Number of further training updates on the new data, from the present weights, by name."""
@@ -192,7 +192,7 @@ def _model_makers(model: DynamicsModel, training: Dataset | None, rng: np.random
         return lambda data: refitted(model, old, data, rng)
 
     makers = {name: fine_tuned(updates) for name, updates in FINE_TUNED.items()}
-    makers |= {} if model.families_used() or model.chooses_families else {ANEW: fit(None)}
+    makers |= {} if model.families_used() or model.chooses_families else {NEW_FIT: fit(None)}
     return makers | ({} if training is None else {REFIT: fit(training)})
 
 
@@ -292,7 +292,7 @@ def _name(kind: str, ridge: float) -> str:
     return f"{kind}, ridge {ridge:g}"
 
 
-AS_GOOD = 0.10
+EQUAL_SHARE = 0.10
 """A simpler correction may be worse than the best by this share of its error."""
 
 _NOTHING = AcceptanceResult(NONE, 1.0, (1.0,), sure=False)
@@ -301,18 +301,18 @@ _NOTHING = AcceptanceResult(NONE, 1.0, (1.0,), sure=False)
 def decided(trials: Sequence[AcceptanceResult]) -> str:
     """Return the name of the best accepted candidate; "none" if there is none.
 
-    The simplest correction or fit within `AS_GOOD` of the best one is compared with the fine-tuned models and their
+    The simplest correction or fit within `EQUAL_SHARE` of the best one is compared with the fine-tuned models and their
     means; the one with the lowest error is chosen. A fit gives way to its mean with a correction if that is about as
     good, because a fit to a few seconds knows nothing of situations that they do not contain.
     """
     good = [trial for trial in trials if trial.good]
     fits = [trial for trial in good if trial.kind == "fit"]
     least = min((trial.error for trial in fits), default=0.0)
-    simplest = [trial for trial in fits if trial.error <= (1.0 + AS_GOOD) * least][:1]
+    simplest = [trial for trial in fits if trial.error <= (1.0 + EQUAL_SHARE) * least][:1]
     found = [*simplest, *(trial for trial in good if trial.kind in ("fine_tuned", "fine_tuned_mean"))]
     best = min(found, key=lambda trial: trial.error, default=_NOTHING)
     means = [trial for trial in good if trial.kind == "fit_mean" and trial.other == best.name]
-    safer = [trial for trial in means if trial.error <= (1.0 + AS_GOOD) * best.error]
+    safer = [trial for trial in means if trial.error <= (1.0 + EQUAL_SHARE) * best.error]
     return safer[0].name if safer else best.name
 
 

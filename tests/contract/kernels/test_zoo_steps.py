@@ -159,7 +159,7 @@ def test_every_kind_of_unit_is_the_same_compiled(family):
 @pytest.mark.nightly
 @pytest.mark.parametrize("family", ["nonlinear_state_space", "latent_ode"])
 def test_a_linear_space_in_the_place_of_networks_is_the_same_compiled(family, monkeypatch):
-    monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.BETTER", 0.0)
+    monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.REQUIRED_RATIO", 0.0)
     few = {"order": 2, "members": 2, "mixtures": 3, "screening_iterations": 3, "iterations": 2, "horizon": 100}
     model = make_model(family, **few).fit(one_output(0, 300, bend=0.03), rng=0)
     assert [len(units) for units in model.inner_] == [0]

@@ -12,7 +12,7 @@ from sysid_evo.models import load_model, save_model
 from sysid_evo.models.adaptation import NONE, REFIT, CorrectionTerms, LearnedCorrection
 from sysid_evo.models.adaptation import adapted as module
 from sysid_evo.models.adaptation.adapted import calibrated_elsewhere
-from sysid_evo.models.adaptation.selection import ANEW, FINE_TUNED, Adaptation, AdaptationDecision
+from sysid_evo.models.adaptation.selection import FINE_TUNED, NEW_FIT, Adaptation, AdaptationDecision
 from sysid_evo.models.base import make_model
 from sysid_evo.system import System
 from sysid_evo.validation import intervals
@@ -89,7 +89,7 @@ def test_a_bad_model_is_refitted_if_that_passes_the_same_acceptance_test(trainin
     useless = make_model("narx", degree=2, terms=8).fit(data.with_episodes([backward]), rng=0)
     test, anew = drive(OTHER, seconds=20.0, seed=4), make_model("narx", degree=2, terms=8).fit(data, rng=0)
     found = useless.adapt(data, rng=0)
-    assert found.chosen_.endswith(ANEW)
+    assert found.chosen_.endswith(NEW_FIT)
     assert found.score(test) > 1.1 * anew.score(test)
     assert found.score(test) > 0.5 * useless.score(test)
 
@@ -174,7 +174,7 @@ def lines(training):
 def test_no_mean_is_tried_for_a_model_with_process_noise(lines):
     _, noisy, plain = lines
     means = [name for name in plain.candidates_ if AND in name]
-    assert means == [name for name in plain.candidates_ if name.endswith(AND + ANEW)]
+    assert means == [name for name in plain.candidates_ if name.endswith(AND + NEW_FIT)]
     assert noisy.candidates_ == [name for name in plain.candidates_ if name not in means]
 
 
@@ -284,7 +284,7 @@ def test_a_correction_is_part_of_the_step(steady, parts):
 
 @pytest.mark.parametrize(
     ("chosen", "anew"),
-    [(NONE, False), (ANEW, False), (REFIT, False), ("linear, ridge 3", True), ("fine-tuned, 50 updates", True)],
+    [(NONE, False), (NEW_FIT, False), (REFIT, False), ("linear, ridge 3", True), ("fine-tuned, 50 updates", True)],
 )
 def test_refitted_and_unchanged_models_keep_their_own_spread(steady, parts, monkeypatch, chosen, anew):
     learned = uncorrected(steady, None)

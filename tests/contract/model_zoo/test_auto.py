@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from model_zoo.auto.candidates import NUMBERS, SHIPPED, STEPS, Candidate, candidates_for, candidates_named
-from model_zoo.auto.fitting import LARGE, FitTask, FitWork, fitted, load
+from model_zoo.auto.fitting import LARGE_LIBRARIES, FitTask, FitWork, fitted, load
 from model_zoo.auto.model import PROCESSORS, SHARE, Auto
 from model_zoo.auto.selection import (
     BASE_BEHIND,
@@ -25,7 +25,7 @@ from sysid_evo.data import Dataset
 from sysid_evo.errors import IncompatibleSystem, InvalidArgument, InvalidData, SysidEvoError
 from sysid_evo.models import DynamicsModel, load_model, save_model
 from sysid_evo.models.adaptation import held_out_error
-from sysid_evo.models.adaptation.selection import ANEW, adaptation
+from sysid_evo.models.adaptation.selection import NEW_FIT, adaptation
 from sysid_evo.models.base import make_model
 from sysid_evo.processors import use_processors
 from sysid_evo.registry import Spec, make_robot, models
@@ -261,8 +261,8 @@ def test_what_progress_raises_is_no_failure_of_a_candidate():
 def test_a_process_that_fits_candidates_loads_what_is_installed_and_does_without_the_rest(monkeypatch):
     asked = []
     monkeypatch.setattr("model_zoo.auto.fitting.importlib.import_module", asked.append)
-    load([*LARGE, "no_such_library"])
-    assert asked == [name for name in LARGE if importlib.util.find_spec(name)]
+    load([*LARGE_LIBRARIES, "no_such_library"])
+    assert asked == [name for name in LARGE_LIBRARIES if importlib.util.find_spec(name)]
     assert "numba" in asked
 
 
@@ -293,7 +293,7 @@ def test_a_family_that_chooses_among_others_is_not_refitted_for_an_adaptation(ch
     model = Choosing().fit(few, rng=0)
     tried = [trial.name for trial in adaptation(model, few, rng=np.random.default_rng(0)).decision.trials]
     assert tried
-    assert (ANEW in tried) == (not chooses)
+    assert (NEW_FIT in tried) == (not chooses)
     assert Auto.chooses_families
 
 

@@ -9,7 +9,7 @@ from model_zoo.state_space import estimation
 from model_zoo.state_space.estimation import EstimationProblem, observer, radius, stabilised
 from model_zoo.state_space.nonlinear_state_space import networks
 from model_zoo.state_space.recordings import ScaledEpisode, ShootingWindows
-from model_zoo.state_space.shooting import FAR, StateSpaceBatch, train
+from model_zoo.state_space.shooting import DIVERGED_DISTANCE, StateSpaceBatch, train
 from model_zoo.state_space.subspace import flowing
 from model_zoo.state_space.units import GATE, SHARP, SHARP_INPUT, UNITS
 from sysid_evo.data import Dataset
@@ -59,7 +59,7 @@ def test_a_simulation_is_bounded_and_its_derivatives_are_those_without_bounds():
     outputs, derivatives = growing.sensitivities(0, np.array([[10.0]]), windows)
     np.testing.assert_allclose(outputs[0, :, 0], 10.0 * 1.5 ** np.arange(7))
     np.testing.assert_allclose(derivatives[0, :, 0, -1], 1.5 ** np.arange(7))
-    assert growing.run(np.array([[[10.0]]]), windows.controls).max() == FAR
+    assert growing.run(np.array([[[10.0]]]), windows.controls).max() == DIVERGED_DISTANCE
 
 
 @FORMS
@@ -174,7 +174,7 @@ def quiet_recording():
 
 @pytest.mark.parametrize(
     ("data", "name", "place"),
-    [(one_output(0), "SLOWER", 3.1), (quiet_recording(), "LOUDER", 2.8)],
+    [(one_output(0), "HOLD_FACTOR", 3.1), (quiet_recording(), "AMPLITUDE_FACTOR", 2.8)],
     ids=["longer", "larger"],
 )
 def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(data, name, place, monkeypatch):
@@ -189,7 +189,7 @@ def test_a_space_that_diverges_only_outside_the_recorded_range_is_detected(data,
     three.inner[2, 0] = [1.0, 0.0, 0.0, -place]
     three.outer[2, 0] += [steep / 2, 0.0, 0.0, -steep * place / 2, steep]
     told = getattr(estimation, name)
-    for other, none in (("SLOWER", 1), ("LOUDER", 1), ("SHUFFLES", 0)):
+    for other, none in (("HOLD_FACTOR", 1), ("AMPLITUDE_FACTOR", 1), ("SHUFFLES", 0)):
         monkeypatch.setattr(estimation, other, none)
     assert not problem.escapes(three, observers).any()
     monkeypatch.setattr(estimation, name, told)
@@ -317,7 +317,7 @@ def test_networks_of_a_short_record_are_accepted_only_if_they_predict_better(fam
     data = one_output(0, 300, bend=0.03)
     passed, stopped = (make_model(family, **FEW) for _ in range(2))
     assert not passed.fit(data, rng=0).fit_note
-    monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.BETTER", 0.0)
+    monkeypatch.setattr("model_zoo.state_space.nonlinear_state_space.REQUIRED_RATIO", 0.0)
     assert "linear state space" in stopped.fit(data, rng=0).fit_note
     assert [len(units) for units in stopped.inner_] == [0]
     stopped.set_params(gated=False).fit(data, rng=0)

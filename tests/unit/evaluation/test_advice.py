@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from evaluation.advice import (
-    MOST,
+    MAX_REMARKS,
     Evidence,
     ModelAdvice,
     advise_model,
     advise_recording,
     ranked,
 )
-from evaluation.advice.advise import OF_MODELS, OF_PLACES
+from evaluation.advice.advise import MODEL_CHECKS, PLACE_CHECKS
 from evaluation.advice.generalisation import halved, overfit, shift, too_few_data
 from evaluation.advice.one_step import estimate_noise, hidden_state, late_controls, noise_floor
 from evaluation.advice.recording import CHECKS
@@ -62,7 +62,7 @@ def advised(where, **keywords):
 def test_on_a_machine_without_a_fault_hardly_ever_anything_but_the_noise_is_spoken_of(recordings, most):
     more = 0
     for seed in range(recordings):
-        looks = (*OF_MODELS, *OF_PLACES, *CHECKS)
+        looks = (*MODEL_CHECKS, *PLACE_CHECKS, *CHECKS)
         remarks = [remark for look in looks if (remark := look(evidence(seed=seed))) is not None]
         assert remarks[0].topic == "noise"
         more += len(remarks) - 1
@@ -251,7 +251,7 @@ def test_the_most_important_comes_first_and_there_are_five_at_most():
     advice = advised(where, visited=recorded(seed=5).episodes, name="linear")
     weights = [remark.weight for remark in advice.remarks]
     assert weights == sorted(weights, reverse=True)
-    assert 3 <= len(weights) <= MOST
+    assert 3 <= len(weights) <= MAX_REMARKS
     assert advice.remarks[0].topic == "late controls"
     assert "noise" not in [remark.topic for remark in advice.remarks]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evaluation.advice.advise import BY_INTERVAL, advise_model
+from evaluation.advice.advise import INTERVAL_TOPICS, advise_model
 from evaluation.prediction import PredictionProtocol, assess_prediction, measured_cases
 from evaluation.report import verdict
 from evaluation.report.report import brief, to_json
@@ -86,14 +86,14 @@ def test_without_variation_in_the_data_that_is_the_only_remark():
 
 
 def test_advice_that_rests_on_an_interval_wants_ten_blocks(monkeypatch):
-    monkeypatch.setattr("evaluation.advice.advise.MOST", 20)
+    monkeypatch.setattr("evaluation.advice.advise.MAX_REMARKS", 20)
     training, short, long = recording(1, steps=60), recording(1, steps=540, seed=8), recording(3, steps=400, seed=8)
     (episode,), noise = training.episodes, 0.05 * np.random.default_rng(0).normal(size=(61, 3))
     training = training.with_episodes([replace(episode, states=episode.states + noise)])
     model = make_model("linear").fit(training, rng=np.random.default_rng(0))
     topics = [{one.topic for one in advise_model(model, training, test).remarks} for test in (short, long)]
-    assert not topics[0] & set(BY_INTERVAL)
-    assert topics[1] & set(BY_INTERVAL)
+    assert not topics[0] & set(INTERVAL_TOPICS)
+    assert topics[1] & set(INTERVAL_TOPICS)
 
 
 def on_each(a, b, rest, robot="car"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evaluation.cells.controllers import MEAN_OF_ONE
+from evaluation.cells.controllers import EQUIVALENT_AGGREGATES
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.aggregates import make_aggregate
 from sysid_evo.registry import aggregates
@@ -52,7 +52,7 @@ def test_every_rule_keeps_the_laws_of_aggregates(name, rng):
     assert np.isfinite(rule(fitness[:1, :1, :1])).all()
 
 
-@pytest.mark.parametrize("name", MEAN_OF_ONE)
+@pytest.mark.parametrize("name", EQUIVALENT_AGGREGATES)
 def test_of_one_model_these_rules_take_the_mean_over_its_trials_to_the_last_bit(name, rng):
     rule, fitness = make_aggregate(name), rng.uniform(-10.0, 10.0, (1, 7, 5))
     np.testing.assert_array_equal(rule(fitness), fitness.mean(axis=2)[0])

@@ -360,7 +360,7 @@ class Slow(DynamicsModel):
 
 
 def test_a_fit_that_takes_long_warns_early_with_a_remedy(monkeypatch):
-    monkeypatch.setattr(progress, "WATCHED", 0.005)
+    monkeypatch.setattr(progress, "MIN_SECONDS", 0.005)
     much = r"Slow may take \d+ min more; .* makes it shorter: parts=5, control_lags=0 .of .* 2 states and 1 controls"
     with pytest.warns(DataWarning, match=much) as given:
         Slow().fit(DATA)

@@ -22,7 +22,7 @@ def test_there_are_as_many_jobs_as_processors_work_and_memory_are_there_for(monk
     monkeypatch.setattr(executors, "usable_processors", lambda: 8)
     monkeypatch.setattr(executors, "available_memory", lambda: 100 * 2**30)
     cells = [number(i) for i in range(20)]  # of one second each
-    assert number_of_jobs(None, cells) == (int(20 / executors.WORTH), "")
+    assert number_of_jobs(None, cells) == (int(20 / executors.SECONDS_PER_PROCESS), "")
     assert number_of_jobs(None, cells[:3]) == (1, "")
     assert number_of_jobs(None, [number(i) for i in range(500)]) == (8, "")
     assert number_of_jobs(30, cells) == (20, "")

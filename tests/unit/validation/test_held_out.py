@@ -9,7 +9,7 @@ from sysid_evo.models.base import make_model
 from sysid_evo.system import Channel, System
 from sysid_evo.testing import example_dataset
 from sysid_evo.validation.folds import FOLDS, make_folds
-from sysid_evo.validation.held_out import DIVERGED, GOOD, HeldOutError
+from sysid_evo.validation.held_out import DIVERGED, NEGLIGIBLE_ERROR, HeldOutError
 from sysid_evo.validation.simulation_error import (
     LONGEST_HISTORY,
     HeldOutTest,
@@ -65,7 +65,7 @@ def test_errors_that_are_as_good_as_none_are_equal():
     perfect, nearly = (
         blocks.error(lambda part, ridge=ridge: make_model("linear", ridge=ridge).fit(part)) for ridge in (0.0, 1e-4)
     )
-    assert perfect == nearly == pytest.approx(FOLDS * GOOD)
+    assert perfect == nearly == pytest.approx(FOLDS * NEGLIGIBLE_ERROR)
     assert blocks.error(lambda part: make_model("linear", ridge=1.0).fit(part)) > 2.0 * perfect
 
 
