@@ -44,7 +44,8 @@ class LearnTask(CellSettings):
         if parts.test is not None:
             whole = whole.with_episodes([*parts.training, *parts.test])
         learned = make_task(self.task).learn(whole)
-        return LearnedTaskResult(self.task.with_parameters(**learned.parameters).text, learned.sentences)
+        spec = Spec(self.task.name, {**self.task.parameters, **learned.parameters})
+        return LearnedTaskResult(spec.text, learned.sentences)
 
 
 LEARN = "learn"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hardware.simulators import gymnasium_rewards
+from hardware.simulators.gymnasium_raw import raw_interface
 from hardware.simulators.gymnasium_robot import KNOWN
 from hardware.simulators.gymnasium_spaces import (
     ActionMap,
@@ -26,6 +27,7 @@ from sysid_evo.kernels import LANES, KernelSource, TaskKernel
 from sysid_evo.registry import register_task
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.learned_reward import LearnedReward, scratch_rows
+from sysid_evo.tasks.raw import RawInterface
 from sysid_evo.tasks.reward_fit import fit_reward
 from sysid_evo.tasks.task import LearnedTask, Task, TaskState
 from sysid_evo.types import Array, BoolArray, Seeds
@@ -224,6 +226,10 @@ class EnvironmentTask(Task):
     def advance_rewarded(self, task_state: TaskState, reward: Array) -> TaskState:
         here = cast("EnvironmentTaskState", task_state)
         return replace(here, earned=here.earned + np.where(reward >= self.least, reward, self.least))
+
+    def raw(self) -> RawInterface:
+        angle = self.known.angle if self.known is not None else self.angle
+        return raw_interface(self.id, self.settings, angle, self.system, self.scale)
 
     def kernel(self) -> TaskKernel[Any] | None:
         if self.rules is None and self.learned is None:

@@ -63,6 +63,12 @@ def how_to_use(law: sysid_evo.export.ExportedController, to: str, path: Path) ->
     """Return the inputs and outputs of the file and how to call it, in a few lines."""
     seen = ", ".join(f"{c.name} ({c.unit})" if c.unit else c.name for c in law.observations)
     every = f"every {law.system.dt:g} s, from {seen} to {', '.join(law.system.control_names)}"
+    if to == "python" and law.raw is not None:
+        return (
+            f"use:   from {path.stem} import Controller; controller = Controller(); env.step(controller(observation)), "
+            "from the raw observation of the environment to its raw action",
+            f"check: python {path}",
+        )
     if to == "python":
         return (
             f"use:   from {path.stem} import Controller; control = Controller().step(observation), {every}",

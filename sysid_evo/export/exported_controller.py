@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from sysid_evo.controllers.controller import Controller, View, make_controller
-from sysid_evo.controllers.program import Expression, Program, Statement, Variable, choose, limited, number, take
+from sysid_evo.controllers.program import (
+    OBSERVATION,
+    Expression,
+    Joined,
+    Program,
+    Statement,
+    Variable,
+    apply,
+    choose,
+    limited,
+    number,
+    take,
+)
+from sysid_evo.controllers.program import observation as variable
 from sysid_evo.errors import InvalidArgument
 from sysid_evo.evolution.champion import Champion
 from sysid_evo.system import Channel, System, level_boundaries
+from sysid_evo.tasks.raw import RawInterface
 from sysid_evo.tasks.task import Task, TaskState, make_task
 from sysid_evo.types import Array
 
@@ -30,7 +45,8 @@ class ExportedController:
 
     ``formulas`` explain observations whose names do not. ``program`` computes the ``controls`` (variables, one for each
     control of ``system``) from the observations. ``test_observations`` (T, n) and ``test_controls`` (T, nu) are the
-    test vectors: one run from the initial memory.
+    test vectors: one run from the initial memory. With ``raw``, observations and controls are the raw ones of an
+    environment.
     """
 
     champion: Champion
@@ -42,6 +58,7 @@ class ExportedController:
     test_observations: Array
     test_controls: Array
     called: str = ""
+    raw: RawInterface | None = None
 
     @property
     def name(self) -> str:
@@ -56,8 +73,9 @@ class ExportedController:
         against = ", ".join(champion.against) or "nothing"
         lines = (
             f"controller {champion.name!r}: {champion.controller.text}",
-            f"task {champion.task.text}, evolved against {against} ({champion.aggregate})",
+            f"task {champion.task.shown}, evolved against {against} ({champion.aggregate})",
             f"Call it every {self.system.dt:g} s.",
+            *(() if self.raw is None else ("Raw observation of the environment in, its raw action out.",)),
         )
         return tuple(_harmless(line) for line in lines)
 
@@ -84,14 +102,60 @@ def exported_controller(champion: Champion) -> ExportedController:
             f"export: a controller {champion.controller.name!r} cannot be exported: {controller.not_exportable}. "
             "Controllers that can: recurrent, feed_forward, constant, linear, lqr, pid, policy, pursuit"
         )
+    raw, observations, formulas = task.raw(), task.observations, task.formulas()
+    if raw is not None:
+        program = _of_raw(program, raw)
+        observations, formulas = raw.observations, {}
+        shown = [
+            channel
+            if numbers is None
+            else Channel(channel.name, levels=tuple(map(float, numbers)), neutral=float(numbers[0]))
+            for channel, numbers in zip(system.controls, raw.levels, strict=True)
+        ]
+        system = replace(system, controls=tuple(shown))
     actuated = _actuations(program, system)
     whole = replace(program, statements=(*program.statements, *actuated))
     controls = tuple(statement.value for statement in actuated)
-    test_observations = _observations(whole, controls, task.observations)
-    test_controls = expected_controls(controller, champion, task, test_observations)
+    test_observations = _observations(whole, controls, observations)
+    if raw is None:
+        test_controls = expected_controls(controller, champion, task, test_observations)
+    else:
+        expected = expected_controls(controller, champion, task, raw.observed(test_observations))
+        test_controls = raw.actions(expected, task.system.controls)
     return ExportedController(
-        champion, system, task.observations, task.formulas(), whole, controls, test_observations, test_controls
+        champion, system, observations, formulas, whole, controls, test_observations, test_controls, raw=raw
     )
+
+
+def _of_raw(program: Program, raw: RawInterface) -> Program:
+    """Return ``program`` with statements before it that compute its observation from the raw one."""
+    given = variable(len(raw.observations))
+    parts = []
+    for value in raw.values:
+        own = [take(f"RAW_OBSERVATION_{place}", given, place) for place in value.places]
+        if not own:
+            parts.append(number(1.0))
+        elif len(own) == 2:
+            parts.append(own[0] / apply("sqrt", own[0] * own[0] + own[1] * own[1]))
+        elif value.angle:
+            parts.append(apply("sin", own[0] if value.angle == "sine" else own[0] + 0.5 * math.pi))
+        else:
+            parts.append((own[0] - value.centre) / value.scale)
+    seen = Statement("seen_of_task", Joined(len(parts), tuple(parts)), "observations of the task")
+    statements = tuple(replace(one, expression=_replaced(one.expression, seen.value)) for one in program.statements)
+    return replace(program, statements=(seen, *statements))
+
+
+def _replaced(expression: Expression, seen: Variable) -> Expression:
+    """Return ``expression`` with ``seen`` in place of the input of the program."""
+    if isinstance(expression, Variable):
+        return seen if expression.name == OBSERVATION and not expression.remembered else expression
+    changed: dict[str, Any] = {
+        name: _replaced(part, seen) for name, part in vars(expression).items() if isinstance(part, Expression)
+    }
+    if isinstance(expression, Joined):
+        changed["parts"] = tuple(_replaced(part, seen) for part in expression.parts)
+    return replace(expression, **changed) if changed else expression
 
 
 def expected_controls(controller: Controller, champion: Champion, task: Task, test_observations: Array) -> Array:

@@ -24,15 +24,13 @@ SUM, PRODUCT, ATOM = 1, 2, 3
 TEMPLATE = '''\
 """{origin}
 
-Observations, in this order:
+{seen}, in this order:
 {observations}
 
-Controls, in this order:
+{given}, in this order:
 {controls}
 
-    controller = Controller()
-    control = controller.step(observation)  # every {dt:g} s
-    controller.reset()                      # before another run
+{usage}
 
 Run this file to check it against the original controller.
 """
@@ -63,7 +61,7 @@ class Controller:
             raise ValueError(f"observation: expected shape ({n},), got {{observation.shape}}")
 {statements}
 {after}        return np.concatenate([{results}])
-
+{call}
 
 {vectors}
 
@@ -76,9 +74,31 @@ if __name__ == "__main__":
 '''
 
 
+USAGE = """\
+    controller = Controller()
+    control = controller.step(observation)  # every {dt:g} s
+    controller.reset()                      # before another run"""
+RAW_USAGE = """\
+    controller = Controller()
+    observation, _ = env.reset()
+    observation, reward, terminated, truncated, _ = env.step(controller(observation))
+    controller.reset()  # before another episode"""
+CALL = '''
+    def __call__(self, observation):
+        """Return the raw action of the environment for its raw observation ({n},)."""
+        return {action}
+'''
+ACTIONS = {
+    "integer": "int(self.step(observation)[0])",
+    "integers": "self.step(observation).astype(int)",
+    "array": "self.step(observation).reshape({shape})",
+}
+
+
 def python_text(controller: ExportedController) -> str:
     """Return the text of the Python file."""
-    program = controller.program
+    program, raw, n = controller.program, controller.raw, len(controller.observations)
+    action = "" if raw is None else ACTIONS[raw.kind].format(shape=raw.shape)
     tables = "\n".join(f"{name} = {_table(values)}" for name, values in program.constants().items())
     reset = [f"self.{name} = np.zeros({value.size})" for name, value in program.remembered.items()]
     statements = []
@@ -95,6 +115,10 @@ def python_text(controller: ExportedController) -> str:
         observations=_indented(controller.rows(controller.observations), 4),
         controls=_indented(controller.rows(controller.system.controls), 4),
         dt=controller.system.dt,
+        seen="Observations" if raw is None else "Raw observation of the environment",
+        given="Controls" if raw is None else "Raw action of the environment",
+        usage=(USAGE if raw is None else RAW_USAGE).format(dt=controller.system.dt),
+        call="" if raw is None else CALL.format(n=n, action=action),
         observation_names=tuple(channel.name for channel in controller.observations),
         control_names=controller.system.control_names,
         tables=tables,

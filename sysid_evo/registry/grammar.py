@@ -70,6 +70,15 @@ class Spec:
         inside = ", ".join(f"{name}={_written(value)}" for name, value in self.parameters.items())
         return f"{self.name}({inside})"
 
+    @property
+    def shown(self) -> str:
+        """The text with long texts among its parameters left out, for readers."""
+        short = {
+            name: "..." if isinstance(value, str) and len(value) > SHOWN else value
+            for name, value in self.parameters.items()
+        }
+        return Spec(self.name, short).text
+
     def __str__(self) -> str:
         if self.label == self.name or SHORTHAND.fullmatch(self.label):
             return self.text

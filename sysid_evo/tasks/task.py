@@ -16,6 +16,7 @@ from sysid_evo.kernels import TaskKernel
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.registry import tasks
 from sysid_evo.system import Channel, System
+from sysid_evo.tasks.raw import RawInterface
 from sysid_evo.types import Array, BoolArray, Seeds
 
 
@@ -170,6 +171,10 @@ class Task(ABC):
         """Return the trials after one step of a simulator with ``reward`` (B,), see `rewarded_by`."""
         raise NotImplementedError
 
+    def raw(self) -> RawInterface | None:
+        """Return raw observations and actions of a bound task of an environment, for exported controllers."""
+        return None
+
     def kernel(self) -> TaskKernel[Any] | None:
         """Return the compiled form of a bound task, if it has one."""
         return None
@@ -190,7 +195,9 @@ def learn_task(task: Spec | str, dataset: Dataset) -> Spec:
     """
     spec = tasks.check(task)
     made = make_task(spec)
-    return spec.with_parameters(**made.learn(dataset).parameters) if made.needs_recording else spec
+    if not made.needs_recording:
+        return spec
+    return Spec(spec.name, {**spec.parameters, **made.learn(dataset).parameters}, spec.label)
 
 
 @dataclass(frozen=True)
