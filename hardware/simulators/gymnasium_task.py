@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from hardware.simulators import gymnasium_rewards
-from hardware.simulators.gymnasium_raw import raw_interface
 from hardware.simulators.gymnasium_robot import KNOWN
 from hardware.simulators.gymnasium_spaces import (
     ActionMap,
@@ -18,6 +17,7 @@ from hardware.simulators.gymnasium_spaces import (
     control_channels,
     make_environment,
     observation_map,
+    raw_interface,
 )
 from hardware.simulators.gymnasium_state import KeptSettings, StateSetter, random_steps, state_setter
 from hardware.simulators.simulator import LONGEST_SEED
