@@ -10,7 +10,13 @@ from importlib.util import find_spec
 from sysid_evo.errors import MissingExtra
 
 DISTRIBUTION = "sysid-evo"
-PACKAGES = {"serial": "pyserial", "sklearn": "scikit-learn", "yaml": "pyyaml", "cv2": "opencv-python"}
+PACKAGES = {
+    "serial": "pyserial",
+    "sklearn": "scikit-learn",
+    "vehiclemodels": "commonroad-vehicle-models",
+    "yaml": "pyyaml",
+    "cv2": "opencv-python",
+}
 """Packages whose modules have another name; this cannot be looked up if they are not installed."""
 EXTRA = re.compile(r"""extra == ['"]([^'"]+)['"]""")
 

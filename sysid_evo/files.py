@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tomllib
 from collections.abc import Callable
@@ -18,6 +19,15 @@ def cache_folder(kind: str) -> Path:
 def state_folder(kind: str) -> Path:
     """Return the folder of the user's decisions of this ``kind`` (in ``XDG_STATE_HOME``, if it is set)."""
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "sysid-evo" / kind
+
+
+def file_digest(path: str) -> str:
+    """Return the SHA-256 digest of a file, "" if there is none."""
+    try:
+        with Path(path).expanduser().open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
 
 
 DEEPEST, LONGEST = 12, 2**20

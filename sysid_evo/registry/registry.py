@@ -24,7 +24,7 @@ from sysid_evo.errors import (
     did_you_mean,
 )
 from sysid_evo.extras import DISTRIBUTION, extra_of, missing_extra
-from sysid_evo.files import parsed_toml
+from sysid_evo.files import file_digest, parsed_toml
 from sysid_evo.registry.grammar import Spec
 from sysid_evo.registry.plugins import SHIPPED, declared, source_digest
 from sysid_evo.registry.renamed import RENAMED_GROUPS, refuse_renamed_attributes, warn_of_renamed_group
@@ -175,7 +175,13 @@ class Registry(Generic[T]):
             "name": found.name,
             "parameters": {str(key): _plain(value) for key, value in parameters.items() if key is not None},
             "source": source_digest(self.get(found.name)),
+            **self._files(found.name, parameters),
         }
+
+    def _files(self, name: str, parameters: Mapping[str | None, Any]) -> dict[str, Any]:
+        """Return the digests of the files that parameters name, which a class lists in ``file_parameters``."""
+        named = getattr(self.get(name), "file_parameters", ())
+        return {"files": {key: file_digest(str(parameters[key])) for key in named}} if named else {}
 
     def missing_package(self, name: str) -> MissingExtra | None:
         """Return the error for an optional package that ``name`` needs and that is not installed; None without one.

@@ -14,6 +14,8 @@ from sysid_evo.extras import extra_of, missing_extra
         ("serial.tools.list_ports", "hardware"),
         ("cobs", "hardware"),
         ("natnet", "natnet"),
+        ("vehiclemodels.init_mb", "drift-car"),
+        ("rotorpy", "quadrotor"),
         ("motioncapture", "motioncapture"),
         ("starlette.applications", "drive"),
         ("uvicorn", "drive"),

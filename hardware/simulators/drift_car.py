@@ -1,0 +1,154 @@
+"""A passenger car of the package commonroad-vehicle-models, which slides and drifts: single-track or multi-body."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from hardware.arguments import check_choice, check_integer, check_number
+from hardware.simulators.simulator import ExternalSimulator, SimulatorSession
+from hardware.simulators.simulator_robot import SimulatorRobot
+from sysid_evo.extras import check_installed
+from sysid_evo.models.dynamics import rk4
+from sysid_evo.motion import PlanarBody
+from sysid_evo.registry import register_robot
+from sysid_evo.system import Channel, System
+from sysid_evo.types import Array
+
+MODELS = {"drift": "std", "multi_body": "mb"}
+"""The short names of the package."""
+SLOWEST, FASTEST = 1.0, 30.0
+"""Forward speeds (m/s) beyond which an episode ends: both models are stiff near standstill."""
+BRAKES = 2.0
+"""Speed (m/s) below which the brakes do not act."""
+ROLLING = 5.0
+"""Forward speed (m/s) at the start of a trial; recorded episodes begin with half to three times of it."""
+STRONGEST = 6.0
+"""Largest request of acceleration (m/s^2); more only spins or locks the wheels."""
+STEP = 1e-3
+"""Longest step (s) of the integration: locked wheels make a variable one fail."""
+
+
+@register_robot("drift_car")
+class DriftCar(SimulatorRobot):
+    """A passenger car on a plane, simulated by the models of CommonRoad.
+
+    ``model`` is "drift" (single-track with combined slip and wheel speeds) or "multi_body" (29 states, of which roll,
+    pitch and suspension are not measured). ``vehicle`` is 1 (Ford Escort), 2 (BMW 320i) or 3 (VW Vanagon). The controls
+    are the acceleration (m/s^2) that engine and brakes request and the rate of the steering angle (rad/s). States
+    besides those of `PlanarBody` are the steering angle and the speeds of the wheels at their rims. A trial begins
+    rolling at 5 m/s; the brakes act above 2 m/s. An episode ends beyond 30 m/s, below 1 m/s, and when it slides
+    backwards. Raises `InvalidArgument`, `MissingExtra`.
+
+    Source: Althoff, Würsching, CommonRoad: vehicle models, version 2020a.
+    """
+
+    requires: ClassVar[tuple[str, ...]] = ("vehiclemodels",)
+    default_task = "point_to_point(arena_radius=40, waypoint_radius=4, horizon=600)"
+
+    def __init__(self, *, model: str = "drift", vehicle: int = 2, dt: float = 0.05) -> None:
+        check_choice("robot drift_car: model", model, MODELS)
+        check_integer("robot drift_car: vehicle", vehicle, minimum=1, maximum=3)
+        check_number("robot drift_car: dt", dt, above=0.0)
+        check_installed("robot 'drift_car'", self.requires)
+        super().__init__(DriftCarSimulator.describe(model, vehicle, dt))
+
+
+@dataclass(frozen=True)
+class DriftCarSimulator(ExternalSimulator):
+    """A vehicle with these ``parameters`` of the package, simulated by ``model``."""
+
+    name: str
+    system: System
+    model: str
+    parameters: Any
+    settable: bool = True
+
+    @classmethod
+    def describe(cls, model: str, vehicle: int, dt: float) -> DriftCarSimulator:
+        """Return the simulator of a vehicle; the limits of its controls are its own."""
+        module = importlib.import_module(f"vehiclemodels.parameters_vehicle{vehicle}")
+        parameters = getattr(module, f"parameters_vehicle{vehicle}")()
+        steering, most = parameters.steering, min(STRONGEST, float(parameters.longitudinal.a_max))
+        states = (
+            Channel("forward_speed", "m/s", neutral=ROLLING),
+            Channel("lateral_speed", "m/s"),
+            Channel("yaw_rate", "rad/s"),
+            Channel("steering_angle", "rad", float(steering.min), float(steering.max)),
+            Channel("front_wheels", "m/s", neutral=ROLLING, description="speed at the rim"),
+            Channel("rear_wheels", "m/s", neutral=ROLLING, description="speed at the rim"),
+        )
+        controls = (
+            Channel("acceleration", "m/s^2", -most, most),
+            Channel("steering_rate", "rad/s", float(steering.v_min), float(steering.v_max)),
+        )
+        name = f"{model} car {vehicle}"
+        return cls(name, System(states, controls, dt, PlanarBody(), name), model, parameters)
+
+    def open(self) -> DriftCarSession:
+        return DriftCarSession(self)
+
+
+class DriftCarSession(SimulatorSession):
+    """Drives of one vehicle, one after the other."""
+
+    def __init__(self, simulator: DriftCarSimulator) -> None:
+        short = MODELS[simulator.model]
+        self._dt, self._parameters, self._radius = simulator.system.dt, simulator.parameters, simulator.parameters.R_w
+        self._multi_body = simulator.model == "multi_body"
+        self._wheels = slice(23, 27) if self._multi_body else slice(7, 9)
+        self._rate = _function(f"vehicle_dynamics_{short}")
+        self._begin = _function(f"init_{short}")
+        self._state = np.zeros(0)
+
+    def reset(self, seed: int, at: Array | None = None) -> Array:
+        rolling = ROLLING * np.random.default_rng(seed).uniform(0.5, 3.0)
+        forward, lateral, yaw_rate, steering, front, rear = (
+            (rolling, 0.0, 0.0, 0.0, rolling, rolling) if at is None else map(float, at)
+        )
+        core = [0.0, 0.0, steering, math.hypot(forward, lateral), 0.0, yaw_rate, math.atan2(lateral, forward)]
+        self._state = np.array(self._begin(core, self._parameters), dtype=np.float64)
+        wheels = [front, front, rear, rear] if self._multi_body else [front, rear]
+        self._state[self._wheels] = np.array(wheels) / self._radius
+        return self._measured()
+
+    def step(self, control: Array) -> tuple[Array, float, bool, bool]:
+        acceleration, steering_rate = map(float, control)
+
+        def rate(state: Array) -> Array:
+            inputs = [steering_rate, 0.0 if acceleration < 0.0 and state[3] < BRAKES else acceleration]
+            return np.array(self._rate(state.tolist(), inputs, self._parameters))
+
+        before, state, steps = self._measured(), self._state, math.ceil(self._dt / STEP)
+        try:
+            for _ in range(steps):
+                state = rk4(rate, state, self._dt / steps)
+                state[self._wheels] = np.maximum(state[self._wheels], 0.0)
+        except ZeroDivisionError:  # the multi-body model divides by the ground speed of each wheel
+            return before, 0.0, True, False
+        if not np.isfinite(state).all():
+            return before, 0.0, True, False
+        self._state = state
+        after = self._measured()
+        return after, 0.0, not SLOWEST <= after[0] <= FASTEST, False
+
+    def close(self) -> None:
+        self._state = np.zeros(0)
+
+    def _measured(self) -> Array:
+        x = self._state
+        if self._multi_body:
+            wheels = 0.5 * self._radius * np.array([x[23] + x[24], x[25] + x[26]])
+            return np.array([x[3], x[10], x[5], x[2], *wheels])
+        return np.array([x[3] * math.cos(x[6]), x[3] * math.sin(x[6]), x[5], x[2], *(self._radius * x[7:9])])
+
+
+def _function(name: str) -> Callable[..., Any]:
+    """Return a function of the package, whose modules have the same names."""
+    found: Callable[..., Any] = getattr(importlib.import_module(f"vehiclemodels.{name}"), name)
+    return found
