@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -72,7 +72,7 @@ class DriftCarSimulator(ExternalSimulator):
     @classmethod
     def describe(cls, model: str, vehicle: int, dt: float) -> DriftCarSimulator:
         """Return the simulator of a vehicle; the limits of its controls are its own."""
-        module = importlib.import_module(f"vehiclemodels.parameters_vehicle{vehicle}")
+        module = import_module(f"vehiclemodels.parameters_vehicle{vehicle}")
         parameters = getattr(module, f"parameters_vehicle{vehicle}")()
         steering, most = parameters.steering, min(STRONGEST, float(parameters.longitudinal.a_max))
         states = (
@@ -150,5 +150,5 @@ class DriftCarSession(SimulatorSession):
 
 def _function(name: str) -> Callable[..., Any]:
     """Return a function of the package, whose modules have the same names."""
-    found: Callable[..., Any] = getattr(importlib.import_module(f"vehiclemodels.{name}"), name)
+    found: Callable[..., Any] = getattr(import_module(f"vehiclemodels.{name}"), name)
     return found

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,9 +19,6 @@ from sysid_evo.registry import register_robot
 from sysid_evo.rigid_body import RigidBody, rotated
 from sysid_evo.system import Channel, System, rigid_body_states
 from sysid_evo.types import Array
-
-if TYPE_CHECKING:
-    import mujoco
 
 STEP = 0.02
 """The sampling time (s) to which the default is the nearest multiple of the model's time step."""
@@ -70,7 +68,7 @@ class MujocoSimulator(ExternalSimulator):
 
     name: str
     system: System
-    model: mujoco.MjModel
+    model: Any
     repeats: int
     start: Array
     free: Joint | None
@@ -80,8 +78,7 @@ class MujocoSimulator(ExternalSimulator):
     @classmethod
     def describe(cls, file: str, dt: float | None) -> MujocoSimulator:
         """Read the file. The arguments are those of `MujocoRobot`."""
-        import mujoco
-
+        mujoco = import_module("mujoco")
         what = f"robot mujoco({file})"
         try:
             model: Any = mujoco.MjModel.from_xml_path(str(Path(file).expanduser()))
@@ -105,10 +102,8 @@ class MujocoSession(SimulatorSession):
     """Episodes of one model, one after the other."""
 
     def __init__(self, simulator: MujocoSimulator) -> None:
-        import mujoco
-
-        self._simulator, self._mujoco = simulator, mujoco
-        self._data = mujoco.MjData(simulator.model)
+        self._simulator, self._mujoco = simulator, import_module("mujoco")
+        self._data = self._mujoco.MjData(simulator.model)
 
     def reset(self, seed: int, at: Array | None = None) -> Array:
         simulator, data = self._simulator, self._data
@@ -156,9 +151,7 @@ class MujocoSession(SimulatorSession):
 
 def _joints(what: str, model: Any, start: Array) -> tuple[list[Channel], Joint | None, tuple[Joint, ...]]:
     """Return the states, the free joint if there is one, and all others."""
-    import mujoco
-
-    kinds = mujoco.mjtJoint
+    kinds = import_module("mujoco").mjtJoint
     states: list[Channel] = []
     free: list[Joint] = []
     joints: list[Joint] = []

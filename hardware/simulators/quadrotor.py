@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
@@ -94,11 +95,10 @@ class QuadrotorSession(SimulatorSession):
     """Flights of one vehicle, one after the other."""
 
     def __init__(self, simulator: QuadrotorSimulator) -> None:
-        from rotorpy.vehicles.multirotor import Multirotor
-
         self._simulator, self._system = simulator, simulator.system
         abstraction = "cmd_motor_thrusts" if simulator.command == "motors" else "cmd_ctbr"
-        self._vehicle = Multirotor(simulator.parameters, control_abstraction=abstraction)
+        make = import_module("rotorpy.vehicles.multirotor").Multirotor
+        self._vehicle = make(simulator.parameters, control_abstraction=abstraction)
         self._state: dict[str, Array] = {}
 
     def reset(self, seed: int, at: Array | None = None) -> Array:
@@ -119,7 +119,7 @@ class QuadrotorSession(SimulatorSession):
 
     def step(self, control: Array) -> tuple[Array, float, bool, bool]:
         if self._simulator.command == "motors":
-            command = {"cmd_motor_thrusts": np.asarray(control)}
+            command: dict[str, Any] = {"cmd_motor_thrusts": np.asarray(control)}
         else:
             command = {"cmd_thrust": float(control[0]), "cmd_w": np.asarray(control[1:])}
         self._state = self._vehicle.step(self._state, command, self._system.dt)
@@ -146,8 +146,5 @@ class QuadrotorSession(SimulatorSession):
 
 def _parameters(vehicle: str) -> Mapping[str, Any]:
     """Return the parameters of rotorpy for a vehicle."""
-    from rotorpy.vehicles import crazyflie_params, hummingbird_params
-
-    module = {"hummingbird": hummingbird_params, "crazyflie": crazyflie_params}[vehicle]
-    parameters: Mapping[str, Any] = module.quad_params
+    parameters: Mapping[str, Any] = import_module(f"rotorpy.vehicles.{vehicle}_params").quad_params
     return parameters

@@ -18,7 +18,7 @@ from tests.layout import (
 HEAVY = {
     "cobs", "control", "cvxpy", "distributed", "filelock", "gymnasium", "jinja2", "joblib", "markupsafe",
     "matplotlib", "motioncapture", "mujoco", "natnet", "onnx", "onnxruntime", "optuna", "packaging", "pandas", "psutil",
-    "pyarrow", "pysindy", "ribs", "rich", "rotorpy", "scipy", "serial", "sklearn", "starlette", "torch", "torchdiffeq",
+    "pyarrow", "pysindy", "ribs", "rich", "scipy", "serial", "sklearn", "starlette", "torch", "torchdiffeq",
     "uvicorn", "websockets", "xarray",
 }  # fmt: skip
 """Packages that a function may import, since loading them takes long or they are an extra."""
