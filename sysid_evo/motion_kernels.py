@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sysid_evo import angles
-from sysid_evo.angles import TURN
+from sysid_evo.angles import TURN, product, quaternion, rotated, unit
 from sysid_evo.kernels import (
     LANES,
     QUARTER,
@@ -20,7 +20,6 @@ from sysid_evo.kernels import (
     view,
     where_at_most,
 )
-from sysid_evo.rotations import product, quaternion, rotated, unit
 
 ROLES = Layout("forward", "lateral", "yaw_rate")
 PER_TURN = 1.0 / TURN

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from sysid_evo import rotations
+from sysid_evo import angles
 from sysid_evo.errors import InvalidSystem
 from sysid_evo.kernels import MotionKernel
 from sysid_evo.laws import array_form
@@ -20,8 +20,8 @@ from sysid_evo.types import Array
 FRAMES = {"ENU": 1.0, "NED": -1.0}
 """World frames, and the direction of up along their third axis."""
 
-quaternion, product = array_form(rotations.quaternion), array_form(rotations.product)
-unit, rotated = array_form(rotations.unit), array_form(rotations.rotated)
+quaternion, product = array_form(angles.quaternion), array_form(angles.product)
+unit, rotated = array_form(angles.unit), array_form(angles.rotated)
 
 
 @final
@@ -211,7 +211,7 @@ SERIES = 1e-2
 def left_jacobian(turned: Numbers, vector: Numbers) -> Numbers:
     """Return J(a) w for rotation vectors ``turned`` (..., 3) and a ``vector`` (..., 3), see `RigidBodyGradient`."""
     square = np.sum(turned * turned, axis=-1, keepdims=True)
-    angle = np.sqrt(square + rotations.SMALLEST)
+    angle = np.sqrt(square + angles.SMALLEST)
     first = 2.0 * (np.sin(0.5 * angle) / angle) ** 2
     long = np.maximum(angle, SERIES)
     second = np.where(angle < SERIES, 1.0 / 6.0 - square / 120.0, (long - np.sin(long)) / long**3)

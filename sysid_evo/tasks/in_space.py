@@ -9,14 +9,13 @@ from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from sysid_evo.angles import TURN, rotate
+from sysid_evo.angles import TURN, rotate, rotated
 from sysid_evo.errors import IncompatibleTask, InvalidArgument
 from sysid_evo.kernels import LANES, KernelSource, Layout, TaskKernel, splat, view
 from sysid_evo.laws import ROLLOUTS, ScalarLaw, read, together
 from sysid_evo.randomness import TASK_STREAM, draw, generator
 from sysid_evo.registry.registry import register_task
 from sysid_evo.rigid_body import ROLES, RigidBody
-from sysid_evo.rotations import rotated
 from sysid_evo.system import Channel, System
 from sysid_evo.tasks.task import Scene, Task, TaskState
 from sysid_evo.types import Array, BoolArray, IntArray, Seeds
