@@ -1,5 +1,8 @@
 """Tasks of a rigid body in space: pass waypoints in a box, hover at a point, follow a path."""
 
+# mypy: disallow-untyped-defs=False, check-untyped-defs=False, disallow-untyped-calls=False
+# (the kernel functions are read by Numba, which infers their types)
+
 from __future__ import annotations
 
 from abc import abstractmethod
