@@ -17,11 +17,12 @@ from evaluation.transfer.summary import ControllerSummary
 from sysid_evo.angles import rotate, wrap
 from sysid_evo.errors import InvalidData
 from sysid_evo.evolution import Champion
-from sysid_evo.system import System
+from sysid_evo.system import Channel, System
 from sysid_evo.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 def plot_claimed_measured(
@@ -356,3 +357,53 @@ SHOWN_STATES = 3
 def plotted_states(trace: Trace, system: System) -> tuple[int, ...]:
     """Return the places of the states to draw: those with a target, else the first ones."""
     return tuple(target.place for target in trace.targets) or tuple(range(min(SHOWN_STATES, system.nx)))
+
+
+ROOM = 1.0
+"""Room above and below the first line and the median one, in their range: a line that grows without bound is cut."""
+
+
+def plot_responses(
+    figure: Figure,
+    x: Array,
+    responses: Mapping[str, Array],
+    states: Sequence[Channel],
+    controls: Sequence[Channel],
+    *,
+    label: str,
+    log: bool = False,
+) -> None:
+    """Draw responses (T, states, controls) over ``x`` by name, a row for each state; the first one is grey.
+
+    ``label`` names the x-axis. With ``log`` both axes are logarithmic.
+    """
+    from matplotlib.ticker import FuncFormatter
+
+    axes = figure.subplots(len(states), len(controls), sharex=True, squeeze=False)
+    for (row, column), ax in np.ndenumerate(axes):
+        lines = np.array([found[:, row, column] for found in responses.values()])
+        lines = np.where(lines > 0.0, lines, np.nan) if log else lines
+        for number, (name, line) in enumerate(zip(responses, lines, strict=True)):
+            style = {"color": REFERENCE, "linewidth": 2.5} if number == 0 else line_style(number - 1)
+            ax.plot(x, line, label=name, **{"linewidth": 1.1, **style})
+        if log:
+            ax.set(xscale="log", yscale="log")
+            ax.minorticks_off()
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        else:
+            ends = np.nan_to_num(np.array([lines.min(axis=1), lines.max(axis=1)]))
+            low, high = min(ends[0, 0], np.median(ends[0])), max(ends[1, 0], np.median(ends[1]))
+            room = ROOM * (high - low) or 1.0
+            ax.set_ylim(max(ends[0].min() - 0.05 * room, low - room), min(ends[1].max() + 0.05 * room, high + room))
+        if row == 0:
+            ax.set_title(_with_unit(controls[column]))
+        if column == 0:
+            ax.set_ylabel(folded(_with_unit(states[row])))
+        if row == len(states) - 1:
+            ax.set_xlabel(label)
+    figure.align_ylabels(axes[:, 0])
+
+
+def _with_unit(channel: Channel) -> str:
+    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name

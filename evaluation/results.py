@@ -11,6 +11,7 @@ from typing import Any
 from evaluation.advice.evidence import ModelAdvice
 from evaluation.behaviour import DrivingSummary, driving_summaries
 from evaluation.exploitability.results import ModelExploitability, outside_shares
+from evaluation.linearisation import LinearResponse, OperatingPoint, linearised
 from evaluation.prediction.scores import ConditionError, Prediction, error_of
 from evaluation.transfer.forecast import Forecast, ModelForecast, best_choice, forecasts, model_forecasts
 from evaluation.transfer.matrix import TransferMatrix
@@ -106,7 +107,7 @@ class ComparisonResults(Displayed):
 
 @dataclass(frozen=True)
 class DataSummary:
-    """The data set that models were fitted to and tested on, and what its preparation noted."""
+    """The data set that models were fitted to and tested on, what its preparation noted, and its mean ``point``."""
 
     name: str
     system: System
@@ -114,12 +115,14 @@ class DataSummary:
     test: tuple[EpisodeSummary, ...]
     notes: tuple[str, ...]
     fingerprint: str
+    point: OperatingPoint | None = None
 
     @classmethod
     def of(cls, training: Dataset, test: Dataset, *, name: str = "") -> DataSummary:
         """Summarise both parts of a data set; ``fingerprint`` is that of the training set."""
         notes = tuple(dict.fromkeys((*training.notes, *test.notes)))
-        return cls(name, training.system, _episodes(training), _episodes(test), notes, training.fingerprint)
+        known = notes, training.fingerprint, OperatingPoint.of(training)
+        return cls(name, training.system, _episodes(training), _episodes(test), *known)
 
 
 def _episodes(dataset: Dataset) -> tuple[EpisodeSummary, ...]:
@@ -144,6 +147,7 @@ class ModelSummary:
     """One model: its family, how much prior ``knowledge`` it holds, hyper-parameters, and what it learned in words.
 
     ``equations``, ``parameters_table`` and ``candidates`` are empty for a family without them, see `DynamicsModel`.
+    ``linear`` is the model linearised at the mean of the training data; ``not_linearised`` gives a reason against it.
     """
 
     name: str
@@ -153,10 +157,19 @@ class ModelSummary:
     equations: tuple[str, ...] = ()
     parameters_table: tuple[Mapping[str, Any], ...] = ()
     candidates: tuple[Mapping[str, str], ...] = ()
+    linear: LinearResponse | None = None
+    not_linearised: str = ""
 
     @classmethod
-    def of(cls, name: str, model: DynamicsModel, *, family: str | None = None) -> ModelSummary:
-        """Summarise ``model``; ``family`` is its registered name (default: its class)."""
+    def of(
+        cls, name: str, model: DynamicsModel, *, family: str | None = None, point: OperatingPoint | None = None
+    ) -> ModelSummary:
+        """Summarise ``model``, linearised at ``point``; ``family`` is its registered name (default: its class)."""
+        linear, not_linearised = None, ""
+        try:
+            linear = None if point is None else linearised(model, point)
+        except Exception as error:  # a plugin may fail in any way; the rest of its card must be shown
+            not_linearised = str(error)
         return cls(
             name,
             family or type(model).__name__,
@@ -165,6 +178,8 @@ class ModelSummary:
             tuple(model.equations()),
             tuple(model.parameters_table()),
             tuple(model.candidate_ranking()),
+            linear,
+            not_linearised,
         )
 
 

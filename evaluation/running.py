@@ -251,11 +251,12 @@ def gather_results(comparison: Comparison, store: Store) -> ComparisonResults:
     matrix = None if comparison.matrix is None else comparison.matrix.of(store.outcome)
     found = None if comparison.exploitability is None else store.outcome(comparison.exploitability).value
     computed = store.last_computed(comparison.plan)
+    data = DataSummary.of(training, training if test is None else test)
     return PrintedReport(
         title=comparison.title,
-        data=DataSummary.of(training, training if test is None else test),
+        data=data,
         models=tuple(
-            ModelSummary.of(label, model, family=comparison.fits[label].settings.spec.name)
+            ModelSummary.of(label, model, family=comparison.fits[label].settings.spec.name, point=data.point)
             for label, model in models.items()
         ),
         prediction=_prediction(comparison, store),

@@ -350,9 +350,12 @@ class GreyBox(DynamicsModel):
         return tuple(parameter.name for parameter in self._structure_on(self.system).parameters)
 
     def parameters_table(self) -> list[dict[str, Any]]:
-        """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it."""
+        """Return name, value, standard error, unit, bounds of every parameter, and whether the data determine it.
+
+        Rows of parameters whose estimates are correlated above 0.9 with others have ``correlations``.
+        """
         parameters = self._structure_on(self.system).parameters
-        return parameter_rows(parameters, self.parameters_, self.standard_errors_, self.determined_)
+        return parameter_rows(parameters, self.parameters_, self.covariance_, self.determined_)
 
     @property
     def fit_note(self) -> str:

@@ -217,10 +217,24 @@ def _and(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+CORRELATED = 0.9
+"""Size of a correlation above which two parameters are listed as correlated."""
+
+
 def parameter_rows(
-    parameters: Sequence[Parameter], values: Array, errors: Array, determined: Sequence[bool]
+    parameters: Sequence[Parameter], values: Array, covariance: Array, determined: Sequence[bool]
 ) -> list[dict[str, Any]]:
-    """Return a row for every parameter: value and standard error (n,), unit, bounds, whether the data determine it."""
+    """Return a row for every parameter: value, standard error, unit, bounds, whether the data determine it.
+
+    ``values`` (n,) and their ``covariance`` (n, n) are in units. A row with ``correlations`` has those above 0.9, by
+    the name of the other parameter.
+    """
+    errors = np.sqrt(np.diag(covariance))
+    with np.errstate(all="ignore"):
+        correlations = covariance / np.outer(errors, errors) - np.eye(len(errors))
+    strong = [
+        {parameters[j].name: float(row[j]) for j in np.flatnonzero(np.abs(row) > CORRELATED)} for row in correlations
+    ]
     return [
         {
             "parameter": parameter.name,
@@ -230,8 +244,9 @@ def parameter_rows(
             "low": parameter.low,
             "high": parameter.high,
             "determined": known,
+            **({"correlations": others} if others else {}),
         }
-        for parameter, value, error, known in zip(parameters, values, errors, determined, strict=True)
+        for parameter, value, error, known, others in zip(parameters, values, errors, determined, strong, strict=True)
     ]
 
 

@@ -145,6 +145,9 @@ def test_what_the_data_do_not_determine_is_named(heavy):
     assert any("unused is not determined by the data" in sentence for sentence in model.undetermined_)
     assert [row["parameter"] for row in model.parameters_table() if row["determined"]][:2] == ["stiffness", "friction"]
     assert "unused" in model.fit_note
+    correlations = {row["parameter"]: row.get("correlations", {}) for row in model.parameters_table()}
+    assert correlations["motor"]["inertia"] == correlations["inertia"]["motor"] > 0.9
+    assert not correlations["stiffness"]
 
 
 def test_a_measurement_of_one_of_two_decides_the_other(swinging):

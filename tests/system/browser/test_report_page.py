@@ -199,7 +199,7 @@ def test_pointing_at_a_row_of_a_study_shows_the_mean_of_each_group_with_its_inte
 def test_a_model_that_is_switched_off_is_hidden_in_every_plot_of_its_section_and_comes_back(page):
     series = ('[data-series="1"]', '[data-series="2"]')
     before = [shown(page, one) for one in series]
-    buttons = page.locator('.legend li[data-name="known"] button')
+    buttons = page.locator('section:has(> #prediction) .legend li[data-name="known"] button')
     expect(buttons).to_have_count(2)
     buttons.first.click()
     for button in buttons.all():

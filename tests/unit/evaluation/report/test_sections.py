@@ -10,8 +10,10 @@ import pytest
 
 from evaluation.exploitability import ProbeResult
 from evaluation.exploitability.optimism import Optimism
+from evaluation.linearisation import LinearResponse, OperatingPoint
+from evaluation.plot_style import new_figure
 from evaluation.prediction import PERSISTENCE, assess_prediction
-from evaluation.report import ModelSummary, to_json
+from evaluation.report import DataSummary, ModelSummary, to_json
 from evaluation.report.elements import DrawingPair
 from evaluation.report.render.html import Words, explained_words
 from evaluation.report.render.svg import drawn
@@ -37,8 +39,10 @@ from evaluation.report.sections.prediction import SHOWN_MODELS, difference_table
 from evaluation.report.sections.replay import traces_picture
 from evaluation.report.sections.transfer import CONTROLLERS, FAMILIES, paper_sheet, transfer_sheet
 from evaluation.transfer import Cell, Estimate, TransferMatrix, human_driver, summarise
+from sysid_evo.data import Dataset
+from sysid_evo.system import Channel, System
 from tests.fixtures import reports as chosen
-from tests.fixtures.known_models import Known, LosesGrip, fitted, noisy, recording
+from tests.fixtures.known_models import Known, LosesGrip, Undefined, fitted, noisy, recording
 from tests.fixtures.reports import exploited, matrix, on_a_plane, paper_matrix, prediction, printed
 
 FITNESS = {"a": {"a": 10.0, "b": 5.0, "car": 0.0}, "ab": {"a": 8.0, "b": 8.0, "car": float("nan")}}
@@ -495,6 +499,85 @@ def test_a_card_of_a_model_has_its_equations_parameters_and_settings():
     assert tables["Equations of mine"] == (("v'", "-v / tau"),)
     assert tables["Candidates of mine"] == (("narx",),)
     assert ("lags", "2") in tables["Hyper-parameters of mine"]
+
+
+def test_a_card_lists_poles_with_frequency_damping_and_time_constant():
+    point = OperatingPoint.of(recording())
+    poles = (0.5, 1.0, 1.05, -0.8, 0.01)
+    mixed = np.diag(poles)
+    mixed = np.block([[mixed, np.zeros((5, 2))], [np.zeros((2, 5)), np.array([[0.6, 0.6], [-0.6, 0.6]])]])
+    table = models_section.pole_table("mine", LinearResponse(mixed, np.zeros((7, 2)), 3, 0.05), point)
+    assert table.rows[0] == ("1.05", "0.976", "0.976", "-1.00", "grows")
+    assert table.rows[1] == ("1.00", "0.000", "0.000", "–", "–")
+    assert table.rows[2] == ("0.600 ± 0.600j", "-3.29 ± 15.7j", "16.0", "0.205", "0.304")
+    assert table.rows[3][:2] == ("-0.800", "-4.46 + 62.8j")  # it has no partner
+    assert table.rows[4] == ("0.500", "-13.9", "13.9", "1.00", "0.072")
+    assert len(table.rows) == 5
+    assert "forward_speed -0.057 m/s" in table.note
+    assert "dt = 0.05 s" in table.note
+    many = models_section.pole_table("mine", LinearResponse(np.diag(np.arange(1, 11) / 11), mixed, 3, 0.05), point)
+    assert len(many.rows) == models_section.SHOWN_POLES
+    assert "2 faster poles are left out." in many.note
+
+
+def test_parameters_that_are_determined_together_are_named_once_the_strongest_first():
+    rows = [
+        {
+            "parameter": name,
+            "value": 1.0,
+            "standard error": 0.1,
+            "unit": "",
+            "low": 0.0,
+            "high": 2.0,
+            "correlations": others,
+        }
+        for name, others in (("a", {"b": -0.95, "c": 0.99}), ("b", {"a": -0.95}), ("c", {"a": 0.99}), ("d", {}))
+    ]
+    card = ModelSummary("mine", "single_track", "grey", {}, parameters_table=tuple(rows))
+    (fold, *_) = models_section.section(replace(chosen.report(), models=(card,))).items
+    assert "Correlated: a and c (+0.990), a and b (-0.950). The data determine such a pair" in fold.items[0].note
+    apart = replace(card, parameters_table=tuple({**row, "correlations": {}} for row in rows))
+    assert models_section.section(replace(chosen.report(), models=(apart,))).items[0].items[0].note == ""
+
+
+def test_responses_of_all_linearised_models_stand_in_two_figures_and_the_others_have_a_reason():
+    report = chosen.make_report({"known": fitted(Known()), "rough": fitted(Undefined())}, robot=False)
+    found = models_section.section(report)
+    assert found.absent == ["Not linearised, so without poles and responses: rough (its next state is not a number)."]
+    steps, gains = found.pictures
+    values = json.loads(drawn(steps.panels[0]).chart)
+    assert values["names"] == ["linear fit", "known"]
+    assert len(values["axes"]) == 6  # three states, two controls
+    speed_by_drive = {series["n"]: series["value"] for series in values["axes"][0]["series"]}
+    assert speed_by_drive[1][:2] == pytest.approx([0.0, 0.12])
+    assert speed_by_drive[1] == pytest.approx(speed_by_drive[0])  # the model is the truth, and linear
+    assert speed_by_drive[1][-1] == pytest.approx(0.12 / (1.0 - 0.92), rel=0.1)
+    gain = json.loads(drawn(gains.panels[0]).chart)["axes"][0]["series"][1]["value"]
+    assert gain[0] > gain[-1]
+    assert gain[-1] == pytest.approx(0.12 / 1.92, rel=0.01)  # half the sampling frequency: z = -1
+    without = replace(report, models=tuple(replace(one, linear=None) for one in report.models))
+    assert models_section.section(without).pictures == ()
+
+
+def test_a_figure_of_responses_has_the_states_and_controls_with_the_largest_effect():
+    count = 6
+    system = System(
+        [Channel(f"x{i}") for i in range(count)], [Channel(f"u{i}", low=-1.0, high=1.0) for i in range(5)], 0.1
+    )
+    rng = np.random.default_rng(0)
+    effect, states, controls = np.zeros((count, 5)), [np.zeros(count)], rng.uniform(-1.0, 1.0, (400, 5))
+    for state, control in ((1, 4), (2, 0), (3, 2), (5, 0)):
+        effect[state, control] = 1.0
+    for u in controls:
+        states.append(0.8 * states[-1] + effect @ u + rng.normal(size=count))
+    data = DataSummary.of(*[Dataset.from_arrays(system, [np.array(states)], [controls])] * 2)
+    known = ModelSummary("mine", "mine", "black", {}, linear=LinearResponse(0.8 * np.eye(count), effect, count, 0.1))
+    (steps, _) = models_section.response_pictures(replace(chosen.report(), data=data, models=(known,)))
+    assert "The states and controls with the largest effect." in steps.caption
+    figure = new_figure(8.0, 8.0)
+    steps.panels[0].wide.draw(figure)
+    assert [ax.get_title() for ax in figure.axes[:3]] == ["u0", "u2", "u4"]
+    assert [ax.get_ylabel() for ax in figure.axes[::3]] == ["x1", "x2", "x3", "x5"]
 
 
 def test_the_first_use_of_a_word_in_a_section_is_explained_and_names_stay_text():
