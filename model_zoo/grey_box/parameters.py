@@ -233,7 +233,8 @@ def parameter_rows(
     with np.errstate(all="ignore"):
         correlations = covariance / np.outer(errors, errors) - np.eye(len(errors))
     strong = [
-        {parameters[j].name: float(row[j]) for j in np.flatnonzero(np.abs(row) > CORRELATED)} for row in correlations
+        {one.name: float(value) for one, value in zip(parameters, row, strict=True) if abs(value) > CORRELATED}
+        for row in correlations
     ]
     return [
         {
