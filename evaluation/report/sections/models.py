@@ -127,6 +127,7 @@ def response_pictures(report: ComparisonResults) -> list[FigureElement]:
     slowest = max((-1.0 / reference.continuous(z).real for z in reference.poles if abs(z) < 1.0), default=0.0)
     count = int(np.clip(LASTING * slowest / reference.dt, *STEPS))
     samples = np.arange(0, count + 1, -(-count // POINTS))
+    times: Array = samples * reference.dt
     w: Array = np.geomspace(2.0 * np.pi / (count * reference.dt), np.pi / reference.dt, POINTS)
     effect = np.abs(reference.to_step(count)).max(axis=0) * point.spread[system.nx :] / point.spread[: system.nx, None]
     rows, columns = (  # those with the largest effect
@@ -138,7 +139,7 @@ def response_pictures(report: ComparisonResults) -> list[FigureElement]:
     gains = {name: np.abs(one.to_frequency(w))[:, rows][:, :, columns] for name, one in all_of.items()}
 
     def draw_steps(figure: Figure) -> None:
-        plot_responses(figure, samples * reference.dt, after, states, controls, label="time (s)")
+        plot_responses(figure, times, after, states, controls, label="time (s)")
 
     def draw_gains(figure: Figure) -> None:
         plot_responses(figure, w, gains, states, controls, label="frequency (rad/s)", log=True)
