@@ -13,7 +13,6 @@ from evaluation.plots import plot_responses
 from evaluation.report.elements import FigureElement, Fold, Item, Section, TableElement, wide_and_narrow
 from evaluation.report.sections.exploitability import trust_of
 from evaluation.results import ComparisonResults, ModelSummary
-from sysid_evo.types import Array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,8 +126,8 @@ def response_pictures(report: ComparisonResults) -> list[FigureElement]:
     slowest = max((-1.0 / reference.continuous(z).real for z in reference.poles if abs(z) < 1.0), default=0.0)
     count = int(np.clip(LASTING * slowest / reference.dt, *STEPS))
     samples = np.arange(0, count + 1, -(-count // POINTS))
-    times: Array = samples * reference.dt
-    w: Array = np.geomspace(2.0 * np.pi / (count * reference.dt), np.pi / reference.dt, POINTS)
+    times = np.asarray(samples * reference.dt, dtype=np.float64)
+    w = np.geomspace(2.0 * np.pi / (count * reference.dt), np.pi / reference.dt, POINTS)
     effect = np.abs(reference.to_step(count)).max(axis=0) * point.spread[system.nx :] / point.spread[: system.nx, None]
     rows, columns = (  # those with the largest effect
         sorted(np.argsort(-effect.max(axis=axis), kind="stable")[:most].tolist())
