@@ -116,6 +116,23 @@ def is_stored_artefact(name: str, kind: Literal["model", "controller"]) -> bool:
     return Path(name).suffix in SUFFIXES or (bool(Path(name).name) and stored_file(name, kind).is_file())
 
 
+LISTED = 6
+"""Largest number of stored files that a message names."""
+
+
+def _stored_nearby(source: Path, kind: str) -> str:
+    """Return a hint with the stored artefact that has nearly this name, or with those in the folder or run folder."""
+    named = source.with_suffix("")
+    folder = named if named.is_dir() else source.parent
+    folder = folder / f"{kind}s" if (folder / f"{kind}s").is_dir() else folder
+    stored = sorted({re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in folder.glob("*.safetensors")})
+    close = "" if named.is_dir() else closest(source.stem, stored, cutoff=0.5)
+    if close or not stored:
+        return f". Did you mean {close}?" if close else ""
+    more = ", ..." if len(stored) > LISTED else ""
+    return f". There are {', '.join(str(folder / name) for name in stored[:LISTED])}{more}"
+
+
 def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Manifest, dict[str, np.ndarray[Any, Any]]]:
     """Return manifest and tensors of the artefact that `stored_file` finds.
 
@@ -124,10 +141,7 @@ def read_artefact(path: Path, kind: Literal["model", "controller"]) -> tuple[Man
     path = stored_file(path, kind)
     source, target = _with(path, ".json"), _with(path, ".safetensors")
     if not source.exists() and not target.exists():
-        stored = {re.sub(r"-[0-9a-f]{8}$", "", file.stem) for file in source.parent.glob("*.safetensors")}
-        close = closest(source.stem, sorted(stored), cutoff=0.5)
-        hint = f". Did you mean {close}?" if close else ""
-        raise ArtefactError(f"{source}: no {kind} is stored there{hint}")
+        raise ArtefactError(f"{source}: no {kind} is stored there{_stored_nearby(source, kind)}")
     for file in (source, target):
         if not file.is_file():
             raise ArtefactError(f"{file}: expected one half of a stored {kind}, found no such file")

@@ -355,8 +355,7 @@ class System(Displayed):
         if not np.isclose(self.dt, other.dt, rtol=1e-9, atol=0.0):
             found.append(f"{1 / self.dt:g} Hz against {1 / other.dt:g} Hz")
         if self.motion != other.motion:
-            kinds = ["none" if s.motion is None else str(s.motion.to_dict()) for s in (self, other)]
-            found.append(f"motion {kinds[0]} against {kinds[1]}")
+            found.append(f"motion {_motion_text(self)} against {_motion_text(other)}")
         return tuple(found)
 
     def frame_rotation(self, state: Array) -> Array:
@@ -419,6 +418,15 @@ def rigid_body_states(motion: RigidBody, *, speed: float = np.inf, rate: float =
         *(Channel(name, low=-1.0, high=1.0) for name in names[6:8]),
         Channel(names[8], low=-1.0, high=1.0, neutral=motion.up, description="up along the third axis of the body"),
     )
+
+
+def _motion_text(system: System) -> str:
+    """Return the motion as in a column map, such as planar_body (forward = speed, yaw_rate = turn)."""
+    if system.motion is None:
+        return "none"
+    fields = system.motion.to_dict()
+    kind = fields.pop("kind", "")
+    return f"{kind} ({', '.join(f'{role} = {state}' for role, state in fields.items())})"
 
 
 def _described(channel: Channel) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ import evaluation
 import sysid_evo.plan
 from evaluation.experiment import Experiment
 from sysid_evo.cli import options
-from sysid_evo.cli.console import SOME_FAILED, as_option, note, out, print_line, session
+from sysid_evo.cli.console import SOME_FAILED, as_option, note, out, print_line, print_status, session
 from sysid_evo.cli.options import argument, fitted_models, listed, load_plugins, names_of, number, option, with_settings
 from sysid_evo.cli.progress import PlanProgress, run_plan
 from sysid_evo.cli.recordings import print_remarks
@@ -94,6 +95,8 @@ def _print_evolved(planned: evaluation.EvolutionPlan, store: sysid_evo.plan.Stor
     if result.remarks:
         print_remarks(result.remarks)
     print_line(f"stored as {file}")
+    print_status(f"run it on a robot with: sysid-evo drive --robot ROBOT --controller {shlex.quote(file)}")
+    print_status(f"take it away as one file with: sysid-evo export {shlex.quote(file)} --to python")
 
 
 GENERATIONS = 200

@@ -36,11 +36,10 @@ def new(
     for path in write_plugin(name, where, kind):
         print_line(str(path))
     options = PLUGINS[kind].check.replace("tests/", f"{shlex.quote(str(where))}/tests/")
-    err.print(
-        f"check it with: sysid-evo plugin check {name} --plugin {shlex.quote(str(where / name) + '.py')}{options}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    file = shlex.quote(f"{where / name}.py")
+    print_status(f"check it with: sysid-evo plugin check {name} --plugin {file}{options}")
+    if kind == "model":
+        print_status(f"compare it with: sysid-evo compare --plugin {file} --models {name},parametrised --minutes 3")
 
 
 def check(
@@ -78,7 +77,11 @@ def _kind_of(name: str) -> str:
     """Return the kind that ``name`` belongs to. Raises `UnknownName`, or `InvalidArgument` if there are several."""
     found = [kind for kind in PLUGINS if name in KINDS[kind].names()]
     if not found:
-        raise UnknownName(f"no {', '.join(list(PLUGINS)[:-1])} or {list(PLUGINS)[-1]} is called {name!r}")
+        hint = did_you_mean(name, [known for kind in PLUGINS for known in KINDS[kind].names()])
+        raise UnknownName(
+            f"no {', '.join(list(PLUGINS)[:-1])} or {list(PLUGINS)[-1]} is called {name!r}.{hint} If it is defined in "
+            "your own file, add --plugin FILE"
+        )
     if len(found) > 1:
         raise InvalidArgument(f"{name!r} is a {' and a '.join(found)}: choose one with --kind")
     return found[0]

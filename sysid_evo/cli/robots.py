@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +22,7 @@ import sysid_evo.data
 import sysid_evo.plan
 from sysid_evo.cli import options
 from sysid_evo.cli.console import ROBOT, err, out, print_line, print_status, table_of
+from sysid_evo.cli.export import SUFFIXES
 from sysid_evo.cli.options import argument, check_new_folder, load_plugins, names_of, number, option
 from sysid_evo.cli.progress import PlanProgress
 from sysid_evo.cli.recordings import episode_table, print_notes
@@ -68,8 +70,11 @@ def check_robot(
         out.print_json(data=[asdict(finding) for finding in findings])
     else:
         for finding in findings:
-            word = ("ok    ", "green") if finding.ok else ("wrong ", "red")
-            out.print(Text.assemble(word, (f"{finding.check}: ", "bold"), finding.sentence))
+            line = Table.grid(padding=(0, 1))  # a wrapped sentence continues in the second column
+            line.add_column(width=len("wrong"))
+            word = Text("ok", "green") if finding.ok else Text("wrong", "red")
+            line.add_row(word, Text.assemble((f"{finding.check}: ", "bold"), finding.sentence))
+            out.print(line)
     if stops.reason is not None:
         err.print(stops.reason.sentence)
         raise typer.Exit(stops.reason.exit_code)
@@ -229,7 +234,12 @@ def drive_controller(
     """
     if page is not None:
         hardware.check_page()  # missing packages are reported before anything runs
-    if sysid_evo.is_stored_artefact(controller, "controller"):
+    if Path(controller).suffix in SUFFIXES.values():
+        raise InvalidArgument(
+            f"--controller: {controller} is an exported file, which runs without sysid-evo; name the stored "
+            "controller, RUN/controllers/NAME"
+        )
+    if sysid_evo.is_stored_artefact(controller, "controller") or ("/" in controller and "(" not in controller):
         champion = sysid_evo.load_champion(controller)
         run = run or evaluation.run_of_controller(Path(controller))
     else:
@@ -319,7 +329,7 @@ def _step(
 
 
 def _watch_at(url: str) -> None:
-    print_line(f"Watch it at {url}")
+    print_line(f"Watch it at {url} (driving begins when the page is open)")
 
 
 def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
@@ -328,8 +338,9 @@ def trials_table(cell: evaluation.Cell, rollouts: sysid_evo.Rollouts) -> Table:
     table = table_of(*headings, numbers=headings)
     for trial, (fitness, steps) in enumerate(zip(cell.fitness, rollouts.survived[0], strict=False)):
         table.add_row(str(trial + 1), f"{fitness:g}", str(steps))
-    for trial, why in enumerate(cell.missing, cell.trials + 1):
-        table.add_row(str(trial), "missing", why)
+    for why, group in groupby(enumerate(cell.missing, cell.trials + 1), key=lambda pair: pair[1]):
+        missing = [trial for trial, _ in group]
+        table.add_row(str(missing[0]) if len(missing) == 1 else f"{missing[0]} to {missing[-1]}", "missing", why)
     if cell.trials:
         table.add_row("mean", evaluation.by_error(cell.mean, cell.standard_error), "", style="bold")
     if cell.trials > 1:

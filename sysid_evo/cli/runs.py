@@ -112,7 +112,8 @@ def add_measured(folder: Path, measured: evaluation.MeasuredResult) -> None:
         print_status(f"stored in {folder}; its report is not updated: {error}")
         return
     if made is not None:
-        print_line(f"Report: {folder / 'report.html'}")
+        shown = folder.relative_to(Path.cwd()) if folder.is_relative_to(Path.cwd()) else folder
+        print_line(f"Report: {shown / 'report.html'}")
     else:
         print_status(f"stored in {folder}, which has no report (compare makes one)")
 

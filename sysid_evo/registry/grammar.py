@@ -144,8 +144,10 @@ def _parse(part: str) -> Spec:
         return Spec(shorthand["name"], {"seed": int(shorthand["seed"])}, part)
     found = SPEC.fullmatch(part)
     if found is None:
-        path = "no such file, and no " if "/" in part or part.endswith(".json") else "expected "
-        raise InvalidArgument(f"{path}NAME(parameter=value, ...), with label=NAME(...) for a label: {_short(part)}")
+        form = "NAME(parameter=value, ...), with label=NAME(...) for a label"
+        if "/" in part or part.endswith(".json"):
+            raise InvalidArgument(f"{_short(part)}: there is no such file, and a name has the form {form}")
+        raise InvalidArgument(f"expected {form}: {_short(part)}")
     try:
         call = ast.parse(f"f{found['arguments'] or '()'}", mode="eval").body
     except (SyntaxError, ValueError) as error:

@@ -125,6 +125,9 @@ def _module(file: Path) -> str:
 
 
 def _source(file: Path) -> bytes:
+    if file.is_dir():
+        inside = ", ".join(sorted(path.name for path in file.glob("*.py"))[:4]) or "no Python file"
+        raise PluginError(f"plugin {file}: expected a Python file, but this is a folder; it contains {inside}")
     if file.suffix != ".py" or not file.is_file():
         raise PluginError(f"plugin {file}: expected a Python file, found none")
     return file.read_bytes()

@@ -85,6 +85,11 @@ def test_new_prints_the_check_command_and_overwrites_nothing(tmp_path):
     checked = run_here(*command[1:], cwd=tmp_path)
     assert checked.returncode == 0, checked.stdout + checked.stderr
     assert max(map(len, checked.stdout.splitlines())) <= 80
+    assert "compare it with" not in written.stderr
+    model = run_here("plugin", "new", "my_model", cwd=tmp_path)
+    command = model.stderr.split("compare it with: ")[1].split()
+    compared = run_here(*command[1:], "--dry-run", cwd=tmp_path)
+    assert "fit my_model" in compared.stdout, compared.stderr
     again = run_here("plugin", "new", "my_log", "--kind", "reader", cwd=tmp_path)
     assert again.returncode == 2
     assert "would be overwritten" in " ".join(again.stderr.split())
@@ -111,7 +116,11 @@ def test_a_broken_rule_of_the_contract_is_printed(tmp_path):
         ),
         (("new", "random", "--kind", "task"), "a module called 'random' already exists"),
         (("new", "mine", "--kind", "modle"), "expected a kind among model, task, controller, strategy, robot, reader,"),
-        (("check", "linnear"), "no model, task, controller, strategy, robot or reader is called 'linnear'"),
+        (
+            ("check", "linnear"),
+            "no model, task, controller, strategy, robot or reader is called 'linnear'. Did you mean",
+        ),
+        (("check", "unlike_any"), "is called 'unlike_any'. If it is defined in your own file, add --plugin FILE"),
         (("check", "linear"), "'linear' is a model and a controller: choose one with --kind"),
         (("check", "linear", "--kind", "task"), "no task is called 'linear'"),
         (("check", "linear", "--kind", "modle"), "plugin: expected a kind among model, task, controller, strategy"),

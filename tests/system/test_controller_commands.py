@@ -28,6 +28,10 @@ def test_a_controller_evolves_against_an_ensemble_and_inspect_says_where_it_goes
     assert "What to record next?" in evolved.stdout
     told = [line for line in evolved.stdout.splitlines() if not line.startswith("stored as")]
     assert max(map(len, told)) <= 80
+    command = evolved.stderr.split("take it away as one file with: sysid-evo ")[1].split()
+    call.works(*command, "--name", "mine")
+    assert (call.folder / "mine.py").is_file()
+    assert f"sysid-evo drive --robot ROBOT --controller {controller.relative_to(call.folder)}" in evolved.stderr
     inspected = call.works("inspect", stored_data, "--controller", controller)
     assert "What to record next?" in inspected.stdout
     assert " of the controllers' steps are outside the training data" in " ".join(inspected.stdout.split())

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import socket
 import sys
@@ -359,7 +360,7 @@ def test_who_opens_the_page_of_a_controller_sees_every_trial(robot, task, pages,
     store_champion(robot, task, call.folder)
     opened = pages()
     done = call.works("drive", "--robot", robot, "--controller", "mine", "--trials", "2", "--open")
-    assert "Watch it at http://127.0.0.1:" in done.stdout
+    assert re.search(r"Watch it at http://127.0.0.1:\S+ \(driving begins when the page is open\)\n", done.stdout)
     (page,) = opened
     page.join(10.0)
     setting, scenery, *readings = page.told

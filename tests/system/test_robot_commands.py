@@ -146,11 +146,18 @@ def test_what_a_controller_cannot_be_combined_with_is_refused_with_what_to_do(op
     assert there.refused("drive", "--controller", file, *options).says(told.replace("FILE", str(file)))
 
 
+def test_an_exported_file_and_a_run_folder_are_refused_with_what_to_name(there):
+    assert there.refused("drive", "--controller", "car.py").says("car.py is an exported file, which runs without")
+    chosen = champion_in(there.folder / "mine").with_suffix("").relative_to(there.folder)
+    named = str(chosen).rpartition("-")[0]
+    assert there.refused("drive", "--controller", "./mine").says(f"There are {named}")
+
+
 def test_trials_that_a_fault_cuts_short_are_missing_and_the_exit_code_says_why(there):
     command = ("drive", "--controller", champion_in(there.folder / "mine"), "--plugin", "unseen.py", "--robot")
     done = there(*command, "unseen", "--trials", "2")
     assert done.code == 4, done.stderr
-    assert "missing" in done.stdout
+    assert re.search(r"^ *1 to 2 +missing ", done.stdout, re.MULTILINE)
     assert "Traceback" not in done.stderr
     assert all(m.cell.column != "unseen" for m in load_measured(there.folder / "mine")[0])
     done = there(*command, "absent")
@@ -164,7 +171,8 @@ def test_report_of_a_comparison_is_made_again_with_the_achieved_column(call, fai
     document = call.folder / "out" / "report.json"
     before = json.loads(document.read_text())
     chosen = call.folder / "out" / before["controller_files"]["linear"]
-    assert "Report:" in call.works("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3").stdout
+    driven = call.works("drive", "--controller", chosen, "--robot", "emulated_car", "--trials", "3")
+    assert "Report: out/report.html" in driven.stdout.splitlines()
     after = json.loads(document.read_text())
     assert before["transfer"]["robot"] is None
     assert after["transfer"]["robot"] == "emulated_car driven"
@@ -196,6 +204,8 @@ def test_check_says_in_sentences_what_is_right_and_in_its_exit_code_what_is_not(
         ended = there("robots", "check", robot, "--plugin", "unseen.py")
         assert ended.code == 4
         assert said in ended.stdout
+        lines = ended.stdout.splitlines()
+        assert all(line.startswith(("ok    ", "wrong ", "      ")) and len(line) <= 80 for line in lines)
 
 
 def test_a_check_that_is_stopped_prints_what_it_found_and_ends_with_the_code_of_the_reason(call, register):

@@ -114,5 +114,5 @@ def test_one_spec_is_expected_where_one_stands():
 
 @pytest.mark.parametrize("path", ["runs/first/controllers/recomended", "controller.json"])
 def test_a_path_where_nothing_is_is_called_no_file(path):
-    with pytest.raises(InvalidArgument, match=f"^no such file, and no NAME.*{path}"):
+    with pytest.raises(InvalidArgument, match=f"^'{path}': there is no such file, and a name has"):
         Spec.parse(path)

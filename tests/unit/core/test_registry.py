@@ -208,11 +208,18 @@ def test_a_plugin_file_that_fails_gives_the_reason_and_can_be_corrected(write):
     assert "mended" in robots.loaded
 
 
-@pytest.mark.parametrize("name", ["missing.py", "folder", "notes.txt"])
-def test_a_plugin_that_is_no_python_file_is_refused(write, tmp_path, name):
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("missing.py", "found none"),
+        ("folder", "but this is a folder; it contains other.py$"),
+        ("notes.txt", "found none"),
+    ],
+)
+def test_a_plugin_that_is_no_python_file_is_refused(write, tmp_path, name, reason):
     write("hello", "folder/other.py")
     write("hello", "notes.txt")
-    with pytest.raises(PluginError, match="expected a Python file, found none"):
+    with pytest.raises(PluginError, match=f"expected a Python file, {reason}"):
         load_plugin(tmp_path / name)
 
 

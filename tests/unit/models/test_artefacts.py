@@ -3,6 +3,7 @@
 import hashlib
 import json
 import pickle
+import re
 import shutil
 import tracemalloc
 from pathlib import Path
@@ -240,6 +241,17 @@ def test_a_controller_of_a_run_is_found_without_the_digest_in_its_name_unless_th
         load_champion(tmp_path / "best of 1.5")
     with pytest.raises(ArtefactError, match=r"best.json: no controller is stored there. Did you mean best of 1.5"):
         load_champion(tmp_path / "best")
+
+
+def test_a_run_folder_in_place_of_a_controller_is_refused_with_its_controllers(tmp_path):
+    for name in ("linear-0123abcd", "near-0123abcd"):
+        save_champion(CHAMPION, tmp_path / "run" / "controllers" / name)
+    there = tmp_path / "run" / "controllers"
+    for named in (tmp_path / "run", there, there / "xyz"):
+        with pytest.raises(ArtefactError, match=re.escape(f"There are {there / 'linear'}, {there / 'near'}")):
+            load_champion(named)
+    with pytest.raises(ArtefactError, match=r"no controller is stored there$"):
+        load_champion(tmp_path / "elsewhere" / "linear")
 
 
 def test_a_model_of_a_run_is_found_without_the_digest_too(stored):
